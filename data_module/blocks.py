@@ -1,4 +1,4 @@
-"""Blocks: speech and motion cut at beats and brought to one length, and the way back (RG 4.2.2).
+"""Blocks: speech and motion cut at beats and normalised to one length, and the inverse (RG 4.2.2).
 
 Block i covers (b_{i-1}, b_i]; its K-th frame lies on the beat b_i. In normalised time every block lasts d_max seconds.
 Sound is stretched with its pitch kept; motion is interpolated as rotations.
@@ -23,10 +23,10 @@ __all__ = ["BlockSettings", "cut", "denormalise", "normalise_motion", "smooth", 
 
 METHODS = ("wsola", "phase_vocoder")
 SMOOTHING = 0.05
-"""Seconds: the standard deviation of the final Gaussian (one frame at 20 fps, RG 7.1.2)."""
+"""Standard deviation of the final Gaussian, seconds (one frame at 20 fps, RG 7.1.2)."""
 
 CONTEXT = 0.032
-"""Seconds of sound before and after a block that it is stretched with."""
+"""Sound before and after a block that is included when it is stretched, seconds."""
 
 _WINDOW, _HOP, _TOLERANCE = 0.032, 0.016, 0.008  # seconds: 512, 256 and 128 samples at 16 kHz
 _LONGEST_STRETCH = 3.0
@@ -35,7 +35,7 @@ _REACH = 2.0
 
 @dataclass(frozen=True)
 class BlockSettings:
-    """How speech is cut. fps: frames per second of normalised time; a block has K = ceil(d_max x fps) of them."""
+    """Settings of the cut. fps: frames per second of normalised time; a block has K = ceil(d_max x fps) frames."""
 
     beats: BeatSettings = field(default_factory=BeatSettings)
     fps: float = 20.0
@@ -46,27 +46,25 @@ class BlockSettings:
 
     @property
     def frames(self) -> int:
-        """K, frames per block: no block is ever sampled down, because none lasts longer than d_max."""
+        """K, frames per block: no block is downsampled, because none is longer than d_max."""
         return math.ceil(self.beats.d_max * self.fps - 1e-9)
 
 
 def cut(speech: Speech, settings: BlockSettings | None = None) -> Blocks:
-    """Speech cut at its beats (RG 4.2.2)."""
     settings = settings or BlockSettings()
     beats = find_beats(speech, settings.beats)
     return Blocks(beats.times, beats.flags[1:], silent_blocks(speech, beats.times), settings.frames, settings.fps)
 
 
 def samples_per_frame(sample_rate: int, fps: float) -> int:
-    """Samples of stretched sound that belong to one normalised frame (800 at 16 kHz and 20 fps)."""
     return round(sample_rate / fps)
 
 
 def stretch_speech(speech: Speech, blocks: Blocks, method: str = "wsola") -> Samples:
     """Each block's sound stretched to one length with its pitch kept, float32 [N, K * samples_per_frame].
 
-    Every block is stretched by itself, with 32 ms of its neighbours on both sides, so its ends lie exactly on the
-    beats and a stream gets the same samples; outside the recording there are zeros. Digital silence stays exactly
+    Every block is stretched separately, with 32 ms of its neighbours on both sides, so that its ends are exactly at the
+    beats and a stream gives the same samples; outside the recording there are zeros. Digital silence stays exactly
     zero. method: "wsola" or "phase_vocoder" (phases locked), both of pytsmod.
     """
     if method not in METHODS:
@@ -81,7 +79,7 @@ def stretch_speech(speech: Speech, blocks: Blocks, method: str = "wsola") -> Sam
 
 
 def stretch_piece(piece: Samples, length: int, rate: int, method: str = "wsola") -> Samples:
-    """One block's sound, with `CONTEXT` seconds on both sides, brought to [length] samples; see `stretch_speech`."""
+    """One block's sound, with `CONTEXT` seconds on both sides, stretched to [length] samples; see `stretch_speech`."""
     context = round(CONTEXT * rate)
     out, inside = np.zeros(length, np.float32), piece[context:-context]
     if inside.any():
@@ -91,13 +89,12 @@ def stretch_piece(piece: Samples, length: int, rate: int, method: str = "wsola")
 
 
 def _stretched(piece: Array, context: int, length: int, rate: int, method: str) -> Array:
-    """The middle of `piece` (all but `context` samples at each end) brought to `length` samples."""
     inside = len(piece) - 2 * context
     if inside == length:  # at rate 1 WSOLA is not quite the identity
         return piece[context:-context]
-    # One call stretches well up to about 3 times; only a whole recording shorter than d_min needs more.
+    # One call is accurate up to a factor of 3; only a whole recording shorter than d_min needs more.
     step = min(length, math.ceil(inside * _LONGEST_STRETCH))
-    # pytsmod wants integers that rise strictly, from the first sample to the last.
+    # pytsmod needs strictly rising integers, from the first sample to the last.
     anchors = np.array([[0, context, context + inside, len(piece) - 1],
                         [0, context, context + step, step + 2 * context - 1]])
     out = _time_scale(piece, anchors, rate, method)
@@ -118,7 +115,7 @@ def _time_scale(piece: Array, anchors: Array, rate: int, method: str) -> Array:
 
 
 def _keep_zeros(inside: Samples, out: Samples, shortest: int) -> None:
-    """Set to zero what `out` has where `inside` holds `shortest` or more zeros in a row: overlap-add smears them."""
+    """Zero `out` where `inside` has at least `shortest` zeros in a row, which overlap-add smears."""
     if np.count_nonzero(inside) > len(inside) - shortest:
         return
     ends = np.flatnonzero(np.diff(inside == 0, prepend=False, append=False)).reshape(-1, 2)
@@ -128,11 +125,9 @@ def _keep_zeros(inside: Samples, out: Samples, shortest: int) -> None:
 
 
 def windows_of(stretched: Samples) -> Samples:
-    """Previous, current and next block of each block, [N, 3 * L] for stretched speech [N, L].
-
-    Before the first block and after the last there are zeros. The result is a read-only view: it costs the memory of
-    one copy of `stretched`, not of three.
-    """
+    """Previous, current and next block of each block, [N, 3 * L] for stretched speech [N, L]. Before the first block
+    and after the last there are zeros. The result is a read-only view: it costs the memory of one copy of `stretched`,
+    not of three."""
     count, length = stretched.shape
     flat = np.concatenate([np.zeros(length, stretched.dtype), stretched.ravel(), np.zeros(length, stretched.dtype)])
     return np.lib.stride_tricks.sliding_window_view(flat, 3 * length)[::length][:count]
@@ -172,32 +167,30 @@ def denormalise(knots: Array, first: Array, blocks: Blocks, fps: float, smooth_o
 
 
 class KnotPath:
-    """Normalised frames, as they are drawn, on the recording's clock: `denormalise` block by block.
-
-    A frame is given when no knot to come can move it: two knots beyond it are known, and half the kernel that smooths.
-    With `prompt` the slope at the newest knot is that of the line to it, and stays so: one knot is enough.
-    """
+    """Streaming `denormalise`, block by block. A frame is returned when it no longer depends on future knots: two knots
+    and half the smoothing kernel beyond it are known. With `prompt` the slope at the newest knot is that of the line to
+    it, so that one knot is sufficient."""
 
     def __init__(self, first: Array, fps: float, smooth_over: float = SMOOTHING, prompt: bool = False) -> None:
         """first: [D] the pose at time 0; fps, smooth_over: see `denormalise`."""
         self.fps, self.prompt = fps, prompt
         self.next = 0
-        """The number of the next frame that is given."""
+        """Number of the next frame to return."""
         self._sigma, self._half = smooth_over, _half(fps, smooth_over)
         self._times, self._values = np.zeros(1), np.array(first, dtype=np.float64)[None]
         self._slopes = np.zeros_like(self._values)
 
     @property
     def reach(self) -> float:
-        """Seconds after a frame in which other frames smooth it."""
+        """Half of the smoothing kernel, seconds."""
         return self._half / self.fps
 
     def push(self, times: Array, values: Array, until: int | None = None) -> Array:
-        """[T, D] the frames that are certain by more knots [K, D] at rising `times` [K], seconds; those from number
-        `until` on are kept back for later."""
+        """[T, D] the frames that are certain after more knots [K, D] at rising `times` [K], seconds, up to number
+        `until`."""
         known = len(self._times)
         self._times, self._values = np.concatenate([self._times, times]), np.concatenate([self._values, values])
-        # The slope at the last knot so far was that of the line to it, for want of a knot beyond.
+        # The slope at the last knot was that of the line to it, without a knot beyond.
         keep = known if self.prompt and known > 1 else known - 1
         near = max(keep - 1, 0)
         more = slopes(self._times[near:], self._values[near:])[keep - near:]
@@ -205,30 +198,30 @@ class KnotPath:
         if len(self._times) < 2:
             return self._values[:0]
         limit = self._times[-1] if self.prompt else self._times[-2]
-        # The first frame that is not before the limit, or that a recording that ends here would not have.
+        # The first frame at or after the limit, or after the end of a recording that ends here.
         certain = min(math.ceil(limit * self.fps - 1e-9), round(float(self._times[-1]) * self.fps))
         certain -= self._half
         return self._given(max(certain if until is None else min(certain, until), self.next))
 
     def finish(self, duration: float) -> Array:
-        """[T, D] the frames that are left of a recording of so many seconds."""
+        """[T, D] the remaining frames of a recording of `duration` seconds."""
         count = max(1, round(duration * self.fps))
         return self._given(count, count)
 
     def frames(self, first: int, last: int) -> Array:
-        """[T, D] the frames from `first` to before `last` once more, where the knots around them are still kept."""
+        """[T, D] the frames from `first` to before `last` again, if the knots around them are still stored."""
         return self._frames(np.arange(first, last))
 
     def rewind(self, times: Array, values: Array, first: int) -> None:
-        """Go back to a frame: knots [M, D] up to the one from which another path goes on, two at least, with the last
-        of them standing where it stood; the next frame is `first`."""
+        """Go back to frame `first`: `values` are the knots [M, D], at least two, up to the one after which the path
+        changes, whose position is unchanged."""
         self._times, self._values, self.next = times, np.array(values, dtype=np.float64), first
         self._slopes = slopes(self._times, self._values)
 
     def _given(self, until: int, count: int | None = None) -> Array:
         out = self._frames(np.arange(self.next, until), count)
         self.next = max(until, self.next)
-        # Two knots before the first that the next frame's kernel reaches are enough.
+        # Keep two knots before the first one in reach of the next frame's kernel.
         old = int(np.searchsorted(self._times, (self.next - self._half) / self.fps, side="right")) - 3
         if old > 0:
             self._times, self._values, self._slopes = self._times[old:], self._values[old:], self._slopes[old:]
@@ -239,15 +232,15 @@ class KnotPath:
             return self._values[:0]
         half = 0 if count == 1 else self._half
         at = np.arange(numbers[0] - half, numbers[-1] + half + 1)
-        # About the first and the last frame the motion is mirrored.
+        # The motion is mirrored about the first and the last frame.
         at = np.abs(at) if count is None or count == 1 else np.abs((at + count - 1) % (2 * (count - 1)) - (count - 1))
         frames = hermite(self._times, self._values, at / self.fps, self._slopes)
         return _kernel(frames, self.fps, self._sigma)[half:len(at) - half] if half else frames
 
 
 def slopes(times: Array, values: Array) -> Array:
-    """[M, D] slopes at knots [M, D]: of the parabola through a knot and its two neighbours (at the ends, of the line);
-    zero for a single knot."""
+    """[M, D] slopes at knots [M, D]: of the parabola through a knot and its neighbours (of the line at the ends); zero
+    for a single knot."""
     if len(times) < 2:
         return np.zeros_like(values)
     steps = np.diff(times)[:, None]
@@ -257,10 +250,8 @@ def slopes(times: Array, values: Array) -> Array:
 
 
 def hermite(times: Array, values: Array, at: Array, slope: Array | None = None) -> Array:
-    """Cubic Hermite interpolation of values [M, D] at rising times [M], at the times `at` [T] (clamped): [T, D].
-
-    slope: [M, D] at the knots; without it those of `slopes`: local, exact for parabolas, right for uneven knots.
-    """
+    """Cubic Hermite interpolation of values [M, D] at rising times [M], at the times `at` [T] (clamped): [T, D]. slope:
+    [M, D] at the knots; without it those of `slopes`: local, exact for parabolas, right for uneven knots."""
     slope = slopes(times, values) if slope is None else slope
     x = np.clip(at, times[0], times[-1])
     left = np.clip(np.searchsorted(times, x, side="right") - 1, 0, len(times) - 2)
@@ -272,11 +263,8 @@ def hermite(times: Array, values: Array, at: Array, slope: Array | None = None) 
 
 
 def smooth(frames: Array, fps: float, sigma: float = SMOOTHING) -> Array:
-    """Gaussian smoothing along time of [T, D] (RG 7.1.2: five taps at 20 fps).
-
-    sigma: seconds; the kernel ends at two sigma on both sides, whatever the rate. At the ends the motion is mirrored
-    about its first and last frame.
-    """
+    """Gaussian smoothing along time of [T, D] (RG 7.1.2: five taps at 20 fps). sigma: seconds; the kernel ends at two
+    sigma on both sides, whatever the rate. At the ends the motion is mirrored about its first and last frame."""
     half = _half(fps, sigma)
     return np.array(frames) if half < 1 or len(frames) < 2 else _kernel(frames, fps, sigma)
 

@@ -6,9 +6,8 @@
     gesticulator build trinity --source DIR --out STORE      # somebody's data set; --help lists them all
     gesticulator build smartbody --source DIR --out STROKES  # the performer's strokes, from what is published
 
-A build that was stopped goes on where it was; the result does not depend on that, nor on the number of workers. What
-was found (minutes, blocks, intervals, units, joints that are lacking, what was left out and why) is printed and kept in
-STORE/report.json.
+An interrupted build is resumed; the result does not depend on that, nor on the number of workers. A report (minutes,
+blocks, intervals, units, missing joints, omissions with reasons) is printed and written to STORE/report.json.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass
 class Workshop:
-    """What a worker needs to make recordings; opened once per process."""
+    """The data that a worker needs to make recordings; opened once per process."""
 
     corpus: str
     source: Path | None
@@ -48,26 +47,24 @@ class Workshop:
     reader: Any = field(default=None, repr=False)
 
     def outcome_file(self, item: Item) -> Path:
-        """Where a recording's outcome waits for the end of the build; the finished store has it in its report."""
+        """The file of a recording's outcome until the end of the build."""
         return Path(self.writer.partial / "recordings" / f"{item.info.name}.report")
 
     def outcome(self, item: Item) -> Outcome | None:
-        """What became of a recording; None where nothing is noted."""
         try:
             return Outcome.from_json(self.outcome_file(item).read_text(encoding="utf-8"))
         except (OSError, ValueError, TypeError, KeyError):
             return None
 
     def made(self, item: Item) -> Outcome | None:
-        """The outcome of a recording that a build that was stopped had finished, whole, in store, report and data set;
-        None for any other."""
+        """The outcome of a recording that an interrupted build had finished in store, report and data set; else None.
+        """
         name, outcome = item.info.name, self.outcome(item)
         whole = outcome is not None and self.writer.has(name) and (
             self.dataset is None or (self.dataset / f"{name}.json").is_file())
         return outcome if whole else None
 
     def make(self, item: Item) -> Outcome:
-        """Read one recording and write it into the data set and the store, the outcome last."""
         outcome = self._written(item)
         write_text(self.outcome_file(item), outcome.as_json())
         return outcome
@@ -104,19 +101,19 @@ class Workshop:
         blocks, apart = intervals.measure(recording.speech)
         known = "given" if recording.speech.words else ""
         unit, words = (recording.unit, recording.words) if isinstance(recording, Imported) else ("", known)
-        said = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
+        messages = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
         self.writer.add(recording, character)
         return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
-                       words, warnings=said)
+                       words, warnings=messages)
 
 
 Making: TypeAlias = "Callable[[Workshop, Sequence[Item]], Iterator[Outcome]]"
-"""Makes recordings, in any order, and gives what became of each; of those that failed it gives nothing."""
+"""Makes recordings in any order and yields their outcomes, except for those that failed."""
 
 
 @dataclass(frozen=True)
 class BuildRequest:
-    """What to build: the store `out` of a corpus, and where `dataset` says so the data set `out`/dataset."""
+    """A request to build the store `out` of a corpus, and with `dataset` the data set `out`/dataset."""
 
     corpus: str
     source: Path | None
@@ -126,11 +123,9 @@ class BuildRequest:
 
 
 def build(request: BuildRequest, making: Making | None = None, progress: bool = True) -> Report:
-    """Build a store; making: by whom the recordings are made (this process, one after the other).
-
-    A store that is there already with the same settings is left as it is. `InputError` when it has other settings,
-    when nothing can be used, when recordings failed, or while another process builds there.
-    """
+    """Build a store; making: by default in this process, in sequence. An existing store with the same settings is not
+    changed. `InputError` if it has other settings, if nothing is usable, if recordings failed, or if another process
+    builds there."""
     begun = time.monotonic()
     with lock(request.out, "a build", beside=True):
         site = _Site.opened(request)
@@ -142,11 +137,8 @@ def build(request: BuildRequest, making: Making | None = None, progress: bool = 
 
 def build_share(request: BuildRequest, making: Making, mine: Callable[[Sequence[Item]], Sequence[Item]],
                 progress: bool = True) -> list[Outcome] | None:
-    """Make the recordings of a store that `mine` picks, beside others who make others; their outcomes (those of
-    recordings that were there as well), None where the store is there.
-
-    The store is finished by `build`. `InputError` as there.
-    """
+    """Make the recordings of a store selected by `mine`, in parallel with other processes; their outcomes (also of
+    existing recordings), or None if the store exists. The store is finished by `build`. `InputError` as there."""
     with lock(request.out, "a share of a build", beside=True, shared=True):
         site = _Site.opened(request)
         return None if isinstance(site, Report) else list(site.build(mine(site.items), making, progress))
@@ -154,7 +146,7 @@ def build_share(request: BuildRequest, making: Making, mine: Callable[[Sequence[
 
 @dataclass
 class _Site:
-    """A build that is under way. reused: how many recordings were there."""
+    """An unfinished build. reused: number of existing recordings."""
 
     request: BuildRequest
     workshop: Workshop
@@ -163,7 +155,7 @@ class _Site:
 
     @classmethod
     def opened(cls, request: BuildRequest) -> _Site | Report:
-        """Begun or taken up again; the report of a store that is there already."""
+        """A new or resumed build; or the report of an existing store."""
         from data_module import store
         from data_module.corpora.table import open_corpus
 
@@ -182,7 +174,6 @@ class _Site:
         return cls(request, Workshop(corpus, source, request.options, writer, folder, reader), reader.items())
 
     def build(self, items: Sequence[Item], making: Making, progress: bool) -> Iterator[Outcome]:
-        """Make those of the items that are not there; the outcomes of all but those that failed."""
         from tqdm import tqdm
 
         todo = []
@@ -193,38 +184,36 @@ class _Site:
             else:
                 yield there
         self.reused = len(items) - len(todo)
-        # A reader is opened again in each process. None: no bar where the output is no terminal.
+        # A reader is opened again in each process. None: no bar if the output is not a terminal.
         with tqdm(total=len(todo), unit="recording", disable=None if progress else True) as bar:
             for outcome in making(replace(self.workshop, reader=None), todo):
                 bar.update()
                 yield outcome
 
     def finish(self, outcomes: Mapping[str, Outcome]) -> Report:
-        """Write the report and give the store its name. outcomes: of all recordings by name."""
         workshop, items, writer = self.workshop, self.items, self.workshop.writer
         failed = [item.info.name for item in items if item.info.name not in outcomes]
         if failed:
             raise InputError(self.request.out, f"is not finished: {len(failed)} of {len(items)} recordings failed, "
-                             f"such as {failed[0]}", "mend them and build again; what is made stays")
-        kept = [item.info for item in items if not outcomes[item.info.name].dropped]
-        if not kept:
+                             f"such as {failed[0]}", "correct them and build again; finished recordings are kept")
+        usable = [item.info for item in items if not outcomes[item.info.name].dropped]
+        if not usable:
             reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
             writer.discard()
             raise InputError(workshop.source or workshop.corpus, f"has no recording that can be used ({reason})",
                              "see the formats in --help")
         if workshop.dataset is not None:
-            for info in kept:
+            for info in usable:
                 _share(writer.partial / "recordings" / f"{info.name}.flac", workshop.dataset / f"{info.name}.flac")
         infos = [replace(info, seconds=outcomes[info.name].seconds, absent=outcomes[info.name].absent)
-                 for info in kept]
-        told = reports.summary(infos, [outcomes[item.info.name] for item in items], workshop.reader.notes())
-        write_text(writer.partial / reports.FILE, json.dumps(told, indent=1, ensure_ascii=False))
+                 for info in usable]
+        content = reports.summary(infos, [outcomes[item.info.name] for item in items], workshop.reader.notes())
+        write_text(writer.partial / reports.FILE, json.dumps(content, indent=1, ensure_ascii=False))
         remove_unfinished(writer.partial)
-        return Report(writer.finish([info.name for info in kept]), told, 0.0, self.reused)
+        return Report(writer.finish([info.name for info in usable]), content, 0.0, self.reused)
 
 
 def one_by_one(workshop: Workshop, items: Sequence[Item]) -> Iterator[Outcome]:
-    """Make recordings in this process."""
     return map(workshop.make, items)
 
 
@@ -260,7 +249,7 @@ def _begin(workshop: Workshop) -> None:
 
 
 def end_with_parent() -> None:
-    """A worker whose build was killed would wait for work for ever."""
+    """End a worker when its parent was killed; it would wait for work forever."""
     import multiprocessing
     import threading
 
@@ -281,7 +270,7 @@ def _work(item: Item) -> Outcome:
 
 
 def _share(file: Path, place: Path) -> None:
-    """The same file in two places: a hard link where the disk can, a copy elsewhere."""
+    """The same file in two places: a hard link if possible, else a copy."""
     import shutil
 
     place.unlink(missing_ok=True)
@@ -292,7 +281,6 @@ def _share(file: Path, place: Path) -> None:
 
 
 def _formats() -> str:
-    """The data sets that can be read, for the help."""
     import textwrap
 
     from data_module.corpora.table import CORPORA, STROKE_SOURCES
@@ -320,10 +308,10 @@ def _make_strokes(name: str, source: Path | None, out: Path, options: Options) -
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What a build takes, and at the end of the help what can be read."""
+    """The arguments of a build, and in the epilog the list of data sets."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = _formats() + (f"\n\n{parser.epilog}" if parser.epilog else "")
-    parser.add_argument("corpus", help="one of those below")
+    parser.add_argument("corpus", help="one of the names below")
     parser.add_argument("--source", type=Path, metavar="DIR",
                         help="the source data (performer: default is the variable GESTICULATOR_DATA)")
     parser.add_argument("--out", type=Path, required=True, metavar="STORE", help="output folder")
@@ -353,7 +341,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _check_histogram(file: Path) -> None:
-    """Before an hour of work, not after it."""
     import importlib.util
 
     if file.suffix.lower() != ".png" or not file.parent.is_dir():
@@ -364,7 +351,7 @@ def _check_histogram(file: Path) -> None:
 
 
 def asked_for(arguments: argparse.Namespace) -> BuildRequest:
-    """What `arguments` ask for; InputError for what cannot be asked."""
+    """The request in `arguments`; InputError for invalid ones."""
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
     from data_module.corpora.base import Options
@@ -381,7 +368,7 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
         source = Path(data) if data else None
     for name in ("split", "speaker"):
         if getattr(arguments, name) and arguments.corpus != "folder":
-            raise InputError(f"--{name}", f"is not for {arguments.corpus}, which has its own", "leave it out")
+            raise InputError(f"--{name}", f"is only for folder, not for {arguments.corpus}", "leave it out")
     if arguments.histogram is not None:
         _check_histogram(arguments.histogram)
     languages = tuple(filter(None, arguments.languages.split(",")))
@@ -391,8 +378,8 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
 
 
 def run(arguments: argparse.Namespace, making: Making | None = None) -> int:
-    """Build what `arguments` ask for and print the report; making: see `build` (as many processes as were asked for).
-    Returns 0; InputError when the input cannot be used."""
+    """Build the request in `arguments` and print the report; making: see `build` (by default in --workers processes).
+    Returns 0; InputError if the input cannot be used."""
     request = asked_for(arguments)
     from data_module.corpora.table import STROKE_SOURCES
 
@@ -410,7 +397,7 @@ def run(arguments: argparse.Namespace, making: Making | None = None) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The command. Returns 0; leaves with 2 and one line when the input cannot be used."""
+    """The command. Returns 0; exits with 2 and one line if the input cannot be used."""
     parser = argparse.ArgumentParser(
         prog="python -m data_module.build", formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Read or make a data set, write its store, and report what is in it.")

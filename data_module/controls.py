@@ -1,8 +1,8 @@
-"""Style editing: what is asked of the hands, and how it is measured (RG 7.2.1, the C_i of Eq. 20 and 21).
+"""Style editing: controls of the hands, and their measurement (RG 7.2.1, the C_i of Eq. 20 and 21).
 
-Three features, each averaged over a sliding window of four seconds: how high the right hand is, how fast both hands
-move and how far both hands are from the body's axis. They are measured in the character's facing frame, on the
-recording's own clock, because time-scaling a block changes a speed.
+Three features, each averaged over a sliding window of four seconds: the height of the right hand, the speed of both
+hands and their distance from the body's axis. They are measured in the character's facing frame, in the time of the
+recording, because normalising a block changes speeds.
 """
 
 from __future__ import annotations
@@ -42,15 +42,13 @@ _LEAST_SPREAD = 1e-3
 
 
 class ControlWarning(UserWarning):
-    """A value can be asked for, but nothing like it was seen in training."""
+    """A control value is valid, but far from the training data."""
 
 
 def per_frame(motion: Motion) -> Array:
-    """The three `FEATURES` of a motion with the hands of the character, frame by frame, [T, 3].
-
-    The speed at a frame is the mean over the two intervals that meet there (one at the ends), so that it is neither
-    late nor, like a difference across both, too small where a hand turns back. A single frame has speed 0.
-    """
+    """The three `FEATURES` of a motion with the hands of the character, frame by frame, [T, 3]. The speed at a frame is
+    the mean over the two adjacent intervals (one at the ends), so that it is neither delayed nor, like a central
+    difference, too small where a hand reverses. A single frame has speed 0."""
     positions = positions_of(skeletons.facing(motion))  # the root is at the origin
     right, left = (positions[:, motion.skeleton.index(name)] for name in _HANDS)
     out = np.zeros((len(motion), len(FEATURES)))
@@ -64,17 +62,14 @@ def per_frame(motion: Motion) -> Array:
 
 
 def measure(motion: Motion, window: float = WINDOW) -> Array:
-    """The features [T, 3] at the motion's own rate, averaged over `window` seconds about each frame (RG 7.2.1).
-
-    The window is centred; at the ends it is cut off, not padded. `InputError` for a window that is negative.
-    """
+    """The features [T, 3] at the motion's own rate, averaged over `window` seconds about each frame (RG 7.2.1). The
+    window is centred; at the ends it is cut off, not padded. `InputError` for a window that is negative."""
     if not 0 <= window < math.inf:
         raise InputError("window", f"is {window} s", f"give 0 or more seconds; the paper has {WINDOW:g}")
     return _averaged(per_frame(motion), round(window * motion.fps / 2))
 
 
 def _averaged(values: Array, half: int) -> Array:
-    """The mean of the frames at most `half` away, [T, D]."""
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     at = np.arange(len(values))
     first, last = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
@@ -82,10 +77,8 @@ def _averaged(values: Array, half: int) -> Array:
 
 
 def at_knots(values: Array, fps: float, blocks: Blocks) -> Array:
-    """Features [T, D], frame t at t / fps seconds, at the K frames of every block, [N, K, D]: the C_i of Eq. 20.
-
-    Linear between frames; beyond the last frame its values are held.
-    """
+    """Features [T, D], frame t at t / fps seconds, at the K frames of every block, [N, K, D]: the C_i of Eq. 20. Linear
+    between frames; beyond the last frame its values are held."""
     times = np.arange(len(values)) / fps
     sampled = np.stack([np.interp(blocks.knot_times, times, column) for column in values.T], axis=-1)
     return sampled.reshape(len(blocks), blocks.frames, -1)
@@ -93,10 +86,8 @@ def at_knots(values: Array, fps: float, blocks: Blocks) -> Array:
 
 @dataclass(frozen=True)
 class Levels:
-    """What training saw. table: [3 features, 3 levels] the 15, 50 and 85 % quantiles; mean, spread: [3].
-
-    All in the features' own units.
-    """
+    """Statistics of the training data. table: [3 features, 3 levels] the 15, 50 and 85 % quantiles; mean, spread: [3].
+    All in the features' own units."""
 
     table: Array
     mean: Array
@@ -113,10 +104,8 @@ class Levels:
 
     @classmethod
     def fit(cls, values: Array) -> Levels:
-        """From the measured features [n, 3] of the training split.
-
-        A feature that never changes gets a spread of 1, so that standardising it stays harmless.
-        """
+        """From the measured features [n, 3] of the training split. A feature that never changes gets a spread of 1, so
+        that standardising it stays harmless."""
         if values.ndim != 2 or values.shape[1] != len(FEATURES) or len(values) == 0:
             raise ValueError(f"levels are fitted on [n, 3] values, not {values.shape}")
         spread = values.std(axis=0)
@@ -124,18 +113,16 @@ class Levels:
                    np.where(spread > _LEAST_SPREAD, spread, 1.0))
 
     def value(self, feature: str, level: str) -> float:
-        """What "low", "mid" or "high" means for a feature, in its unit; KeyError for another name."""
+        """The value of "low", "mid" or "high" for a feature, in its unit; KeyError for another name."""
         if feature not in FEATURES or level not in LEVELS:
             raise KeyError(f"{feature}, {level}")
         return float(self.table[FEATURES.index(feature), LEVELS.index(level)])
 
     def to_dict(self) -> dict[str, Array]:
-        """As named arrays; the inverse is `from_dict`."""
         return {"table": self.table, "mean": self.mean, "spread": self.spread}
 
     @classmethod
     def from_dict(cls, arrays: Mapping[str, ArrayLike]) -> Levels:
-        """The inverse of `to_dict`; KeyError or ValueError when it is none."""
         table, mean, spread = (np.asarray(arrays[key], dtype=np.float64) for key in ("table", "mean", "spread"))
         return cls(table, mean, spread)
 
@@ -154,26 +141,25 @@ class Curve:
             raise ValueError("a curve needs finite values at strictly rising times")
 
     def at(self, times: Array) -> Array:
-        """Linear between its points, held before the first and after the last: [T] for times [T]."""
+        """Linear between its points, constant before the first and after the last: [T] for times [T]."""
         return np.interp(times, self.times, self.values)
 
 
 @dataclass(frozen=True)
 class Controls:
-    """What is asked of each feature: None leaves it free, a number holds throughout, a `Curve` follows time."""
+    """The target of each feature: None for no target, a number for a constant one, a `Curve` for a varying one."""
 
     height: float | Curve | None = None
     speed: float | Curve | None = None
     radius: float | Curve | None = None
 
     def __post_init__(self) -> None:
-        for name, asked in zip(FEATURES, self._asked, strict=True):
-            if isinstance(asked, int | float) and not math.isfinite(asked):
-                raise ValueError(f"{name} must be finite, not {asked}")
+        for name, value in zip(FEATURES, self._asked, strict=True):
+            if isinstance(value, int | float) and not math.isfinite(value):
+                raise ValueError(f"{name} must be finite, not {value}")
 
     @classmethod
     def free(cls) -> Controls:
-        """Nothing is asked."""
         return cls()
 
     @property
@@ -181,29 +167,29 @@ class Controls:
         return self.height, self.speed, self.radius
 
     def at(self, times: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """At times [T]: what is asked, [T, 3] (0 where a feature is free), and which features are asked for, [3]."""
+        """At times [T]: the targets [T, 3] (0 for a free feature), and which features have one, [3]."""
         out = np.zeros((len(times), len(FEATURES)))
-        for index, asked in enumerate(self._asked):
-            if asked is not None:
-                out[:, index] = asked.at(times) if isinstance(asked, Curve) else asked
-        return out, np.array([asked is not None for asked in self._asked])
+        for index, value in enumerate(self._asked):
+            if value is not None:
+                out[:, index] = value.at(times) if isinstance(value, Curve) else value
+        return out, np.array([value is not None for value in self._asked])
 
 
 # ------------------------------------------------------------------------------------------ the command line
 
 def controls_from(height: str | None, speed: str | None, radius: str | None, levels: Levels) -> Controls:
-    """What the options --hand-height, --hand-speed and --hand-radius ask for; see `parse`."""
+    """The controls from the options --hand-height, --hand-speed and --hand-radius; see `parse`."""
     given = dict(zip(FEATURES, (height, speed, radius), strict=True))
     return Controls(**{name: parse(f"--hand-{name}", text, name, levels)
                        for name, text in given.items() if text is not None})
 
 
 def parse(flag: str, text: str, feature: str, levels: Levels) -> float | Curve:
-    """What `text` asks of a feature: "low", "mid" or "high", a number in its unit, or the path of a CSV file.
+    """The target of a feature from "low", "mid" or "high", a number in its unit, or the path of a CSV file.
 
-    A file has the columns time (s) and value, with or without a header; under a header the value's column may bear
-    the feature's own name, beside others. `InputError` names the flag, or the file and its line. What is far from
-    anything that training saw gives a `ControlWarning` and is used as told.
+    A file has the columns time (s) and value, with or without a header; with a header the column may be named after the
+    feature, and other columns are ignored. `InputError` names the flag, or the file and its line. A value far from the
+    training data gives a `ControlWarning` and is used.
     """
     plain = text.strip()
     if plain.lower() in LEVELS:
@@ -214,7 +200,7 @@ def parse(flag: str, text: str, feature: str, levels: Levels) -> float | Curve:
         _warn_if_far(f"{flag} {plain}", [number], feature, levels)
         return number
     if not plain or not os.path.lexists(plain):
-        raise InputError(f"{flag} {text!r}", f"is no level, no number ({UNITS[feature]}) and no file",
+        raise InputError(f"{flag} {text!r}", f"is neither a level nor a number ({UNITS[feature]}) nor a file",
                          f"give {', '.join(LEVELS)}, a number such as {levels.value(feature, 'mid'):.2f}, or the path "
                          "of a CSV file")
     curve = read_curve(plain, feature)
@@ -223,10 +209,8 @@ def parse(flag: str, text: str, feature: str, levels: Levels) -> float | Curve:
 
 
 def read_curve(path: str | os.PathLike[str], feature: str) -> Curve:
-    """The curve of a feature in a CSV file (see `parse`), UTF-8, separated by commas, semicolons or tabs.
-
-    Beside semicolons and tabs numbers may have a decimal comma. Empty lines and lines that start with # are skipped.
-    """
+    """The curve of a feature in a CSV file (see `parse`), UTF-8, separated by commas, semicolons or tabs. Beside
+    semicolons and tabs numbers may have a decimal comma. Empty lines and lines that start with # are skipped."""
     file = Path(path)
     rows = _rows(file)
     _, first = rows[0]
@@ -252,17 +236,17 @@ def read_curve(path: str | os.PathLike[str], feature: str) -> Curve:
 
 
 def _rows(file: Path) -> list[tuple[int, list[str]]]:
-    """The lines that say something, with their numbers from 1, cut into cells."""
+    """The lines with content, numbered from 1, split into cells."""
     text = read_text(file, "export it as a CSV file")
-    said = [(number, line) for number, line in enumerate(text.split("\n"), 1)
+    lines = [(number, line) for number, line in enumerate(text.split("\n"), 1)
             if line.strip() and not line.lstrip().startswith("#")]
-    if not said:
+    if not lines:
         raise InputError(file, "is empty", "give the columns time and value")
-    mark = next((mark for mark in ";\t" if mark in said[0][1]), ",")
+    mark = next((mark for mark in ";\t" if mark in lines[0][1]), ",")
     try:
-        return [(number, list(_cells(line, mark))) for number, line in said]
+        return [(number, list(_cells(line, mark))) for number, line in lines]
     except csv.Error as error:
-        raise InputError(file, f"is no CSV file ({error})", "give the columns time and value") from None
+        raise InputError(file, f"is not a CSV file ({error})", "give the columns time and value") from None
 
 
 def _cells(line: str, mark: str) -> Iterator[str]:
@@ -287,14 +271,15 @@ def _point(where: str, cells: list[str], columns: tuple[int, int]) -> tuple[floa
     numbers = [_number(cells[column]) for column in columns]
     for cell, number in zip((cells[column] for column in columns), numbers, strict=True):
         if number is None or not math.isfinite(number):
-            raise InputError(where, f"has {cell[:40]!r} for a number", "give seconds, and metres or metres per second")
+            raise InputError(where, f"has {cell[:40]!r} in place of a number",
+                             "give seconds, and metres or metres per second")
     time, value = (float(number) for number in numbers if number is not None)
     return time, value
 
 
 def _number(text: str) -> float | None:
     try:
-        # Python reads 0_4 as 4, which nobody means here.
+        # Python would read 0_4 as 4.
         return None if "_" in text else float(text)
     except ValueError:
         return None
@@ -303,18 +288,18 @@ def _number(text: str) -> float | None:
 def _check_limits(what: str, value: float, feature: str) -> None:
     low, high = _LIMITS[feature]
     if not low <= value <= high:  # also NaN
-        raise InputError(what, f"is no {feature} that a hand can have",
+        raise InputError(what, f"is not a possible {feature} of a hand",
                          f"give {UNITS[feature]} from {low:g} to {high:g}")
 
 
 def _warn_if_far(what: str, values: ArrayLike, feature: str, levels: Levels) -> None:
     index = FEATURES.index(feature)
     mean, spread = float(levels.mean[index]), float(levels.spread[index])
-    asked = np.asarray(values, dtype=np.float64)
-    furthest = float(asked[np.argmax(np.abs(asked - mean))])
+    numbers = np.asarray(values, dtype=np.float64)
+    furthest = float(numbers[np.argmax(np.abs(numbers - mean))])
     if abs(furthest - mean) > _FAR * spread:
-        # The warning is this module's own, whoever called: commands show only those of our packages.
+        # Attributed to this module, because commands show only the warnings of our packages.
         warnings.warn(ControlWarning(
-            f"{what}: a {feature} of {furthest:g} {UNITS[feature]} is far from all that training saw (low "
+            f"{what}: a {feature} of {furthest:g} {UNITS[feature]} is far from the training data (low "
             f"{levels.value(feature, 'low'):.2f}, high {levels.value(feature, 'high'):.2f}); expect less"),
             stacklevel=1)

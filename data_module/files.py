@@ -1,4 +1,4 @@
-"""Files written whole or not at all, text files read with one set of messages, and folders that one process holds."""
+"""Atomic writing of files, reading of text files with uniform messages, and locks on folders."""
 
 from __future__ import annotations
 
@@ -18,40 +18,38 @@ from typing import BinaryIO
 from data_module.errors import InputError
 
 LARGEST_TEXT = 1 << 24
-"""Bytes (16 MiB) of a text file that is read: the words of an hour, phone by phone and in UTF-16, take half of it."""
+"""Largest text file, bytes (16 MiB): the words of an hour, phone by phone and in UTF-16, take half of it."""
 LOCK = ".lock"
 """Name of the file that marks a folder as in use."""
 WAIT = 0.5
-"""Seconds between two looks at a lock that is waited for."""
+"""Seconds between two attempts to take a lock."""
 
-# What a text file may begin with when another program wrote it: Praat writes UTF-16.
+# Byte order marks of text files and their encodings: Praat writes UTF-16.
 _MARKED = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _PREFIX, _TOKEN = 40, 12
-"""Characters of a file's name, and of chance, in that of its temporary file: a long name plus an ending could pass the
-file system's limit."""
+"""Characters of a file's name, and random ones, in the name of its temporary file: a long name plus a suffix could
+exceed the limit of the file system."""
 _UNFINISHED = re.compile(rf"\..{{1,{_PREFIX}}}\.[0-9a-f]{{{_TOKEN}}}")
 """Names of the temporary files of `write_bytes`."""
 _NO_LOCKS = frozenset({errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL})
-"""Errors with which a file system says that it has no locks (some network drives)."""
+"""Errors of a file system without locks (some network drives)."""
 
 
 # ---------------------------------------------------------------------------------------------------- writing
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file whole or not at all: to a temporary file beside it, synced, then renamed."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a file whole or not at all: to a temporary file beside it, synced, then renamed; OSError names `path`."""
     with new_file(path) as stream:
         stream.write(data)
 
 
 @contextlib.contextmanager
 def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """A file to write that gets its name at the end, whole, or not at all where anything is raised meanwhile: it is a
-    temporary file beside it, synced, then renamed. OSError names `path`."""
+    """A file that appears whole at the end, or not at all if an exception is raised: a temporary file beside it is
+    synced, then renamed. OSError names `path`."""
     target = Path(path)
     try:
         temporary, handle = _new_file(target)
@@ -59,19 +57,19 @@ def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
             with os.fdopen(handle, "wb") as stream:
                 yield stream
                 stream.flush()
-                # Without it the name may reach the disk before the content does, and a power cut leaves an empty file.
+                # Without it the name may reach the disk before the content, and a power failure leaves an empty file.
                 os.fsync(stream.fileno())
             rename(temporary, target)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
     except OSError as error:
-        # The file that the user asked for is named, not the temporary one.
+        # Name the file of the user, not the temporary one.
         raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(target)) from error
 
 
 def _new_file(target: Path) -> tuple[Path, int]:
-    """A new file beside `target`, open for writing, with the rights that the process gives to its files."""
+    """A new file beside `target`, open for writing, with the default permissions of the process."""
     while True:
         temporary = target.parent / f".{target.name[:_PREFIX]}.{secrets.token_hex(_TOKEN // 2)}"
         with contextlib.suppress(FileExistsError):
@@ -80,14 +78,14 @@ def _new_file(target: Path) -> tuple[Path, int]:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Delete what `write_bytes` had begun in a folder, or below it, when its process was killed."""
+    """Delete the temporary files that killed processes left in a folder or below it."""
     for file in folder.rglob(".*"):
         if _UNFINISHED.fullmatch(file.name):
             file.unlink(missing_ok=True)
 
 
 def remove_unfinished_of(targets: Iterable[Path]) -> None:
-    """Delete what `write_bytes` had begun of these files when its process was killed."""
+    """Delete the temporary files of these files that killed processes left."""
     names: dict[Path, set[str]] = {}
     for target in targets:
         names.setdefault(target.parent, set()).add(f".{target.name[:_PREFIX]}.")
@@ -99,13 +97,13 @@ def remove_unfinished_of(targets: Iterable[Path]) -> None:
 
 
 def rename(source: Path, target: Path) -> None:
-    """Give a finished file or folder its name, in place of a file that bears it, and sync the folder that lists it."""
+    """Rename a finished file or folder, replacing a file of that name, and sync the parent folder."""
     source.replace(target)
     sync_folder(target.parent)
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk, where the system can (Windows needs no such thing)."""
+    """Sync the names in a folder to the disk (not needed on Windows)."""
     if os.name != "posix":
         return
     with contextlib.suppress(OSError):  # some file systems refuse it; the content is synced all the same
@@ -119,35 +117,42 @@ def sync_folder(folder: Path) -> None:
 # ---------------------------------------------------------------------------------------------------- reading
 
 def read_bytes(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT) -> bytes:
-    """The bytes of a file; `InputError` for one that is absent, no regular file, or larger than `largest` bytes.
+    """The bytes of a file; `InputError` as of `opened`, and with `advice` for more than `largest` bytes."""
+    try:
+        with opened(path) as stream:
+            if os.fstat(stream.fileno()).st_size > largest:
+                raise InputError(path, f"is larger than {largest >> 20} MiB", advice)
+            return stream.read()
+    except OSError as error:
+        raise _unreadable(path, error) from None
 
-    advice: what to do with a file that is too large.
-    """
+
+def opened(path: str | os.PathLike[str]) -> BinaryIO:
+    """A regular file, open for reading; `InputError` if it is missing, not a regular file or not readable."""
     name = Path(path)
     try:
         if not name.is_file():
-            wrong = "is a folder" if name.is_dir() else "is no regular file" if name.exists() else "does not exist"
+            wrong = "is a folder" if name.is_dir() else "is not a regular file" if name.exists() else "does not exist"
             raise InputError(path, wrong, "check the path")
-        if name.stat().st_size > largest:
-            raise InputError(path, f"is larger than {largest >> 20} MiB", advice)
-        return name.read_bytes()
+        return name.open("rb")
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})",
-                         "check the path and its rights") from None
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: str | os.PathLike[str], error: Exception) -> InputError:
+    return InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})",
+                      "check the path and its rights")
 
 
 def read_text(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT) -> str:
     """The text of a file in UTF-8, with or without a byte order mark, or in UTF-16 with one; line ends become "\\n".
-
-    advice: what to do when it is none. InputError for a file that is absent, no regular file, larger than `largest`
-    bytes, or not text.
-    """
+    InputError as of `read_bytes`, and with `advice` for a file that is not text."""
     text = decoded(read_bytes(path, advice, largest), path, advice)
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
 def decoded(data: bytes, source: object, advice: str) -> str:
-    """Bytes as text in UTF-8 or, with a byte order mark, UTF-16; `InputError` with the line where they are none."""
+    """Bytes as text in UTF-8 or, with a byte order mark, UTF-16; `InputError` with the line that is not text."""
     encoding = next((encoding for mark, encoding in _MARKED if data.startswith(mark)), "utf-8")
     try:
         text = data.decode(encoding)
@@ -161,16 +166,14 @@ def decoded(data: bytes, source: object, advice: str) -> str:
 
 
 def read_table(path: str | os.PathLike[str], advice: str) -> list[tuple[int, dict[str, str | None]]]:
-    """The rows of a table with a head and commas, each with its last line: a cell that a short row lacks is None.
-
-    InputError as of `read_text`, and with the line for what is no row (a cell of more than 131,072 characters).
-    """
+    """The rows of a CSV file with a header, each with its last line number; missing cells of short rows are None.
+    InputError as of `read_text`, and with the line of an invalid row (a cell of more than 131,072 characters)."""
     table = csv.DictReader(read_text(path, advice).split("\n"))
     rows: list[tuple[int, dict[str, str | None]]] = []
     try:
         rows += [(table.line_num, dict(row)) for row in table]
     except csv.Error as error:
-        raise InputError(path, f"line {table.line_num + 1}: is no row of a table ({error})", advice) from None
+        raise InputError(path, f"line {table.line_num + 1}: is not a row of a table ({error})", advice) from None
     return rows
 
 
@@ -179,13 +182,12 @@ def read_table(path: str | os.PathLike[str], advice: str) -> list[tuple[int, dic
 @contextlib.contextmanager
 def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False, shared: bool = False,
          wait: bool = False) -> Iterator[None]:
-    """Hold a folder, which is made where it is missing, against every other process and thread.
+    """Lock a folder, which is created if it is missing, against all other processes and threads.
 
-    what: the work, for the message ("a training"). beside: put the lock file next to the folder, not into it, for a
-    folder that is renamed while it is held. shared: together with others who say so, and against those who do not
-    (Windows cannot: there it is held alone). wait: until it is free. The system itself lets go when a process dies, so
-    no lock is ever stale.
-    InputError when somebody else holds the folder. Where the file system has no locks, the work goes on without one.
+    what: the work, for the message ("a training"). beside: put the lock file next to the folder instead of into it, for
+    a folder that is renamed while locked. shared: share the lock with others who do the same (on Windows it is always
+    exclusive). wait: until the lock is free. The system releases the lock when a process dies, so it is never stale.
+    InputError if another process has the lock. On a file system without locks the work goes on without one.
     """
     place = Path(folder)
     if beside:
@@ -198,8 +200,8 @@ def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False, sha
     try:
         yield
     finally:
-        if os.name == "posix":  # while it is held, so that nobody loses a lock to it; see `_locked`
-            if not shared or _take(handle):  # whoever is the last to share it
+        if os.name == "posix":  # removed while it is locked, so that nobody loses a lock; see `_locked`
+            if not shared or _take(handle):  # the last one to share it
                 file.unlink(missing_ok=True)
             os.close(handle)
         else:
@@ -219,7 +221,7 @@ def _locked(file: Path, folder: Path, what: str, shared: bool, wait: bool) -> in
                     raise InputError(folder, f"is in use by {_holder(handle)}",
                                      "wait until it has ended, or choose another folder")
                 pause = WAIT
-            # Whoever held it before removes the file: a lock on a removed file holds nothing.
+            # The previous owner removes the file, and a lock on a removed file is void.
             elif _is_at(handle, file):
                 os.ftruncate(handle, 0)
                 os.write(handle, f"{what}\n{os.getpid()}\n{socket.gethostname()}\n".encode())
@@ -232,7 +234,6 @@ def _locked(file: Path, folder: Path, what: str, shared: bool, wait: bool) -> in
 
 
 def _is_at(handle: int, file: Path) -> bool:
-    """Whether an open file is the one that has this name now; between two looks another may have come and gone."""
     try:
         return os.path.samestat(os.fstat(handle), file.stat())
     except FileNotFoundError:
@@ -240,10 +241,10 @@ def _is_at(handle: int, file: Path) -> bool:
 
 
 def _holder(handle: int) -> str:
-    """Who wrote the lock file: "a training (process 123 on HOST)"."""
+    """The owner of the lock file: "a training (process 123 on HOST)"."""
     try:
         lines = os.read(handle, 4096).decode("utf-8", "replace").split("\n")
-    except OSError:  # Windows lets nobody read what is locked
+    except OSError:  # locked files cannot be read on Windows
         lines = []
     if len(lines) < 3 or not lines[0]:
         return "another process"
@@ -251,12 +252,11 @@ def _holder(handle: int) -> str:
 
 
 def _take(handle: int, shared: bool = False) -> bool:
-    """Whether the lock could be had, without waiting."""
     try:
         if os.name == "nt":
             import msvcrt
 
-            # A byte far behind the text, which stays readable for others.
+            # A byte far behind the text, so that the text stays readable.
             os.lseek(handle, 1 << 20, os.SEEK_SET)
             msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined, unused-ignore]
             os.lseek(handle, 0, os.SEEK_SET)

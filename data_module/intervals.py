@@ -1,7 +1,5 @@
-"""How long it is from one onset of the speech to the next, and from one beat to the next (RG Fig. 5).
-
-The bounds d_min and d_max of a corpus's rhythm are read off this picture: most onsets should lie that far apart.
-"""
+"""Histograms of the intervals between onsets of the speech and between beats (RG Fig. 5), to choose the bounds d_min
+and d_max for a corpus: most intervals between onsets should lie within them."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 
 STEP = 0.05
 LONGEST = 2.0
-"""Seconds: the width of a bin, and where the last one begins, which holds everything longer."""
+"""Width of a bin, and start of the last bin, which contains everything longer, seconds."""
 _BAR = 40
 _BINS = round(LONGEST / STEP) + 1
 KINDS = ("onsets", "beats")
@@ -37,7 +35,6 @@ class Intervals:
     beats: tuple[int, ...] = (0,) * _BINS
 
     def __add__(self, other: Intervals) -> Intervals:
-        """The counts of both."""
         return Intervals(tuple(a + b for a, b in zip(self.onsets, other.onsets, strict=True)),
                          tuple(a + b for a, b in zip(self.beats, other.beats, strict=True)))
 
@@ -49,19 +46,16 @@ class Intervals:
         return sum(self.onsets[first:last]) / max(1, sum(self.onsets))
 
     def as_json(self) -> dict[str, Any]:
-        """For a report; `from_json` is the inverse."""
         return {"step": STEP, "longest": LONGEST, "onsets": list(self.onsets), "beats": list(self.beats)}
 
     @classmethod
-    def from_json(cls, told: Mapping[str, Any]) -> Intervals:
-        """The inverse of `as_json`; ValueError when the bins are others."""
-        if told.get("step") != STEP or any(len(told.get(kind, ())) != _BINS for kind in KINDS):
+    def from_json(cls, content: Mapping[str, Any]) -> Intervals:
+        if content.get("step") != STEP or any(len(content.get(kind, ())) != _BINS for kind in KINDS):
             raise ValueError("other bins")
-        return cls(tuple(map(int, told["onsets"])), tuple(map(int, told["beats"])))
+        return cls(tuple(map(int, content["onsets"])), tuple(map(int, content["beats"])))
 
     def lines(self) -> Iterator[str]:
-        """Bars of text: a line per bin from the first to the last that is not empty, onsets beside beats; and the share
-        of the onsets within the default bounds of a block.
+        """A text histogram: a line per bin from the first to the last non-empty one, for onsets and beats; and `line`.
         """
         filled = [place for place in range(_BINS) if self.onsets[place] or self.beats[place]]
         if not filled:
@@ -84,7 +78,6 @@ class Intervals:
 
 
 def measure(speech: Speech) -> tuple[int, Intervals]:
-    """How many blocks a speech is cut into with the default settings, and its intervals."""
     settings = BlockSettings()
     blocks = cut(speech, settings)
     onsets = detect_onsets(speech.samples, speech.sample_rate, settings.beats.merge)
@@ -92,7 +85,7 @@ def measure(speech: Speech) -> tuple[int, Intervals]:
 
 
 def _counts(seconds: Array) -> tuple[int, ...]:
-    # Beats lie on a grid of 10 ms, so many intervals fall on the edge of a bin, give or take a rounding error.
+    # Beats lie on a grid of 10 ms, so many intervals fall on the edge of a bin, up to rounding errors.
     places = np.minimum(np.floor(seconds / STEP + 1e-6).astype(int), _BINS - 1)
     return tuple(np.bincount(places, minlength=_BINS).tolist())
 
@@ -120,7 +113,6 @@ def drawn(intervals: Intervals, title: str = "") -> Figure:
 
 
 def draw(path: str | os.PathLike[str], intervals: Intervals, title: str = "") -> None:
-    """Write `drawn` as a PNG."""
     from data_module.files import write_bytes
 
     memory = io.BytesIO()

@@ -1,8 +1,7 @@
-"""The one reader of JSON (RFC 8259): what a file asks for is bounded before it can cost memory, time or a crash.
+"""The JSON reader (RFC 8259), with limits on memory, time and depth.
 
-Python's own parser takes NaN and Infinity, turns 1e999 into infinity, raises RecursionError on deep nesting and
-ValueError on integers of thousands of digits; such values later fail in some other place. Here each of
-them is an `InputError` that names the file and the line.
+Python's parser accepts NaN and Infinity, turns 1e999 into infinity, raises RecursionError for deep nesting and
+ValueError for integers of thousands of digits. Here each of these is an `InputError` that names the file and the line.
 """
 
 from __future__ import annotations
@@ -17,32 +16,30 @@ from data_module.errors import InputError, shown
 from data_module.files import LARGEST_TEXT, decoded, read_text
 
 DEEPEST = 100
-"""Lists and objects within each other: our own files need 8, a glTF document with extensions some 12."""
+"""Greatest nesting depth: our files need 8, a glTF document with extensions about 12."""
 MOST_DIGITS = 300
-"""Digits of a whole number: a float holds 308, so that none overflows when it is converted."""
+"""Most digits of an integer: a float holds 308, so the conversion cannot overflow."""
 MOST_VALUES = 1 << 22
-"""Values of a document (4,194,304), each of some 80 bytes: a listing of 100,000 recordings has 2 million."""
+"""Most values of a document (4,194,304), about 80 bytes each: a listing of 100,000 recordings has 2 million."""
 
 _SUSPECT = re.compile(rf"(?<!\d)\d{{{MOST_DIGITS}}}|\d[eE]\+?\d{{3}}", re.ASCII)
-"""What only a number that is too large has, or a text that looks like one."""
+"""A possibly too large number (or similar text)."""
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
-"""An escaped surrogate, the half of a pair."""
+"""An escaped surrogate, half of a pair."""
 _STRINGS = re.compile(r'"(?:[^"\\]+|\\.)*"?', re.DOTALL)
-"""Strings. The closing quote is optional so that no match fails once it has begun: over a string that is never closed,
-failing takes exponential time, since each way of dividing its characters is tried."""
+"""Strings. The closing quote is optional so that a match that has begun cannot fail: failing on a string that is never
+closed takes exponential time, since each way of dividing its characters is tried."""
 
 
 def read_json(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT, *, python: bool = False) -> Any:
-    """The value that a file holds. advice: what to do where it is none.
-
-    `InputError` as of `files.read_text` (missing, larger than `largest` bytes, not text) and of `parse_json`.
-    """
+    """The value in a JSON file. `InputError`, with `advice`, as of `files.read_text` (missing, larger than `largest`
+    bytes, not text) and of `parse_json`."""
     return parse_json(read_text(path, advice, largest), path, advice, python=python)
 
 
 def read_object(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT, *, python: bool = False
                 ) -> dict[str, Any]:
-    """The object that a file holds; `InputError` as of `read_json`, and for any other value."""
+    """The object in a JSON file; `InputError` as of `read_json`, and for any other value."""
     value = read_json(path, advice, largest, python=python)
     if not isinstance(value, dict):
         raise InputError(path, "is not a JSON object in braces", advice)
@@ -50,12 +47,11 @@ def read_object(path: str | os.PathLike[str], advice: str, largest: int = LARGES
 
 
 def parse_json(data: str | bytes, source: object, advice: str, *, python: bool = False) -> Any:
-    """The value of a JSON text; of members of one name the last counts.
+    """The value of a JSON text; of duplicate keys the last counts.
 
-    source: what messages call it. python: accept what Python writes beyond the standard: NaN, Infinity, and halves of
-    surrogate pairs (bytes of a file's name that are no text).
-    `InputError` for what is not JSON, is nested deeper than `DEEPEST`, has more than
-    `MOST_VALUES` values, a number that no float can hold, NaN or Infinity, or half a character.
+    source: name in messages. python: accept Python's extensions: NaN, Infinity, and unpaired surrogates (invalid bytes
+    in file names). `InputError` for invalid JSON, nesting deeper than `DEEPEST`, more than `MOST_VALUES` values, a
+    number that does not fit a float, NaN or Infinity, or an unpaired surrogate.
     """
     text = decoded(data, source, advice) if isinstance(data, bytes) else data
     if text.count(",") + text.count("[") + text.count("{") > MOST_VALUES:

@@ -13,15 +13,13 @@ from torch.nn import functional
 SLOPE = 0.2
 """Negative slope of every LeakyReLU."""
 _FEW_ROWS = 64
-"""Of all sequences of a batch together, up to which an LSTM is quicker without oneDNN."""
+"""Most rows of a batch for which an LSTM is faster without oneDNN."""
 
 
 def convolutions(widths: Sequence[int], kernel: int = 3, *, norm: bool = True, last_linear: bool = False
                  ) -> nn.Sequential:
-    """1-D convolutions of the same length, widths[0] channels in, widths[-1] out, over [B, D, T].
-
-    Each is followed by batch normalisation (when `norm`) and LeakyReLU; the last one by neither when `last_linear`.
-    """
+    """1-D convolutions of the same length, widths[0] channels in, widths[-1] out, over [B, D, T]. Each is followed by
+    batch normalisation (when `norm`) and LeakyReLU; the last one by neither when `last_linear`."""
     layers: list[nn.Module] = []
     for index, (a, b) in enumerate(pairwise(widths)):
         layers.append(nn.Conv1d(a, b, kernel, padding=kernel // 2))
@@ -34,14 +32,13 @@ def convolutions(widths: Sequence[int], kernel: int = 3, *, norm: bool = True, l
 
 
 class BatchNorm(nn.BatchNorm1d):
-    """Batch normalisation over [B, D, T] or [B, D], in training by the moments of the whole batch, also where several
-    processes share it."""
+    """Batch normalisation over [B, D, T] or [B, D], in training with the moments of the whole batch over all processes.
+    """
 
     def forward(self, input: Tensor) -> Tensor:
-        """The same shape."""
         if not self.training:
             return super().forward(input)
-        from data_module.parallel import batch_moments, shares  # only training asks for them
+        from data_module.parallel import batch_moments, shares  # only training needs them
 
         if shares() == 1:
             return super().forward(input)
@@ -60,12 +57,11 @@ class BatchNorm(nn.BatchNorm1d):
 
 def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None = None
              ) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-    """What `lstm(rows, hidden)` gives, rows [B, T, W] first in the batch; cheaper for the few rows of a live block.
+    """`lstm(rows, hidden)` for rows [B, T, W], faster for the few rows of a live block.
 
-    On a processor torch packs all weights anew at each call, which then takes most of the time: 0.3 ms of 0.5 for 8
-    rows of 192 units. Where there are few rows and no gradient, they are therefore taken one by one.
-
-    Under `torch.autocast` on a processor that has no LSTM in half precision, it is computed in single precision.
+    On a CPU torch packs all weights again at each call: 0.3 ms of 0.5 for 8 rows of 192 units. Few rows without
+    gradient are therefore computed one by one. Under `torch.autocast` on a CPU without an LSTM in half precision, it is
+    computed in single precision.
     """
     if rows.device.type == "cpu" and torch.is_autocast_enabled("cpu") \
             and not _has_narrow_lstm(torch.get_autocast_dtype("cpu")):
@@ -76,15 +72,15 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
         out, hidden = lstm(rows, hidden)
         return out, hidden
     ends: list[tuple[Tensor, Tensor]] = []
-    for layer, (told_by, remembered_by, bias, bias_too) in enumerate(lstm.all_weights):
-        told, again = functional.linear(rows, told_by, bias + bias_too), remembered_by.t()
+    for layer, (input_weight, hidden_weight, input_bias, hidden_bias) in enumerate(lstm.all_weights):
+        inputs, again = functional.linear(rows, input_weight, input_bias + hidden_bias), hidden_weight.t()
         h, c = (None, None) if hidden is None else (hidden[0][layer], hidden[1][layer])
         steps = []
-        for gates in told.unbind(1):
-            into, forget, new, out_of = (gates if h is None else torch.addmm(gates, h, again)).chunk(4, -1)
-            added = into.sigmoid() * new.tanh()
+        for gates in inputs.unbind(1):
+            enter, forget, new, leave = (gates if h is None else torch.addmm(gates, h, again)).chunk(4, -1)
+            added = enter.sigmoid() * new.tanh()
             c = added if c is None else torch.addcmul(added, forget.sigmoid(), c)
-            h = out_of.sigmoid() * c.tanh()
+            h = leave.sigmoid() * c.tanh()
             steps.append(h)
         assert h is not None and c is not None
         rows = torch.stack(steps, 1)
@@ -94,8 +90,8 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
 
 @functools.cache
 def _has_narrow_lstm(dtype: torch.dtype) -> bool:
-    """Whether this processor has an LSTM in half precision. oneDNN has linear layers and convolutions in bfloat16
-    everywhere, an LSTM only where the processor multiplies in it; there is no other way to know than to try."""
+    """Whether this CPU has an LSTM in half precision. oneDNN has linear layers and convolutions in bfloat16 on all
+    CPUs, an LSTM only with hardware support; the only way to know is to try."""
     state, weights = torch.zeros(1, 1, 1), [torch.zeros(4, 1), torch.zeros(4, 1), torch.zeros(4), torch.zeros(4)]
     try:
         with torch.no_grad(), torch.autocast("cpu", dtype):
@@ -106,17 +102,17 @@ def _has_narrow_lstm(dtype: torch.dtype) -> bool:
 
 
 class BlockLinear(nn.Module):
-    """One fully connected layer on the rows of three consecutive blocks (or of the middle one), giving K rows.
+    """One fully connected layer from the rows of three consecutive blocks (or of the middle one) to K rows.
 
-    E_A of the paper (RG 5.2, Eq. 17) reads the block before, the block itself and the block after; its FC on text
-    (RG 6.1) reads T_i alone: blocks is 3 or 1. bottleneck: width that every row is brought to first by one layer that
-    all rows share, which saves most of the weights where rows are wide; 0 leaves it out (the paper).
+    E_A of the paper (RG 5.2, Eq. 17) has the previous, current and next block as input, its FC on text (RG 6.1) only
+    T_i: blocks is 3 or 1. bottleneck: width of a projection shared by all rows, which saves most of the weights for
+    wide rows; 0 for none (the paper).
     """
 
     def __init__(self, frames: int, width_in: int, width: int, blocks: int = 3, bottleneck: int = 0) -> None:
         super().__init__()
         if blocks not in (1, 3):
-            raise ValueError("rows are read from 1 block or from 3")
+            raise ValueError("blocks must be 1 or 3")
         self.frames, self.width, self.blocks = frames, width, blocks
         self.narrow = nn.Linear(width_in, bottleneck) if bottleneck else None
         self.linear = nn.Linear(blocks * frames * (bottleneck or width_in), frames * width)
@@ -136,20 +132,20 @@ def repeat_frames(vector: Tensor, frames: int) -> Tensor:
 
 
 def without_after(windows: Tensor, left_out: Tensor) -> Tensor:
-    """Windows [B, ..., 3K, D] of the block before, the block and the block after, with zeros for the block after in
-    those of the B that are left out [B]."""
+    """Windows [B, ..., 3K, D] of the previous, current and next block, with zeros for the next block where left_out
+    [B].
+    """
     after = torch.arange(windows.shape[-2], device=windows.device) >= windows.shape[-2] * 2 // 3
     where = left_out.reshape(-1, *[1] * (windows.dim() - 1)) & after[:, None]
     return windows.masked_fill(where, 0.0)
 
 
 def parameter_count(module: nn.Module) -> int:
-    """The number of trained values."""
     return sum(p.numel() for p in module.parameters())
 
 
 def freeze(module: nn.Module) -> nn.Module:
-    """Evaluation mode, and no gradient for its own weights (gradients still pass through to its inputs)."""
+    """Evaluation mode, and no gradient for the weights (gradients still pass to the inputs)."""
     module.eval()
     for parameter in module.parameters():
         parameter.requires_grad_(False)
@@ -157,8 +153,8 @@ def freeze(module: nn.Module) -> nn.Module:
 
 
 def masked_mean(values: Tensor, mask: Tensor | None) -> Tensor:
-    """Mean of values [..., D] over the entries that `mask` (broadcastable, 0 or 1) keeps, of the whole batch."""
-    from data_module.parallel import batch_mean, batch_ratio  # only training asks for them
+    """Mean of values [..., D] where `mask` (broadcastable, 0 or 1) is 1, over the whole batch."""
+    from data_module.parallel import batch_mean, batch_ratio  # only training needs them
 
     if mask is None:
         return batch_mean(values)

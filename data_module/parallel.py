@@ -1,12 +1,12 @@
-"""What the processes of one training share: which rows of a batch are whose, and sums over the whole batch.
+"""Distributed training: the division of a batch among processes, and sums over the whole batch.
 
-A batch is divided among the processes, row by row. A loss that means over its rows, masked or not, or that compares
-rows with each other, has to know of all of them: it asks `batch_ratio`, `batch_mean`, `batch_moments`, `batch_sum` or
-`batch_rows`. In a training of one process, and outside of a training step, these are plain sums, means and rows.
+A batch is divided among the processes by rows. A loss that averages over rows, masked or not, or compares rows with
+each other, uses `batch_ratio`, `batch_mean`, `batch_moments`, `batch_sum` or `batch_rows`. With one process, and
+outside of a training step, these are plain sums, means and rows.
 
-Every process computes the same loss from them. The trainer (`gesticulator.training.distributed`) begins each backward
-pass with 1 / processes and adds the gradients up; what is summed here is summed again on the way back. So a part
-of a loss that all processes compute alike counts once, and one that each computes of its own rows counts as a mean.
+Every process computes the same loss from them. The trainer (`gesticulator.training.distributed`) starts each backward
+pass with 1 / processes and sums the gradients; sums over processes are also sums in the backward pass. A part of a loss
+that is the same in all processes thus counts once, and one from the process's rows counts as a mean.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 @dataclass
 class _Sharing:
-    """Among how many processes the batch at hand is divided, which of them this one is, and where a random draw has its
-    rows: its dimension, None where all processes draw the same."""
+    """The number of processes that share the current batch, the index of this one, and the dimension of rows in random
+    tensors, None if all processes draw the same."""
 
     rank: int = 0
     size: int = 1
@@ -40,7 +40,7 @@ _sharing = _Sharing()
 
 @contextmanager
 def sharing(rank: int, size: int) -> Iterator[None]:
-    """For a while the batch at hand is divided among `size` processes, of which this is number `rank`."""
+    """Divide the current batch among `size` processes, of which this is number `rank`."""
     before = _sharing.rank, _sharing.size
     _sharing.rank, _sharing.size = rank, size
     try:
@@ -50,19 +50,18 @@ def sharing(rank: int, size: int) -> Iterator[None]:
 
 
 def shares() -> int:
-    """Among how many processes the batch at hand is divided."""
+    """Number of processes that share the current batch."""
     return _sharing.size
 
 
 def share() -> int:
-    """Which of them this one is, from 0."""
     return _sharing.rank
 
 
 @contextmanager
 def draws_along(dimension: int | None) -> Iterator[None]:
-    """Random tensors drawn for a while have the rows of the batch along this dimension (the first elsewhere); None:
-    they are of the whole batch, and the same in every process."""
+    """Set the dimension of the batch's rows in random tensors (by default the first); None: they are of the whole
+    batch, and the same in every process."""
     before, _sharing.rows = _sharing.rows, dimension
     try:
         yield
@@ -71,17 +70,17 @@ def draws_along(dimension: int | None) -> Iterator[None]:
 
 
 def rows_of_draws() -> int | None:
-    """Along which dimension random tensors have the rows of the batch; None for none."""
+    """The dimension of the batch's rows in random tensors; None for none."""
     return _sharing.rows
 
 
 def own_rows(count: int) -> slice:
-    """Which of `count` rows of a batch are this process's. InputError where they cannot be divided evenly."""
+    """This process's part of `count` rows of a batch. InputError if they cannot be divided evenly."""
     if count % _sharing.size:
         raise InputError(f"a batch of {count}", f"cannot be divided among {_sharing.size} processes",
                          "choose a batch that is a multiple of the processes")
-    own = count // _sharing.size
-    return slice(_sharing.rank * own, (_sharing.rank + 1) * own)
+    rows = count // _sharing.size
+    return slice(_sharing.rank * rows, (_sharing.rank + 1) * rows)
 
 
 class _Sum(torch.autograd.Function):
@@ -99,27 +98,27 @@ class _Sum(torch.autograd.Function):
 
 
 class _Rows(torch.autograd.Function):
-    """The rows of all processes one after the other; backward, the sum of what they say of this one's."""
+    """The rows of all processes concatenated; backward, the sum of their gradients for the rows of this one."""
 
     @staticmethod
     def forward(ctx: Any, values: Tensor) -> Tensor:
-        ctx.own = slice(_sharing.rank * len(values), (_sharing.rank + 1) * len(values))
+        ctx.rows = slice(_sharing.rank * len(values), (_sharing.rank + 1) * len(values))
         parts = [torch.empty_like(values, memory_format=torch.contiguous_format) for _ in range(_sharing.size)]
         torch.distributed.all_gather(parts, values.detach().contiguous())
         return torch.cat(parts)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        return _Sum.forward(ctx, gradients[0])[ctx.own]
+        return _Sum.forward(ctx, gradients[0])[ctx.rows]
 
 
 def batch_sum(values: Tensor) -> Tensor:
-    """[...] the sum over all processes of what each has of its own rows."""
+    """[...] the sum over all processes."""
     return values if _sharing.size == 1 else _Sum.apply(values)
 
 
 def batch_rows(values: Tensor) -> Tensor:
-    """[B, ...] the rows of the whole batch, of this process's [B / processes, ...]."""
+    """[B, ...] the rows of the whole batch, from this process's [B / processes, ...]."""
     return values if _sharing.size == 1 else _Rows.apply(values)
 
 
@@ -132,15 +131,15 @@ def batch_ratio(total: Tensor, count: Tensor) -> Tensor:
 
 
 def batch_mean(values: Tensor) -> Tensor:
-    """[] the mean of all elements of the whole batch, however many each process has of them."""
+    """[] the mean of all elements of the whole batch; processes may have different numbers of them."""
     if _sharing.size == 1:
         return values.mean()
     return batch_ratio(values.sum(), values.new_full((), values.numel()))
 
 
 def batch_moments(rows: Tensor) -> tuple[Tensor, Tensor, int]:
-    """Mean [D] and biased variance [D] of the rows [B, D] of the whole batch, and how many there are; each process may
-    have another number of them."""
+    """Mean [D] and biased variance [D] of the rows [B, D] of the whole batch, and their number; processes may have
+    different numbers of rows."""
     if _sharing.size == 1:
         return rows.mean(0), rows.var(0, unbiased=False), len(rows)
     total = batch_sum(torch.cat([rows.sum(0), rows.new_full((1,), len(rows))]))
@@ -150,8 +149,8 @@ def batch_moments(rows: Tensor) -> tuple[Tensor, Tensor, int]:
 
 
 def full_precision(function: F) -> F:
-    """A function of tensors that is computed as it is written under `torch.autocast` too: what chooses the nearest of
-    many, or makes the targets of a loss, must not be rounded to three digits."""
+    """Compute a function of tensors in single precision under `torch.autocast` too, because nearest neighbours and
+    targets of losses must not be rounded to three digits."""
 
     @functools.wraps(function)
     def precise(*args: Any, **kwargs: Any) -> Any:

@@ -175,5 +175,4 @@ class Registry(Mapping[str, E], Generic[E]):
 
 
 def _owner(point: EntryPoint) -> str:
-    """The distribution that an entry point is of."""
     return str(point.dist.name) if point.dist is not None else "an unknown package"

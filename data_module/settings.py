@@ -1,7 +1,7 @@
-"""Trees of settings: frozen dataclasses whose fields say what they may be, read and changed from outside with care.
+"""Trees of settings: frozen dataclasses with ranges, and their safe reading and changing from outside.
 
-A field's type carries its range, `width: Width = 64`, and `check` holds every value against it. So a setting that
-cannot be is refused by its name when it is read, and not by a layer of a network half an hour later.
+The type of a field contains its range, `width: Width = 64`, and `check` validates every value, so that an invalid
+setting is refused by its name when it is read, and not by a layer of a network half an hour later.
 """
 
 from __future__ import annotations
@@ -59,20 +59,20 @@ class SettingChoice:
 
 
 _MOST_STEPS = 10**9
-"""More steps than a decade of training takes."""
+"""Most steps: more than a decade of training."""
 _LONGEST = 2**16
-"""Values in one setting: as many as the largest lexicon has lexemes."""
+"""Most values in one setting: the number of lexemes in the largest lexicon."""
 _WIDEST = 2**16
-"""A square layer of this width holds 17 GB of weights: wider ones are slips of the finger."""
+"""Largest width: a square layer has 17 GB of weights."""
 
 Steps = Annotated[int, SettingRange(0, _MOST_STEPS)]
 Count = Annotated[int, SettingRange(1, _MOST_STEPS)]
 Natural = Annotated[int, SettingRange(0, _MOST_STEPS)]
 Width = Annotated[int, SettingRange(1, _WIDEST)]
 WidthOrNone = Annotated[int, SettingRange(0, _WIDEST)]
-"""0 leaves the layer out."""
+"""0 for no layer."""
 Depth = Annotated[int, SettingRange(1, 64)]
-"""Layers one after the other."""
+"""Number of layers."""
 Widths = Annotated[tuple[int, ...], SettingRange(1, _WIDEST)]
 Share = Annotated[float, SettingRange(0.0, 1.0)]
 Positive = Annotated[float, SettingRange(0.0, above=True)]
@@ -85,16 +85,13 @@ def _hints(cls: Any) -> dict[str, Any]:
 
 
 def limits_of(hint: Any) -> SettingRange | SettingChoice | None:
-    """What the type of a field says of its values; None for a field that may be anything of its type."""
     marks = getattr(hint, "__metadata__", ())
     return next((mark for mark in marks if isinstance(mark, SettingRange | SettingChoice)), None)
 
 
 def check(settings: Any, path: str = "") -> None:
-    """InputError for the first setting that is of another type than its field, or outside its range.
-
-    settings: a dataclass; path: its own place in the tree, such as "generator".
-    """
+    """InputError for the first setting that is of another type than its field, or outside its range. settings: a
+    dataclass; path: its own place in the tree, such as "generator"."""
     hints = _hints(cast(Any, type(settings)))
     for field in dataclasses.fields(settings):
         value, hint = getattr(settings, field.name), hints[field.name]
@@ -134,13 +131,13 @@ def _shown(value: Any) -> str:
 
 
 def to_dict(settings: Any) -> dict[str, Any]:
-    """A tree of settings as plain values; open groups (fields that are dicts) are left out where they are empty."""
+    """A tree of settings as plain values, without empty open groups (fields that are dicts)."""
     return dataclasses.asdict(settings, dict_factory=lambda pairs: {
         name: value for name, value in pairs if value != {}})
 
 
 def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
-    """The inverse of `to_dict`, without `check`; InputError names a setting that is unknown or lacking."""
+    """The inverse of `to_dict`, without `check`; InputError names an unknown or missing setting."""
     if not dataclasses.is_dataclass(cls):
         raise TypeError(f"{cls} is not a dataclass")
     hints: dict[str, Any] = _hints(cast(Any, cls))
@@ -166,10 +163,8 @@ def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
 
 
 def with_settings(config: T, settings: Sequence[str]) -> T:
-    """A copy with `path=value` settings applied, such as `generator.lstm_width=320` or `rhythm.beats.d_max=1.0`.
-
-    Values are JSON; InputError names a path that does not exist or a value that cannot be.
-    """
+    """A copy with `path=value` settings applied, such as `generator.lstm_width=320` or `rhythm.beats.d_max=1.0`. Values
+    are JSON; InputError names a path that does not exist or a value that cannot be."""
     tree = to_dict(config)
     for setting in settings:
         path, mark, text = setting.partition("=")
@@ -180,7 +175,7 @@ def with_settings(config: T, settings: Sequence[str]) -> T:
         except InputError:
             value = text
         _put(tree, config, path.split("."), value, setting)
-    # All at once: shares that must sum to 1 cannot be changed in turn.
+    # All at once, because shares that must sum to 1 cannot be changed one by one.
     return from_dict(type(config), tree) if settings else config
 
 
@@ -210,7 +205,7 @@ def _put(tree: dict[str, Any], node: Any, path: list[str], value: Any, setting: 
 
 
 def whole_number(text: str, most: int) -> int | None:
-    """The number from 0 to `most` that a text of ASCII digits writes; None for anything else, whatever its length."""
+    """The number from 0 to `most` in a text of ASCII digits; None for anything else, of any length."""
     if not (text.isascii() and text.isdigit()) or len(text) > len(str(most)):
         return None
     number = int(text)

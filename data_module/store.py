@@ -1,10 +1,9 @@
-"""A store: motion, speech and words on one clock, not yet cut into blocks.
+"""A store: synchronised motion, speech and words, not yet cut into blocks.
 
-A store is a folder. `store.json` says what is in it, `recordings/NAME.flac` is the sound and `recordings/NAME.npz` the
-motion on the character (fingers and legs too) at the corpus's own frame rate, the words and, for a scripted
-performance, the truth.
-It appears whole or not at all: it grows as `OUT.partial`, keeps its finished recordings when the work is stopped, and
-is renamed at the end.
+A store is a folder. `store.json` lists its content, `recordings/NAME.flac` is the sound and `recordings/NAME.npz` the
+motion on the character (with fingers and legs) at the original frame rate, the words and, for a scripted performance,
+the truth. It is written to `OUT.partial`, where finished recordings remain if the work is interrupted, and renamed at
+the end.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from data_module.types import Motion, Speech, Word
 __all__ = ["SPLITS", "Recording", "RecordingInfo", "Store", "StoreWriter"]
 
 FORMAT = 3
-"""2 kept 16 joints only and does not say which were filled in; it is still read."""
+"""Format 2 has only 16 joints and does not list the filled ones; it can still be read."""
 _READ = (2, FORMAT)
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -47,12 +46,11 @@ _LARGEST_LISTING = 1 << 28
 
 @dataclass(frozen=True)
 class RecordingInfo:
-    """What a store tells about a recording without opening it.
+    """The entry of a recording in the list of a store.
 
-    speaker: who gestures (the performer); voice: who speaks; language: ISO 639-1; absent: joints the source lacks;
-    filled: joints that it lacks whose motion was made up (`Motion.filled`);
-    group: recordings of one group share their sound or their text, so an interval over them counts it once. part: of a
-    corpus that was made in parts; sources: the recordings of others that it was made from.
+    speaker: the performer; voice: the person who speaks; language: ISO 639-1; absent: joints that the source lacks;
+    filled: joints with synthetic motion (`Motion.filled`); group: recordings of one group share their sound or their
+    text, so a confidence interval counts them once; part: of a corpus with parts; sources: the original recordings.
     """
 
     name: str
@@ -72,7 +70,7 @@ class RecordingInfo:
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
             raise InputError(self.name, f"has the split '{self.split}'", f"use one of {', '.join(SPLITS)}")
-        # What is not printable is a control character, or bytes that are no text in any encoding.
+        # Unprintable are control characters and invalid bytes.
         if not self.name or any(mark in self.name for mark in "/\\:") or self.name.startswith(".") \
                 or not self.name.isprintable():
             raise InputError(ascii(self.name), "cannot name a recording", "use letters, digits, '_' and '-'")
@@ -80,10 +78,8 @@ class RecordingInfo:
 
 @dataclass(frozen=True)
 class Recording:
-    """Speech (with its words, where known) and motion that start together and last equally long.
-
-    stands: whoever moves stands in one place, so that a store may plant her feet.
-    """
+    """Speech (with its words, where known) and motion that start together and last equally long. stands: the
+    performer does not walk, so that a store may fix the feet to the floor."""
 
     info: RecordingInfo
     speech: Speech
@@ -110,7 +106,7 @@ class Store:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Store:
-        """Open the store at `path`; `InputError` when it is missing, not a store, of another format or unfinished."""
+        """Open the store at `path`; `InputError` if it is missing, not a store, of another format or unfinished."""
         folder = Path(path)
         listing = folder / _LISTING
         if not listing.is_file():
@@ -125,12 +121,12 @@ class Store:
                              "build it again")
         try:
             store = cls(folder, content)
-            found = _fingerprint(content["recordings"])
+            fingerprint = _fingerprint(content["recordings"])
         except (AttributeError, TypeError, KeyError, ValueError):
-            raise InputError(listing, "lacks entries that a store has, or has others", "build it again") from None
+            raise InputError(listing, "has missing or invalid entries", "build it again") from None
         except InputError as error:
             raise InputError(listing, f"lists {error.subject}, which {error.wrong}", "build it again") from None
-        if found != store.fingerprint:
+        if fingerprint != store.fingerprint:
             raise InputError(listing, "does not match its own fingerprint", "it was edited: build it again")
         for info in store.recordings:
             for file in _files(folder, info.name):
@@ -140,18 +136,14 @@ class Store:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the recordings, in order."""
         return tuple(info.name for info in self.recordings)
 
     def of_split(self, split: Split) -> tuple[RecordingInfo, ...]:
-        """The recordings of one split."""
         return tuple(info for info in self.recordings if info.split == split)
 
     def load(self, name: str, joints: int = len(JOINTS)) -> Recording:
-        """Read one recording: its motion on the character at the corpus's own rate.
-
-        joints: in which of its sizes (`skeletons.CHARACTERS`); those that the store lacks are at rest and `absent`.
-        """
+        """Read one recording: its motion on the character at the corpus's own rate. joints: in which of its sizes
+        (`skeletons.CHARACTERS`); those that the store lacks are at rest and `absent`."""
         for info in self.recordings:
             if info.name == name:
                 break
@@ -160,17 +152,15 @@ class Store:
         sound, arrays = _files(self.path, name)
         for file, wanted in zip((sound, arrays), self._hashes[name], strict=True):
             if _sha256(file) != wanted:
-                raise InputError(file, "is not the file that its store was made with", "build it again")
+                raise InputError(file, "was changed since its store was built", "build it again")
         recording = _read(info, sound, arrays)
         return replace(recording, motion=resized(recording.motion, CHARACTERS[joints]))
 
 
 class StoreWriter:
-    """Writes a store, recording by recording, in any order and from several processes at once.
-
-    Work that was stopped is taken up again: recordings that are already finished in `OUT.partial` are kept when the
-    corpus, its settings and its seed are the same, and refused by `InputError` when they are not.
-    """
+    """Writes a store, recording by recording, in any order and from several processes at once. Interrupted work is
+    resumed: finished recordings in `OUT.partial` are used if corpus, settings and seed are the same; else
+    `InputError`."""
 
     def __init__(self, path: str | os.PathLike[str], corpus: str, settings: Mapping[str, Any], seed: int,
                  licence: str) -> None:
@@ -181,7 +171,7 @@ class StoreWriter:
         if self.path.exists() and not (self.path.is_dir() and not any(self.path.iterdir())):
             raise InputError(self.path, "is already there", "delete it or choose another folder")
         begun = self.partial / _BEGUN
-        # Looked at before: another process may begin the same store at this moment, with this folder, then that file.
+        # Checked first: another process may be creating the same store, first this folder, then that file.
         strange = [entry for entry in (self.partial.iterdir() if self.partial.exists() else ())
                    if entry.name[0] != "." and (entry.name != _FOLDER or any(entry.iterdir()))]
         if begun.is_file():
@@ -200,11 +190,10 @@ class StoreWriter:
 
     @property
     def head(self) -> Mapping[str, Any]:
-        """What the store is made with, as plain values."""
         return self._head
 
     def has(self, name: str) -> bool:
-        """Whether the recording is finished already, its files whole."""
+        """Whether the recording is finished and its files are complete."""
         try:
             entry = read_json(self._entry(name), "build it again")
             hashes = [_sha256(file) for file in _files(self.partial, name)]
@@ -213,10 +202,8 @@ class StoreWriter:
             return False
 
     def add(self, recording: Recording, character: Motion | None = None) -> None:
-        """Write one recording with its motion, or `character` in its place, on the character in any of its sizes.
-
-        The motion must last as long as the speech, to a frame.
-        """
+        """Write one recording with its motion, or `character` in its place, on the character in any of its sizes. The
+        motion must last as long as the speech, to a frame."""
         recording = recording if character is None else replace(recording, motion=character)
         motion, info = recording.motion, recording.info
         if not any(motion.skeleton.same_joints(ours) for ours in CHARACTERS.values()):
@@ -234,11 +221,11 @@ class StoreWriter:
         write_text(self._entry(info.name), json.dumps(entry))
 
     def finish(self, names: Sequence[str]) -> Store:
-        """List the recordings in the order of `names`, which must all be there, and give the store its name."""
+        """Write the list of the recordings in the order of `names`, which must all exist, and rename the store."""
         entries = [read_json(self._entry(name), "build it again") for name in names]
-        kept = {file for name in names for file in _files(self.partial, name)}
+        listed = {file for name in names for file in _files(self.partial, name)}
         for file in sorted((self.partial / _FOLDER).iterdir()):
-            if file not in kept:
+            if file not in listed:
                 file.unlink()
         listing = self._head | {"fingerprint": _fingerprint(entries), "recordings": entries}
         write_text(self.partial / _LISTING, json.dumps(listing, indent=1))
@@ -249,7 +236,6 @@ class StoreWriter:
         return Store.open(self.path)
 
     def discard(self) -> None:
-        """Remove what was written so far."""
         shutil.rmtree(self.partial, ignore_errors=True)
 
     def _entry(self, name: str) -> Path:
@@ -257,10 +243,8 @@ class StoreWriter:
 
 
 def matching(path: str | os.PathLike[str], corpus: str, settings: Mapping[str, Any], seed: int) -> Store | None:
-    """The store at `path` when it was built with just these settings, None when there is nothing yet.
-
-    `InputError` when something else is there, or a store of other settings.
-    """
+    """The store at `path` when it was built with just these settings, None when there is nothing yet. `InputError` when
+    something else is there, or a store of other settings."""
     folder = Path(path)
     if not (folder / _LISTING).is_file():
         return None
@@ -283,7 +267,6 @@ def _why_not_a_store(folder: Path) -> tuple[str, str]:
 
 
 def _difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Which settings differ, as "hours 4.2 (now 1.0)"."""
     old, new = _flat(before), _flat(now)
     changed = [key for key in {**old, **new} if old.get(key) != new.get(key)]
     return ", ".join(f"{key} {old.get(key, 'unset')} (now {new.get(key, 'unset')})" for key in changed)
@@ -297,20 +280,19 @@ def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _info(entry: Mapping[str, Any]) -> RecordingInfo:
-    """An entry of the listing; ValueError, TypeError or KeyError when it is none."""
+    """An entry of the listing; ValueError, TypeError or KeyError for an invalid one."""
     known = {"filled": []} | {field.name: entry[field.name] for field in fields(RecordingInfo)
                               if field.name in entry or field.name != "filled"}
     for name in ("name", "split", "speaker", "voice", "language", "group", "part"):
         _typed(known[name], str)
     if not all(0 <= float(_typed(known[name], int | float)) < np.inf for name in ("seconds", "frames", "fps")):
-        raise ValueError("a number is none")
+        raise ValueError("an invalid number")
     lists = {key: tuple(_typed(name, str) for name in _typed(known[key], list))
              for key in ("absent", "sources", "filled")}
     return RecordingInfo(**known | lists)
 
 
 def _typed(value: Any, kind: Any) -> Any:
-    """The value when it is of that type. TypeError when it is another: JSON holds anything anywhere."""
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise TypeError(f"{type(value).__name__} is no {kind}")
     return value
@@ -326,11 +308,10 @@ def _sha256(file: Path) -> str:
 
 
 def _fingerprint(entries: Sequence[Mapping[str, Any]]) -> str:
-    """One hash for everything in the store but the settings that it was made with."""
     return hashlib.sha256(json.dumps(list(entries), sort_keys=True).encode()).hexdigest()
 
 
-# Tuples of flat dataclasses become one array per field: columns, so that nothing needs pickle.
+# Tuples of flat dataclasses are stored as one array per field, without pickle.
 _WORDS = ("text", "start", "end")
 
 
@@ -379,13 +360,13 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
                              if name not in LATER or f"{name}_{fields(kind)[0].name}" in arrays})
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(file, "is not a recording of a store", "build the store again") from None
-    # An hour is the limit for what users bring; what a store keeps was accepted when it was built.
+    # The limit of an hour is for the input of users; recordings in a store were accepted when it was built.
     speech = load_speech(sound)
     return Recording(info, Speech(speech.samples, speech.sample_rate, words, info.speaker), motion, truth)
 
 
 def _pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """An .npz whose bytes depend on its arrays alone (no time of writing), refusing anything that needs pickle."""
+    """An .npz whose bytes depend on its arrays only (no time stamps), without pickle."""
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w") as archive:
         for name, array in arrays.items():

@@ -1,7 +1,5 @@
-"""What a scripted performance meant to do: the truth of a corpus, known here and nowhere else.
-
-Flat records of text, numbers and truth values, so that a store can keep them as columns.
-"""
+"""The intentions of a scripted performance, the ground truth of a corpus: flat records of text, numbers and booleans,
+so that a store can keep them as columns."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ from typing import Any, TypeVar
 
 _Record = TypeVar("_Record")
 _LARGEST = 1e9
-"""Seconds, decibels, semitones or shares: a number beyond it is none of them."""
+"""Largest plausible number of seconds, decibels, semitones or shares."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +41,12 @@ class Phrase:
 
 @dataclass(frozen=True)
 class PlayedStroke:
-    """What was planned for one stroke, and on which clip: the truth of the corpus. Seconds from the start.
+    """The plan of one stroke and its clip. Seconds from the start.
 
     lexeme: the clip's lexeme name ("BeatMid"); clip: the clip's file stem; hand: "left", "right" or "both".
-    beat: where its motion beat was planned (syllable plus human looseness); syllable: the vowel onset it belongs to.
-    start, hold_end, end: move start, end of the hold, end of the retraction as played. gain: excursion over the clip's.
-    held_out: True when the clip belongs to the strokes kept for test.
+    beat: the planned motion beat (the syllable plus a random deviation); syllable: its vowel onset. start, hold_end,
+    end: start of the movement, end of the hold, end of the retraction as played. gain: factor on the clip's excursion.
+    held_out: the clip is one of the strokes for test.
     """
 
     lexeme: str
@@ -68,11 +66,8 @@ JOIN, REST = "join", "rest"
 
 @dataclass(frozen=True)
 class Mark:
-    """A place in the motion, seconds.
-
-    what: `JOIN`, where two stretches of real motion were joined (start is end), or `REST`, a pause in which the arms
-    are meant to be still.
-    """
+    """A place in the motion, seconds. what: `JOIN`, where two stretches of real motion were joined (start is end), or
+    `REST`, a pause in which the arms are meant to be still."""
 
     what: str
     start: float
@@ -81,7 +76,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class StyleKnot:
-    """The style at a time, seconds; straight on between knots. 0 is neutral, 1 is much."""
+    """The style at a time, seconds; linear between knots. 0 is neutral, 1 is strong."""
 
     time: float
     amplitude: float
@@ -99,12 +94,10 @@ class Truth:
     style: tuple[StyleKnot, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """As lists of objects; the inverse is `from_json`."""
         return {name: [asdict(row) for row in getattr(self, name)] for name in TABLES}
 
     @classmethod
     def from_json(cls, tables: Mapping[str, Any]) -> Truth:
-        """The inverse of `to_json`. KeyError, TypeError or ValueError where it is none."""
         return cls(**{name: tuple(record(kind, row) for row in tables[name]) for name, kind in TABLES.items()
                       if name in tables or name not in LATER})
 
@@ -113,7 +106,7 @@ TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phra
                            "style": StyleKnot}
 """Field of `Truth` -> type of its records."""
 LATER = ("marks", "style")
-"""Tables that corpora made before them lack."""
+"""Tables that older corpora lack."""
 
 
 def record(kind: type[_Record], row: Mapping[str, Any]) -> _Record:
@@ -121,10 +114,10 @@ def record(kind: type[_Record], row: Mapping[str, Any]) -> _Record:
     for name, wanted in ((field.name, str(field.type)) for field in fields(kind)):  # type: ignore[arg-type]
         value = row[name]
         if wanted == "float":
-            # Compared, not converted: JSON's whole numbers have no largest, and floats do.
+            # Compared, not converted, because JSON's integers are unbounded.
             good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
         else:
             good = type(value).__name__ == wanted
         if not good:
-            raise ValueError(f"{name} is no {wanted}")
+            raise ValueError(f"{name} is not a {wanted}")
     return kind(**row)

@@ -1,6 +1,6 @@
-"""The glossary: the nouns that every stage takes and gives.
+"""The types that all stages exchange.
 
-Units: seconds, hertz, metres, radians. Y is up, the character faces +Z and her left is +X. Quaternions are w first.
+Units: seconds, hertz, metres, radians. Y is up, the character faces +Z, its left is +X. Quaternions are w first.
 Letters: B batch, N blocks, K frames per block, T frames, J joints, D features, S lexemes.
 """
 
@@ -21,7 +21,7 @@ Samples = NDArray[np.float32]
 
 
 class BeatFlag(IntEnum):
-    """Why a beat stands where it stands."""
+    """The reason for the position of a beat."""
 
     BOUNDARY = 0
     """The start or the end of the recording."""
@@ -30,18 +30,14 @@ class BeatFlag(IntEnum):
     LOUD_PSEUDO = 2
     """A pseudo-beat on the first frame louder than the noise floor."""
     EVEN_PSEUDO = 3
-    """A pseudo-beat placed by count alone, where nothing is loud."""
+    """A pseudo-beat at an even interval, where nothing is loud."""
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """A tree of joints in its rest pose.
-
-    names: J joint names, parents before children, the root first.
-    parents: J indices, -1 for the root alone.
-    offsets: [J, 3] metres from the parent, in the parent's frame at rest (all rest rotations are the identity).
-    end_sites: joint index -> [3] offset of the tip of that joint's bone, where the source tells it.
-    """
+    """A tree of joints in its rest pose. names: J joint names, parents before children, the root first. parents: J
+    indices, -1 for the root alone. offsets: [J, 3] metres from the parent, in the parent's frame at rest (all rest
+    rotations are the identity). end_sites: joint index -> [3] offset of the tip of that joint's bone, if known."""
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
@@ -62,7 +58,6 @@ class Skeleton:
         return len(self.names)
 
     def index(self, name: str) -> int:
-        """The index of the joint `name`; KeyError when there is none."""
         try:
             return self.names.index(name)
         except ValueError:
@@ -75,12 +70,12 @@ class Skeleton:
 
 @dataclass(frozen=True)
 class Motion:
-    """A skeleton that moves; frame t is the pose at t / fps seconds.
+    """A motion of a skeleton; frame t is the pose at t / fps seconds.
 
     rotations: [T, J, 4] local rotations, unit quaternions, w first.
     root_positions: [T, 3] metres.
-    absent: names of joints that the source lacks; they hold the identity and are masked from losses and metrics.
-    filled: names of joints that the source lacks too, whose motion was made up to go with the others.
+    absent: names of joints that the source lacks; they have the identity rotation and are masked in losses and metrics.
+    filled: names of joints that the source lacks and that have synthetic motion.
     """
 
     skeleton: Skeleton
@@ -96,7 +91,7 @@ class Motion:
             raise ValueError(f"rotations {self.rotations.shape} and root positions {self.root_positions.shape} "
                              f"do not fit a skeleton of {len(self.skeleton)} joints")
         if frames == 0:
-            raise ValueError("a motion needs a frame at least")
+            raise ValueError("a motion needs at least one frame")
         if not (np.isfinite(self.fps) and self.fps > 0):
             raise ValueError(f"fps must be positive, not {self.fps}")
         if not (np.isfinite(self.rotations).all() and np.isfinite(self.root_positions).all()):
@@ -107,11 +102,9 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Seconds: each frame lasts 1 / fps."""
         return len(self) / self.fps
 
     def crop(self, start: int, stop: int) -> Motion:
-        """The frames start..stop-1."""
         return replace(self, rotations=self.rotations[start:stop], root_positions=self.root_positions[start:stop])
 
 
@@ -130,7 +123,7 @@ class Word:
 
 @dataclass(frozen=True)
 class Speech:
-    """Recorded speech: mono samples in [-1, 1], what was said when it is known, and who says it."""
+    """Recorded speech: mono samples in [-1, 1], the words and the speaker if known."""
 
     samples: Samples
     sample_rate: int
@@ -149,23 +142,20 @@ class Speech:
 
     @property
     def duration(self) -> float:
-        """Seconds."""
         return len(self.samples) / self.sample_rate
 
 
 @dataclass(frozen=True)
 class Beats:
-    """Beats in seconds, strictly rising, from 0 to the end of the recording, with a flag for each.
-
-    times: [N + 1]; flags: [N + 1] of `BeatFlag`.
-    """
+    """Beats in seconds, strictly rising, from 0 to the end of the recording, with a flag for each. times: [N + 1];
+    flags: [N + 1] of `BeatFlag`."""
 
     times: Array
     flags: NDArray[np.int8]
 
     def __post_init__(self) -> None:
         if self.times.ndim != 1 or len(self.times) < 2 or self.times.shape != self.flags.shape:
-            raise ValueError("beats need two times at least, and a flag for each")
+            raise ValueError("beats need at least two times, and a flag for each")
         if self.times[0] != 0 or (np.diff(self.times) <= 0).any():
             raise ValueError("beats must rise strictly from 0")
 
@@ -177,11 +167,9 @@ class Beats:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Speech cut at its beats. Block i covers (edges[i], edges[i + 1]]; its last frame lies on the beat.
-
-    edges: [N + 1] seconds; flags: [N] the flag of the beat that closes each block; silent: [N];
-    frames: K frames per block in normalised time; fps: frames per second of normalised time.
-    """
+    """Speech cut at its beats. Block i covers (edges[i], edges[i + 1]]; its last frame lies on the beat. edges: [N + 1]
+    seconds; flags: [N] the flag of the beat that closes each block; silent: [N]; frames: K frames per block in
+    normalised time; fps: frames per second of normalised time."""
 
     edges: Array
     flags: NDArray[np.int8]
@@ -194,7 +182,7 @@ class Blocks:
         if n < 1 or self.flags.shape != (n,) or self.silent.shape != (n,):
             raise ValueError("edges [N + 1], flags [N] and silent [N] do not agree")
         if (np.diff(self.edges) <= 0).any() or self.frames < 2:
-            raise ValueError("edges must rise strictly and a block needs two frames at least")
+            raise ValueError("edges must rise strictly and a block needs at least two frames")
 
     def __len__(self) -> int:
         return len(self.flags)

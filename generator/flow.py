@@ -1,21 +1,20 @@
-"""The generator with a sampling head: conditional flow matching over what a block adds to its past.
+"""The generator with a sampling head: conditional flow matching over the motion that a block adds to its past.
 
-RG's structure stays (RG 5.2): E_M on the block before, E_A on three blocks of audio, the lexeme, the positional block,
-a Gumbel-quantised code, an LSTM. Three things differ from `generator.model`:
+The structure is that of RG 5.2: E_M on the previous block, E_A on three blocks of audio, the lexeme, the positional
+block, a Gumbel-quantised code, an LSTM. Three things differ from `generator.model`:
 
-- Pose, velocity and acceleration before a block go past the bottleneck, because a code of a few classes cannot say
-  where a hand is.
-- The LSTM runs over blocks and gives a context h; the head draws all of a block's coefficients y
+- Pose, velocity and acceleration before a block bypass the bottleneck, because a code of a few classes cannot encode
+  the position of a hand.
+- The LSTM runs over blocks and gives a context h; the head samples all of a block's coefficients y
   (`data_module.motion.movement`) at once. With u = asinh(b y / sd) / sd_u, whose tails are light, it learns
-  v(u_t, t, h) = u - e on u_t = (1 - t) e + t u, where e is Gaussian noise and t uniform. Drawing follows du/dt = v from
-  noise to u by Heun's method. A regression would draw the mean of all that may follow, which hardly moves.
-- Audio and lexeme are left out in part of the training, so that drawing can go beyond what either asks for
-  (classifier-free guidance): v + g_a (v - v without audio) + g_l (v - v without lexeme). So is how the body moved
-  before, which tells so well how lively the next block is that a model would copy it instead of listening; on its own
-  past it would then become calmer and calmer.
+  v(u_t, t, h) = u - e on u_t = (1 - t) e + t u, where e is Gaussian noise and t uniform. Sampling integrates
+  du/dt = v from noise to u by Heun's method. A regression would give the mean of all continuations, which hardly moves.
+- Audio and lexeme are left out in part of the training, for classifier-free guidance: v + g_a (v - v without audio) +
+  g_l (v - v without lexeme). So is the previous motion, which predicts the liveliness of the next block so well that
+  the model would copy it instead of using the audio, and become calmer and calmer on its own output.
 
-Training feeds true pasts with noise on them, never its own blocks: what leads from a shifted past back to the truth is
-what keeps a long performance on course.
+Training uses true pasts with added noise, never generated blocks: learning to return from a shifted past to the truth
+keeps long performances from drifting.
 """
 
 from __future__ import annotations
@@ -38,40 +37,39 @@ __all__ = ["FlowGenerator", "FlowInputs"]
 NearestLexeme = Callable[[Tensor], Tensor]
 """Coefficients [B, n] to the lexemes [B] nearest to them."""
 CIRCUMSTANCES = 8
-"""Numbers that tell a block's place in speech: see `circumstances`."""
+"""Numbers that describe a block's place in speech: see `circumstances`."""
 _MOST = 8.0
-"""Of asinh: beyond any coefficient that was met."""
+"""Largest argument of sinh, beyond any coefficient in the data."""
 _TEMPO = 0.3
-"""Seconds of a usual block."""
+"""Typical duration of a block, seconds."""
 
 
 class Circumstances:
-    """Block by block the numbers that tell its place in speech; what it remembers is how long speech or silence has
-    lasted."""
+    """Describes each block's place in speech; the state is how long speech or silence has lasted."""
 
     def __init__(self) -> None:
         self._lasted = [0, 0]
 
     def step(self, durations: Sequence[float], silent: Sequence[bool]) -> Tensor:
-        """[8] from the block before, the block and the next, durations in s and whether they are silent: the logarithms
-        of the durations over 0.3 s; whether each is silent; how many blocks the silence, and the speech, have lasted
-        (log(1 + n))."""
+        """[8] from the previous, current and next block (durations in s, silent or not): the logarithms of the
+        durations over 0.3 s; whether each is silent; log(1 + n) of the n blocks that the silence, and the speech, have
+        lasted."""
         quiet, speech = self._lasted
         self._lasted = quiet, speech = [quiet + 1, 0] if silent[1] else [0, speech + 1]
-        # In single precision, as durations are kept beside the blocks that are learned from.
+        # In single precision, as the durations in the training data.
         logs = [math.log(np.float32(np.float32(one) / np.float32(_TEMPO))) for one in durations]
         return torch.tensor([*logs, *map(float, silent), math.log1p(quiet), math.log1p(speech) / 3],
                             dtype=torch.float32)
 
 
 def alone(place: Tensor) -> Tensor:
-    """Circumstances [..., 8] with the block itself in the place of the next one."""
+    """Circumstances [..., 8] with the current block in place of the next one."""
     return place[..., [0, 1, 1, 3, 4, 4, 6, 7]]
 
 
 def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
-    """[N, 8] of the blocks of a recording, durations [N] s and silent [N]: `Circumstances.step` of each; beyond the
-    ends stands the first or the last block again."""
+    """[N, 8] `Circumstances.step` of the blocks of a recording, durations [N] s and silent [N]; the first and the last
+    block are repeated beyond the ends."""
     seconds, quiet, place = durations.tolist(), silent.tolist(), Circumstances()
     three = [(max(i - 1, 0), i, min(i + 1, len(quiet) - 1)) for i in range(len(quiet))]
     return torch.stack([place.step([seconds[n] for n in near], [quiet[n] for n in near]) for near in three])
@@ -79,11 +77,11 @@ def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class FlowInputs:
-    """What N blocks are drawn from: audio windows [B, N, 3K, d], lexemes [B, N] (S for none), the blocks before
-    [B, N, K, D_m] with the ratios of durations [B, N], circumstances [B, N, 8], the speaker one-hot [B, P], and what is
-    asked of the style [B, N, K, 2 F], None when nothing is. deaf: [B] the audio is left out. forgets: [B] how the body
-    moved before is left out, but for the last frames. What is the same for all B may be given once, with a 1 for B, but
-    for the lexemes."""
+    """Inputs of N blocks: audio windows [B, N, 3K, d], lexemes [B, N] (S for none), the previous blocks
+    [B, N, K, D_m] with the ratios of durations [B, N], circumstances [B, N, 8], the speaker one-hot [B, P], and the
+    style control [B, N, K, 2 F], None without. deaf: [B] the audio is left out. forgets: [B] the previous motion is
+    left out, except for the last frames. All but the lexemes may have 1 in place of B if they are the same for all B.
+    """
 
     audio: Tensor
     lexeme: Tensor
@@ -97,12 +95,11 @@ class FlowInputs:
 
     @property
     def past(self) -> Pasts:
-        """What the blocks are told from."""
         return Pasts(self.before[..., -PAST:, :], self.ratio)
 
 
 class FlowGenerator(nn.Module):
-    """E_M, E_A, the Gumbel code, the LSTM over blocks and the flow head, with the basis that it draws in."""
+    """E_M, E_A, the Gumbel code, the LSTM over blocks and the flow head, with the basis of the coefficients."""
 
     position: Tensor
     present: Tensor
@@ -111,8 +108,8 @@ class FlowGenerator(nn.Module):
 
     def __init__(self, config: GeneratorConfig, widths: GeneratorWidths, basis: MovementBasis,
                  present: Tensor | None = None) -> None:
-        """basis: a `MovementBasis` of its own, whose numbers are taken over from the lexicon's. present: [D_m] 1 where
-        the data have the dimension; what no source has is held at 0."""
+        """basis: a separate `MovementBasis`, whose values are copied from the lexicon's (`adopt`). present: [D_m] 1
+        for the dimensions in the data; the others are 0."""
         super().__init__()
         c, frames = config, widths.frames
         self.config, self.frames, self.basis, self.lexemes = config, frames, basis, widths.lexemes
@@ -134,17 +131,16 @@ class FlowGenerator(nn.Module):
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
         known = 2 * c.lexeme_width + c.groups * c.group_width + 3 * widths.motion + basis.width
         known += CIRCUMSTANCES + widths.speakers + self.control_width
-        # A lexeme's own coefficients go straight to the head, so that what it names need not be learned.
-        told = c.context + basis.width
+        # The coefficients of the lexeme go straight to the head, so that its meaning need not be learned.
+        head_width = c.context + basis.width
         self.gather = nn.Sequential(nn.Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
         self.lstm = nn.LSTM(c.context, c.context, c.lstm_layers, batch_first=True)
         self.to_context = nn.Sequential(nn.Linear(2 * c.context + c.lexeme_width, c.context), nn.GELU(),
                                         nn.Dropout(c.dropout))
-        self.head = FlowHead(basis.width, told, c.flow_width, c.flow_layers)
+        self.head = FlowHead(basis.width, head_width, c.flow_width, c.flow_layers)
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         return {"flow": 1.0}
 
     # --------------------------------------------------------------------------------------------- coefficients
@@ -154,13 +150,13 @@ class FlowGenerator(nn.Module):
         return torch.asinh(self.config.bend * coefficients / self.basis.scale) / self.deviation
 
     def stretch(self, squeezed: Tensor) -> Tensor:
-        """The inverse of `squeeze`, held within what was ever done."""
+        """The inverse of `squeeze`, clipped to the range of the training data."""
         y = torch.sinh((squeezed * self.deviation).clamp(-_MOST, _MOST)) / self.config.bend * self.basis.scale
         return torch.maximum(torch.minimum(y, self.basis.limits[1]), self.basis.limits[0])
 
     @torch.no_grad()
     def adopt(self, basis: MovementBasis, coefficients: Tensor, lexemes: Tensor) -> None:
-        """Take over a fitted basis; coefficients: [N, n] of the training blocks, lexemes: [S, n] of the lexicon."""
+        """Copy a fitted basis; coefficients: [N, n] of the training blocks, lexemes: [S, n] of the lexicon."""
         self.basis.load_state_dict(basis.state_dict())
         bent = torch.asinh(self.config.bend * coefficients / self.basis.scale)
         self.deviation.copy_(bent.std(0, correction=0).clamp_min(1e-3))
@@ -170,23 +166,23 @@ class FlowGenerator(nn.Module):
 
     def contexts(self, given: FlowInputs, added: Tensor, state: State | None = None, temperature: float = 1.0
                  ) -> tuple[Tensor, State]:
-        """h [B, N, C + n] of N blocks and the LSTM's state after them; added: [B, N, n] u of the block before each."""
+        """h [B, N, C + n] of N blocks and the LSTM's state after them; added: [B, N, n] u of the previous blocks."""
         batch, blocks = given.lexeme.shape
-        heard = self.encode_audio(given.audio)
+        audio = self.encode_audio(given.audio)
         if given.deaf is not None:
-            heard = torch.where(given.deaf[:, None, None, None], self.unheard, heard)
+            audio = torch.where(given.deaf[:, None, None, None], self.unheard, audio)
         name = self.name(given.lexeme)
         moved = self.encode_motion(given.before.flatten(0, 1).transpose(1, 2)).transpose(1, 2).unflatten(
             0, given.before.shape[:2])
         if given.forgets is not None:
-            kept = (~given.forgets)[:, None, None].to(added.dtype)
-            moved, added = moved * kept[..., None], added * kept
-        rows = [moved, heard, repeat_frames(name, self.frames), self.position.expand(1, blocks, -1, -1)]
+            remembers = (~given.forgets)[:, None, None].to(added.dtype)
+            moved, added = moved * remembers[..., None], added * remembers
+        rows = [moved, audio, repeat_frames(name, self.frames), self.position.expand(1, blocks, -1, -1)]
         pose, velocity, acceleration = given.past.state()
-        known = [self.hear(heard.flatten(-2)), name, pose, 4.0 * velocity, 6.0 * acceleration, added,
+        known = [self.hear(audio.flatten(-2)), name, pose, 4.0 * velocity, 6.0 * acceleration, added,
                  given.circumstances, given.speaker[:, None].expand(-1, blocks, -1)]
         if self.control_width:
-            free = heard.new_zeros(1, blocks, self.frames, self.control_width)
+            free = audio.new_zeros(1, blocks, self.frames, self.control_width)
             rows.append(free if given.control is None else given.control)
             known.append(rows[-1].mean(-2))
         hidden = self.mlp(_side_by_side(rows, batch))
@@ -203,12 +199,12 @@ class FlowGenerator(nn.Module):
         """The flow matching loss |v - (u - e)|^2 on windows of N blocks after a seed block.
 
         batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], ratio [B, N + 1], circumstances [B, N + 1, 8],
-        speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] where anything is asked. nearest:
-        the lexicon's arg min over coefficients; a shifted past changes what a block adds to it, and so its lexeme.
-        left_out: chances that a window hears nothing, that it is told no lexeme, that it is not told how the body moved
-        before, and that a block is not told what the one before added; those of the settings where None.
+        speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] if used. nearest: the lexicon's arg
+        min over coefficients; a shifted past changes the coefficients of a block, and so its lexeme. left_out:
+        probabilities of dropping audio, lexeme and previous motion of a window, and the previous coefficients of a
+        block; those of the settings by default.
         """
-        from data_module.parallel import batch_ratio, draws_along, full_precision  # only training asks for them
+        from data_module.parallel import batch_ratio, draws_along, full_precision  # only training needs them
 
         c, motion = self.config, batch["motion"]
         deaf, unnamed, forgetful, untold = left_out or (c.audio_dropout, c.lexeme_dropout, c.history_dropout,
@@ -227,13 +223,13 @@ class FlowGenerator(nn.Module):
         with draws_along(1):
             some = torch.rand(3, len(motion), device=u.device)
         lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
-        asked = batch["control"][:, 1:] if self.control_width and "control" in batch else None
+        control = batch["control"][:, 1:] if self.control_width and "control" in batch else None
         audio, place = batch["audio"][:, 1:], batch["circumstances"][:, 1:]
         if self.training and c.after_dropout:
             hidden = torch.rand(len(motion), device=u.device) < c.after_dropout
             audio = without_after(audio, hidden)
             place = torch.where(hidden[:, None, None], alone(place), place)
-        given = FlowInputs(audio, lexeme, before, ratio, place, batch["speaker"], asked, some[1] < deaf,
+        given = FlowInputs(audio, lexeme, before, ratio, place, batch["speaker"], control, some[1] < deaf,
                            some[2] < forgetful)
         context, _ = self.contexts(given, added, temperature=self.temperature(progress))
         conditions = self.head.conditions(context)
@@ -246,15 +242,13 @@ class FlowGenerator(nn.Module):
         return {"flow": total / c.draws}
 
     def component_weights(self) -> Tensor:
-        """[n] what an error of each coefficient weighs: its share of its part's deviation, so that large movements
-        count; mean 1."""
+        """[n] loss weight of each coefficient: its share of its part's deviation, so that large movements count; mean
+        1."""
         weight = self.basis.scale * self.basis.weight
         return weight / weight.mean()
 
     def temperature(self, progress: float) -> float:
-        """Of the Gumbel choice: geometric from `temperature_start` to `temperature_end`."""
-        c = self.config
-        return float(c.temperature_start * (c.temperature_end / c.temperature_start) ** progress)
+        return self.config.temperature(progress)
 
     def _shifted(self, before: Tensor) -> Tensor:
         """Blocks [B, N, K, D_m] with noise on their pose, the same on every frame, and on their last velocity."""
@@ -271,11 +265,8 @@ class FlowGenerator(nn.Module):
 
     @torch.no_grad()
     def draw(self, contexts: Tensor, gains: Tensor, noise: Tensor, steps: int) -> Tensor:
-        """Coefficients [M, n] from noise [M, n], in so many steps of Heun's method.
-
-        contexts: [1 + G, C] of the block as it is, and with one thing left out each; gains: [G, n] how far each
-        coefficient goes from those (classifier-free guidance).
-        """
+        """Coefficients [M, n] from noise [M, n] by `steps` steps of Heun's method. contexts: [1 + G, C] with all
+        inputs, and with one input left out each; gains: [G, n] of the classifier-free guidance away from the latter."""
         conditions = [(scale[:, None], shift[:, None]) for scale, shift in self.head.conditions(contexts)]
         mix, head = torch.cat([1.0 + gains.sum(0, keepdim=True), -gains])[:, None], self.head.sampling()
         u, step = noise, 1.0 / steps
@@ -286,11 +277,12 @@ class FlowGenerator(nn.Module):
 
 
 def _side_by_side(parts: Sequence[Tensor], batch: int) -> Tensor:
-    """[B, ..., sum D] of parts [B or 1, ..., D]."""
+    """Concatenate parts [B or 1, ..., D] to [B, ..., sum D]."""
     return torch.cat([part.expand(batch, *part.shape[1:]) for part in parts], -1)
 
 
 def _fade(frames: int, like: Tensor) -> Tensor:
-    """[K] from nearly 1 to 0: a shift of the past is taken back over the block, without a jump of velocity."""
+    """[K, 1] weights from nearly 1 to 0, by which a shift of the past fades over the block without a jump of velocity.
+    """
     x = (torch.arange(frames, device=like.device, dtype=like.dtype) + 1) / frames
     return (1 - x) ** 3 * (1 + 3 * x + 6 * x * x)

@@ -29,19 +29,15 @@ def perceptual(generated: Tensor, motion: Tensor, encoder: Encoder) -> Tensor:
 
 
 def lexeme(generated: Tensor, lexemes: Tensor, encoder: Encoder) -> Tensor:
-    """L_lexeme = |E(M*_j) - s_i|^2: with another block's past, audio and style, s_i must still be seen (RG Eq. 13).
-
-    generated: [B, K, D_m], made from lexemes [B, D_s] and the rest of random blocks j.
-    """
+    """L_lexeme = |E(M*_j) - s_i|^2: the lexeme s_i must be recognisable whatever past, audio and style (RG Eq. 13).
+    generated: [B, K, D_m], from lexemes [B, D_s] and the other inputs of random blocks j."""
     return (encoder(generated) - lexemes.detach()).pow(2).mean()
 
 
 def style_divergence(codes: Tensor, eps: float = 1e-6) -> Tensor:
-    """L_z = KL(N(mu_z, sigma_z^2) || N(0, 1)) of the batch's style codes [B, 32], mean over dimensions (RG Eq. 14).
-
-    Moment matching: mu and sigma are those of the mini-batch. Zero for exact N(0, 1) moments, finite for a batch of 1,
-    zero where there are no codes, or codes of width 0.
-    """
+    """L_z = KL(N(mu_z, sigma_z^2) || N(0, 1)) of the batch's style codes [B, 32], mean over dimensions (RG Eq. 14). mu
+    and sigma are the moments of the mini-batch. Zero for exact N(0, 1) moments, finite for a batch of 1, zero without
+    codes or for codes of width 0."""
     if codes.numel() == 0 and shares() == 1:
         return codes.new_zeros(())
     mean, variance, count = batch_moments(codes)

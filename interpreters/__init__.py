@@ -15,24 +15,24 @@ from typing import Any
 from data_module.registry import Registry, RegistryEntry
 
 __part_of__ = "gesticulator"
-"""By which `gesticulator.version` tells this package from another of the same name."""
+"""Lets `gesticulator.version` distinguish this package from another of the same name."""
 
 
 @dataclass(frozen=True)
 class InterpreterEntry(RegistryEntry):
     """A lexeme interpreter that a bundle may hold.
 
-    about: a line for the command line. where: module and class, an `interpreters.base.Interpreter`. part: its weights'
-    name in a bundle, empty for one without weights, which is made by a call with the speakers' lexeme frequencies
-    [speakers, S] and the lexemes' transitions [S, S] (rows from, each summing to 1) unless its class says otherwise
-    (`InterpreterDefaults.open`). text_part: the part that is taken when the speech has words. prior: the interpreter
-    that it stands on and that is handed to it, empty for one that stands alone.
+    about: a line of help. where: module and class, an `interpreters.base.Interpreter`. part: name of its weights in a
+    bundle; empty for an interpreter without weights, which is called with the speakers' lexeme frequencies
+    [speakers, S] and the lexemes' transitions [S, S] (rows from, each summing to 1) unless its class overrides
+    `InterpreterDefaults.open`. text_part: the part to use if the speech has words. prior: the interpreter that it
+    builds on and gets as an argument; empty for none.
 
-    What follows is of one with weights. section: the group of settings (of `Config`, or of its `others`); the name of
-    the part where empty. model: module and class of the weights, where they are not the interpreter itself: it has
-    `build(settings, sizes)`, and `Settings`, the class of its settings, where those are among `others`. file: of the
-    part and of the text part, without the ending; named like them where empty. tied: the weights are worthless over
-    another codebook. stage: module and name of the stage that trains it, where the table of stages does not have it.
+    For interpreters with weights: section: the group of settings (of `Config`, or of its `others`), by default the name
+    of the part. model: module and class of the weights, if not the interpreter itself: it has `build(settings, sizes)`,
+    and `Settings`, the class of its settings, if those are among `others`. file: names of the files of the part and the
+    text part without suffix, by default the names of the parts. tied: the weights fit one codebook only. stage: module
+    and name of the stage that trains it, if the table of stages lacks it.
     """
 
     part: str = ""
@@ -45,21 +45,18 @@ class InterpreterEntry(RegistryEntry):
     stage: str = ""
 
     def load_model(self) -> Any:
-        """The class of its weights."""
         return _object(self.model or self.where)
 
     def load_stage(self) -> Any:
-        """The stage that trains it."""
         return _object(self.stage)
 
     @property
     def settings(self) -> str:
-        """The name of its group of settings."""
         return self.section or self.part
 
     @property
     def files(self) -> dict[str, str]:
-        """Part of a bundle -> its file, without the ending."""
+        """Part of a bundle -> its file, without suffix."""
         parts = [part for part in (self.part, self.text_part) if part]
         return dict(zip(parts, self.file or parts, strict=True))
 
@@ -80,15 +77,14 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
     "statistical": InterpreterEntry(
         "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter", section="statistical"),
 }, InterpreterEntry)
-"""By name; the first that a bundle has is taken when none is named."""
+"""By name; the default is the first that a bundle has."""
 
 
 def entries() -> Mapping[str, InterpreterEntry]:
-    """Every interpreter that can be used, in full."""
     return _usable(tuple(INTERPRETERS))
 
 
 @cache
 def _usable(names: tuple[str, ...]) -> Mapping[str, InterpreterEntry]:
-    """Once for each set of names: of an interpreter that cannot be imported a line is printed."""
+    """Cached, so that the warning about an interpreter that cannot be imported is printed once."""
     return INTERPRETERS.usable()

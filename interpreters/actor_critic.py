@@ -1,7 +1,7 @@
 """The actor-critic variant of RACER's ablation (RACER 5.5, Table 2), by the recipe of Bailando's actor-critic.
 
-The actor is a Q-network whose values are read as logits; its last layers are the actor's own. The critic is as many
-layers more on the same trunk, and says what a state is worth under the actor. They learn in turns.
+The actor is a Q-network whose values are used as logits. The critic is a second copy of its last layers on the shared
+trunk and estimates the value of a state under the actor. They learn in turns.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ class ActorCriticConfig:
     """How the two halves share and take turns."""
 
     branch: int = 3
-    """The actor's own layers (the last of the Q-network), and the critic's."""
+    """Number of last layers that actor and critic do not share."""
     actor_steps: int = 5
     critic_steps: int = 5
     gamma: float = 0.99
-    """The recipe that this follows has 1; 0.99 makes it comparable with the other variants."""
+    """Discount. Bailando has 1; 0.99 makes it comparable with the other variants."""
     freeze_trunk: bool = True
-    """The layers that both share, and the tokens, stay as supervised learning left them."""
+    """Keep the shared layers and the tokens as supervised learning left them."""
 
 
 class ActorCritic(nn.Module, InterpreterDefaults):
@@ -37,7 +37,7 @@ class ActorCritic(nn.Module, InterpreterDefaults):
     name = "actor-critic"
 
     def __init__(self, actor: QNetwork, config: ActorCriticConfig | None = None) -> None:
-        """actor: the network that becomes the policy. ValueError when it has fewer layers than are split off."""
+        """actor: the network that becomes the policy. ValueError if it has fewer layers than `branch`."""
         super().__init__()
         self.config, self.actor = config or ActorCriticConfig(), actor
         self.shared = actor.config.layers - self.config.branch
@@ -57,38 +57,35 @@ class ActorCritic(nn.Module, InterpreterDefaults):
 
     @property
     def needs(self) -> frozenset[Need]:
-        """See `Interpreter.needs`."""
         return self.actor.needs
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         return {"actor": 1.0, "critic": 1.0}
 
     def train(self, mode: bool = True) -> ActorCritic:
-        """Training mode by name only: dropout stays frozen."""
+        """Set the flag `training`, but keep dropout off."""
         super().train(False)
         self.training = mode
         return self
 
     def begin_as(self, supervised: QNetwork) -> None:
-        """Take over the trunk and the actor of a network of the same sizes, trained with cross-entropy alone; the
-        critic's layers begin as the actor's."""
+        """Copy the weights of a network of the same sizes, trained with cross-entropy alone, to the trunk, the actor
+        and the critic's layers."""
         self.actor.load_state_dict(supervised.state_dict())
-        for own, other in zip(self.critic, self.actor.layers[self.shared:], strict=True):
-            own.load_state_dict(other.state_dict())
+        for critic, actor in zip(self.critic, self.actor.layers[self.shared:], strict=True):
+            critic.load_state_dict(actor.state_dict())
 
     def before_step(self, step: int) -> None:
-        """Whose turn it is: `actor_steps` for the actor, then `critic_steps` for the critic, and again."""
         at = step % (self.config.actor_steps + self.config.critic_steps)
         self.turn = "actor" if at < self.config.actor_steps else "critic"
 
     def _read(self, tokens: Tensor) -> Tensor:
         """Logits and the state's value [B, T', S + 1] of one window of tokens [B, 2, T', C]."""
         trunk, _ = self.actor.through(self.actor.placed(tokens), self.actor.layers[:self.shared])
-        own, _ = self.actor.through(trunk, self.actor.layers[self.shared:])
+        acted, _ = self.actor.through(trunk, self.actor.layers[self.shared:])
         judged, _ = self.actor.through(trunk, self.critic)
-        return torch.cat([self.actor.head(own[:, 1]), self.value(judged[:, 1])], dim=-1)
+        return torch.cat([self.actor.head(acted[:, 1]), self.value(judged[:, 1])], dim=-1)
 
     def logits_and_value(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor
                          ) -> tuple[Tensor, Tensor]:
@@ -102,11 +99,9 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         return torch.log_softmax(self.actor.values(previous, audio, speaker, silent), dim=-1)
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """Cross-entropy x TD error for the actor, half the squared TD error for the critic (batch: as for CQL).
-
-        delta = r + gamma V(s') - V(s). Only the term of the one whose turn it is carries a gradient, and neither
-        carries one through the next state's value. The actor's policy is over the allowed lexemes alone.
-        """
+        """Cross-entropy x TD error for the actor, half the squared TD error for the critic (batch: as for CQL). delta =
+        r + gamma V(s') - V(s). Only the term of the current turn has a gradient, and there is none through the value of
+        the next state. The actor's policy is over the allowed lexemes only."""
         logits, value = self.logits_and_value(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
         action, reward, terminal, valid = (batch[key][:, :-1] for key in ("action", "reward", "terminal", "valid"))
         error = backed_up(reward, terminal, value[:, 1:].detach(), self.config.gamma) - value[:, :-1]
@@ -117,10 +112,8 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         return {key: term if key == self.turn else term.detach() for key, term in terms.items()}
 
     def start(self, speaker: int, first_lexeme: int) -> QState:
-        """The state before the first block."""
         return self.actor.start(speaker, first_lexeme)
 
     def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QState]:
-        """Log-probabilities [S] of this block's lexeme, and the state after it."""
         values, after = self.actor.step(state, features, previous_lexeme)
         return torch.log_softmax(torch.from_numpy(values), dim=-1).numpy(), after

@@ -1,16 +1,16 @@
-"""Behaviour policy and advantage, apart: lexemes as people choose them, drawn to what they are worth (after RACER 4.3).
+"""A behaviour policy biased by a separately learned advantage (after RACER 4.3).
 
-Conservative Q-learning has one head be both: a classifier of what people do and a value of what that is worth, and the
-classifier drowns the value (docs/racer.md). Here the behaviour policy pi_b is the supervised interpreter, frozen, and
-critics learn what each lexeme is worth beside the others. The policy is
+In conservative Q-learning one head is both a classifier of the data's actions and their value, and the classifier
+dominates (docs/racer.md). Here the behaviour policy pi_b is the frozen supervised interpreter, and critics learn the
+value of each lexeme relative to the others. The policy is
 
     pi(a | s) proportional to pi_b(a | s)^(1/T) exp(beta A(s, a)),        A = Q - V,  V = sum_a pi_b(a | s) Q(s, a)
 
-which never leaves the data further than beta says; beta 0 is the behaviour policy itself. It is the solution of
-max E[A] - KL(pi | pi_b) / beta (Peters 2010; AWAC, Nair 2020), taken when a lexeme is drawn: no policy is trained.
+where beta limits the distance from the data; beta 0 is the behaviour policy itself. It solves
+max E[A] - KL(pi | pi_b) / beta (Peters 2010; AWAC, Nair 2020) when a lexeme is sampled: no policy is trained.
 
-Nothing is bootstrapped and no maximum is taken. Of each state every lexeme's reward is known, since a reward model can
-be asked; and what a lexeme does to the rewards after it is found by putting it there and leaving the rest as it was.
+There is no bootstrapping and no maximum. The reward model gives the reward of every lexeme in each state; the effect of
+a lexeme on later rewards is measured by substituting it and leaving the rest unchanged.
 """
 
 from __future__ import annotations
@@ -42,16 +42,14 @@ from interpreters.transformer import begin_small
 __all__ = ["AdvantageInterpreter", "Critics"]
 
 _MOMENTUM = 0.02
-"""Share of a batch in the running spread of the advantages: the last fifty batches count."""
+"""Weight of a batch in the running spread of the advantages, which averages about fifty batches."""
 
 
 @dataclass(frozen=True)
 class CriticValues:
-    """What J critics say of states [...], in units of `Critics.unit`.
-
-    reward, future: [..., J, S] what each lexeme earns now, and what the blocks after it earn for it (up to a constant
-    of the state); value: [..., J] what the state earns in all under the data's policy.
-    """
+    """The estimates of J critics for states [...], in units of `Critics.unit`. reward, future: [..., J, S] the
+    immediate reward of each lexeme and the rewards of the blocks after it (up to a constant of the state); value: [...,
+    J] the return of the state under the data's policy."""
 
     reward: Tensor
     future: Tensor
@@ -63,9 +61,7 @@ class CriticValues:
 
 
 def advantages(q: Tensor, log_prior: Tensor) -> Tensor:
-    """A [..., S] from Q [..., J, S] and log pi_b [..., S]: the least of the critics' Q - V, told from its own mean.
-
-    Its mean under pi_b is 0: how a state is worth changes no choice.
+    """A [..., S] from Q [..., J, S] and log pi_b [..., S]: the least of the critics' Q - V, less its mean under pi_b.
     """
     prior = log_prior.softmax(-1)
     each = q - (q * prior.unsqueeze(-2)).sum(-1, keepdim=True)
@@ -74,7 +70,7 @@ def advantages(q: Tensor, log_prior: Tensor) -> Tensor:
 
 
 class Critics(nn.Module):
-    """J critics on one transformer over audio and lexemes (RACER Fig. 1): what every lexeme of a block is worth."""
+    """J critics on one transformer over audio and lexemes (RACER Fig. 1), which value every lexeme of a block."""
 
     unit: Tensor
     spread: Tensor
@@ -95,19 +91,17 @@ class Critics(nn.Module):
             head.apply(begin_small)
         self.register_buffer("unit", torch.ones(()))  # of the values, in rewards
         self.register_buffer("spread", torch.ones(()))  # standard deviation of A under pi_b, in units
-        # What heads of unit size are told in: returns differ by forty units where lexemes differ by one.
+        # Scales of the heads, whose outputs have unit size: returns vary forty times as much as rewards of lexemes.
         self.register_buffer("future_scale", torch.ones(()))
         self.register_buffer("value_scale", torch.ones(()))
         self.register_buffer("value_mean", torch.zeros(()))
 
     @classmethod
     def build(cls, settings: CriticConfig, sizes: InterpreterSizes) -> Critics:
-        """Untrained ones of these sizes."""
         return cls(settings, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers)
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         return {"reward": 1.0, "future": 1.0, "value": self.config.value}
 
     def _of(self, features: Tensor) -> CriticValues:
@@ -118,8 +112,8 @@ class Critics(nn.Module):
 
     @torch.no_grad()
     def scale_to(self, unit: float, gained: Tensor, returns: Tensor) -> None:
-        """Take the units of a data set: of rewards, and in these the deviation of what swaps gain [...] (NaN where
-        nothing was tried) and the mean and deviation of the returns [...]."""
+        """Set the units from a data set: of rewards, and in this unit the deviation of the gains of swaps [...] (NaN if
+        not tried) and the mean and deviation of the returns [...]."""
         tried = gained[~torch.isnan(gained)]
         self.unit.fill_(unit)
         self.future_scale.fill_(float(tried.square().mean().sqrt().clamp_min(1e-3)) if len(tried) else 1.0)
@@ -127,52 +121,51 @@ class Critics(nn.Module):
         self.value_scale.copy_(returns.std().clamp_min(1e-3))
 
     def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> CriticValues:
-        """Of each of M decisions; the arguments are those of `QNetwork.values`."""
         return self._of(self.trunk.values(previous, audio, speaker, silent))
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """Squared errors of reward, future and value, each critic on the recordings that are its own, unweighted.
+        """Squared errors of reward, future and value, each critic on its recordings, unweighted.
 
-        Rewards are told from their mean under pi_b: what a state earns whatever is done is the value's to learn, and is
-        so much more that nothing else would be learned beside it. Future and value are in deviations of their own.
+        Rewards are relative to their mean under pi_b: the part that is the same for all lexemes belongs to the value,
+        and is so large that nothing else would be learned. Future and value are in their standard deviations.
 
         batch: previous, action, silent, valid [B, T], audio [B, T, 3K, d], speaker one-hot [B, P]; every [B, T, S] the
         reward of each lexeme; log_prior [B, T, S]; return [B, T] the discounted sum of rewards from here on; swap
-        [B, T, k] lexemes that were put in the place of the action, and gained [B, T, k] what the blocks after it then
-        earned more, NaN where nothing was tried; heard [B, J] 1 where a critic learns from the recording.
+        [B, T, k] lexemes substituted for the action, and gained [B, T, k] the change in the rewards of the later
+        blocks, NaN if not tried; heard [B, J] 1 if the critic learns from the recording.
         """
-        from data_module.parallel import batch_mean  # only training asks for it
+        from data_module.parallel import batch_mean  # only training needs it
 
-        found = self.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
+        values = self.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
         valid = batch["valid"].unsqueeze(-1) * batch["heard"].unsqueeze(1)  # [B, T, J]
         prior = batch["log_prior"].softmax(-1)
-        # Half for every lexeme alike, half for those that are likely: the others are seldom asked about.
+        # Half uniform, half by probability, because unlikely lexemes are rarely needed.
         weight = 0.5 / self.lexemes + 0.5 * prior
-        told = advantages(batch["every"].unsqueeze(-2), batch["log_prior"]).unsqueeze(-2)
-        own_mean = (found.reward * prior.unsqueeze(-2)).sum(-1, keepdim=True)
-        error = (found.reward - own_mean - told).square() * weight.unsqueeze(-2)
+        target = advantages(batch["every"].unsqueeze(-2), batch["log_prior"]).unsqueeze(-2)
+        mean = (values.reward * prior.unsqueeze(-2)).sum(-1, keepdim=True)
+        error = (values.reward - mean - target).square() * weight.unsqueeze(-2)
         tried = ~torch.isnan(batch["gained"])
-        own = found.future.gather(-1, _each(batch["action"].unsqueeze(-1), found.future))
-        other = found.future.gather(-1, _each(batch["swap"], found.future))
-        missed = ((other - own - batch["gained"].nan_to_num().unsqueeze(-2)) / self.future_scale).square()
+        taken = values.future.gather(-1, _each(batch["action"].unsqueeze(-1), values.future))
+        other = values.future.gather(-1, _each(batch["swap"], values.future))
+        missed = ((other - taken - batch["gained"].nan_to_num().unsqueeze(-2)) / self.future_scale).square()
         missed = missed * tried.unsqueeze(-2)
         with torch.no_grad():
-            spread = self.advantage(found, batch["log_prior"]).square() * prior
+            spread = self.advantage(values, batch["log_prior"]).square() * prior
             now = masked_mean(spread.sum(-1), batch["valid"]).sqrt()
             self.spread.lerp_(now, _MOMENTUM if progress > _MOMENTUM else 1.0)
         share = batch_mean(tried.float()).clamp_min(1e-3)
         return {"reward": masked_mean(error.sum(-1), valid),
                 "future": masked_mean(missed.sum(-1), valid) / share / tried.shape[-1],
-                "value": masked_mean(((found.value - batch["return"].unsqueeze(-1)) / self.value_scale).square(),
+                "value": masked_mean(((values.value - batch["return"].unsqueeze(-1)) / self.value_scale).square(),
                                      valid)}
 
-    def advantage(self, found: CriticValues, log_prior: Tensor) -> Tensor:
-        """A [..., S] in units."""
-        return advantages(found.q(self.config.gamma), log_prior)
+    def advantage(self, values: CriticValues, log_prior: Tensor) -> Tensor:
+        """A [..., S] in units of `unit`."""
+        return advantages(values.q(self.config.gamma), log_prior)
 
     @torch.inference_mode()
     def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[CriticValues, QState]:
-        """What the critics say of this block, and the state after it."""
+        """The critics' estimates for this block, and the state after it."""
         scores, after = self.trunk.step(state, features, previous_lexeme)
         return self._of(torch.as_tensor(scores, dtype=torch.float32, device=self.unit.device)), after
 
@@ -184,7 +177,8 @@ def _each(lexemes: Tensor, values: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class AdvantageState:
-    """The states of both, and of the last block: log pi_b [S] and beta's multiplicand, A in standard deviations [S]."""
+    """The states of prior and critics; for the last block log pi_b [S] and A in standard deviations [S], which beta
+    scales."""
 
     prior: Any
     critics: QState
@@ -194,7 +188,7 @@ class AdvantageState:
 
 @dataclass(frozen=True)
 class AdvantageInterpreter(InterpreterDefaults):
-    """The behaviour policy, drawn to what lexemes are worth by beta. temperature: T, which `select` divides by."""
+    """The behaviour policy, biased by beta times the advantage. temperature: T, which `select` divides by."""
 
     prior: LexemeInterpreter
     critics: Critics
@@ -205,39 +199,34 @@ class AdvantageInterpreter(InterpreterDefaults):
 
     @classmethod
     def open(cls, parts: InterpreterParts) -> AdvantageInterpreter:
-        """See `InterpreterDefaults.open`."""
         assert parts.prior is not None and isinstance(parts.model, Critics)
         return cls(parts.prior, parts.model, parts.beta)
 
     @property
     def needs(self) -> frozenset[Need]:
-        """See `Interpreter.needs`: what the behaviour policy reads, as the critics hear alone."""
         return as_interpreter(self.prior).needs
 
     def steered(self, beta: float | None, temperature: float) -> AdvantageInterpreter:
-        """The same with another beta (None: its own), for lexemes that are sampled at this temperature."""
         return replace(self, beta=self.beta if beta is None else beta, temperature=temperature)
 
     def start(self, speaker: int, first_lexeme: int) -> AdvantageState:
-        """The state before the first block."""
         return AdvantageState(self.prior.start(speaker, first_lexeme), self.critics.trunk.start(speaker, first_lexeme))
 
     def explain(self, state: AdvantageState) -> Explanation | None:
-        """See `Interpreter.explain`."""
         if state.log_prior is None or state.advantage is None:
             return None
         return Explanation(state.log_prior, state.advantage)
 
     def step(self, state: AdvantageState, features: BlockFeatures, previous_lexeme: int
              ) -> tuple[Scores, AdvantageState]:
-        """Scores [S] of which softmax(scores / T) is the policy (at T = 0 those of T = 1); with beta 0 exactly the
-        behaviour policy's own."""
+        """Scores [S] such that softmax(scores / T) is the policy (for T = 0 those of T = 1); with beta 0 exactly those
+        of the behaviour policy."""
         log_prior, prior = self.prior.step(state.prior, features, previous_lexeme)
-        found, critics = self.critics.step(state.critics, features, previous_lexeme)
-        worth = (self.critics.advantage(found, torch.as_tensor(log_prior, dtype=torch.float32)) / self.critics.spread
-                 ).double().cpu().numpy()
-        after = AdvantageState(prior, critics, log_prior, worth)
+        values, critics = self.critics.step(state.critics, features, previous_lexeme)
+        prior_scores = torch.as_tensor(log_prior, dtype=torch.float32)
+        advantage = (self.critics.advantage(values, prior_scores) / self.critics.spread).double().cpu().numpy()
+        after = AdvantageState(prior, critics, log_prior, advantage)
         if self.beta == 0:
             return log_prior, after
-        scores = log_prior + (self.temperature or 1.0) * self.beta * worth
+        scores = log_prior + (self.temperature or 1.0) * self.beta * advantage
         return scores - np.logaddexp.reduce(scores), after

@@ -1,8 +1,7 @@
-"""The protocol of lexeme interpreters, its defaults, and the one place where a lexeme is chosen from scores.
+"""The protocol of lexeme interpreters, its defaults, and the selection of a lexeme from scores.
 
-`Interpreter` is everything that the product asks of one. An object with `start` and `step` alone (`LexemeInterpreter`)
-is enough to play: `as_interpreter` answers the rest for it. A class of our own derives from `InterpreterDefaults` and
-overrides what differs.
+`Interpreter` is the full interface that the product uses. An object with `start` and `step` (`LexemeInterpreter`) is
+sufficient: `as_interpreter` adds the defaults. Classes in this package derive from `InterpreterDefaults`.
 """
 
 from __future__ import annotations
@@ -26,19 +25,19 @@ __all__ = ["BlockFeatures", "Explanation", "Interpreter", "InterpreterDefaults",
 
 Scores = NDArray[np.float64]
 Need = Literal["text", "pose", "control", "durations"]
-"""What an interpreter may read beside the sound: `BlockFeatures.text`, `past`, `control` and `durations`."""
+"""Optional inputs besides the audio: `BlockFeatures.text`, `past`, `control` and `durations`."""
 EVERY_NEED: frozenset[Need] = frozenset(("text", "pose", "control", "durations"))
 
 
 @dataclass(frozen=True)
 class BlockFeatures:
-    """What an interpreter hears of one block.
+    """The input features of one block.
 
-    low, high: [3K, d] the two levels of audio on the window of the block before, the block and the block after.
-    silent: the block is a silence. text: [3K, d_t + 1] word vectors and the flag of the empty word on the same window,
-    or None in the audio-only path. control: [K, 2 F] what is asked of F features of style and whether it is asked, or
-    None when nothing is. past: [K, D_m] the block before as it was drawn, normalised, or None where nobody says.
-    durations: seconds of the block before and of this one, or None.
+    low, high: [3K, d] the two levels of audio on the window of the previous, current and next block. silent: the block
+    is silent. text: [3K, d_t + 1] word vectors and the flag of the empty word on the same window, or None in the
+    audio-only path. control: [K, 2 F] target values of F style features and flags of those that are set, or None.
+    past: [K, D_m] the previous block as it was generated, normalised, or None if unknown. durations: seconds of the
+    previous and the current block, or None.
     """
 
     low: Tensor
@@ -52,25 +51,22 @@ class BlockFeatures:
 
 @runtime_checkable
 class LexemeInterpreter(Protocol):
-    """The least that an interpreter must have: scores for the next lexeme, block by block."""
+    """The minimal interface of an interpreter: scores for the next lexeme, block by block."""
 
     def start(self, speaker: int, first_lexeme: int) -> Any:
         """The state before the first block, for a speaker (index) whose resting lexeme is `first_lexeme`."""
         ...
 
     def step(self, state: Any, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, Any]:
-        """Scores [S] for this block's lexeme given what went before, and the state after it.
-
-        Scores are natural logarithms of probabilities, or Q values where `gives_values` says so. The state that is
-        given must not change.
-        """
+        """Scores [S] for this block's lexeme given the history, and the state after it. Scores are natural logarithms
+        of probabilities, or Q values if `gives_values`. The given state must not be changed."""
         ...
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why an interpreter scored the last block as it did. log_prior: [S] ln of how likely the behaviour policy makes
-    each lexeme; advantage: [S] how much more than its mean a reward expects of each, in standard deviations."""
+    """Explanation of the scores of the last block. log_prior: [S] log-probability of each lexeme under the behaviour
+    policy; advantage: [S] expected reward of each less the mean, in standard deviations."""
 
     log_prior: NDArray[np.float64]
     advantage: NDArray[np.float64]
@@ -78,11 +74,10 @@ class Explanation:
 
 @runtime_checkable
 class Interpreter(LexemeInterpreter, Protocol):
-    """All that the product asks of an interpreter; `InterpreterDefaults` answers for those without anything special."""
+    """The full interface of an interpreter; `InterpreterDefaults` has a default for everything but start and step."""
 
     @property
     def name(self) -> str:
-        """What a plan calls it."""
         ...
 
     @property
@@ -92,35 +87,34 @@ class Interpreter(LexemeInterpreter, Protocol):
 
     @property
     def steerable(self) -> bool:
-        """It takes a beta (`steered`)."""
+        """It accepts a beta (`steered`)."""
         ...
 
     @property
     def beta(self) -> float | None:
-        """How far its choice is drawn to a learned reward; None where it is not steerable."""
+        """Strength of the bias towards a learned reward; None if not steerable."""
         ...
 
     @property
     def needs(self) -> frozenset[Need]:
-        """What it reads beside the sound; the rest of `BlockFeatures` changes nothing."""
+        """The inputs that it uses besides the audio; other fields of `BlockFeatures` have no effect."""
         ...
 
     def steered(self, beta: float | None, temperature: float) -> Interpreter:
-        """The same with this beta (None: as it is), for lexemes that are sampled at this temperature."""
+        """The same with this beta (None: unchanged), for lexemes that are sampled at this temperature."""
         ...
 
     def guided(self, guidance: float) -> Interpreter:
-        """With scores taken further from those without sound, s + guidance (s - s without sound); itself where it was
-        not taught to do without sound."""
+        """The same with scores s + guidance (s - s without audio); itself if it was not trained without audio."""
         ...
 
     def explain(self, state: Any) -> Explanation | None:
-        """Why it scored the block before `state` as it did; None where it has no more to say than the scores."""
+        """Explanation of the scores of the block before `state`; None if there is none beyond the scores."""
         ...
 
 
 class InterpreterDefaults:
-    """What most interpreters answer to `Interpreter`: log-probabilities, no beta, no guidance, no explanation."""
+    """Defaults of `Interpreter`: log-probabilities, no beta, no guidance, no explanation."""
 
     name: str = ""
     gives_values: bool = False
@@ -128,52 +122,45 @@ class InterpreterDefaults:
 
     @property
     def beta(self) -> float | None:
-        """See `Interpreter.beta`."""
         return None
 
     @property
     def needs(self) -> frozenset[Need]:
-        """See `Interpreter.needs`: everything, where nobody says."""
         return EVERY_NEED
 
     def steered(self, beta: float | None, temperature: float) -> Any:
         """See `Interpreter.steered`; InputError for a beta."""
         if beta is not None:
-            raise InputError(f"beta {beta:g}", "is heard by the interpreter advantage alone",
+            raise InputError(f"beta {beta:g}", "is accepted by the interpreter advantage only",
                              "choose that one, or leave beta out")
         return self
 
     def guided(self, guidance: float) -> Any:
-        """See `Interpreter.guided`."""
         return self
 
     def explain(self, state: Any) -> Explanation | None:
-        """See `Interpreter.explain`."""
         return None
 
     @classmethod
     def open(cls, parts: InterpreterParts) -> Any:
-        """The interpreter of a bundle: the trained model itself, or made of the counts where there is none."""
+        """The interpreter of a bundle: the trained model itself, or without one an instance made from the counts."""
         return parts.model if parts.model is not None else cls(parts.frequencies, parts.transitions)  # type: ignore[call-arg]
 
 
 class _Adapted(InterpreterDefaults):
-    """An object that has `start` and `step`, with the defaults for the rest; named by its class."""
+    """Adapter of an object with `start` and `step`, with the defaults for the rest; named after its class."""
 
     def __init__(self, inner: LexemeInterpreter) -> None:
         self.inner, self.name = inner, type(inner).__name__
 
     def start(self, speaker: int, first_lexeme: int) -> Any:
-        """See `LexemeInterpreter.start`."""
         return self.inner.start(speaker, first_lexeme)
 
     def step(self, state: Any, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, Any]:
-        """See `LexemeInterpreter.step`."""
         return self.inner.step(state, features, previous_lexeme)
 
 
 def opened(kind: Any, parts: InterpreterParts) -> Interpreter:
-    """The interpreter of a bundle whose class (or maker) is `kind`; see `InterpreterDefaults.open`."""
     if isinstance(kind, type) and issubclass(kind, InterpreterDefaults):
         return as_interpreter(kind.open(parts))
     return as_interpreter(parts.model if parts.model is not None else kind(parts.frequencies, parts.transitions))
@@ -183,11 +170,8 @@ _OPTIONAL = frozenset(("gives_values", "steerable", "beta", "needs", "steered", 
 
 
 def as_interpreter(given: object) -> Interpreter:
-    """An `Interpreter` of any object that has `start` and `step`; itself where it is one already.
-
-    InputError for an object without them, and for one that has some of the optional members but not all: what it says
-    there would be ignored.
-    """
+    """Any object with `start` and `step` as an `Interpreter`; itself if it is one already. InputError for an object
+    without them, and for one with some but not all of the optional members, because they would be ignored."""
     if isinstance(given, Interpreter):
         return given
     kind = type(given).__name__
@@ -202,11 +186,9 @@ def as_interpreter(given: object) -> Interpreter:
 
 @dataclass(frozen=True)
 class InterpreterSizes:
-    """What shapes the weights of an interpreter besides its settings.
-
-    frames: K; low, high: widths d + 1 of the two levels of audio; speakers: P; text: d_t + 1, 0 without words; control:
-    2 F; motion: D_m; lexemes: [S, D_s] the codebook; silent: the silent lexemes.
-    """
+    """The sizes of an interpreter's weights that depend on the data. frames: K; low, high: widths d + 1 of the two
+    levels of audio; speakers: P; text: d_t + 1, 0 without words; control: 2 F; motion: D_m; lexemes: [S, D_s] the
+    codebook; silent: the silent lexemes."""
 
     frames: int
     low: int
@@ -221,11 +203,11 @@ class InterpreterSizes:
 
 @dataclass(frozen=True)
 class InterpreterParts:
-    """What a bundle has for an interpreter that is opened (`InterpreterDefaults.open`).
+    """The parts of a bundle from which an interpreter is opened (`InterpreterDefaults.open`).
 
-    model: the trained part, None for one without weights; prior: the interpreter that it stands on, where its entry
-    names one; frequencies: [speakers, S] and transitions: [S, S], counted on the training split; settings: its own, by
-    the name of the entry's section; beta: the bundle's.
+    model: the trained part, None without weights; prior: the interpreter named as prior by its entry, if any;
+    frequencies: [speakers, S] and transitions: [S, S], counted on the training split; settings: the group named by the
+    entry's section; beta: that of the bundle.
     """
 
     model: nn.Module | None
@@ -238,10 +220,8 @@ class InterpreterParts:
 
 def select(scores: Scores, *, allowed: NDArray[np.int64] | None = None, temperature: float = 0.0,
            top: int | None = None, rng: np.random.Generator | None = None) -> int:
-    """One lexeme from scores [S]: the best (temperature 0), or one drawn from softmax(scores / temperature).
-
-    allowed: indices to choose among (the silent mask); None or empty allows all. top: draw among the best `top` only.
-    """
+    """One lexeme from scores [S]: the best (temperature 0), or a sample of softmax(scores / temperature). allowed:
+    indices to choose from (the silent mask); None or empty allows all. top: sample from the best `top` only."""
     if temperature < 0 or (top is not None and top < 1):
         raise ValueError("temperature must not be negative and top must be positive")
     masked = np.array(scores, dtype=np.float64)

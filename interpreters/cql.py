@@ -1,8 +1,8 @@
-"""The Q-network and conservative Q-learning: lexemes chosen for what they will be worth (RACER 4.3, Eq. 9 to 12).
+"""The Q-network and conservative Q-learning: lexemes chosen by their expected return (RACER 4.3, Eq. 9 to 12).
 
-A decision is a block. Its state is all that was heard and done so far, s_i = (a_0..a_{i-1}, u_1..u_i); its action is a
-lexeme; its reward says how well gesture and speech go together. The network is trained on recorded decisions only, and
-the conservative term keeps it from dreaming up values for lexemes that nobody chose.
+A decision is a block. Its state is the history of audio and actions, s_i = (a_0..a_{i-1}, u_1..u_i); its action is a
+lexeme; its reward measures how well gesture and speech match. The network is trained on recorded decisions only; the
+conservative term prevents overestimated values of lexemes that do not occur in the data.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ __all__ = ["ConservativeQ", "QNetwork", "conservative_q_loss"]
 
 @dataclass(frozen=True)
 class QState:
-    """The pairs that the next decision will see, and the speaker. Never changed in place.
+    """The pairs that the next decision attends to, and the speaker. Never changed in place.
 
     tokens: [1, 2, n, C] audio and action tokens of the last n <= T decisions, without positions. past: keys and values
-    of these tokens, layer by layer; None once the window slides, or when nothing is cached. before: [3K, d] what was
-    heard around the block before, which is what a decision without look-ahead hears; None at first.
+    of these tokens, layer by layer; None once the window slides, or without a cache. before: [3K, d] the audio window
+    of the previous block, which is the input of a decision without look-ahead; None at first.
     """
 
     speaker: Tensor
@@ -49,53 +49,47 @@ class QNetwork(nn.Module, InterpreterDefaults):
 
     def __init__(self, config: QConfig, frames: int, audio_width: int, lexemes: int, speakers: int,
                  silent: Sequence[int] = ()) -> None:
-        """frames: K; audio_width: d; lexemes: S; speakers: P, how many performers the one-hot tells apart; silent: the
-        lexemes to choose among in a silent block (none: all). ValueError for sizes that do not go together."""
+        """frames: K; audio_width: d; lexemes: S; speakers: P; silent: the lexemes allowed in a silent block (none:
+        all). ValueError for inconsistent sizes."""
         super().__init__()
         if any(not 0 <= index < lexemes for index in silent):
             raise ValueError(f"silent lexemes {list(silent)} lie outside a lexicon of {lexemes}")
         if config.lookahead not in (0, 1):
-            raise ValueError(f"lookahead is {config.lookahead}: a decision hears the next block (1) or not (0)")
+            raise ValueError(f"lookahead is {config.lookahead}: it must be 1 (the next block is an input) or 0")
         self.config, self.frames, self.lexemes, self.speakers = config, frames, lexemes, speakers
         self.cached = True
-        """Remember keys and values while the window fills (the same scores, sooner)."""
+        """Cache keys and values while the window fills (the same scores, faster)."""
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, config.audio_blocks,
                                         config.audio_bottleneck)
-        heard = frames * config.audio_features + (speakers if config.use_speaker else 0) + 1
-        self.audio_token = nn.Linear(heard, config.width)
+        width = frames * config.audio_features + (speakers if config.use_speaker else 0) + 1
+        self.audio_token = nn.Linear(width, config.width)
         self.action_token = nn.Embedding(lexemes, config.width)
         self.positions = nn.Parameter(torch.randn(2, config.decisions, config.width) * INITIAL)
         self.dropout = nn.Dropout(config.dropout)
         self.layers = nn.ModuleList(Layer(config.width, config.heads, config.dropout) for _ in range(config.layers))
         self.head = Head(config.width, lexemes)
         self.apply(begin_small)
-        kept = [index in set(silent) or not len(silent) for index in range(lexemes)]
-        self.register_buffer("when_silent", torch.tensor(kept), persistent=False)
+        allowed = [index in set(silent) or not len(silent) for index in range(lexemes)]
+        self.register_buffer("when_silent", torch.tensor(allowed), persistent=False)
 
     @classmethod
     def build(cls, settings: QConfig, sizes: InterpreterSizes) -> QNetwork:
-        """An untrained one of these sizes."""
         return cls(settings, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, sizes.silent)
 
     @property
     def needs(self) -> frozenset[Need]:
-        """See `Interpreter.needs`."""
         return frozenset()
 
     def allowed(self, silent: Tensor) -> Tensor:
-        """A(s): which lexemes may be chosen, bool [..., S], for blocks that are silent or not [...].
-
-        Only silent lexemes in silence, all of them elsewhere; all everywhere when the lexicon has none, so that a set
-        is never empty. Choice, the logsumexp of the loss and the target's maximum all ask here.
-        """
+        """A(s): the allowed lexemes, bool [..., S], for blocks that are silent or not [...]. Only silent lexemes in
+        silence, all lexemes elsewhere; all everywhere if the lexicon has no silent ones. Used by the choice, the
+        logsumexp of the loss and the maximum of the target."""
         return ~silent.bool().unsqueeze(-1) | self.when_silent
 
     def tokens(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
-        """The two streams [U; A], [B, 2, M, C], without positions.
-
-        previous: [B, M] the lexeme before each decision; audio: [B, M, 3K, d] the window of the block that is decided
-        on; speaker: one-hot [B, P]; silent: [B, M] whether that block is a silence.
-        """
+        """The two streams [U; A], [B, 2, M, C], without positions. previous: [B, M] the lexeme before each decision;
+        audio: [B, M, 3K, d] the window of the block that is decided on; speaker: one-hot [B, P]; silent: [B, M] whether
+        that block is a silence."""
         parts = [self.encode_audio(audio).flatten(-2), silent.to(audio).unsqueeze(-1)]
         if self.config.use_speaker:
             parts.append(speaker.to(audio)[:, None].expand(-1, audio.shape[1], -1))
@@ -103,10 +97,8 @@ class QNetwork(nn.Module, InterpreterDefaults):
 
     def through(self, tokens: Tensor, layers: Iterable[nn.Module], past: tuple[KeyValue, ...] | None = None
                 ) -> tuple[Tensor, tuple[KeyValue, ...]]:
-        """Tokens that have their positions, [B, 2, T', C], through some layers, and the keys and values of each.
-
-        With a past, the tokens are the next pair (T' = 1): it sees itself and all before it, so nothing is masked.
-        """
+        """Tokens that have their positions, [B, 2, T', C], through some layers, and the keys and values of each. With a
+        past, the tokens are the next pair (T' = 1): it sees itself and all before it, so nothing is masked."""
         steps = tokens.shape[2]
         mask = two_stream_mask(steps, tokens.device) if past is None else None
         x, present = tokens.flatten(1, 2), list[KeyValue]()
@@ -124,30 +116,27 @@ class QNetwork(nn.Module, InterpreterDefaults):
         return self.head(self.through(self.placed(tokens), self.layers)[0][:, 1])
 
     def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
-        """Q(s_i, .) [B, M, S] for each of M decisions; the arguments are those of `tokens`.
-
-        DecisionBatch past the first T are made in a window that slides, exactly as `step` makes them.
-        """
+        """Q(s_i, .) [B, M, S] for each of M decisions; the arguments are those of `tokens`. Decisions past the first T
+        use a sliding window, exactly as in `step`."""
         return sliding(self.tokens(previous, audio, speaker, silent), self.config.decisions, self.read)
 
     def choose(self, values: Tensor, silent: Tensor) -> Tensor:
-        """The best allowed lexeme [...] by values [..., S] for blocks that are silent or not [...]."""
         return values.masked_fill(~self.allowed(silent), -torch.inf).argmax(-1)
 
     def start(self, speaker: int, first_lexeme: int) -> QState:
-        """The state before the first block (the first lexeme, a_0, comes back in `step` as the previous one)."""
+        """The state before the first block; `first_lexeme`, a_0, is the previous lexeme in the first `step`."""
         number = torch.tensor([speaker], device=self.positions.device)
         one_hot = functional.one_hot(number, self.speakers).float()
         return QState(one_hot, self.positions.new_zeros(1, 2, 0, self.config.width), None)
 
     @torch.inference_mode()
     def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QState]:
-        """Q values [S] of this block's lexeme, and the state after it. The silent mask is the chooser's to apply."""
+        """Q values [S] of this block's lexeme, and the state after it. The silent mask is applied by the caller."""
         device = self.positions.device
-        heard = features.high
+        audio = features.high
         if not self.config.lookahead:
-            heard = torch.zeros_like(features.high) if state.before is None else state.before
-        pair = self.tokens(torch.tensor([[previous_lexeme]], device=device), heard[None, None].to(device),
+            audio = torch.zeros_like(features.high) if state.before is None else state.before
+        pair = self.tokens(torch.tensor([[previous_lexeme]], device=device), audio[None, None].to(device),
                            state.speaker, torch.tensor([[features.silent]], device=device))
         filled, window = state.tokens.shape[2], self.config.decisions
         tokens = torch.cat([state.tokens, pair], dim=2)[:, :, -window:]
@@ -160,11 +149,9 @@ class QNetwork(nn.Module, InterpreterDefaults):
 
 
 def data_nll(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
-    """log sum_a exp Q(s, a) - Q(s, a_data), [...], the first bracket of RACER Eq. 11.
-
-    values, allowed: [..., S]; action: [...]. It is the cross-entropy of softmax(Q) over the allowed actions. 0 where
-    the data's action is not allowed: raising a value that the sum leaves out would have no end.
-    """
+    """log sum_a exp Q(s, a) - Q(s, a_data), [...], the first bracket of RACER Eq. 11. values, allowed: [..., S];
+    action: [...]. It is the cross-entropy of softmax(Q) over the allowed actions. 0 if the data's action is not
+    allowed, because its value is not in the sum and would grow without bound."""
     taken = action.unsqueeze(-1)
     everything = values.masked_fill(~allowed, -torch.inf).logsumexp(-1)
     known = allowed.gather(-1, taken).squeeze(-1)
@@ -172,17 +159,15 @@ def data_nll(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
 
 
 def backed_up(reward: Tensor, terminal: Tensor, next_value: Tensor, gamma: float) -> Tensor:
-    """y = r + gamma V(s'), and r alone at the end of a take, [...] (RACER Eq. 10, or Eq. 2 where V is a maximum)."""
+    """y = r + gamma V(s'), and r alone at the end of a take, [...] (RACER Eq. 10, or Eq. 2 with a maximum as V)."""
     return reward + gamma * next_value.masked_fill(terminal.bool(), 0.0)
 
 
 @dataclass(frozen=True)
 class DecisionBatch:
-    """What was done, and what came of it, [B, T] each but for `allowed`.
-
-    action: lexemes; reward; terminal: nothing follows; allowed: bool [B, T, S], A(s); valid: steps that exist; known:
-    steps whose next value is known; cloned: how much the data's action counts, less where it is not a person's.
-    """
+    """Actions and their outcomes, [B, T] each except `allowed`. action: lexemes; reward; terminal: nothing follows;
+    allowed: bool [B, T, S], A(s); valid: steps that exist; known: steps whose next value is known; cloned: weight of
+    the data's action, lower if it is not a person's."""
 
     action: Tensor
     reward: Tensor
@@ -196,9 +181,7 @@ class DecisionBatch:
 def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch, gamma: float, huber: float = 0.0
                         ) -> tuple[Tensor, Tensor]:
     """The terms of RACER Eq. 11, unweighted: E[log sum_a exp Q(s, a) - Q(s, a_data)] and E[(Q(s, a_data) - y)^2] / 2.
-
-    values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'. Both means are over valid steps.
-    """
+    values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'. Both means are over valid steps."""
     conservative = data_nll(values, done.action, done.allowed)
     chosen = values.gather(-1, done.action.unsqueeze(-1)).squeeze(-1)
     target = backed_up(done.reward, done.terminal, next_value, gamma).detach()
@@ -209,7 +192,6 @@ def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch,
 
 @contextmanager
 def without_dropout(module: nn.Module) -> Iterator[None]:
-    """Evaluation mode for a while."""
     was = module.training
     module.eval()
     try:
@@ -219,23 +201,18 @@ def without_dropout(module: nn.Module) -> Iterator[None]:
 
 
 def next_known(batch: dict[str, Tensor]) -> Tensor:
-    """[B, T] 1 for steps whose next value is known: nothing follows (terminal), or the next block is there.
-
-    A step that a cut made the last one is no end of a take; without a next block it cannot be bootstrapped.
-    """
+    """[B, T] 1 for steps whose next value is known: nothing follows (terminal), or the next block is in the batch. The
+    last step before a cut is not the end of a take; without a next block it cannot be bootstrapped."""
     return (batch["terminal"][:, :-1].bool() | batch["valid"][:, 1:].bool()).float()
 
 
 DECISIONS = ("previous", "audio", "silent", "action", "reward", "terminal", "valid", "cloned")
-"""What a batch holds of each decision, [B, T + 1, ...]."""
+"""The fields of a batch for each decision, [B, T + 1, ...]."""
 
 
 class ConservativeQ(nn.Module):
-    """Conservative Q-learning of a Q-network: the network itself and a target that lags behind it (RACER Eq. 11).
-
-    With `temporal` 0 it is supervised learning, with `conservative` 0 it is DQN; offline or online is for the batches
-    to say.
-    """
+    """Conservative Q-learning of a Q-network: the online network and a delayed target (RACER Eq. 11). With `temporal` 0
+    it is supervised learning, with `conservative` 0 it is DQN, offline or online by the batches."""
 
     def __init__(self, online: QNetwork) -> None:
         super().__init__()
@@ -245,49 +222,43 @@ class ConservativeQ(nn.Module):
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`: alpha and the weight of the temporal difference."""
         if not self.config.temporal:
             return {"conservative": self.config.conservative}
         return {"conservative": self.config.conservative, "temporal_difference": self.config.temporal}
 
     def train(self, mode: bool = True) -> ConservativeQ:
-        """The target never trains; the network has dropout only where it is not frozen."""
         super().train(mode)
         self.online.train(mode and not self.config.freeze_dropout)
         self.target.eval()
         return self
 
     def copy_target(self) -> None:
-        """The target becomes the network as it is now."""
         self.target.load_state_dict(self.online.state_dict())
 
     def before_step(self, step: int) -> None:
-        """Copy the network to its target every `copy_every` steps."""
         if step % self.config.copy_every == 0:
             self.copy_target()
 
     @torch.no_grad()
     def next_values(self, batch: dict[str, Tensor]) -> Tensor:
-        """max_a' Q(s', a') [B, T] by the target, over the actions that s' allows.
-
-        The last state is seen through the window one step later, as a stream sees it: its own position is one that is
-        trained. With `double`, the online network says which action is best.
-        """
-        heard = batch["previous"], batch["audio"], batch["speaker"], batch["silent"]
-        values = self.target.values(*heard)[:, 1:]
+        """max_a' Q(s', a') [B, T] by the target, over the actions allowed in s'. The window of the last state ends one
+        step later, as in a stream, so that its position is a trained one. With `double`, the online network selects the
+        action."""
+        states = batch["previous"], batch["audio"], batch["speaker"], batch["silent"]
+        values = self.target.values(*states)[:, 1:]
         judge = values
         if self.config.double:
             with without_dropout(self.online):
-                judge = self.online.values(*heard)[:, 1:]
+                judge = self.online.values(*states)[:, 1:]
         best = self.online.choose(judge, batch["silent"][:, 1:])
         return values.gather(-1, best.unsqueeze(-1)).squeeze(-1)
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """The conservative term and the temporal difference (left out where it weighs nothing), unweighted.
+        """The conservative term and the temporal difference (absent if its weight is 0), unweighted.
 
         batch: previous, action, reward, terminal, valid, silent, cloned [B, T + 1], audio [B, T + 1, 3K, d], speaker
-        one-hot [B, P]. The last decision is there to bootstrap from only: a window that was cut from a longer take is
-        no end of it. Before `warm_up` of the run (progress, 0 to 1) there is the conservative term alone.
+        one-hot [B, P]. The last decision is for bootstrapping only, because a window cut from a longer take does not
+        end it. Before `warm_up` of the run (progress, 0 to 1) there is the conservative term only.
         """
         now = {key: batch[key][:, :-1] for key in DECISIONS}
         values = self.online.values(now["previous"], now["audio"], batch["speaker"], now["silent"])

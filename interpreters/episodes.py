@@ -1,11 +1,11 @@
-"""Recordings as trajectories: the offline data set that the Q-network learns from (RACER 4.3).
+"""Recordings as trajectories: the offline data set of the Q-network (RACER 4.3).
 
-An episode is a recording seen as decisions: on each block some behaviour policy pi_beta took an action (a lexeme),
-which earned a reward. The paper's data set D = {s, a, r, s'} holds what people did; by default a share of it is done by
-others, so that there is something to tell the better from the worse. A state is (a_0 .. a_{i-1}, u_1 .. u_i): it is
-not stored, a reader puts it together from the lexemes before and the speech of the block numbers.
+An episode is a recording as a sequence of decisions: on each block a behaviour policy pi_beta took an action (a lexeme)
+with a reward. The paper's data set D = {s, a, r, s'} holds the actions of people; by default other policies contribute
+a share, so that good and bad actions can be compared. A state (a_0 .. a_{i-1}, u_1 .. u_i) is not stored; it is
+assembled from the previous lexemes and the speech of the block numbers.
 
-The first block of a recording holds the given a_0; decisions begin with the second.
+The first block of a recording has the given a_0; decisions begin with the second.
 """
 
 from __future__ import annotations
@@ -33,19 +33,17 @@ from interpreters.settings import BEHAVIOURS, EpisodeConfig
 
 Integers = NDArray[np.int64]
 Reward = Callable[[Tensor, Tensor], Tensor]
-"""Lexemes [M] and block numbers [M] of a stretch of recording to what each step earns [M]; it sees no further back than
-what it is handed. `RewardTable.sequence` and `looked_up` are such."""
+"""Lexemes [M] and block numbers [M] of a stretch of a recording to the reward of each step [M], which depends on this
+stretch only. Examples are `RewardTable.sequence` and `looked_up`."""
 
 _AT_RANDOM = 0.5
-"""The share of the perturbed lexemes that may become any other; the rest become one of the nearest."""
+"""Share of the perturbed lexemes that are replaced by any other; the rest are replaced by one of the nearest."""
 
 
 @dataclass(frozen=True)
 class Demonstration:
-    """What was really done in a recording of M blocks.
-
-    recording, speaker: their numbers; blocks: [M] block numbers in the corpus, in order; lexemes: [M]; silent: [M].
-    """
+    """The recorded lexemes of a recording of M blocks. recording, speaker: indices; blocks: [M] block numbers in the
+    corpus, in order; lexemes: [M]; silent: [M]."""
 
     recording: int
     speaker: int
@@ -60,12 +58,9 @@ class Demonstration:
 
 @dataclass(frozen=True)
 class Episode:
-    """A recording, or the beginning of one, as it was acted out once.
-
-    actions: [M] lexemes, the first of them given. behaviour: [M] who chose it, an index in BEHAVIOURS. log_behaviour:
-    [M] ln pi_beta(a | s), 0 where it is recorded and not drawn. reward: [M]. terminal: [M], on nothing but the last
-    block of the whole recording: where an episode ends earlier it is merely cut off.
-    """
+    """One performance of a recording or of its beginning. actions: [M] lexemes, the first of them given. behaviour: [M]
+    index in BEHAVIOURS of the policy. log_behaviour: [M] ln pi_beta(a | s), 0 for recorded actions. reward: [M].
+    terminal: [M], True only on the last block of the whole recording: an episode that ends earlier is truncated."""
 
     recording: int
     speaker: int
@@ -90,11 +85,11 @@ _COLUMNS = {"blocks": np.int64, "actions": np.int64, "behaviour": np.int8, "log_
 
 
 class Episodes:
-    """A data set of episodes, from which windows of decisions are drawn."""
+    """A data set of episodes, from which windows of decisions are sampled."""
 
     def __init__(self, episodes: Sequence[Episode], *, cloned: float = 0.0, stretch: int = 0) -> None:
-        """cloned: weight of the data term on what is not the truth. stretch: windows begin at multiples of this many
-        decisions and are as long; 0 lets them begin anywhere. InputError when there is no decision at all."""
+        """cloned: weight of the data term on actions other than the recorded ones. stretch: windows have this length
+        and begin at its multiples; 0 for any start and length. InputError without any decision."""
         self.episodes, self.cloned, self.stretch = tuple(episodes), cloned, stretch
         self.lengths = np.array([len(episode.blocks) for episode in self.episodes], dtype=np.int64)
         if len(self.lengths) == 0 or self.lengths.max() < 2:
@@ -109,56 +104,52 @@ class Episodes:
         return len(self.episodes)
 
     def windows(self, rng: np.random.Generator, count: int, decisions: int) -> dict[str, Tensor]:
-        """A batch of `count` windows of T decisions, and one position more to bootstrap from; of these the rows that
-        are this process's.
+        """This process's rows of a batch of `count` windows of T decisions and one more position to bootstrap from.
 
         block, previous, action, behaviour: [B, T + 1] int64; reward, valid, cloned: [B, T + 1] float32; terminal,
         silent: [B, T + 1] bool; speaker: [B] int64. previous[:, i] is the lexeme before block[:, i]; previous[:, 0] is
-        the given a_0. A window that is cut from a longer take ends with a truncation: position T is there to look ahead
-        to. After the end of an episode the last block is repeated, with valid 0 and nothing earned.
+        the given a_0. A window cut from a longer take is truncated; position T is for bootstrapping. After the end of
+        an episode the last block is repeated, with valid 0 and reward 0.
         """
         if self.stretch not in (0, decisions):
             raise ValueError(f"these rewards are of stretches of {self.stretch} decisions, not of {decisions}")
         episode, start = draw_starts(rng, self.lengths, count, decisions, self.stretch)
-        own = own_rows(count)
-        return self.cut(episode[own], start[own], decisions)
+        rows = own_rows(count)
+        return self.cut(episode[rows], start[rows], decisions)
 
     def cut(self, episode: Integers, start: Integers, decisions: int) -> dict[str, Tensor]:
-        """The windows [B, T + 1] of episodes [B] whose a_0 is the lexeme at `start` [B]."""
         last = self.lengths[episode, None] - 1
         index = start[:, None] + 1 + np.arange(decisions + 1)
         valid = index <= last
         at = self._offsets[episode, None] + np.minimum(index, last)
         before = self._offsets[episode, None] + np.minimum(index - 1, last)
-        own = {name: column[at] for name, column in self._columns.items()}
-        weights = np.where(own["behaviour"] == 0, 1.0, self.cloned)
+        rows = {name: column[at] for name, column in self._columns.items()}
+        weights = np.where(rows["behaviour"] == 0, 1.0, self.cloned)
         batch = {
-            "block": own["blocks"], "previous": self._columns["actions"][before], "action": own["actions"],
-            "reward": own["reward"] * valid, "terminal": own["terminal"] & valid, "valid": valid.astype(np.float32),
-            "silent": own["silent"], "speaker": self._speakers[episode],
-            "behaviour": own["behaviour"].astype(np.int64), "cloned": (weights * valid).astype(np.float32),
+            "block": rows["blocks"], "previous": self._columns["actions"][before], "action": rows["actions"],
+            "reward": rows["reward"] * valid, "terminal": rows["terminal"] & valid, "valid": valid.astype(np.float32),
+            "silent": rows["silent"], "speaker": self._speakers[episode],
+            "behaviour": rows["behaviour"].astype(np.int64), "cloned": (weights * valid).astype(np.float32),
         }
         return {key: torch.as_tensor(value) for key, value in batch.items()}
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that is in the data set."""
         return _digest(self._arrays())
 
     def save(self, path: str | Path) -> None:
-        """One npz, whole or not at all, with the hash of its contents; the same episodes give the same bytes."""
+        """Write one npz atomically, with the hash of its contents; the same episodes give the same bytes."""
         arrays, stream = self._arrays(), io.BytesIO()
         np.savez(stream, allow_pickle=False, **arrays, sha256=np.array(_digest(arrays)))
         write_bytes(path, stream.getvalue())
 
     @classmethod
     def load(cls, path: str | Path) -> Episodes:
-        """The inverse of `save`; InputError for a file that is no such data set or was changed."""
+        """The inverse of `save`; InputError for another or a changed file."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
-            told = str(arrays.pop("sha256"))
-            if told != _digest(arrays):
+            if str(arrays.pop("sha256")) != _digest(arrays):
                 raise InputError(path, "was changed since it was written", "make the episodes again")
             return cls(list(_unpacked(arrays)), cloned=float(arrays["cloned"]), stretch=int(arrays["stretch"]))
         except (KeyError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
@@ -172,11 +163,9 @@ class Episodes:
 
 def draw_starts(rng: np.random.Generator, lengths: Integers, count: int, decisions: int, stretch: int = 0
                 ) -> tuple[Integers, Integers]:
-    """Where windows of T decisions begin: sequence numbers [count] and the position of a_0 in each [count].
-
-    Every start is as likely as another, of whichever of the sequences of `lengths` [E]. A start leaves T decisions
-    after it where the sequence has as many; with `stretch`, starts are its multiples.
-    """
+    """Random starts of windows of T decisions: sequence numbers [count] and the position of a_0 in each [count]. All
+    starts in all sequences of `lengths` [E] are equally likely. T decisions follow a start if the sequence is long
+    enough; with `stretch`, starts are its multiples."""
     if stretch:
         choices = -(-(lengths - 1) // stretch)
     else:
@@ -205,20 +194,16 @@ def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 @dataclass(frozen=True)
 class SilentLexemes:
-    """What may be shown in silence: indices [n], and for every lexeme [S] the nearest of them (RG 6.4.1).
-
-    Without any, nothing is asked of silent blocks.
-    """
+    """The lexemes allowed in silence: indices [n], and for every lexeme [S] the nearest of them (RG 6.4.1). Without
+    any, all lexemes are allowed."""
 
     indices: Integers
     nearest: Integers
 
     def allowed(self, silent: bool) -> Integers | None:
-        """The lexemes that a block may take; None for all."""
         return self.indices if silent and len(self.indices) else None
 
     def relabel(self, take: Demonstration) -> Integers:
-        """[M] lexemes of a take, silent ones in its silences."""
         if len(self.indices) == 0:
             return take.lexemes.astype(np.int64)
         return np.where(take.silent, self.nearest[take.lexemes], take.lexemes).astype(np.int64)
@@ -226,8 +211,8 @@ class SilentLexemes:
 
 @dataclass(frozen=True)
 class BehaviourPolicies:
-    """Who acts beside the person. interpreters: by behaviour ("sampled", "statistical"), those that have a share;
-    features(block number): what they hear."""
+    """The policies besides the person. interpreters: by behaviour ("sampled", "statistical"), those that have a share;
+    features(block number): their input."""
 
     interpreters: Mapping[str, LexemeInterpreter]
     features: Callable[[int], BlockFeatures]
@@ -235,12 +220,11 @@ class BehaviourPolicies:
 
 def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward, *, silent: SilentLexemes,
           vectors: NDArray[np.floating[Any]], policies: BehaviourPolicies | None = None, seed: int = 0) -> Episodes:
-    """The data set: every take as it was, and its share of what others would have done.
+    """The data set: every take as recorded, and the shares of the other behaviours.
 
-    reward: what a step earns, of a kind with `config.reward`; with another scheme than "window" it must look back over
-    a whole stretch. vectors: [S, D] the codebook. policies: who acts beside the person, where somebody has a share. The
-    same seed gives the same data set, bit by bit, and each behaviour samples on its own, so a share that changes leaves
-    the others as they were.
+    reward: the reward of a step, of the kind `config.reward`; for schemes other than "window" it must look back over a
+    whole stretch. vectors: [S, D] the codebook. policies: needed for the shares of interpreters. The same seed gives
+    the same bits; each behaviour has its own generator, so that changing one share does not affect the others.
     """
     order = _by_distance(np.asarray(vectors, dtype=np.float64))
     takes = [replace(take, lexemes=silent.relabel(take)) for take in takes]
@@ -254,7 +238,7 @@ def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward,
             if name == "perturbed":
                 acted = perturb(take, length, config, order, silent, rng)
             elif policies is None or name not in policies.interpreters:
-                raise ValueError(f"the share of {name!r} needs its interpreter and what it hears")
+                raise ValueError(f"the share of {name!r} needs its interpreter and features")
             else:
                 acted = roll(policies, name, take, length, config, silent, rng)
             episodes.append(_episode(take, *acted, number, config, reward))
@@ -263,7 +247,7 @@ def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward,
 
 def _budgeted(takes: Sequence[Demonstration], budget: int, prefix: int, rng: np.random.Generator
               ) -> Iterator[tuple[Demonstration, int]]:
-    """Takes in random order, each with how much of it to act, until all but the prefixes come to `budget` decisions."""
+    """Takes in random order, each with the length to act, until there are `budget` decisions after the prefixes."""
     usable = [take for take in takes if len(take.blocks) > prefix]
     if budget > 0 and not usable:
         raise InputError("episodes.prefix", f"of {prefix} leaves nothing of any recording", "give a smaller one")
@@ -279,10 +263,8 @@ def _budgeted(takes: Sequence[Demonstration], budget: int, prefix: int, rng: np.
 @torch.inference_mode()
 def roll(policies: BehaviourPolicies, name: str, take: Demonstration, length: int, config: EpisodeConfig,
          silent: SilentLexemes, rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
-    """Actions [length] of an interpreter that hears a take and takes over after its prefix, and ln pi_beta [length].
-
-    The prefix is heard as well: whoever has a memory comes to it with the person's past.
-    """
+    """Actions [length] of an interpreter that takes over after the prefix of a take, and ln pi_beta [length]. The
+    interpreter also processes the prefix, so that its state contains the person's past."""
     interpreter, features = policies.interpreters[name], policies.features
     actions, logs = take.lexemes[:length].copy(), np.zeros(length)
     state = interpreter.start(take.speaker, int(actions[0]))
@@ -296,7 +278,7 @@ def roll(policies: BehaviourPolicies, name: str, take: Demonstration, length: in
 
 
 def log_probability(scores: Scores, action: int, allowed: Integers | None, temperature: float) -> float:
-    """ln of the probability with which `select` takes an action: softmax(scores [S] / temperature) among `allowed`."""
+    """Log-probability of an action in `select`: softmax(scores [S] / temperature) among `allowed`."""
     if temperature == 0:
         return 0.0
     among = scores if allowed is None else scores[allowed]
@@ -316,10 +298,8 @@ def perturb(take: Demonstration, length: int, config: EpisodeConfig, order: Inte
 
 def perturbed_chances(truth: int, order: Integers, allowed: Integers | None, config: EpisodeConfig
                       ) -> NDArray[np.float64]:
-    """[S] probability of each lexeme where the true one may be replaced: by one of the nearest, or by any other.
-
-    order: [S, S] for each lexeme all of them, the nearest first. Where nothing else is allowed the truth is kept.
-    """
+    """[S] probability of each lexeme if the true one may be replaced by one of the nearest or by any other. order: [S,
+    S] for each lexeme all of them, the nearest first. The truth stays if nothing else is allowed."""
     others = order[truth][order[truth] != truth]
     if allowed is not None:
         others = others[np.isin(others, allowed)]
@@ -335,42 +315,41 @@ def perturbed_chances(truth: int, order: Integers, allowed: Integers | None, con
 
 
 def _by_distance(vectors: NDArray[np.float64]) -> Integers:
-    """[S, S] for each lexeme all of them, the nearest in the codebook first."""
     distances = ((vectors[:, None] - vectors[None]) ** 2).sum(axis=-1)
     return np.argsort(distances, axis=1, kind="stable")
 
 
 def _episode(take: Demonstration, actions: Integers, logs: NDArray[np.float64], behaviour: int, config: EpisodeConfig,
              reward: Reward) -> Episode:
-    """The episode of actions [m] on the first m blocks of a take; what lies within the prefix is the truth."""
+    """The episode of actions [m] on the first m blocks of a take; actions within the prefix are the truth."""
     length = len(actions)
     terminal = np.zeros(length, dtype=np.bool_)
     terminal[-1] = length == len(take.blocks)
     blocks = take.blocks[:length].astype(np.int64)
-    who = np.where(np.arange(length) < config.prefix, 0, behaviour).astype(np.int8)
-    return Episode(take.recording, take.speaker, blocks, actions, who, logs.astype(np.float32),
+    behaviours = np.where(np.arange(length) < config.prefix, 0, behaviour).astype(np.int8)
+    return Episode(take.recording, take.speaker, blocks, actions, behaviours, logs.astype(np.float32),
                    step_rewards(config.scheme, reward, actions, blocks, config.stretch),
                    take.silent[:length].astype(np.bool_), terminal)
 
 
 def step_rewards(scheme: str, reward: Reward, lexemes: Integers, blocks: Integers, stretch: int
                  ) -> NDArray[np.float32]:
-    """[M] what each step of a recording earns, for lexemes [M] on blocks [M].
+    """[M] the reward of each step of a recording, for lexemes [M] on blocks [M].
 
-    RACER 4.3 rewards a sequence and leaves open what a step of it earns. With R_i the reward of the steps of a stretch
-    up to the i-th, "prefix" earns R_i, "difference" R_i - R_{i-1} (which sums to the reward of the stretch), and
-    "terminal" that reward at the end and 0 before. "window" asks for the reward of the trailing window of the
-    recording: stationary, and the default. In the other schemes the given first lexeme earns nothing.
+    RACER 4.3 rewards a sequence and does not define the reward of a step. With R_i the reward of the steps of a stretch
+    up to the i-th, "prefix" gives R_i, "difference" R_i - R_{i-1} (which sums to the reward of the stretch), and
+    "terminal" that reward at the end and 0 before. "window", the default, gives the reward of the trailing window of
+    the recording, which is stationary. In the other schemes the reward of the given first lexeme is 0.
     """
-    def ask(part: slice) -> NDArray[np.float32]:
+    def rewards(part: slice) -> NDArray[np.float32]:
         return np.asarray(reward(torch.as_tensor(lexemes[part]), torch.as_tensor(blocks[part])), dtype=np.float32)
 
     if scheme == "window":
-        return ask(slice(None))
+        return rewards(slice(None))
     out = np.zeros(len(lexemes), dtype=np.float32)
     for begin in range(1, len(lexemes), stretch):
         part = slice(begin, min(begin + stretch, len(lexemes)))
-        prefix = ask(part)
+        prefix = rewards(part)
         if scheme == "prefix":
             out[part] = prefix
         elif scheme == "terminal":
@@ -384,12 +363,12 @@ def distance_rewards(decoded: Tensor, true: Tensor) -> Tensor:
     """[M, S] the "distance reward" of the paper's ablation: minus the mean absolute difference of features.
 
     decoded: [S, K, D_m] the motion of each lexeme; true: [M, K, D_m] the recorded motion of each block; both
-    normalised. The table holds every lexeme on every block: on what was really done alone the distance is the lexicon's
-    own error, next to a constant, and would teach nothing.
+    normalised. The table has every lexeme on every block: for the recorded lexemes alone the distance is the nearly
+    constant error of the lexicon.
     """
     return -torch.cdist(true.flatten(1).float(), decoded.flatten(1).float(), p=1.0) / true[0].numel()
 
 
 def looked_up(table: Tensor) -> Reward:
-    """A reward that is written down for every lexeme on every block of the corpus: table [N, S]."""
+    """A reward from a table [N, S] of every lexeme on every block of the corpus."""
     return lambda lexemes, blocks: table[blocks, lexemes]

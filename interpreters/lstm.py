@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 __all__ = ["LstmInterpreter", "StyleInterpreter"]
 
 Hidden = tuple[Tensor, Tensor]
-_NO_TEXT = "this interpreter reads text; take the audio-only one"
-_NO_POSE = "this interpreter sees the body; give it the block before"
+_NO_TEXT = "this interpreter needs text; use the audio-only one"
+_NO_POSE = "this interpreter needs the pose; give it the previous block"
 
 
 @dataclass(frozen=True)
 class LstmState:
-    """The decoder's state (with a short memory, the rows [1, m, n, W] of the blocks that it holds) and the speaker."""
+    """The state of the LSTM (with limited memory, the rows [1, m, n, W] of the last blocks) and the speaker."""
 
     hidden: Hidden | None
     speaker: Tensor
@@ -37,11 +37,8 @@ class LstmState:
 
 @dataclass(frozen=True)
 class InterpreterWidths:
-    """What shapes a lexeme interpreter besides its settings.
-
-    frames: K; audio: d of the high level; speakers: how many performers the one-hot ID tells apart; text: d_t + 1,
-    control: 2 F and motion: D_m are read only where the settings ask for them.
-    """
+    """The sizes of a lexeme interpreter that depend on the data. frames: K; audio: d of the high level; speakers:
+    length of the one-hot; text: d_t + 1, control: 2 F and motion: D_m, used only if the settings enable them."""
 
     frames: int
     audio: int
@@ -52,11 +49,9 @@ class InterpreterWidths:
 
 
 class LstmInterpreter(nn.Module, InterpreterDefaults):
-    """P_s: previous lexeme, three blocks of high-level audio, text and the speaker to scores over the lexicon.
-
-    The K frames of a block run through the LSTM, whose state is carried across blocks (or begins anew, `memory` blocks
-    before the one that is scored); the last frame is classified. With `pose_features` it sees the body too.
-    """
+    """P_s: previous lexeme, three blocks of high-level audio, text and the speaker to scores over the lexicon. The K
+    frames of a block run through the LSTM, whose state is carried across blocks (or starts from zero `memory` blocks
+    before the scored one); the last frame is classified. With `pose_features` the pose is an input too."""
 
     name = "lstm"
     lexemes: Tensor
@@ -79,14 +74,14 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
             self.text_head = TextHead(text_width, config.text_head, config.text_bottleneck or text_width,
                                       config.lexeme_features or lexemes.shape[1], speakers, len(lexemes),
                                       config.text_head_dropout)
-        self.held = False
-        """All but the text head is held as it is."""
+        self.frozen = False
+        """All weights except the text head are frozen."""
         self.control_width = widths.control if config.use_control else 0
         self.by_block = config.reads_by == "block"
         self.learned = nn.Embedding(len(lexemes), config.lexeme_features) if config.lexeme_features else None
         rows = frames if self.by_block else 1
         self.words_at = rows * config.audio_features + (config.lexeme_features or lexemes.shape[1])
-        """Where among what is read the words begin."""
+        """Index of the first text feature in the input of the LSTM."""
         self.words_width = rows * config.text_features
         width = self.words_at + self.words_width + rows * self.control_width + config.pose_features
         width += speakers if config.use_speaker else 0
@@ -97,50 +92,43 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
 
     @classmethod
     def build(cls, settings: LstmConfig, sizes: InterpreterSizes) -> LstmInterpreter:
-        """An untrained one of these sizes."""
         return cls(settings, sizes.lexemes, InterpreterWidths(sizes.frames, sizes.high, sizes.speakers, sizes.text,
                                                               sizes.control, sizes.motion))
 
     @property
     def needs(self) -> frozenset[Need]:
-        """See `Interpreter.needs`."""
         reads: dict[Need, bool] = {"text": self.config.reads, "control": bool(self.control_width),
                                    "pose": self.encode_pose is not None, "durations": self.encode_pose is not None}
         return frozenset(need for need, needed in reads.items() if needed)
 
     @torch.no_grad()
     def init_from_audio_only(self, audio_only: LstmInterpreter) -> None:
-        """Take over the weights of an audio-only interpreter of the same sizes; the words then begin without a say.
-
-        With a text head the rest is then held as it is. Else the columns of the first layer that read the words start
-        at zero, so both give the same scores at first.
-        """
+        """Copy the weights of an audio-only interpreter of the same sizes; the scores do not depend on text at first.
+        With a text head all other weights are then frozen. Without one, the columns of the first layer for the text
+        start at zero."""
         if self.text_head is not None:
             self.load_state_dict(audio_only.state_dict(), strict=False)
             for name, parameter in self.named_parameters():
                 parameter.requires_grad_(name.startswith("text_head."))
-            # What is held as it is need not be kept from memorising, nor be taught to bear its own mistakes.
-            self.held, self.dropout.p = True, 0.0
+            # Frozen weights need no regularisation.
+            self.frozen, self.dropout.p = True, 0.0
             return
-        own, reads = self.state_dict(), "enter.weight" if self.by_block else "lstm.weight_ih_l0"
+        weights, reads = self.state_dict(), "enter.weight" if self.by_block else "lstm.weight_ih_l0"
         for name, value in audio_only.state_dict().items():
             if name != reads:
-                own[name].copy_(value)
+                weights[name].copy_(value)
         before, first = self.words_at, audio_only.state_dict()[reads]
-        own[reads].copy_(torch.cat(
+        weights[reads].copy_(torch.cat(
             [first[:, :before], first.new_zeros(len(first), self.words_width), first[:, before:]], dim=1))
 
     def _vectors(self, lexemes: Tensor) -> Tensor:
-        """[..., D] what lexemes [...] are told by."""
         return self.lexemes[lexemes] if self.learned is None else self.learned(lexemes)
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         return {"nll": 1.0}
 
     def guided(self, guidance: float) -> LstmInterpreter | InterpreterByEar:
-        """See `Interpreter.guided`: one that was taught with sound left out now and then can be."""
         from interpreters.by_ear import InterpreterByEar
 
         return InterpreterByEar(self, guidance) if guidance and self.config.audio_dropout > 0 else self
@@ -150,27 +138,27 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
                ) -> tuple[Tensor, Hidden | None]:
         """Logits [B, N, S] for previous lexemes [B, N], audio windows [B, N, 3K, d] and speaker one-hot [B, speakers].
 
-        previous[:, i] is the lexeme of the block before block i. text: [B, N, 3K, d_t + 1]; control: [B, N, K, 2 F],
-        None when nothing is asked; pose: [B, N, 3 D_m] what `pose_of` gives of the block before block i. An interpreter
-        that hears no text (or no control, or sees no pose) ignores what is given. The state after the last block is
-        None where the memory is short: then block i is scored from blocks i - memory + 1 to i, and `hidden` not asked.
+        previous[:, i] is the lexeme of the block before block i. text: [B, N, 3K, d_t + 1]; control: [B, N, K, 2 F] or
+        None; pose: [B, N, 3 D_m] `pose_of` the block before block i. Inputs that the settings do not enable are
+        ignored. With limited memory block i is scored from blocks i - memory + 1 to i, `hidden` is ignored and the
+        returned state is None.
         """
         rows = self.rows(previous, audio, speaker, text, control, pose)
         last, hidden = self._recent(rows) if self.config.memory else self._read(rows, hidden)
         return self._classified(last, previous, speaker, text), hidden
 
     def _classified(self, last: Tensor, previous: Tensor, speaker: Tensor, text: Tensor | None) -> Tensor:
-        """Logits [B, N, S] of what was read of each block [B, N, width]."""
-        heard: Tensor = self.classify(self.dropout(last))
+        """Logits [B, N, S] from the features of each block [B, N, width]."""
+        logits: Tensor = self.classify(self.dropout(last))
         if self.text_head is not None:
             assert text is not None
-            heard = heard + self.text_head(text, self._vectors(previous), speaker)
-        return heard
+            logits = logits + self.text_head(text, self._vectors(previous), speaker)
+        return logits
 
     def rows(self, previous: Tensor, audio: Tensor, speaker: Tensor, text: Tensor | None, control: Tensor | None,
              pose: Tensor | None) -> Tensor:
-        """[B, N, n, W] the n rows a block that the LSTM reads, of what `scores` is given: K, or one where it reads by
-        block. ValueError where it lacks words or a pose."""
+        """[B, N, n, W] the input rows of the LSTM from the arguments of `scores`: n = K per block, or 1 if it reads by
+        block. ValueError without needed text or pose."""
         if self.config.reads and text is None:
             raise ValueError(_NO_TEXT)
         parts = [self.encode_audio(audio), self._vectors(previous)]  # rows of frames, or a vector for the block
@@ -186,19 +174,18 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
                 raise ValueError(_NO_POSE)
             parts.append(functional.gelu(self.encode_pose(pose)))
         if self.enter is not None:
-            told = torch.cat([part.flatten(2) for part in parts], dim=-1)
-            return self.dropout(functional.gelu(self.enter(self.dropout(told))))[:, :, None]
+            row = torch.cat([part.flatten(2) for part in parts], dim=-1)
+            return self.dropout(functional.gelu(self.enter(self.dropout(row))))[:, :, None]
         return self.dropout(torch.cat([part if part.dim() == 4 else repeat_frames(part, self.frames)
                                        for part in parts], dim=-1))
 
     def _read(self, rows: Tensor, hidden: Hidden | None = None) -> tuple[Tensor, Hidden]:
-        """Rows [B, N, n, W] to what is classified, [B, N, width] (twice that by block), and the state after them."""
+        """Rows [B, N, n, W] to features [B, N, width] (twice that by block), and the state after them."""
         out, hidden = run_lstm(self.lstm, rows.flatten(1, 2), hidden)
         last = out.unflatten(1, rows.shape[1:3])[:, :, -1]
         return torch.cat([last, rows[:, :, -1]], dim=-1) if self.by_block else last, hidden
 
     def _recent(self, rows: Tensor) -> tuple[Tensor, None]:
-        """As `_read`, block i from the rows of the last `memory` blocks alone."""
         memory, blocks = self.config.memory, rows.shape[1]
         first, _ = self._read(rows[:, :memory])
         if blocks <= memory:
@@ -208,34 +195,31 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         return torch.cat([first, last[:, -1].unflatten(0, (len(rows), blocks - memory))], dim=1), None
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """NLL of the next lexeme, in nats a block.
-
-        batch: lexeme [B, N + 1] (with the silent hint), audio_high [B, N + 1, 3K, d], speaker [B, speakers],
-        valid [B, N + 1], and text [B, N + 1, 3K, d_t + 1] and control [B, N + 1, K, 2 F] where they are heard, motion
-        [B, N + 1, K, D_m] and duration [B, N + 1] s where it is seen. The first block is the seed.
-        """
-        from data_module.parallel import batch_ratio  # only training asks for it
+        """NLL of the next lexeme, in nats per block. batch: lexeme [B, N + 1] (with the silent hint), audio_high [B, N
+        + 1, 3K, d], speaker [B, speakers], valid [B, N + 1], and if used text [B, N + 1, 3K, d_t + 1], control [B, N +
+        1, K, 2 F], motion [B, N + 1, K, D_m] and duration [B, N + 1] s. The first block is the seed."""
+        from data_module.parallel import batch_ratio  # only training needs it
 
         labels, audio = batch["lexeme"], batch["audio_high"][:, 1:]
         text = batch["text"][:, 1:] if self.config.reads else None
         control = batch["control"][:, 1:] if self.control_width else None
-        pose = self.seen(batch)
+        pose = self.poses(batch)
         previous = labels[:, :-1]
-        if self.training and pose is not None and self.config.pose_noise and not self.held:
+        if self.training and pose is not None and self.config.pose_noise and not self.frozen:
             pose = pose + self.config.pose_noise * torch.randn_like(pose)
         share = self.config.own_past_most * min(progress / max(self.config.own_past_until, 1e-9), 1.0)
-        if self.training and share > 0 and not self.held:
+        if self.training and share > 0 and not self.frozen:
             with torch.no_grad():
                 sampled = torch.distributions.Categorical(
                     logits=self.scores(previous, audio, batch["speaker"], None, text, control, pose)[0]).sample()
             shifted = torch.cat([labels[:, :1], sampled[:, :-1]], 1)
             previous = torch.where(torch.rand_like(previous, dtype=torch.float32) < share, shifted, previous)
-        if self.training and self.config.history_dropout and not self.held:
+        if self.training and self.config.history_dropout and not self.frozen:
             lost = torch.rand_like(previous, dtype=torch.float32) < self.config.history_dropout
             previous = torch.where(lost, torch.randint_like(previous, len(self.lexemes)), previous)
-        if self.training and self.config.audio_dropout and not self.held:
+        if self.training and self.config.audio_dropout and not self.frozen:
             audio = audio * (torch.rand(len(audio), 1, 1, 1, device=audio.device) >= self.config.audio_dropout)
-        if self.training and self.config.after_dropout and not self.held:
+        if self.training and self.config.after_dropout and not self.frozen:
             audio = without_after(audio, torch.rand(len(audio), device=audio.device) < self.config.after_dropout)
         logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control, pose)
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
@@ -243,33 +227,30 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         valid = batch["valid"][:, 1:].flatten()
         return {"nll": batch_ratio((each * valid).sum(), valid.sum())}
 
-    def seen(self, batch: dict[str, Tensor]) -> Tensor | None:
-        """[B, N, 3 D_m] the pose before every block of a batch but the seed (see `losses`); None where it is not seen.
-        """
+    def poses(self, batch: dict[str, Tensor]) -> Tensor | None:
+        """[B, N, 3 D_m] the pose before every block of a batch (see `losses`) except the seed; None if not used."""
         if self.encode_pose is None:
             return None
         durations = batch["duration"]
         return pose_of(batch["motion"][:, :-1], torch.stack([durations[:, :-1], durations[:, 1:]], dim=-1))
 
     def start(self, speaker: int, first_lexeme: int) -> LstmState:
-        """The state before the first block (the first lexeme comes back in `step` as the previous one)."""
         number = torch.tensor([speaker], device=self.lexemes.device)
         return LstmState(None, functional.one_hot(number, self.speakers).float())
 
     def step(self, state: LstmState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, LstmState]:
-        """Log-probabilities [S] of this block's lexeme."""
         return self._steps([state], features.high[None], features, previous_lexeme)[0]
 
     def step_with_and_without_sound(self, states: tuple[LstmState, LstmState], features: BlockFeatures,
                                     previous_lexeme: int) -> list[tuple[Scores, LstmState]]:
-        """What `step` gives of the first state, and of the second where the sound is left out (zeros)."""
+        """The result of `step` for the first state, and for the second with zeros as audio."""
         audio = torch.stack([features.high, torch.zeros_like(features.high)])
         return self._steps(states, audio, features, previous_lexeme)
 
     @torch.inference_mode()
     def _steps(self, states: Sequence[LstmState], audio: Tensor, features: BlockFeatures, previous_lexeme: int
                ) -> list[tuple[Scores, LstmState]]:
-        """Of B states of equal age, with a sound [B, 3K, d] each and all else the same."""
+        """`step` for B states of equal age, with separate audio [B, 3K, d] and all else the same."""
         count, device = len(states), self.lexemes.device
         previous = torch.full((count, 1), previous_lexeme, device=device)
         text, control, pose, speaker = (None if one is None else one.expand(count, *[-1] * (one.dim() - 1)) for one in (
@@ -292,7 +273,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
                  LstmState((h[:, i:i + 1], c[:, i:i + 1]), state.speaker)) for i, state in enumerate(states)]
 
     def _pose(self, features: BlockFeatures) -> Tensor | None:
-        """[1, 1, 3 D_m] what is seen of the body before a block; None where it is not seen."""
+        """[1, 1, 3 D_m] the pose input of a block; None if not used."""
         if self.encode_pose is None or features.past is None:
             return None
         durations = None if features.durations is None else features.past.new_tensor(features.durations)
@@ -301,7 +282,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
 
 @dataclass(frozen=True)
 class StyleState:
-    """The decoder's state, the last code [1, d_z] and the speaker."""
+    """The state of the LSTM, the last code [1, d_z] and the speaker."""
 
     hidden: Hidden | None
     code: Tensor
@@ -329,13 +310,12 @@ class StyleInterpreter(nn.Module):
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         return {"code": 1.0}
 
     def codes(self, previous: Tensor, lexeme: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None,
               text: Tensor | None = None) -> tuple[Tensor, Hidden]:
-        """Codes [B, N, d_z] for previous codes [B, N, d_z], lexemes [B, N], audio windows [B, N, 3K, d] and, where it
-        is read, text [B, N, 3K, d_t + 1]."""
+        """Codes [B, N, d_z] for previous codes [B, N, d_z], lexemes [B, N], audio windows [B, N, 3K, d] and, if used,
+        text [B, N, 3K, d_t + 1]."""
         blocks = lexeme.shape[1]
         parts = [self.encode_audio(audio), repeat_frames(self.lexemes[lexeme], self.frames),
                  repeat_frames(previous, self.frames)]
@@ -350,33 +330,29 @@ class StyleInterpreter(nn.Module):
         return self.to_code(out.unflatten(1, (blocks, self.frames))[:, :, -1]), hidden
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """Mean squared error of the codes.
-
-        batch: code [B, N + 1, d_z] (learned), lexeme [B, N + 1], audio_low [B, N + 1, 3K, d], speaker,
-        valid [B, N + 1], text [B, N + 1, 3K, d_t + 1] where it is read.
-        """
-        from data_module.parallel import batch_ratio  # only training asks for it
+        """Mean squared error of the codes. batch: code [B, N + 1, d_z] (learned), lexeme [B, N + 1], audio_low [B, N +
+        1, 3K, d], speaker, valid [B, N + 1], text [B, N + 1, 3K, d_t + 1] if used."""
+        from data_module.parallel import batch_ratio  # only training needs it
 
         code = batch["code"]
         previous = code[:, :-1]
         if self.training:
-            # At inference it hears its own codes, which are calmer than the learned ones: noise keeps it from
-            # leaning on them.
+            # In inference the previous codes are predictions, which vary less than the learned codes: noise reduces
+            # the reliance on them.
             previous = previous + 0.5 * progress * torch.randn_like(previous)
         text = batch["text"][:, 1:] if self.encode_text is not None else None
-        made, _ = self.codes(previous, batch["lexeme"][:, 1:], batch["audio_low"][:, 1:], batch["speaker"], None, text)
-        valid = batch["valid"][:, 1:, None].expand_as(made)
-        return {"code": batch_ratio(((made - code[:, 1:]).pow(2) * valid).sum(), valid.sum())}
+        predicted, _ = self.codes(previous, batch["lexeme"][:, 1:], batch["audio_low"][:, 1:], batch["speaker"], None,
+                                  text)
+        valid = batch["valid"][:, 1:, None].expand_as(predicted)
+        return {"code": batch_ratio(((predicted - code[:, 1:]).pow(2) * valid).sum(), valid.sum())}
 
     def start(self, speaker: int) -> StyleState:
-        """The state before the first block: the zero code of stillness."""
         device = self.lexemes.device
         one_hot = nn.functional.one_hot(torch.tensor([speaker], device=device), self.speakers).float()
         return StyleState(None, torch.zeros(1, self.code_width, device=device), one_hot)
 
     @torch.inference_mode()
     def step(self, state: StyleState, features: BlockFeatures, lexeme: int) -> tuple[Tensor, StyleState]:
-        """The code [1, d_z] of this block, given its lexeme."""
         played = torch.tensor([[lexeme]], device=self.lexemes.device)
         code, hidden = self.codes(state.code[:, None], played, features.low[None, None],
                                   state.speaker, state.hidden,

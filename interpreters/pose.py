@@ -1,4 +1,4 @@
-"""What an interpreter sees of the body: the last pose of the block before, and how it moves."""
+"""The pose input of an interpreter: last pose, velocity and acceleration of the previous block."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import torch
 from torch import Tensor
 
 FRAMES = 3
-"""Frames that an acceleration takes."""
+"""Frames needed for an acceleration."""
 
 
 def pose_of(past: Tensor, durations: Tensor | None = None) -> Tensor:
-    """[..., 3 D_m]: the last pose of the block before, its velocity and its acceleration, in the time of this block.
+    """[..., 3 D_m]: the last pose of the previous block, its velocity and its acceleration, in the time of this block.
 
-    past: [..., K, D_m] normalised features of the block before; durations: [..., 2] seconds of the block before and of
-    this one, equal where None. A block is K frames whatever it lasts, so with r = own / before
+    past: [..., K, D_m] normalised features of the previous block; durations: [..., 2] seconds of the previous and this
+    block, equal if None. Every block has K frames, so with the ratio r = this / previous
 
         v = K r (x_K - x_{K-1}),    a = K r^2 (x_K - 2 x_{K-1} + x_{K-2}):
 
-    v is how far this block would go at that speed, a what a frame would add to v, both in normalised units. ValueError
-    for a block of fewer than three frames.
+    v is the displacement over this block at that speed, a the change of v per frame, both in normalised units.
+    ValueError for a block of fewer than three frames.
     """
     frames = past.shape[-2]
     if frames < FRAMES:

@@ -1,15 +1,14 @@
-"""The contrastive reward: how well a sequence of gestures suits the speech under it (RACER 4.2, Eq. 6 to 8).
+"""The contrastive reward: how well a sequence of gestures matches the speech (RACER 4.2, Eq. 6 to 8).
 
-Two encoders bring a window of motion and a window of audio to one vector each; they are trained so that the two
-vectors of a real pair agree and those of pairs put together from different moments do not. The cosine of the two is the
-reward of reinforcement learning. A window is a row of blocks in normalised time, so a token is one block.
+Two encoders map a window of motion and a window of audio to one vector each; they are trained so that the vectors of a
+real pair agree and those of mismatched pairs do not. Their cosine is the reward of reinforcement learning. A window is
+a sequence of blocks in normalised time, so a token is one block.
 
-The paper gives 1-D temporal convolutions and no more. Here they are causal: a token never hears a later one. Windows
-that share their past then share all work but that of their last token, which is what makes it cheap to ask for the
-reward of every lexeme (`interpreters.reward_table`).
+The paper specifies only 1-D temporal convolutions. Here they are causal, so that windows with the same past share all
+work except that of the last token, which makes the reward of every lexeme cheap (`interpreters.reward_table`).
 
-Whoever optimises a reward finds its errors too. Figures must come from a second model, trained with another seed on
-other recordings than the one that taught the policy.
+Optimising a reward also exploits its errors. Evaluation must use a second model, trained with another seed on other
+recordings than the one that trained the policy.
 """
 
 from __future__ import annotations
@@ -33,38 +32,36 @@ def contrast(motion: Tensor, audio: Tensor, temperature: Tensor | float, group: 
 
     L = mean_i 1/2 [-log softmax_k(m_i . u_k / tau)_i - log softmax_k(u_i . m_k / tau)_i]
 
-    rivals: [B, H] products u_i . m_ij / tau of the audio with motion made wrong, more negatives in the second softmax
+    rivals: [B, H] products u_i . m_ij / tau of the audio with wrong motion, additional negatives in the second softmax
     (-inf for none).
 
-    motion, audio: [B, P] of unit length; row i of both belongs together. group: [B] rows of one group are never each
-    other's negatives (see `similarities`). The paper adds the two directions up; their mean has the same minimum and
-    makes chance log B.
+    motion, audio: [B, P] of unit length; row i of both is a pair. group: [B] rows of one group are never negatives of
+    each other (see `similarities`). The paper sums the two directions; their mean has the same minimum and makes
+    chance log B.
     """
-    from data_module.parallel import batch_rows, full_precision  # only training asks for them
+    from data_module.parallel import batch_rows, full_precision  # only training needs them
 
-    # Every window is told from those of the whole batch.
+    # The negatives are the windows of the whole batch, over all processes.
     motion, audio, group = batch_rows(motion), batch_rows(audio), batch_rows(group)
     rivals = None if rivals is None else batch_rows(rivals)
-    # Scaled before it is masked: a temperature that divided -inf would get NaN for a gradient.
+    # Scaled before masking: the gradient of a temperature that divides -inf would be NaN.
     logits = full_precision(similarities)(motion / temperature, audio, group)
     pairs = torch.arange(len(logits), device=logits.device)
-    heard = logits.T if rivals is None else torch.cat([logits.T, rivals], dim=1)
-    return 0.5 * (functional.cross_entropy(logits, pairs) + functional.cross_entropy(heard, pairs))
+    by_audio = logits.T if rivals is None else torch.cat([logits.T, rivals], dim=1)
+    return 0.5 * (functional.cross_entropy(logits, pairs) + functional.cross_entropy(by_audio, pairs))
 
 
 def similarities(motion: Tensor, audio: Tensor, group: Tensor) -> Tensor:
     """Products m_i . u_k [B, B] of vectors [B, P] (cosines of unit vectors), -inf for two different rows of one group.
-
-    Windows that overlap in time, or hold silence only, suit each other's audio: to push them apart would be wrong, so
-    they leave the sum under the softmax of RACER Eq. 7.
-    """
+    Windows that overlap in time, and silent windows, match each other's audio, so they are excluded from the softmax of
+    RACER Eq. 7."""
     same = group[:, None] == group[None, :]
     same.fill_diagonal_(False)
     return (motion @ audio.T).masked_fill(same, -math.inf)
 
 
 class CausalLayer(nn.Module):
-    """x + mix(gelu(convolution(norm(x)))), a dilated convolution over tokens that hears this one and earlier ones."""
+    """x + mix(gelu(convolution(norm(x)))), with a causal dilated convolution over tokens."""
 
     def __init__(self, width: int, kernel: int, dilation: int, dropout: float) -> None:
         super().__init__()
@@ -75,17 +72,15 @@ class CausalLayer(nn.Module):
         self.mix = nn.Linear(width, width)
 
     def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
-        """[B, W, C] to [B, W, C]; valid: [B, W, 1]. A token that is padding is silent, as if the window began later."""
-        heard = (self.norm(tokens) * valid).transpose(1, 2)
-        rows = self.convolve(functional.pad(heard, ((self.kernel - 1) * self.dilation, 0))).transpose(1, 2)
+        """[B, W, C] to [B, W, C]; valid: [B, W, 1], 0 for padding, which has no effect on later tokens."""
+        inputs = (self.norm(tokens) * valid).transpose(1, 2)
+        rows = self.convolve(functional.pad(inputs, ((self.kernel - 1) * self.dilation, 0))).transpose(1, 2)
         return tokens + self._respond(rows)
 
     def last(self, history: Tensor, valid: Tensor, candidates: Tensor) -> Tensor:
-        """What `forward` gives at the last position for each candidate that may stand there, [B, S, C].
-
-        history: [B, W - 1, C] the tokens before; valid: [B, W - 1, 1]; candidates: [B, S, C]. What the taps on the
-        history hear is the same for all candidates.
-        """
+        """The output of `forward` at the last position for each candidate token there, [B, S, C]. history: [B, W - 1,
+        C] the tokens before; valid: [B, W - 1, 1]; candidates: [B, S, C]. The contribution of the history is the same
+        for all candidates."""
         taps = self.convolve.weight.unbind(-1)
         assert self.convolve.bias is not None
         past: Tensor = self.convolve.bias
@@ -103,9 +98,9 @@ class CausalLayer(nn.Module):
 class WindowEncoder(nn.Module):
     """E_m or E_u of RACER Eq. 8: the tokens of a window of any length to one unit vector.
 
-    Causal residual layers, the mean over the tokens that are no padding beside the last token, a linear projection and
-    the L2 norm, which makes the paper's inner product the cosine that its text speaks of. The last token is the
-    decision that is rewarded: in the mean alone it would be one voice among eight.
+    Causal residual layers, the mean over the valid tokens concatenated with the last token, a linear projection and the
+    L2 norm, which makes the paper's inner product a cosine. The last token is the rewarded decision, which would have
+    little weight in the mean alone.
     """
 
     def __init__(self, config: RewardConfig) -> None:
@@ -115,23 +110,21 @@ class WindowEncoder(nn.Module):
         self.project = nn.Linear(2 * config.width, config.projection)
 
     def features(self, tokens: Tensor, valid: Tensor) -> Tensor:
-        """[B, W, C] to [B, W, C], each token with its past; what stands at padding means nothing. valid: [B, W]."""
+        """[B, W, C] to [B, W, C], causal; undefined at padding. valid: [B, W]."""
         mask = valid.to(tokens.dtype)[..., None]
         for layer in self.layers:
             tokens = layer(tokens, mask)
         return tokens
 
     def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
-        """[B, W, C] to unit vectors [B, P]; valid: [B, W], 0 at padding, which stands on the left."""
+        """[B, W, C] to unit vectors [B, P]; valid: [B, W], 0 at padding, which is on the left."""
         mask = valid.to(tokens.dtype)[..., None]
         rows = self.features(tokens, valid) * mask
         return self._finish(rows.sum(1), mask.sum(1), rows[:, -1])
 
     def every_last(self, history: Tensor, valid: Tensor, candidates: Tensor) -> Tensor:
-        """Unit vectors [B, S, P] of the windows that end in each of the candidates.
-
-        history: [B, W - 1, C]; valid: [B, W]; candidates: [B, S, C]. Equal to `forward` on the B * S whole windows.
-        """
+        """Unit vectors [B, S, P] of the windows that end in each of the candidates. history: [B, W - 1, C]; valid: [B,
+        W]; candidates: [B, S, C]. Equal to `forward` on the B * S windows."""
         mask = valid.to(history.dtype)[..., None]
         before = mask[:, :-1]
         for layer in self.layers:
@@ -149,13 +142,13 @@ class WindowEncoder(nn.Module):
 class RewardModel(nn.Module):
     """Motion encoder, audio encoder and a temperature, trained on pairs of windows (RACER Fig. 3).
 
-    A token is one block: all K frames of it through one layer, which is a convolution over frames of kernel and stride
-    K. Normalised time hides the tempo of a block; the audio side has its log duration among the features, and the
-    motion side hears of it only where the settings say so.
+    A token is one block: all its K frames through one layer, a convolution over frames of kernel and stride K.
+    Normalised time removes the tempo of a block; the audio features include the log duration, the motion tokens only if
+    the setting `tempo` is on.
     """
 
     def __init__(self, config: RewardConfig, frames: int, motion_width: int, audio_width: int) -> None:
-        """frames: K; motion_width: D_m; audio_width: d, the log duration included."""
+        """frames: K; motion_width: D_m; audio_width: d, including the log duration."""
         super().__init__()
         self.config, self.frames = config, frames
         self.read_motion = nn.Linear(frames * motion_width, config.width)
@@ -166,17 +159,14 @@ class RewardModel(nn.Module):
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         return {"contrast": 1.0, **({"choice": self.config.choice} if self.config.choice else {})}
 
     @property
     def models(self) -> list[RewardModel]:
-        """Itself, as an ensemble gives its members."""
         return [self]
 
     @property
     def temperature(self) -> float:
-        """tau of RACER Eq. 7."""
         return max(float(self.log_temperature.detach().exp()), LEAST_TEMPERATURE)
 
     def block_motion(self, motion: Tensor, log_duration: Tensor) -> Tensor:
@@ -185,8 +175,8 @@ class RewardModel(nn.Module):
         return tokens + self.tempo(log_duration)
 
     def tempo(self, log_duration: Tensor) -> Tensor:
-        """What the log duration [...] of a block adds to its motion token, [..., C]: nothing unless `tempo` is on, nor
-        for a block of 1 s."""
+        """The contribution of the log duration [...] of a block to its motion token, [..., C]: zero unless `tempo` is
+        on, and for a block of 1 s."""
         if self.read_tempo is None:
             return log_duration.new_zeros(*log_duration.shape, self.config.width)
         added: Tensor = self.read_tempo(log_duration[..., None])
@@ -198,17 +188,17 @@ class RewardModel(nn.Module):
         return tokens
 
     def embed_motion(self, tokens: Tensor, valid: Tensor) -> Tensor:
-        """E_m: unit vectors [B, P] of windows [B, W, C]; valid: [B, W], 0 at padding, which stands on the left."""
+        """E_m: unit vectors [B, P] of windows [B, W, C]; valid: [B, W], 0 at padding, which is on the left."""
         vectors: Tensor = self.encode_motion(tokens, valid)
         return vectors
 
     def embed_audio(self, tokens: Tensor, valid: Tensor) -> Tensor:
-        """E_u: unit vectors [B, P] of windows [B, W, C]; valid: [B, W], 0 at padding, which stands on the left."""
+        """E_u: unit vectors [B, P] of windows [B, W, C]; valid: [B, W], 0 at padding, which is on the left."""
         vectors: Tensor = self.encode_audio(tokens, valid)
         return vectors
 
     def embed(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Unit vectors m and u, [B, P] each, of a batch as `losses` takes it."""
+        """Unit vectors m and u, [B, P] each, of a batch (see `losses`)."""
         motion = self.block_motion(batch["motion"], batch["log_duration"])
         return (self.embed_motion(motion, batch["valid"]),
                 self.embed_audio(self.block_audio(batch["audio"]), batch["valid"]))
@@ -217,12 +207,12 @@ class RewardModel(nn.Module):
         """The contrastive loss (RACER Eq. 6 and 7, see `contrast`).
 
         batch: motion [B, W, K, D_m], audio [B, W, K, d], log_duration [B, W], valid [B, W] with padding on the left,
-        group [B] int64, alike for windows that are not to be told apart: overlapping ones, and silent ones. Where
-        there are rivals, also rival [B, H, W, K, D_m], the same window made wrong, and rivalled [B], 1 for rows that
-        have them. With `choice`, also last [B] the last lexeme, prior [B, S] its log odds by the one before, and what
-        `against_all` takes.
+        group [B] int64, equal for windows that are not negatives of each other (overlapping or silent). With rivals
+        also rival [B, H, W, K, D_m], wrong versions of the window, and rivalled [B], 1 for rows that have them. With
+        `choice` also last [B] the last lexeme, prior [B, S] its log odds given the previous one, and the inputs of
+        `against_all`.
         """
-        with torch.no_grad():  # the parameter itself is held: a clamp in the loss would leave it without a gradient
+        with torch.no_grad():  # clamp the parameter itself: a clamp in the loss would cut off its gradient
             self.log_temperature.clamp_(min=math.log(LEAST_TEMPERATURE))
         motion, audio = self.embed(batch)
         temperature = self.log_temperature.exp()
@@ -238,11 +228,9 @@ class RewardModel(nn.Module):
         return terms
 
     def against_all(self, batch: dict[str, Tensor], audio: Tensor) -> Tensor:
-        """Cosines [B, S] of audio vectors [B, P] with each window as it would be with each lexeme at its end.
-
-        batch: motion, valid and log_duration as `losses` takes them; base [B, K, D_m] what the last block shows before
-        without its lexeme; lexemes [S, K, D_m] what each adds.
-        """
+        """Cosines [B, S] of audio vectors [B, P] with each window for each lexeme at its end. batch: motion, valid and
+        log_duration as in `losses`; base [B, K, D_m] the motion of the last block without its lexeme; lexemes [S, K,
+        D_m] the motion that each adds."""
         history = self.block_motion(batch["motion"][:, :-1], batch["log_duration"][:, :-1])
         base = self.block_motion(batch["base"], batch["log_duration"][:, -1])
         candidates = base[:, None] + functional.linear(batch["lexemes"].flatten(-2), self.read_motion.weight)
@@ -251,15 +239,15 @@ class RewardModel(nn.Module):
 
     @torch.no_grad()
     def choices(self, batch: dict[str, Tensor]) -> dict[str, float]:
-        """Of the windows that show lexemes: nats by which the sound tells the last one better than the one before does
-        (`told`; negative where it misleads), and the share of lexemes that suit the sound better than it (`worse`,
-        chance 0.5)."""
+        """Over the windows decoded from lexemes: information in nats that the audio adds about the last lexeme, given
+        the one before (`told`; negative if it misleads), and the share of lexemes that match the audio better than it
+        (`worse`, chance 0.5)."""
         _, audio = self.embed(batch)
-        each, kept = self.against_all(batch, audio), batch["rivalled"].bool()
-        own = each.gather(1, batch["last"][:, None])
+        each, decoded = self.against_all(batch, audio), batch["rivalled"].bool()
+        true = each.gather(1, batch["last"][:, None])
         odds = (each / self.temperature + batch["prior"]).log_softmax(1)
-        told = (odds - batch["prior"]).gather(1, batch["last"][:, None])
-        return {"told": float(told[kept].mean()), "worse": float((each > own)[kept].double().mean())}
+        gain = (odds - batch["prior"]).gather(1, batch["last"][:, None])
+        return {"told": float(gain[decoded].mean()), "worse": float((each > true)[decoded].double().mean())}
 
     def against_rivals(self, batch: dict[str, Tensor], audio: Tensor) -> Tensor:
         """Cosines [B, H] of audio vectors [B, P] with each window's rivals."""
@@ -270,11 +258,10 @@ class RewardModel(nn.Module):
 
     @torch.no_grad()
     def right_one(self, batch: dict[str, Tensor]) -> float:
-        """How often a window's motion suits its audio better than all its rivals do; chance is 1 / (H + 1)."""
+        """Share of windows whose motion matches the audio better than all its rivals; chance is 1 / (H + 1)."""
         motion, audio = self.embed(batch)
         best = self.against_rivals(batch, audio).amax(1)
-        kept = batch["rivalled"].bool()
-        return float(((motion * audio).sum(-1) > best)[kept].double().mean())
+        return float(((motion * audio).sum(-1) > best)[batch["rivalled"].bool()].double().mean())
 
     @torch.no_grad()
     def window_rewards(self, motion: Tensor, log_duration: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
@@ -285,11 +272,11 @@ class RewardModel(nn.Module):
 
     @torch.no_grad()
     def retrieval(self, batch: dict[str, Tensor]) -> dict[str, float]:
-        """How often a window's counterpart is the first, or among the first five, of the batch (as `losses` takes it).
+        """Recall at 1 and 5 of a window's counterpart in the batch (see `losses`).
 
-        Gives motion_r1 and motion_r5 (audio sought for a motion), audio_r1 and audio_r5 (motion sought for an audio),
-        chance_r1 and chance_r5, what blind guessing would give. Rows of one group do not compete. A tie counts as lost,
-        so an encoder that maps everything to one point scores nothing. Call it in evaluation mode.
+        motion_r1 and motion_r5 (audio retrieved for a motion), audio_r1 and audio_r5 (motion retrieved for an audio),
+        and the chance levels chance_r1 and chance_r5. Rows of one group do not compete. A tie counts as a miss, so that
+        a constant encoder scores 0. Call it in evaluation mode.
         """
         cosines = similarities(*self.embed(batch), batch["group"])
         rivals = (~torch.isneginf(cosines)).sum(1).double()
@@ -303,14 +290,11 @@ class RewardModel(nn.Module):
 
 
 class RewardEnsemble(nn.Module):
-    """Several reward models of different beginnings, which learn in turns, each from windows of its own.
-
-    One model's opinion of a single lexeme is half noise; what several agree on is less so, and where they disagree
-    nobody knows (`interpreters.reward_table.EnsembleReward` takes the disagreement off).
-    """
+    """Several reward models with different initial weights, which learn in turns, each from separate windows. The
+    reward of a single lexeme by one model is half noise; the mean of several is less noisy, and their disagreement
+    measures the uncertainty (`interpreters.reward_table.EnsembleReward`)."""
 
     def __init__(self, config: RewardConfig, frames: int, motion_width: int, audio_width: int) -> None:
-        """As `RewardModel`; `config.members` of them."""
         super().__init__()
         self.config, self.frames, self.turn = config, frames, 0
         self.members = nn.ModuleList(RewardModel(config, frames, motion_width, audio_width)
@@ -318,31 +302,26 @@ class RewardEnsemble(nn.Module):
 
     @property
     def models(self) -> list[RewardModel]:
-        """The members."""
         return [cast(RewardModel, member) for member in self.members]
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         return self.models[0].weights
 
     def before_step(self, step: int) -> None:
-        """Whose turn it is; the others have no gradient in that step and stay as they are."""
         self.turn = step % len(self.members)
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """As of the member whose turn it is."""
         return self.models[self.turn].losses(batch, progress)
 
     @torch.no_grad()
     def window_rewards(self, motion: Tensor, log_duration: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
-        """The members' mean of what `RewardModel.window_rewards` gives, [B]."""
-        return torch.stack([own.window_rewards(motion, log_duration, audio, valid) for own in self.models]).mean(0)
+        return torch.stack([one.window_rewards(motion, log_duration, audio, valid) for one in self.models]).mean(0)
 
     @torch.no_grad()
     def figures(self, batch: dict[str, Tensor]) -> dict[str, float]:
-        """The members' mean loss, retrieval and, where there are rivals, share of windows preferred to all of them."""
-        rows = [{"contrast": float(own.losses(batch)["contrast"]), **own.retrieval(batch),
-                 **({"right_one": own.right_one(batch)} if "rival" in batch else {}),
-                 **(own.choices(batch) if "prior" in batch else {})} for own in self.models]
+        """The members' mean loss, retrieval and, with rivals, share of windows preferred to all of them."""
+        rows = [{"contrast": float(one.losses(batch)["contrast"]), **one.retrieval(batch),
+                 **({"right_one": one.right_one(batch)} if "rival" in batch else {}),
+                 **(one.choices(batch) if "prior" in batch else {})} for one in self.models]
         return {key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}

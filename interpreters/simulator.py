@@ -1,8 +1,8 @@
-"""Recorded speech as an environment: what an online learner acts in (the ablations of RACER 5.5).
+"""Recorded speech as an environment for online learning (the ablations of RACER 5.5).
 
-Nobody answers a gesture in the recording, so the world is simple: the speech goes on as it was recorded, the lexeme
-that was chosen joins the history, and a reward model says how well the trailing window goes with the speech.
-`Simulator` runs B recordings side by side, `collect` acts in it, `Replay` remembers what was done.
+The speech does not react to gestures, so the dynamics are simple: the speech continues as recorded, the chosen lexeme
+is appended to the history, and a reward model scores the trailing window. `Simulator` runs B recordings in parallel,
+`collect` acts in it, `Replay` stores the episodes.
 """
 
 from __future__ import annotations
@@ -23,11 +23,9 @@ Score = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Observation:
-    """What is known before a lexeme is chosen, in each of B recordings. All are [B].
-
-    block: number of the block to be decided upon, by which its speech is looked up; previous: the lexeme before;
-    silent: the block is a silence; speaker: index; live: there is something to decide, the episode is not over.
-    """
+    """The observation before a decision in each of B recordings. All are [B]. block: number of the current block, from
+    which its speech is looked up; previous: the previous lexeme; silent: the block is silent; speaker: index; live: the
+    episode is not over."""
 
     block: Tensor
     previous: Tensor
@@ -37,11 +35,11 @@ class Observation:
 
 
 class Simulator:
-    """B recordings in parallel. An episode begins anywhere in one, after the person's own lexemes."""
+    """B recordings in parallel. An episode begins anywhere in a recording, after recorded lexemes."""
 
     def __init__(self, takes: Sequence[Demonstration], score: Score, window: int) -> None:
         """takes: the recordings; score: the reward of a trailing window of `window` = W blocks. As in the offline data,
-        a window reaches back before the start of the episode, to what the person did."""
+        the first windows of an episode contain recorded lexemes from before its start."""
         if window < 1 or max((len(take.blocks) for take in takes), default=0) < 2:
             raise ValueError("a simulator needs a window of one block and a recording of two at least")
         self.score, self.window = score, window
@@ -53,7 +51,7 @@ class Simulator:
         self._speakers = torch.tensor([take.speaker for take in takes], dtype=torch.int64)
 
     def reset(self, rng: np.random.Generator, count: int, horizon: int) -> Observation:
-        """Begin `count` = B episodes of `horizon` decisions at most, at starts drawn as windows of the data are."""
+        """Begin `count` = B episodes of at most `horizon` decisions, at starts sampled like windows of the data."""
         if count < 1 or horizon < 1:
             raise ValueError("an episode needs a decision, and a batch an episode")
         return self.begin(*draw_starts(rng, self._lengths, count, horizon), horizon)
@@ -74,11 +72,9 @@ class Simulator:
         return self._observe()
 
     def step(self, actions: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor]:
-        """Take actions [B]: what is seen next, rewards [B] float32, terminal [B] and truncated [B].
-
-        terminal: that was the last block of the recording. truncated: the horizon came first, and what is seen next is
-        there to bootstrap from. An episode that is over stays as it is, earns 0 and ends no second time.
-        """
+        """Take actions [B]: the next observation, rewards [B] float32, terminal [B] and truncated [B]. terminal: it was
+        the last block of the recording. truncated: the horizon was reached first; the next observation is for
+        bootstrapping. An episode that is over does not change, has reward 0 and does not end again."""
         if not bool(self._live.any()):
             raise ValueError("every episode is over: reset first")
         live = self._live
@@ -100,77 +96,74 @@ class Simulator:
 
 
 def _shifted(window: Tensor, newest: Tensor, live: Tensor) -> Tensor:
-    """Windows [B, W] that drop their oldest column for the newest [B], where live [B]."""
     return torch.where(live[:, None], torch.cat([window[:, 1:], newest[:, None]], dim=1), window)
 
 
 Choose = Callable[[dict[str, Tensor]], Tensor]
-"""What was seen since the start of the episode (block, previous, silent: [B, t + 1]; speaker: [B]) to lexemes [B]."""
+"""The observations since the start of the episode (block, previous, silent: [B, t + 1]; speaker: [B]) to lexemes [B].
+"""
 
 
 @torch.no_grad()
 def collect(simulator: Simulator, choose: Choose, rng: np.random.Generator, count: int, decisions: int, *,
             cloned: float = 0.0) -> dict[str, Tensor]:
-    """Act out `count` episodes of T decisions: a batch with the layout of `Episodes.windows`.
-
-    The last position, T, holds what follows the last decision; its action is not taken and stands as lexeme 0. The
-    behaviour is "sampled". cloned: the weight of CQL's data term on what was done.
-    """
-    seen = simulator.reset(rng, count, decisions)
+    """Act in `count` episodes of T decisions: a batch with the layout of `Episodes.windows`. The last position, T, is
+    the observation after the last decision, with lexeme 0 as its action. The behaviour is "sampled". cloned: the weight
+    of CQL's data term on these actions."""
+    now = simulator.reset(rng, count, decisions)
     columns: dict[str, list[Tensor]] = {key: [] for key in ("block", "previous", "silent", "valid", "action", "reward",
                                                             "terminal")}
     over = torch.zeros(count, dtype=torch.bool)
     for position in range(decisions + 1):
-        for key, value in (("block", seen.block), ("previous", seen.previous), ("silent", seen.silent),
+        for key, value in (("block", now.block), ("previous", now.previous), ("silent", now.silent),
                            ("valid", ~over)):
             columns[key].append(value)
         action, reward = torch.zeros(count, dtype=torch.int64), torch.zeros(count)
         terminal = torch.zeros(count, dtype=torch.bool)
-        if bool(seen.live.any()) and position < decisions:
+        if bool(now.live.any()) and position < decisions:
             so_far = {key: torch.stack(columns[key], 1) for key in ("block", "previous", "silent")}
-            action = choose({**so_far, "speaker": seen.speaker}).to(torch.int64)
-            seen, reward, terminal, _ = simulator.step(action)
+            action = choose({**so_far, "speaker": now.speaker}).to(torch.int64)
+            now, reward, terminal, _ = simulator.step(action)
         over = over | terminal
         for key, value in (("action", action), ("reward", reward), ("terminal", terminal)):
             columns[key].append(value)
     batch = {key: torch.stack(values, 1) for key, values in columns.items()}
     valid = batch["valid"].to(torch.float32)
-    return {**batch, "valid": valid, "speaker": seen.speaker, "cloned": cloned * valid,
+    return {**batch, "valid": valid, "speaker": now.speaker, "cloned": cloned * valid,
             "behaviour": torch.full_like(batch["action"], BEHAVIOURS.index("sampled"))}
 
 
 class Replay:
-    """A ring of windows: what is new takes the place of what is oldest."""
+    """A ring buffer of windows."""
 
     def __init__(self, capacity: int) -> None:
-        """capacity: how many windows are remembered."""
         if capacity < 1:
-            raise ValueError("a memory needs room for one window at least")
-        self.capacity, self._kept, self._next = capacity, 0, 0
+            raise ValueError("a replay buffer needs room for at least one window")
+        self.capacity, self._count, self._next = capacity, 0, 0
         self._store: dict[str, Tensor] = {}
 
     def __len__(self) -> int:
-        return self._kept
+        return self._count
 
     def add(self, windows: dict[str, Tensor]) -> None:
-        """Remember a batch of windows, each array [B, ...], in the layout of `Episodes.windows`; ValueError when they
-        are not laid out as those before."""
+        """Store a batch of windows, each array [B, ...], in the layout of `Episodes.windows`; ValueError for another
+        layout than before."""
         if not self._store:
             self._store = {key: value.new_zeros(self.capacity, *value.shape[1:]) for key, value in windows.items()}
         layout = {key: (value.dtype, value.shape[1:]) for key, value in windows.items()}
         if layout != {key: (value.dtype, value.shape[1:]) for key, value in self._store.items()}:
-            raise ValueError("these windows are not laid out as those before")
+            raise ValueError("these windows have another layout than those before")
         count = len(windows["block"])
-        first = max(0, count - self.capacity)  # of more than it can hold the newest stay
+        first = max(0, count - self.capacity)  # the newest, if there are too many
         rows = (self._next + torch.arange(first, count)) % self.capacity
         for key, value in windows.items():
             self._store[key][rows] = value[first:].to(self._store[key].device)
         self._next = (self._next + count) % self.capacity
-        self._kept = min(self._kept + count, self.capacity)
+        self._count = min(self._count + count, self.capacity)
 
     def windows(self, rng: np.random.Generator, count: int) -> dict[str, Tensor]:
-        """A batch of `count` windows drawn from the memory, with repetition; ValueError while it is empty."""
-        if self._kept == 0:
-            raise ValueError("nothing is remembered yet")
-        rows = torch.as_tensor(rng.integers(self._kept, size=count))
+        """A batch of `count` random windows, with repetition; ValueError while the buffer is empty."""
+        if self._count == 0:
+            raise ValueError("the replay buffer is empty")
+        rows = torch.as_tensor(rng.integers(self._count, size=count))
         return {key: value[rows] for key, value in self._store.items()}

@@ -1,4 +1,4 @@
-"""The statistical interpreter: lexemes that follow a speaker's frequencies, deaf to the speech (RG 7.4.6, Eq. 24)."""
+"""The statistical interpreter: lexemes from a speaker's frequencies, independent of the speech (RG 7.4.6, Eq. 24)."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StatisticalState:
-    """What was shown so far: counts [S], and whose frequencies to aim at [S]."""
+    """Counts [S] of the lexemes so far, and the target frequencies [S] of the speaker."""
 
-    shown: Array
+    counts: Array
     target: Array
 
 
 class StatisticalInterpreter(InterpreterDefaults):
-    """f* = softmax(f^I - f_t) L, the distribution that the next lexeme is drawn from (RG Eq. 24)."""
+    """f* = softmax(f^I - f_t) L, the distribution of the next lexeme (RG Eq. 24)."""
 
     name = "statistical"
 
@@ -37,22 +37,19 @@ class StatisticalInterpreter(InterpreterDefaults):
 
     @classmethod
     def open(cls, parts: InterpreterParts) -> StatisticalInterpreter:
-        """See `InterpreterDefaults.open`: it is made of the counts of the training split."""
         return cls(parts.frequencies, parts.transitions, parts.settings)
 
     @property
     def needs(self) -> frozenset[Need]:
-        """See `Interpreter.needs`."""
         return frozenset()
 
     def start(self, speaker: int, first_lexeme: int) -> StatisticalState:
-        """Nothing shown yet: f_0 is the zero vector."""
         return StatisticalState(np.zeros(len(self.transitions)), self.frequencies[speaker])
 
     def distribution(self, state: StatisticalState, current: int) -> Array:
         """[S] probabilities of the next lexeme."""
-        shown = state.shown / max(state.shown.sum(), 1.0)
-        lift = self.config.gain * (state.target - shown)
+        frequencies = state.counts / max(state.counts.sum(), 1.0)
+        lift = self.config.gain * (state.target - frequencies)
         weights = np.exp(lift - lift.max())
         weights /= weights.sum()
         if self.config.condition_on_current:
@@ -62,8 +59,8 @@ class StatisticalInterpreter(InterpreterDefaults):
 
     def step(self, state: StatisticalState, features: BlockFeatures, previous_lexeme: int
              ) -> tuple[Scores, StatisticalState]:
-        """Log-probabilities [S]; the speech is not heard. `previous_lexeme` counts as shown."""
-        shown = state.shown.copy()
-        shown[previous_lexeme] += 1
-        after = StatisticalState(shown, state.target)
+        """Log-probabilities [S], independent of the speech. `previous_lexeme` is added to the counts."""
+        counts = state.counts.copy()
+        counts[previous_lexeme] += 1
+        after = StatisticalState(counts, state.target)
         return np.log(np.maximum(self.distribution(after, previous_lexeme), 1e-300)), after

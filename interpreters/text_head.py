@@ -1,8 +1,8 @@
-"""A head that reads the words beside a lexeme interpreter and adds to its scores.
+"""A head that adds scores from the words to those of an audio-only lexeme interpreter.
 
-Four hours of speech hold too few words to learn hearing and reading in one network: what the words say drowns in what
-the voice says. So the voice speaks first, and this head learns only what the voice leaves open. It has no memory: the
-words of three blocks, the previous lexeme and the speaker are all that it sees.
+Four hours of speech have too few words to train one network on audio and text: the audio dominates. The audio-only
+interpreter is therefore trained first, and this head learns the remainder. It has no state; its inputs are the words of
+three blocks, the previous lexeme and the speaker.
 """
 
 from __future__ import annotations
@@ -12,19 +12,17 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 _PARTS = 6
-"""The words of three blocks are averaged over half blocks: a gesture sets out before its word and outlasts it."""
+"""Half blocks, over which the words of three blocks are averaged: a gesture starts before its word and outlasts it."""
 
 
 class TextHead(nn.Module):
-    """Word vectors of three blocks, the previous lexeme and the speaker to what is added to the scores [..., S].
-
-    What the words ask for is weighed by what the hands do now and whose hands they are.
-    """
+    """Word vectors of three blocks, the previous lexeme and the speaker to additional scores [..., S]. Features of the
+    words are gated by the previous lexeme and the speaker."""
 
     def __init__(self, text_width: int, width: int, bottleneck: int, lexeme_width: int, speakers: int, size: int,
                  dropout: float = 0.5) -> None:
-        """text_width: d_t + 1; width: of the hidden layer; bottleneck: width that a word vector is brought to; size:
-        S. At first nothing is added."""
+        """text_width: d_t + 1; width: of the hidden layer; bottleneck: width of a projection of word vectors; size: S.
+        The initial output is 0."""
         super().__init__()
         self.dropout = nn.Dropout(dropout)
         self.narrow = nn.Linear(text_width, bottleneck)
@@ -39,8 +37,8 @@ class TextHead(nn.Module):
         [B, speakers]."""
         rows = text.flatten(0, 1).transpose(1, 2)
         parts = functional.adaptive_avg_pool1d(rows, _PARTS).transpose(1, 2).unflatten(0, text.shape[:2])
-        said = functional.gelu(self.hidden(self.dropout(self.narrow(self.dropout(parts)).flatten(-2))))
-        whose = speaker[:, None].expand(-1, previous.shape[1], -1)
-        weight = torch.sigmoid(self.weigh(torch.cat([previous, whose], dim=-1)))
-        added: Tensor = self.out(self.dropout(said) * weight)
-        return added
+        words = functional.gelu(self.hidden(self.dropout(self.narrow(self.dropout(parts)).flatten(-2))))
+        speakers = speaker[:, None].expand(-1, previous.shape[1], -1)
+        weight = torch.sigmoid(self.weigh(torch.cat([previous, speakers], dim=-1)))
+        scores: Tensor = self.out(self.dropout(words) * weight)
+        return scores

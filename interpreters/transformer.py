@@ -1,7 +1,7 @@
-"""The trunk of the Q-network: a transformer over two streams, what is heard and what was done (RACER 4.3, Eq. 12).
+"""The trunk of the Q-network: a transformer over two streams, audio and actions (RACER 4.3, Eq. 12).
 
-The streams stand one after the other in time, [U; A]: token j of the first is the audio u_{j+1} that the next decision
-hears, token j of the second is the action a_j before it. Pre-norm layers, GELU, four times the width inside.
+The streams are concatenated in time, [U; A]: token j of the first is the audio u_{j+1} of the next decision, token j of
+the second is the action a_j before it. Pre-norm layers with GELU and a feed-forward of four times the width.
 """
 
 from __future__ import annotations
@@ -13,29 +13,26 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 KeyValue = tuple[Tensor, Tensor]
-"""Keys and values [B, heads, tokens, C / heads] that a layer has computed already."""
+"""Cached keys and values [B, heads, tokens, C / heads] of a layer."""
 
 INITIAL = 0.02
 """Standard deviation of every weight at the start."""
 
 
 def two_stream_mask(steps: int, device: torch.device | None = None) -> Tensor:
-    """The mask M of RACER Eq. 12, additive: [2 T', 2 T'], 0 where a token sees another and -inf where it does not.
-
-    A lower triangular block of size T' = `steps` repeated 2 x 2: token j of either stream sees tokens 0..j of both, so
-    the action half at j knows a_0..a_j and u_1..u_{j+1}, which is exactly the state s_{j+1}.
-    """
+    """The mask M of RACER Eq. 12, additive: [2 T', 2 T'], 0 where a token attends to another and -inf elsewhere. A
+    lower triangular block of size T' = `steps` repeated 2 x 2: token j of either stream attends to tokens 0..j of both,
+    so the action half at j depends on a_0..a_j and u_1..u_{j+1}, which is exactly the state s_{j+1}."""
     block = torch.full((steps, steps), -torch.inf, device=device).triu(1)
     return block.repeat(2, 2)
 
 
 def sliding(tokens: Tensor, window: int, read: Callable[[Tensor], Tensor]) -> Tensor:
-    """What `read` says of each step when it sees the step and at most `window - 1` before it, [B, M, X].
+    """The result [B, M, X] of `read` at each step, over the step and at most `window - 1` steps before it.
 
     tokens: [B, 2, M, C] pairs without positions; read: [B', 2, T', C] to [B', T', X], causal, T' <= window. Steps past
-    the first window are read as the last of their own trailing window, as a stream reads them: dropping the oldest
-    pair from what is remembered would not give the same, since younger tokens have already seen it. Memory grows with
-    M x window.
+    the first window are the last of their trailing window, as in a stream: dropping the oldest pair from the cache
+    would give another result, since later tokens have attended to it. Memory grows with M x window.
     """
     batch, steps = tokens.shape[0], tokens.shape[2]
     if steps <= window:
@@ -57,14 +54,14 @@ class Attention(nn.Module):
         self.out = nn.Linear(width, width)
 
     def forward(self, x: Tensor, mask: Tensor | None, past: KeyValue | None = None) -> tuple[Tensor, KeyValue]:
-        """[B, tokens, C] to the same, and the keys and values of these tokens after those of the `past`."""
+        """[B, tokens, C] to [B, tokens, C], and the keys and values of the `past` and these tokens."""
         query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2)
                              for part in self.project(x).chunk(3, dim=-1))
         if past is not None:
             key, value = torch.cat([past[0], key], dim=2), torch.cat([past[1], value], dim=2)
-        seen = functional.scaled_dot_product_attention(query, key, value, mask,
+        attended = functional.scaled_dot_product_attention(query, key, value, mask,
                                                        dropout_p=self.dropout if self.training else 0.0)
-        return self.out(seen.transpose(1, 2).flatten(-2)), (key, value)
+        return self.out(attended.transpose(1, 2).flatten(-2)), (key, value)
 
 
 class Layer(nn.Module):
@@ -78,7 +75,7 @@ class Layer(nn.Module):
         self.dropout = nn.Dropout(dropout)
 
     def forward(self, x: Tensor, mask: Tensor | None, past: KeyValue | None = None) -> tuple[Tensor, KeyValue]:
-        """[B, tokens, C] to the same, and what a later token needs of these."""
+        """[B, tokens, C] to [B, tokens, C], and the keys and values for later tokens."""
         attended, present = self.attention(self.before_attention(x), mask, past)
         x = x + self.dropout(attended)
         return x + self.dropout(self.feed(self.before_feed(x))), present
@@ -93,7 +90,7 @@ class Head(nn.Sequential):
 
 @torch.no_grad()
 def begin_small(module: nn.Module) -> None:
-    """Weights of linear layers and embeddings from N(0, 0.02), biases at zero; for `nn.Module.apply`."""
+    """Initialise linear layers and embeddings from N(0, 0.02), biases at zero; for `nn.Module.apply`."""
     if isinstance(module, nn.Linear | nn.Embedding):
         module.weight.normal_(0.0, INITIAL)
     if isinstance(module, nn.Linear):

@@ -18,7 +18,7 @@ class Lexicon(nn.Module):
     present: Tensor
 
     def __init__(self, config: LexiconConfig, frames: int, motion_width: int, present: Tensor | None = None) -> None:
-        """present: [D_m] 1 where the data have the dimension; elsewhere no loss would hold the decoder, so it is 0."""
+        """present: [D_m] 1 for the dimensions in the data; the others have no loss, so the output there is 0."""
         super().__init__()
         self.register_buffer("present", torch.ones(motion_width) if present is None else present, persistent=False)
         self.config, self.frames, self.motion_width = config, frames, motion_width
@@ -31,14 +31,12 @@ class Lexicon(nn.Module):
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         c = self.config
         return {"reconstruction": 1.0, "commitment": c.commitment, "codebook": c.codebook_weight,
                 "velocity": c.velocity, "acceleration": c.acceleration}
 
     @property
     def vectors(self) -> Tensor:
-        """[S, code width] the lexemes."""
         return self.quantizer.vectors
 
     def encode(self, motion: Tensor) -> Tensor:
@@ -52,26 +50,22 @@ class Lexicon(nn.Module):
 
     @torch.no_grad()
     def shown(self) -> Tensor:
-        """[S, K, D_m] what each lexeme looks like."""
+        """[S, K, D_m] the decoded motion of each lexeme."""
         return self.decode(self.vectors)
 
     @torch.no_grad()
     def still_distances(self, pose: Tensor) -> Tensor:
-        """[S] squared distances of the lexemes from standing still in a pose [D_m]."""
+        """[S] squared distances of the lexemes from a block of stillness in a pose [D_m]."""
         return self.quantizer.distances(self.encode(pose.expand(1, self.frames, -1)))[0]
 
     @torch.no_grad()
     def label(self, motion: Tensor, batch: int = 4096) -> Tensor:
-        """Lexeme of each block [B], by arg min in evaluation mode whatever the mode of training (RG Eq. 4)."""
-        before = self.training
-        self.eval()
-        out = [self.quantizer.labels(self.encode(part)) for part in motion.split(batch)]
-        self.train(before)
-        return torch.cat(out) if out else torch.zeros(0, dtype=torch.long)
+        """Lexeme of each block [B], by arg min in evaluation mode whatever the training mode (RG Eq. 4)."""
+        return torch.cat([self.quantizer.labels(part) for part in self.latents(motion, batch).split(batch)])
 
     @torch.no_grad()
     def latents(self, motion: Tensor, batch: int = 4096) -> Tensor:
-        """E in evaluation mode, in parts: [B, code width]."""
+        """E in evaluation mode, `batch` blocks at a time: [B, code width]."""
         before = self.training
         self.eval()
         out = torch.cat([self.encode(part) for part in motion.split(batch)])
@@ -81,21 +75,13 @@ class Lexicon(nn.Module):
     @torch.no_grad()
     def start_codebook(self, motion: Tensor, seed: int) -> None:
         """Place the lexemes by k-means on the latents of up to 10,000 blocks."""
-        from sklearn.cluster import KMeans  # takes a second to import, and only training asks for it
-
         generator = torch.Generator().manual_seed(seed)
         chosen = motion[torch.randperm(len(motion), generator=generator)[:10_000]]
-        latents = self.latents(chosen).cpu().double().numpy()
-        means = KMeans(min(self.quantizer.size, len(latents)), n_init=3, random_state=seed % 2**31).fit(latents)
-        vectors = self.quantizer.vectors.clone()
-        vectors[:len(means.cluster_centers_)] = torch.as_tensor(means.cluster_centers_).to(vectors)
-        self.quantizer.set_vectors(vectors)
+        self.quantizer.fit(self.latents(chosen), seed, restarts=3)
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """RG Eq. 3, all terms as means over elements. batch: motion [B, K, D_m], mask [B, D_m] of present joints.
-
-        Before `warm_up` of the run (progress, 0 to 1) the latent goes to the decoder unquantised.
-        """
+        Before `warm_up` of the run (progress, 0 to 1) the decoder gets the latents unquantised."""
         motion, mask = batch["motion"], batch["mask"][:, None]
         latents = self.encode(motion)
         zero = latents.new_zeros(())

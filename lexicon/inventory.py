@@ -1,4 +1,4 @@
-"""What the lexicon holds: how often each lexeme is used, what follows what, and which lexemes are stillness."""
+"""Statistics of the lexicon: frequencies of the lexemes, transitions between them, and the silent lexemes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Inventory:
-    """Counts over labelled sequences. frequencies: [S] per speaker; transitions: [S, S] rows sum to 1 (from, to)."""
+    """Statistics of labelled sequences. frequencies: [S] per speaker; transitions: [S, S] (from, to), rows sum to 1."""
 
     frequencies: dict[str, Array]
     transitions: Array
@@ -22,9 +22,7 @@ class Inventory:
 
 def count(sequences: Iterable[tuple[str, Labels]], size: int, smoothing: float = 0.1) -> Inventory:
     """Frequencies f^I of each speaker and the transition matrix L of RG Eq. 24, from (speaker, labels) sequences.
-
-    `smoothing` is added to every transition count (Laplace), so an unseen lexeme keeps a finite probability.
-    """
+    `smoothing` is added to every transition count (Laplace), so that unseen transitions have a positive probability."""
     totals: dict[str, Array] = {}
     moves = np.full((size, size), smoothing, dtype=np.float64)
     for speaker, labels in sequences:
@@ -35,18 +33,17 @@ def count(sequences: Iterable[tuple[str, Labels]], size: int, smoothing: float =
 
 
 def usage(labels: Labels, size: int) -> float:
-    """Share of the lexicon that is used at all."""
     return float((np.bincount(labels, minlength=size) > 0).mean())
 
 
 def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, slow_share: float = 0.3,
                    over: float = 2.0) -> Labels:
-    """The lexemes of stillness, found without hand (RG 6.4.1).
+    """The silent lexemes, detected automatically (RG 6.4.1).
 
     speeds: [S] mean joint speed of each decoded lexeme; labels: [N] and silent: [N] over the training blocks.
-    A lexeme is silent when it is among the slowest `slow_share` AND occurs on silent blocks `over` times as often as
-    overall. When nothing meets both, the slow one most over-represented in silence is taken, so the set is never
-    empty.
+    A lexeme is silent if it is among the slowest `slow_share` AND occurs on silent blocks `over` times as often as
+    overall. If none meets both conditions, the slow lexeme most over-represented in silence is taken, so the set is
+    never empty.
     """
     size = len(speeds)
     everywhere = np.bincount(labels, minlength=size) / max(len(labels), 1)
@@ -61,7 +58,7 @@ def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, 
 
 
 def nearest_silent(vectors: Array, silent: Labels) -> Labels:
-    """For each lexeme [S] the silent lexeme nearest to it in latent space (RG 6.4.1); itself when none is silent."""
+    """For each lexeme [S] the silent lexeme nearest to it in latent space (RG 6.4.1); itself if none is silent."""
     if len(silent) == 0:
         return np.arange(len(vectors))
     distances = ((vectors[:, None] - vectors[None, silent]) ** 2).sum(-1)

@@ -1,9 +1,9 @@
-"""The lexicon of movements: a lexeme names what a block does from where the body stands, not where it stands.
+"""The lexicon of movements: a lexeme describes the movement relative to the current pose, not the pose itself.
 
-Blocks are told by `data_module.motion.movement`: coefficients y of what they add to their past. A latent is y with
-every part of the body brought to the same variance, as an arm moves ten times as far as a torso, and a lexeme is the
-nearest of S codewords to it. Below the lexeme, residual codebooks of each part (`LexiconConfig.levels`) tell the rest.
-The codebooks are k-means.
+Blocks are represented by `data_module.motion.movement`: coefficients y of the motion that a block adds to its past. A
+latent is y with every part of the body scaled to the same variance (an arm moves ten times as far as a torso), and a
+lexeme is the nearest of S codewords. Residual codebooks for each part (`LexiconConfig.levels`) encode the remainder.
+All codebooks are fitted by k-means.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lexicon.settings import LexiconConfig
 __all__ = ["MovementLexicon", "basis_for"]
 
 _TOGETHER = 8192
-"""Blocks that are compared with the codebook in one go: bounds the memory."""
+"""Blocks that are compared with the codebook at a time, which bounds the memory."""
 
 
 class MovementLexicon(nn.Module):
@@ -43,13 +43,12 @@ class MovementLexicon(nn.Module):
 
     @property
     def size(self) -> int:
-        """S, the number of lexemes."""
         return len(self.vectors)
 
     def distances(self, coefficients: Tensor) -> Tensor:
         """Squared distances [B, S] of the latents of coefficients [B, n] from the lexemes."""
-        own, codes = coefficients * self.basis.weight, self.vectors
-        return (own.pow(2).sum(-1, keepdim=True) - 2 * own @ codes.T + codes.pow(2).sum(-1)).clamp_min(0)
+        latents, codes = coefficients * self.basis.weight, self.vectors
+        return (latents.pow(2).sum(-1, keepdim=True) - 2 * latents @ codes.T + codes.pow(2).sum(-1)).clamp_min(0)
 
     def nearest(self, coefficients: Tensor) -> Tensor:
         """[B] the lexeme nearest to coefficients [B, n]."""
@@ -62,13 +61,13 @@ class MovementLexicon(nn.Module):
 
     @torch.no_grad()
     def ranks(self, motion: Tensor, past: Pasts, lexemes: Tensor) -> Tensor:
-        """[B] how many lexemes are nearer to each block than the one that was asked for; 0 where it was obeyed."""
+        """[B] number of lexemes nearer to each block than the requested one; 0 if the request was met."""
         away = self.distances(self.basis.coefficients(motion, past))
         return (away < away.gather(-1, lexemes[:, None])).sum(-1)
 
     @torch.no_grad()
     def quantised(self, coefficients: Tensor, levels: int | None = None) -> Tensor:
-        """Coefficients [B, n] as the codes tell them: the lexeme and `levels` residual levels, all where None."""
+        """Reconstruct coefficients [B, n] from the lexeme and `levels` residual levels (all by default)."""
         out = self.added(self.nearest(coefficients))
         for part, at in enumerate(self.basis.slices()):
             for level in range(len(self.config.levels) if levels is None else levels):
@@ -82,19 +81,19 @@ class MovementLexicon(nn.Module):
 
     @torch.no_grad()
     def shown(self) -> Tensor:
-        """[S, K, D_m] what each lexeme looks like, from the past of the training block nearest to it."""
+        """[S, K, D_m] the motion of each lexeme after the past of the training block nearest to it."""
         every = torch.arange(self.size, device=self.vectors.device)
         return self.basis.compose(self.added(every), Pasts(self.examples, torch.ones_like(self.examples[:, 0, 0])))
 
     @torch.no_grad()
     def still_distances(self, pose: Tensor) -> Tensor:
-        """[S] squared distances of the lexemes from standing still in a pose [D_m]."""
+        """[S] squared distances of the lexemes from a block of stillness in a pose [D_m]."""
         past = Pasts(pose.expand(1, PAST, -1), pose.new_ones(1))
         return self.distances(self.basis.coefficients(pose.expand(1, self.frames, -1), past))[0]
 
     @torch.no_grad()
     def fit(self, motion: Tensor, past: Pasts, mask: Tensor, seed: int) -> None:
-        """Basis and codebooks from blocks [N, K, D_m] with their pasts; mask: [N, D_m] 1 where the source has it."""
+        """Fit basis and codebooks to blocks [N, K, D_m] with their pasts; mask: [N, D_m] 1 for present dimensions."""
         coefficients = self.basis.fit(motion, past, mask)
         weight = self.basis.weight.double().numpy()
         points = coefficients.double().numpy()
@@ -104,24 +103,22 @@ class MovementLexicon(nn.Module):
             for level, size in enumerate(self.config.levels):
                 book = torch.as_tensor(_means(rest[:, at].double().numpy(), size, seed + 1 + level)).float()
                 self.get_buffer(f"level_{part}_{level}").copy_(book)
-                rest[:, at] -= book[torch.cat([torch.cdist(own, book).argmin(-1)
-                                               for own in rest[:, at].split(_TOGETHER)])]
+                rest[:, at] -= book[torch.cat([torch.cdist(rows, book).argmin(-1)
+                                               for rows in rest[:, at].split(_TOGETHER)])]
         nearest = torch.cat([self.distances(part) for part in coefficients.split(_TOGETHER)]).argmin(0)
         self.examples.copy_(past.frames[nearest])
 
 
 def basis_for(config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> MovementBasis:
-    """The basis that these settings ask for, not fitted yet."""
     return MovementBasis(frames, parts, {name: config.components_of(name) for name in parts})
 
 
 def _means(points: Array, size: int, seed: int) -> Array:
-    """[size, D] k-means of points [N, D]."""
-    from sklearn.cluster import MiniBatchKMeans  # takes a second to import, and only training asks for it
+    from sklearn.cluster import MiniBatchKMeans  # takes a second to import; only training needs it
 
     count = min(size, len(points))
-    found = MiniBatchKMeans(count, random_state=seed % 2**31, batch_size=4096, n_init=3, max_iter=100).fit(points)
-    # Where there are fewer blocks than codes, what is left over lies where no block is.
+    fitted = MiniBatchKMeans(count, random_state=seed % 2**31, batch_size=4096, n_init=3, max_iter=100).fit(points)
+    # With fewer blocks than codes, the surplus codes are placed far from every block.
     means = np.full((size, points.shape[1]), 1e3 * (1.0 + np.abs(points).max()))
-    means[:count] = found.cluster_centers_
+    means[:count] = fitted.cluster_centers_
     return means

@@ -12,11 +12,9 @@ __all__ = ["Quantised", "Quantizer"]
 
 @dataclass(frozen=True)
 class Quantised:
-    """What quantisation gives for latents [B, D].
-
-    codes: [B, D] codebook vectors whose gradient is passed to the latents unaltered. labels: [B].
-    commitment: mean |E(M) - sg(s)|^2. codebook: mean |sg(E(M)) - s|^2 (zero with an EMA codebook).
-    """
+    """The quantisation of latents [B, D]. codes: [B, D] codebook vectors whose gradient is passed to the latents
+    unaltered. labels: [B]. commitment: mean |E(M) - sg(s)|^2. codebook: mean |sg(E(M)) - s|^2 (zero with an EMA
+    codebook)."""
 
     codes: Tensor
     labels: Tensor
@@ -52,12 +50,22 @@ class Quantizer(nn.Module):
 
     @property
     def size(self) -> int:
-        """S, the number of vectors."""
         return len(self.vectors)
 
     @torch.no_grad()
+    def fit(self, latents: Tensor, seed: int, restarts: int) -> None:
+        """Place the vectors by k-means on latents [B, D]."""
+        from sklearn.cluster import KMeans  # takes a second to import; only training needs it
+
+        points = latents.cpu().double().numpy()
+        means = KMeans(min(self.size, len(points)), n_init=restarts, random_state=seed % 2**31).fit(points)
+        vectors = self.vectors.clone()
+        vectors[:len(means.cluster_centers_)] = torch.as_tensor(means.cluster_centers_).to(vectors)
+        self.set_vectors(vectors)
+
+    @torch.no_grad()
     def set_vectors(self, vectors: Tensor) -> None:
-        """Put new vectors [S, D] in place and forget what was counted."""
+        """Replace the vectors [S, D] and reset the counts."""
         self.vectors.copy_(vectors)
         self.sums.copy_(vectors)
         self.counts.fill_(1.0)
@@ -74,7 +82,7 @@ class Quantizer(nn.Module):
 
     def forward(self, latents: Tensor) -> Quantised:
         """Quantise latents [B, D]; in training mode an EMA codebook also follows them."""
-        from data_module.parallel import full_precision  # only training asks for it
+        from data_module.parallel import full_precision  # only training needs it
 
         labels = full_precision(self.labels)(latents)
         chosen = self.vectors[labels]

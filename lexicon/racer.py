@@ -1,4 +1,4 @@
-"""RACER's own codec: a convolutional VQ-VAE that turns motion into one code per 8 frames (RACER 4.1, Eq. 3 to 5).
+"""The codec of RACER: a convolutional VQ-VAE that turns motion into one code per 8 frames (RACER 4.1, Eq. 3 to 5).
 
 Layers are written (channels in, channels out, kernel, stride, padding, dilation), C is the width:
 
@@ -6,18 +6,18 @@ Layers are written (channels in, channels out, kernel, stride, padding, dilation
     encoder   3 times { Conv(D_m or C, C, 4, 2, 1, 1), RB(1), RB(3), RB(9) }, then Conv(C, C, 3, 1, 1, 1)
     decoder   Conv(C, C, 3, 1, 1, 1), then 3 times { RB(9), RB(3), RB(1), TransConv(C, C or D_m, 4, 2, 1, 1) }
 
-That is the table RACER's authors published (the paper itself has none), at C = 512. Where the table leaves a choice:
+This is the table that RACER's authors published (the paper has none), at C = 512. Where the table is ambiguous:
 
 - It calls the decoder's stride-2 layers "Conv", although its legend explains "TransConv", which occurs nowhere else.
-  A convolution of stride 2 would shorten the sequence once more, so they are transposed here.
+  A convolution of stride 2 would shorten the sequence again, so they are transposed here.
 - Its input has J x 3 channels where the paper's motion is [T, J]: J joints of three numbers there, D_m numbers here.
-- No activation stands between a stride-2 layer and the block after it, before the codebook or at the end, and there is
-  no normalisation at all. Nothing was added. The decoder ends in its last TransConv.
-- How the codebook learns is not said beyond Eq. 4, whose second term is `codebook="gradient"`. The default is the
-  moving average of the latents, with revival of dead codes.
+- There is no activation between a stride-2 layer and the block after it, before the codebook or at the end, and no
+  normalisation; none was added. The decoder ends in its last TransConv.
+- The update of the codebook is not described beyond Eq. 4, whose second term is `codebook="gradient"`. The default is
+  the moving average of the latents, with revival of dead codes.
 
-A code sees much more than its own 8 frames: code i depends on frames 8i - 197 to 8i + 204, and code i has a say in as
-many decoded ones. Recordings should therefore be coded whole, and a code decoded alone is only a hint of its motion.
+The receptive field of a code is much larger than 8 frames: code i depends on frames 8i - 197 to 8i + 204, and affects
+as many decoded ones. Recordings should therefore be encoded whole; a code decoded alone only approximates its motion.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from lexicon.settings import FRAMES, HALVINGS, RacerConfig
 __all__ = ["RacerCodec"]
 
 _LONG = 65
-"""Codes of a stillness whose middle no longer sees where it begins and ends."""
+"""Codes of stillness, enough that the receptive field of the middle one does not reach the ends."""
 
 
 class ResidualBlock(nn.Module):
@@ -44,7 +44,6 @@ class ResidualBlock(nn.Module):
                                     nn.ReLU(), nn.Conv1d(width, width, 1))
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B, C, T] to [B, C, T]."""
         return x + self.change(x)
 
 
@@ -73,7 +72,7 @@ class RacerCodec(nn.Module):
     present: Tensor
 
     def __init__(self, config: RacerConfig, motion_width: int, present: Tensor | None = None) -> None:
-        """present: [D_m] 1 where the data have the dimension; elsewhere no loss would hold the decoder, so it is 0."""
+        """present: [D_m] 1 for the dimensions in the data; the others have no loss, so the output there is 0."""
         super().__init__()
         self.register_buffer("present", torch.ones(motion_width) if present is None else present, persistent=False)
         self.config, self.frames, self.motion_width = config, FRAMES, motion_width
@@ -91,7 +90,6 @@ class RacerCodec(nn.Module):
 
     @property
     def vectors(self) -> Tensor:
-        """Z, the codes [N, C]."""
         return self.quantizer.vectors
 
     def encode(self, motion: Tensor) -> Tensor:
@@ -106,21 +104,19 @@ class RacerCodec(nn.Module):
 
     @torch.no_grad()
     def label(self, motion: Tensor, batch: int = 64) -> Tensor:
-        """Codes of motion [B, T, D_m] by number, [B, T / 8]: arg min of the Euclidean distance (RACER Eq. 3).
-
-        batch: how many of the B are encoded at a time; it bounds the memory and changes nothing else.
-        """
+        """Code numbers [B, T / 8] of motion [B, T, D_m]: arg min of the Euclidean distance (RACER Eq. 3). batch:
+        sequences that are encoded at a time, which bounds the memory."""
         parts = [self.encode(part) for part in motion.split(batch)]
         return torch.cat([self.quantizer.labels(part.flatten(0, 1)).unflatten(0, part.shape[:2]) for part in parts])
 
     @torch.no_grad()
     def still_distances(self, pose: Tensor) -> Tensor:
-        """[N] squared distances of the codes from the code in the middle of a long stillness in a pose [D_m]."""
+        """[N] squared distances of the codes from the middle code of a long stillness in a pose [D_m]."""
         latents = self.encode(pose.expand(1, _LONG * FRAMES, -1))
         return self.quantizer.distances(latents[:, _LONG // 2])[0]
 
     def tokens(self, motion: Tensor) -> Tensor:
-        """`label` by the name that RACER gives to what the Q-network chooses: action tokens [B, T / 8]."""
+        """`label` under RACER's name: action tokens [B, T / 8], which the Q-network chooses."""
         return self.label(motion)
 
     @torch.no_grad()
@@ -131,23 +127,15 @@ class RacerCodec(nn.Module):
     @torch.no_grad()
     def start_codebook(self, motion: Tensor, seed: int, batch: int = 64) -> None:
         """Place the codes by k-means on up to 10,000 latents of motion [B, T, D_m]."""
-        from sklearn.cluster import KMeans  # takes a second to import, and only training asks for it
-
         latents = torch.cat([self.encode(part).flatten(0, 1) for part in motion.split(batch)])
         generator = torch.Generator().manual_seed(seed)
         chosen = torch.randperm(len(latents), generator=generator)[:10_000].to(latents.device)
-        points = latents[chosen].cpu().double().numpy()
-        means = KMeans(min(self.quantizer.size, len(points)), n_init=1, random_state=seed % 2**31).fit(points)
-        vectors = self.quantizer.vectors.clone()
-        vectors[:len(means.cluster_centers_)] = torch.as_tensor(means.cluster_centers_).to(vectors)
-        self.quantizer.set_vectors(vectors)
+        self.quantizer.fit(latents[chosen], seed, restarts=1)
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """RACER Eq. 4 and 5, all terms as means over elements; each crop is T = 120 frames in the paper.
-
-        batch: motion [B, T, D_m], mask [B, D_m] of present joints. Eq. 5 prints the L1 norm of a pair; the norm of its
-        difference is meant. Velocity and acceleration are differences of neighbouring frames. `progress` is not used.
-        """
+        """RACER Eq. 4 and 5, all terms as means over elements; each crop is T = 120 frames in the paper. batch: motion
+        [B, T, D_m], mask [B, D_m] of present joints. Eq. 5 prints the L1 norm of a pair, which must be the norm of its
+        difference. Velocity and acceleration are differences of adjacent frames. `progress` is unused."""
         motion, mask = batch["motion"], batch["mask"][:, None]
         latents = self.encode(motion)
         quantised = self.quantizer(latents.flatten(0, 1))

@@ -10,7 +10,7 @@ from data_module.settings import NotNegative, SettingChoice, SettingRange, Share
 __all__ = ["LexiconConfig", "RacerConfig"]
 
 HALVINGS = 3
-"""Times that the encoder of RACER's codec halves the frame rate."""
+"""Number of times that the encoder of RACER's codec halves the frame rate."""
 FRAMES = 2**HALVINGS
 """Frames per code of RACER's codec."""
 
@@ -19,17 +19,17 @@ Codebook = Annotated[str, SettingChoice(("ema", "gradient"))]
 
 @dataclass(frozen=True)
 class LexiconConfig:
-    """Sizes and weights of the lexicon; the defaults are the paper's where it gives them."""
+    """Sizes and weights of the lexicon; the defaults are the paper's if it gives them."""
 
     kind: Annotated[str, SettingChoice(("pose", "movement"))] = "pose"
-    """"pose": the VQ-VAE over blocks as they stand (RG 5.1); "movement": what a block does from its past
-    (`lexicon.movement`), of which the settings below are read down to `levels`."""
+    """"pose": the VQ-VAE over blocks (RG 5.1); "movement": the movement relative to the past (`lexicon.movement`),
+    which uses the settings down to `levels`."""
     size: Width = 50
     """N_s, lexemes in the lexicon (50 Trinity and Chinese, 100 TED)."""
     trunk_components: Width = 24
-    """Principal components of the torso and of the head: 99.5 % of what the predictor leaves."""
+    """Principal components of the torso and of the head: 99.5 % of the residual variance of the predictor."""
     arm_components: Width = 40
-    """Principal components of each arm: 99.6 %."""
+    """Principal components of each arm: 99.6 % of the residual variance."""
     finger_components: Width = 12
     """Principal components of the fingers of each hand."""
     levels: Annotated[tuple[int, ...], SettingRange(1, 2**16)] = (64, 64)
@@ -39,11 +39,11 @@ class LexiconConfig:
     widths: Widths = (64, 128, 156, 192)
     """Channels of the four convolutions."""
     kernel: Width = 3
-    """Frames that a convolution sees."""
+    """Kernel size of a convolution, frames."""
     codebook: Codebook = "ema"
     """"ema", or "gradient" for the literal third term of Eq. 3."""
     decay: Share = 0.99
-    """Of the moving average of a lexeme, per step."""
+    """Decay of the moving average of a lexeme, per step."""
     revive_below: NotNegative = 1.0
     """A lexeme used less often than this per batch, on average, is revived."""
     commitment: NotNegative = 1.0
@@ -58,7 +58,6 @@ class LexiconConfig:
     """Share of the training run as a plain autoencoder, before k-means starts the codebook."""
 
     def components_of(self, part: str) -> int:
-        """Principal components of a part of the body."""
         if part.endswith("fingers"):
             return self.finger_components
         return self.trunk_components if part in ("torso", "head") else self.arm_components
@@ -66,14 +65,14 @@ class LexiconConfig:
 
 @dataclass(frozen=True)
 class RacerConfig:
-    """Sizes and weights of the codec; the defaults are the paper's where it gives them (RACER 5.2)."""
+    """Sizes and weights of the codec; the defaults are the paper's if it gives them (RACER 5.2)."""
 
     width: Width = 512
     """C, channels of every layer and width of a code."""
     size: Width = 512
     """N, codes in the codebook."""
     dilations: Widths = (1, 3, 9)
-    """Of the residual blocks of a stage, in the encoder's order; the decoder reverses them."""
+    """Dilations of the residual blocks of a stage, in the encoder's order; the decoder reverses them."""
     velocity: NotNegative = 1.0
     """alpha_1 of Eq. 5."""
     acceleration: NotNegative = 1.0
@@ -83,6 +82,6 @@ class RacerConfig:
     codebook: Codebook = "ema"
     """"ema", or "gradient" for the literal second term of Eq. 4."""
     decay: Share = 0.99
-    """Of the moving average of a code, per step."""
+    """Decay of the moving average of a code, per step."""
     revive_below: NotNegative = 1.0
     """A code used less often than this per batch (64 x 15 codes in the paper), on average, is revived."""

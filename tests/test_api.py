@@ -103,7 +103,7 @@ def test_channels_are_averaged_and_loud_samples_clipped() -> None:
 
 
 @pytest.mark.parametrize(("samples", "rate", "said"), [
-    (np.zeros(RATE, np.float32), None, "sample_rate: is lacking"), (np.zeros(RATE, np.float32), 0, "sample_rate 0"),
+    (np.zeros(RATE, np.float32), None, "sample_rate: is missing"), (np.zeros(RATE, np.float32), 0, "sample_rate 0"),
     (np.zeros(RATE, np.float32), float("nan"), "sample_rate nan"), (np.zeros(100, np.float32), RATE, "too short"),
     (np.zeros(0, np.float32), RATE, "too short"), (np.zeros((2, RATE), np.float32), RATE, "samples first"),
     (np.zeros((RATE, 0), np.float32), RATE, "samples first"), (np.zeros((2, 2, RATE)), RATE, "shaped"),
@@ -118,7 +118,7 @@ def test_samples_that_cannot_be_used(samples: np.ndarray, rate: float | None, sa
 
 def test_a_rate_beside_a_file_is_refused(g: Gesticulator, tmp_path: Path) -> None:
     for given in (tmp_path / "speech.wav", Speech(voice(), RATE)):
-        with pytest.raises(InputError, match="knows its own"):
+        with pytest.raises(InputError, match="has a rate"):
             g(given, RATE)
 
 

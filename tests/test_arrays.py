@@ -75,8 +75,8 @@ LIES = {
     "a header that is code": (b"\x93NUMPY\x01\x00" + struct.pack("<H", 17) + b"__import__('os') ", "plain"),
     "a header that is long": (b"\x93NUMPY\x02\x00" + struct.pack("<I", 1 << 31), "too long"),
     "cut short": (header("<f8", (4,), bytes(31)), "32 bytes, and 31 follow"),
-    "text": (b"0 1 2\n" * 40, "no header"),
-    "nothing": (b"", "no header"),
+    "text": (b"0 1 2\n" * 40, "no numpy header"),
+    "nothing": (b"", "no numpy header"),
 }
 
 

@@ -20,9 +20,10 @@ from data_module.speech.onsets import (
     detect_onsets,
     merged,
     onset_strength,
-    strength_at,
+    onsets_of,
 )
-from data_module.speech.silence import LoudnessTracker, frame_levels, quietest
+from data_module.speech.silence import LoudnessTracker, frame_levels
+from data_module.speech.silence import loudness as loudness_of
 from data_module.types import Array, BeatFlag, Samples, Speech
 
 RATE = 16000
@@ -268,7 +269,7 @@ def test_onsets_do_not_depend_on_gain_nor_on_what_comes_later() -> None:
 
 def test_sound_that_arrives_in_pieces_rises_alike_to_the_last_bit() -> None:
     sound = babble(4.03)
-    whole, limit = onset_strength(sound, RATE), quietest(frame_levels(sound, RATE))
+    whole, limit = onset_strength(sound, RATE), loudness_of(frame_levels(sound, RATE)).limit
     for size in (37, 800, 16123):
         tracker, told = RiseTracker(RATE), 0
         parts = []
@@ -362,8 +363,8 @@ def test_strengths_belong_to_their_onsets() -> None:
     for place, height in zip(places, heights, strict=True):
         at = round(place * rate)
         samples[at:at + 800] += height * rng.normal(size=800)
-    onsets = detect_onsets(samples, rate)
-    strongest = onsets[strength_at(samples, rate, onsets).argmax()]
+    onsets, strengths = onsets_of(samples, rate)
+    strongest = onsets[strengths.argmax()]
     assert abs(strongest - places[4]) < 0.03
 
 

@@ -276,7 +276,7 @@ def test_nonsense_names_its_flag(text: str) -> None:
 
 
 def test_what_training_never_saw_is_said_and_used() -> None:
-    with pytest.warns(ControlWarning, match=r"--hand-height 1\.1.*far from all that training saw.*high 0\.40"):
+    with pytest.warns(ControlWarning, match=r"--hand-height 1\.1.*far from the training data.*high 0\.40"):
         assert parse("--hand-height", "1.1", "height", levels()) == 1.1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -335,10 +335,10 @@ def test_a_curve_is_read_from_any_usual_csv(tmp_path: Path, text: str) -> None:
     ("", "empty"),
     ("# nothing\n\n", "empty"),
     ("time,value\n", "no values"),
-    ("time,value\n0,0.1\n1,abc\n", "line 3: has 'abc' for a number"),
-    ("0,0.1\n\n1,\n", "line 3: has '' for a number"),
-    ("0,0.1\n1,nan\n", "line 2: has 'nan' for a number"),
-    ("0,0.1\ninf,0.2\n", "line 2: has 'inf' for a number"),
+    ("time,value\n0,0.1\n1,abc\n", "line 3: has 'abc' in place of a number"),
+    ("0,0.1\n\n1,\n", "line 3: has '' in place of a number"),
+    ("0,0.1\n1,nan\n", "line 2: has 'nan' in place of a number"),
+    ("0,0.1\ninf,0.2\n", "line 2: has 'inf' in place of a number"),
     ("0,0.1\n1,0.2\n1,0.3\n", "line 3: goes back to 1 s"),
     ("0,0.1\n1\n", "line 2: has 1 columns"),
     ("0,0.1,0.2\n1,0.1,0.2\n", "line 1: has 3 columns and no header"),
@@ -346,9 +346,9 @@ def test_a_curve_is_read_from_any_usual_csv(tmp_path: Path, text: str) -> None:
     ("when,what\n0,0.1\n", "line 1: names the columns when, what"),
     ("time,height\n0,0.1\n", "line 1: names the columns time, height"),
     ("time,radius,radius\n0,0.1,0.2\n", "twice"),
-    ("0,0.1\n1,45\n", "line 2: 45: is no radius"),
-    ("0,0.1\n1,-0.1\n", r"line 2: -0\.1: is no radius"),
-    ("x,0.1\n1,0.2\n", "line 1: has 'x' for a number"),
+    ("0,0.1\n1,45\n", "line 2: 45: is not a possible radius"),
+    ("0,0.1\n1,-0.1\n", r"line 2: -0\.1: is not a possible radius"),
+    ("x,0.1\n1,0.2\n", "line 1: has 'x' in place of a number"),
 ])
 def test_a_bad_csv_names_its_line(tmp_path: Path, text: str, told: str) -> None:
     file = tmp_path / "bad.csv"
@@ -365,7 +365,7 @@ def test_what_is_not_text_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a folder"):
         parse("--hand-radius", str(tmp_path), "radius", levels())
     file.write_text("0," + "1" * 200_000)
-    with pytest.raises(InputError, match=r"sound\.csv: is no CSV file"):
+    with pytest.raises(InputError, match=r"sound\.csv: is not a CSV file"):
         read_curve(file, "radius")
 
 

@@ -84,9 +84,9 @@ def test_control_characters_are_printed_as_escapes(given: str, printed: str | No
 
 
 @pytest.mark.parametrize(("raised", "line"), [
-    (MemoryError("Unable to allocate 119. GiB"), "program: memory: there is too little of it (Unable to allocate 119. "
+    (MemoryError("Unable to allocate 119. GiB"), "program: memory: there is too little (Unable to allocate 119. "
      "GiB); give a shorter recording or a smaller file, or close other programs\n"),
-    (MemoryError(), "program: memory: there is too little of it; give a shorter recording or a smaller file, or close "
+    (MemoryError(), "program: memory: there is too little; give a shorter recording or a smaller file, or close "
      "other programs\n"),
     (ModuleNotFoundError("No module named 'av'", name="av"), "program: av: cannot be imported (No module named 'av'); "
      "install gesticulator again with the extra that needs it\n"),

@@ -142,9 +142,9 @@ def test_the_trunk_goes_on_without_a_seam_and_calms_in_pauses(spoken: Spoken) ->
 
 def test_the_head_stays_with_the_listener() -> None:
     yaw = np.radians(60.0) * np.sin(np.linspace(0.0, 60.0, 3000))
-    kept = trunk.kept_ahead(yaw) * yaw
-    assert np.degrees(np.percentile(np.abs(kept), 95)) == pytest.approx(20.0)
-    assert trunk.kept_ahead(0.1 * yaw) == 1.0
+    limited = trunk.yaw_scale(yaw) * yaw
+    assert np.degrees(np.percentile(np.abs(limited), 95)) == pytest.approx(20.0)
+    assert trunk.yaw_scale(0.1 * yaw) == 1.0
 
 
 def test_a_posture_is_held_and_then_changed() -> None:

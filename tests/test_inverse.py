@@ -90,7 +90,7 @@ def test_a_word_that_the_motion_shows_is_preferred() -> None:
                 np.array([[-1, -1, -1], [-1, 4, -1]]), 1.0)
     for shown, best in ((1.5, 1), (-1.5, 0)):
         wanted = _wanted(2.0, 3.5, [2.2, 2.7, 3.2])
-        wanted.shown[:, 4] = shown
+        wanted.movement[:, 4] = shown
         chosen = np.array([0, 1])
         match = assign(inverse.candidates_of(pool, chosen), wanted, inverse.rewards(pool, chosen, wanted))
         assert match is not None and match.phrase == best

@@ -87,7 +87,7 @@ def test_without_languages_talks_are_english_and_every_reading_is_used(outside_d
 
 
 def test_languages_that_nobody_speaks_are_refused(outside_data: Path) -> None:
-    with pytest.raises(InputError, match=r"--languages de,xx: nobody here speaks xx.*cmn, de, en, es"):
+    with pytest.raises(InputError, match=r"--languages de,xx: no voice speaks xx.*cmn, de, en, es"):
         _plan(outside_data, "de", "xx")
     with pytest.raises(InputError, match="--languages: is not for the tiny preset"):
         open_corpus("performer", None, Options(preset="tiny", languages=("de",)))

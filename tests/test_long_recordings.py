@@ -19,7 +19,7 @@ from data_module.motion.rotation import continuous as whole_continuous
 from data_module.motion.skeletons import CHARACTER, CHARACTERS, HIP_HEIGHT
 from data_module.speech import sound_files
 from data_module.speech.audio import LevelMeter, load_speech, speech_pieces
-from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, noise_floor
+from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, loudness
 from data_module.types import Motion, Samples
 from gesticulator import infer
 from gesticulator.batch import one
@@ -50,7 +50,7 @@ def test_angles_in_pieces_are_unwrapped_as_numpy_does_all_of_them(sizes: list[in
 def loud_level(sound: Samples) -> float:
     """The mean level, dBFS, of the frames that stand out of the noise under them, of all of them at once."""
     levels = frame_levels(sound, 16000)
-    return float(levels[levels > np.maximum(noise_floor(levels) + MARGIN, FAINTEST_SPEECH)].mean())
+    return float(levels[levels > np.maximum(loudness(levels).floor + MARGIN, FAINTEST_SPEECH)].mean())
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.01])

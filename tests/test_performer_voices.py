@@ -22,7 +22,6 @@ from data_module.performer.voices import (
     VOICES,
     VOICES_OF,
     nuclei_of,
-    numpy_speech,
     speak,
     synthesise,
     without_tone,
@@ -288,12 +287,6 @@ def test_a_high_tone_is_no_stress() -> None:
     assert level[4].prominence > level[0].prominence + 0.3 > level[5].prominence + 0.6
     assert [replace(s, prominence=0.0) for s in level] == [replace(s, prominence=0.0) for s in heard]
     assert without_tone(()) == ()
-
-
-def test_numpy_speech_needs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", "")
-    spoken = numpy_speech(10, seed=3)
-    assert spoken.language == "en" and spoken.speech.duration > 5 and len(spoken.syllables) > 15
 
 
 def test_a_missing_program_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,7 @@ def whole(interpreter: LstmInterpreter, batch: dict[str, Tensor]) -> Tensor:
     """Log-probabilities [B, N, S] of every block but the seed."""
     with torch.no_grad():
         logits, _ = interpreter.scores(batch["lexeme"][:, :-1], batch["audio_high"][:, 1:], batch["speaker"],
-                                       pose=interpreter.seen(batch))
+                                       pose=interpreter.poses(batch))
     return torch.log_softmax(logits, -1)
 
 
@@ -75,7 +75,7 @@ def test_two_frames_have_no_acceleration() -> None:
 
 def test_who_sees_and_is_shown_nothing_says_so() -> None:
     seer = model(pose_features=4).eval()
-    with pytest.raises(ValueError, match="block before"):
+    with pytest.raises(ValueError, match="needs the pose"):
         seer.step(seer.start(0, 0), BlockFeatures(torch.zeros(15, AUDIO), torch.zeros(15, AUDIO)), 0)
 
 

@@ -81,7 +81,7 @@ def test_trinity_says_what_is_missing_by_file(tmp_path: Path) -> None:
     assert f"left out Recording_002: {train / 'Audio' / 'Recording_002.wav'} is missing" in notes
     assert f"left out Recording_003: {train / 'Motion' / 'Recording_003.bvh'} is missing" in notes
     assert f"{train / 'Transcripts' / 'Recording_001.json'} is missing, so its words are unknown" in notes
-    assert f"left out {train / 'Motion' / 'Recording_024.bvh'}: it is no recording of the published split" in notes
+    assert f"left out {train / 'Motion' / 'Recording_024.bvh'}: it is not a recording of the published split" in notes
     [absent] = [note for note in reader.notes() if note.startswith("not there:")]
     assert "Recording_004" in absent and "TestSeq010" in absent and "Recording_002" not in absent
     assert load(reader, reader.items()[0]).speech.words is None
@@ -102,7 +102,7 @@ def test_transcripts_of_google_in_both_shapes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("text", "message"), [
     ("{", "a.json: line 1, column 2: is not valid JSON"),
     ("{}", "a.json: is no list"),
-    ('[{"word": "a", "start_time": "1.0", "end_time": "2s"}]', "a.json: entry 0: '1.0' is no time"),
+    ('[{"word": "a", "start_time": "1.0", "end_time": "2s"}]', "a.json: entry 0: '1.0' is not a time"),
     ('[{"word": "a", "start_time": "2s", "end_time": "1s"}]', "a.json: entry 0: .*no valid time"),
     ('[{"word": "a", "start_time": "0s", "end_time": "1s"}, {"word": "b"}]', "a.json: entry 1: 'start_time'"),
     ('[{"alternatives": []}]', "a.json: entry 0"),
@@ -157,8 +157,8 @@ def test_a_text_beside_a_recording_of_zeroeggs_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "message"), [
-    ("anim_bvh,validation\n001_Neutral_0.bvh,MAYBE\n", r"info\.csv: has entries that are not read \(001_Neutral_0"),
-    ("a,b\n1,2\n", r"info\.csv: has entries that are not read"),
+    ("anim_bvh,validation\n001_Neutral_0.bvh,MAYBE\n", r"info\.csv: has invalid entries \(001_Neutral_0"),
+    ("a,b\n1,2\n", r"info\.csv: has invalid entries"),
     ("", r"info\.csv: is empty"),
 ])
 def test_a_broken_list_of_zeroeggs_is_named(text: str, message: str, tmp_path: Path) -> None:
@@ -288,7 +288,7 @@ def test_a_folder_of_another_rig_says_which_joints_it_lacks(tmp_path: Path, caps
     published.write_clicks(tmp_path / "x.wav", 2.0)
     assert main(["folder", "--source", str(tmp_path), "--out", str(tmp_path / "s"), "--workers", "1"]) == 0
     said = capsys.readouterr().out
-    assert "joint Spine3 is lacking in 1 recordings" in said and "joint Neck1 is lacking in 1 recordings" in said
+    assert "joint Spine3 is missing in 1 recordings" in said and "joint Neck1 is missing in 1 recordings" in said
     assert "a unit of length is 1 m, guessed by the length of the spine (1 recordings)" in said
     stored = Store.open(tmp_path / "s").load("x").motion
     assert set(stored.absent) == {"Spine3", "Neck1"} and stored.fps == 30
@@ -312,7 +312,7 @@ def test_the_unit_is_told_or_published_or_guessed(tmp_path: Path) -> None:
     file.write_text(published.bvh_in(made, unit=0.0254))
     motion, said = read_motion(file, Options(unit=0.0254), published=0.01)
     _same(motion, made)
-    assert said == "0.0254 m, told by --unit"
+    assert said == "0.0254 m, given by --unit"
     file.write_text(published.bvh_in(made, unit=1.0))
     with pytest.warns(TakeWarning, match=r"a\.bvh has a body that fits 1 m to a unit, and was published with 0\.01"):
         read_motion(file, Options(), published=0.01)

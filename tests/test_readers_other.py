@@ -361,8 +361,8 @@ def test_a_broken_smplx_file_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "message"), [
-    (None, "does not exist"), ("id,type\n", "is empty"), (f"id,type\n{TAKE},exam\n", f"not read \\({TAKE}\\)"),
-    (f"id,type\n{TAKE},test\n{TAKE},val\n", "twice"), ("name\na\n", "not read"),
+    (None, "does not exist"), ("id,type\n", "is empty"), (f"id,type\n{TAKE},exam\n", f"invalid entries \\({TAKE}\\)"),
+    (f"id,type\n{TAKE},test\n{TAKE},val\n", "twice"), ("name\na\n", "invalid entries"),
     ("id,type\n2_scott_0_5_5,test\n", "holds none of the recordings"),
 ])
 def test_a_broken_list_of_beat2_is_named(tmp_path: Path, text: str | None, message: str) -> None:
@@ -413,7 +413,7 @@ def test_a_value_cut_short_is_refused(version: str) -> None:
 
     data = ted_value("VIDEO", version)
     for length in (0, 7, 16, 200, len(data) // 3, len(data) // 2, len(data) - 4000):
-        with pytest.raises(InputError, match=r"VALUE: is not what pyarrow\.serialize wrote, or is cut short"):
+        with pytest.raises(InputError, match=r"VALUE: is not an output of pyarrow\.serialize, or is truncated"):
             deserialise(data[:length], source="VALUE")
 
 

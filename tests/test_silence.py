@@ -15,9 +15,8 @@ from data_module.speech.silence import (
     QUIETEST,
     SHORTEST_PAUSE,
     frame_levels,
-    noise_floor,
+    loudness,
     pauses,
-    quietest,
     silent_blocks,
     silent_frames,
 )
@@ -55,7 +54,7 @@ def test_frame_levels_are_dbfs() -> None:
 
 def test_the_floor_is_the_percentile_of_the_past_ten_seconds() -> None:
     levels = np.random.default_rng(0).normal(-70, 5, 2500)
-    floor = noise_floor(levels)
+    floor = loudness(levels).floor
     means = levels.reshape(-1, 10).mean(axis=1)
     for step in (3, 60, 101, 200, 249):
         past = means[max(0, step - 99):step + 1]
@@ -113,7 +112,7 @@ def test_the_limit_of_an_ordinary_recording_does_not_move() -> None:
     breaths = np.concatenate([np.zeros(RATE // 2), voice(0.4, -66), np.zeros(RATE // 2), voice(0.5, -64)])
     sound = np.concatenate([breaths, voice(8.0, -24), np.zeros(RATE), breaths, breaths, np.zeros(5 * RATE)])
     levels = frame_levels(sound.astype(np.float32), RATE)
-    assert (quietest(levels) == QUIETEST).all()
+    assert (loudness(levels).limit == QUIETEST).all()
 
 
 def test_the_last_bits_of_a_sound_card_are_silent() -> None:
@@ -126,7 +125,7 @@ def test_real_recordings_keep_the_limit(outside_data: Path) -> None:
     """What has its usual level is cut as it always was, to the bit."""
     for file in sorted((outside_data / "speech").glob("*.flac")):
         levels = frame_levels(load_speech(file).samples, RATE)
-        assert (quietest(levels) == QUIETEST).all(), file
+        assert (loudness(levels).limit == QUIETEST).all(), file
 
 
 def test_a_voice_that_starts_at_once_is_heard() -> None:

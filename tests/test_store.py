@@ -185,7 +185,7 @@ def _break(store: Path, how: str) -> str:
     if how == "lacks":
         del content["licence"]
         listing.write_text(json.dumps(content))
-        return "lacks"
+        return "has missing or invalid entries"
     (store / "recordings" / "a.npz").unlink()
     return "is missing from its store"
 
@@ -285,7 +285,7 @@ def test_a_changed_file_is_refused(tmp_path: Path, suffix: str) -> None:
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
     file.write_bytes(bytes(content))
-    with pytest.raises(InputError, match="is not the file"):
+    with pytest.raises(InputError, match="was changed"):
         store.load("a")
     with pytest.raises(InputError, match="not in the store"):
         store.load("nobody")

@@ -107,9 +107,9 @@ def test_broken_textgrids_are_named_by_line(tmp_path: Path) -> None:
     assert "line 24: a number" in _refusal(tmp_path, "a.TextGrid", whole.replace("xmin = 0.5 ", "xmin = 1e999 "))
     assert "line 18: a text in quotes" in _refusal(tmp_path, "a.TextGrid", whole.replace('text = "" ', "text = 7 ", 1))
     assert "its tiers: phones" in _refusal(tmp_path, "a.TextGrid", _short({"phones": WORDS}, 2.0))
-    assert "is no TextGrid" in _refusal(tmp_path, "a.TextGrid", '"something" "else"')
+    assert "is not a TextGrid" in _refusal(tmp_path, "a.TextGrid", '"something" "else"')
     assert "has no words" in _refusal(tmp_path, "a.TextGrid", _short({"words": [Word("", 0.0, 2.0)]}, 2.0))
-    assert "no number of entries" in _refusal(tmp_path, "a.TextGrid", whole.replace("size = 5", "size = 1e300"))
+    assert "not a number of entries" in _refusal(tmp_path, "a.TextGrid", whole.replace("size = 5", "size = 1e300"))
     assert "no tiers" in _refusal(tmp_path, "a.TextGrid", whole.replace("<exists>", "<absent>"))
     backward = [Word("one", 0.0, 0.5), Word("two", 0.5, 1.0)]
     content = _short({"words": backward}, 1.0).replace("0.5\n1.0\n", "0.5\n0.2\n")
@@ -144,7 +144,7 @@ def test_broken_subtitles_are_named_by_line(tmp_path: Path) -> None:
     assert _refusal(tmp_path, "a.srt", good + "2\n00:00:03 -> 00:00:04\nworld\n").startswith("line 5: no times")
     assert _refusal(tmp_path, "a.srt", good + "2\n00:00:0x --> 00:00:04\nworld\n").startswith("line 6: '00:00:0x")
     assert "line 6: ends at 2 s, before" in _refusal(tmp_path, "a.srt", good + "2\n00:00:03,0 --> 00:00:02,0\nworld\n")
-    assert "line 1: is no WebVTT" in _refusal(tmp_path, "a.vtt", good)
+    assert "line 1: is not WebVTT" in _refusal(tmp_path, "a.vtt", good)
     assert "has no words" in _refusal(tmp_path, "a.srt", good.replace("hello", "[Music]"))
 
 
@@ -183,19 +183,19 @@ def test_words_without_times_lie_between_their_neighbours(tmp_path: Path) -> Non
     np.testing.assert_allclose([(w.start, w.end) for w in found.words],
                                [(0.5, 0.7), (0.7, 1.0), (1.0, 1.3), (1.3, 1.6), (1.6, 1.9)])
     _, timing = with_transcript(_noise(3.0), found)
-    assert timing.how == "given" and timing.guessed == 3 and "3 word times were guessed" in timing.note
+    assert timing.how == "given" and timing.guessed == 3 and "3 word times are estimates" in timing.note
 
 
 @pytest.mark.parametrize(("content", "said"), [
     ('{"words": [}', "line 1, column 12: is not valid JSON"),
-    ('{"words": [{"word": "a", "start": "0:01", "end": 2}]}', "words[0].start: '0:01' is no time"),
+    ('{"words": [{"word": "a", "start": "0:01", "end": 2}]}', "words[0].start: '0:01' is not a time"),
     ('{"words": [{"word": "a", "start": 1, "end": NaN}]}', "NaN is not a number"),
-    ('{"words": [{"word": "a", "start": 1}]}', "words[0].end: 'None' is no time"),
-    ('{"words": [{"word": "a", "start": true, "end": 2}]}', "words[0].start: 'True' is no time"),
+    ('{"words": [{"word": "a", "start": 1}]}', "words[0].end: 'None' is not a time"),
+    ('{"words": [{"word": "a", "start": true, "end": 2}]}', "words[0].start: 'True' is not a time"),
     ('{"words": [{"word": "a", "start": 1e999, "end": 2}]}', "the number 1e999 is too large"),
     ('{"words": [{"word": "a", "start": ' + "9" * 400 + ', "end": 2}]}', "a number of 400 digits"),
     ('{"words": [{"start": 1, "end": 2}]}', "words[0]: has no word"),
-    ('{"words": ["a"]}', "words[0]: is no object"),
+    ('{"words": ["a"]}', "words[0]: is not an object"),
     ('{"words": []}', "has no words"),
     ('{"words": [{"word": "a", "start": -3, "end": -2}]}', "has no words"),
     ('{"segments": [{"text": "no time"}]}', "segments[0]: has no times"),
@@ -250,7 +250,7 @@ def test_files_that_are_no_text(tmp_path: Path) -> None:
     assert "is not text" in _refusal(tmp_path, "a.txt", b"RIFF\0\0\0")
     assert "has no words" in _refusal(tmp_path, "a.txt", "")
     assert "has no words" in _refusal(tmp_path, "a.txt", "... -- !\n")
-    assert "is no transcript that can be read; give one of .txt" in _refusal(tmp_path, "a.wav", b"RIFF")
+    assert "is not a supported transcript; give one of .txt" in _refusal(tmp_path, "a.wav", b"RIFF")
     with pytest.raises(InputError, match="does not exist"):
         read_transcript(tmp_path / "none.txt")
     (tmp_path / "folder.json").mkdir()
@@ -270,7 +270,7 @@ def test_what_the_aligner_cannot_read_shares_out_the_sound(tmp_path: Path, monke
     samples[2 * RATE:] *= 0.001
     speech, timing = with_transcript(Speech(samples, RATE), _read(tmp_path, "a.txt", said))
     assert timing.how == "guessed" and timing.guessed == timing.words == count
-    assert "word times were guessed" in timing.note
+    assert "word times are estimates" in timing.note
     assert speech.words is not None and len(speech.words) == count
     assert speech.words[0].start == pytest.approx(1.0, abs=0.02)
     assert speech.words[-1].end == pytest.approx(2.0, abs=0.02)
@@ -302,7 +302,7 @@ def test_a_cue_that_is_not_heard_is_counted(outside_data: Path, tmp_path: Path) 
     path.write_text(json.dumps(cues), encoding="utf-8")
     found, timing = with_transcript(twice, read_transcript(path, twice))
     assert found.words is not None and timing.how == "heard" and timing.guessed == 5
-    assert timing.note == f"{timing.words} words, 5 word times were guessed: they share out their cues"
+    assert timing.note == f"{timing.words} words, 5 word times are estimates: they are spread over their cues"
     assert all(word.start >= speech.duration for word in found.words[-5:])
 
 
@@ -313,7 +313,7 @@ def test_a_real_reading_in_every_format(outside_data: Path, tmp_path: Path) -> N
     source = outside_data / "speech" / "en_sonnet_1.txt"
     heard, timing = with_transcript(speech, read_transcript(source, speech))
     assert heard.words is not None and timing.how == "heard" and timing.guessed == 0
-    assert timing.words == len(heard.words) == 108 and timing.note == "108 words, times heard in the recording"
+    assert timing.words == len(heard.words) == 108 and timing.note == "108 words, times aligned with the recording"
 
     path = tmp_path / "a.TextGrid"
     path.write_text(_long({"words": heard.words}, speech.duration), encoding="utf-8")
@@ -342,7 +342,7 @@ def test_a_wrong_text_is_guessed_and_said_so(outside_data: Path, other: str) -> 
     speech = load_speech(outside_data / "speech" / "en_austen_0870.flac")
     found, timing = with_transcript(speech, read_transcript(outside_data / "speech" / f"{other}.txt"))
     assert timing.how == "guessed" and timing.guessed == timing.words == len(found.words or ())
-    assert "word times were guessed: the transcript" in timing.note
+    assert "word times are estimates: the transcript" in timing.note
     assert all(0 <= w.start <= w.end <= speech.duration for w in found.words or ())
 
 
@@ -350,7 +350,7 @@ def test_a_wrong_text_is_guessed_and_said_so(outside_data: Path, other: str) -> 
 def test_real_readings_in_other_languages_are_guessed(outside_data: Path, name: str) -> None:
     speech = load_speech(outside_data / "speech" / f"{name}.flac")
     found, timing = with_transcript(speech, read_transcript(outside_data / "speech" / f"{name}.txt", speech))
-    assert timing.how == "guessed" and "the aligner reads English only" in timing.note
+    assert timing.how == "guessed" and "the aligner supports English only" in timing.note
     starts = np.array([w.start for w in found.words or ()])
     assert len(starts) > 100 and (np.diff(starts) > 0).all() and starts[-1] > 0.9 * speech.duration
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.text import word_vectors
-from data_module.text.word_vectors import WordEncoder, sentences, text_rows, word_frames
+from data_module.text.word_vectors import WordEncoder, sentences, word_frames
 from data_module.types import Blocks, Word
 
 
@@ -191,16 +191,6 @@ def test_frames_agree_with_a_plain_search(drawn: list[tuple[str, float, float]],
         else:
             word = words[number]
             assert word.end == left if time_ - left <= right - time_ else word.start == right
-
-
-def test_rows_repeat_the_vector_and_flag_the_empty_word() -> None:
-    vectors = np.array([[1.0, 2.0], [3.0, 4.0]])
-    rows = text_rows(vectors, np.array([[0, 0, -1], [1, -1, 0]]))
-    assert rows.dtype == np.float32
-    assert rows.tolist() == [[[1, 2, 0], [1, 2, 0], [0, 0, 1]], [[3, 4, 0], [0, 0, 1], [1, 2, 0]]]
-    assert text_rows(np.zeros((0, 2), np.float32), np.array([[-1, -1]])).tolist() == [[[0, 0, 1], [0, 0, 1]]]
-    with pytest.raises(ValueError, match="there are 2"):
-        text_rows(vectors, np.array([[2]]))
 
 
 def test_packaged_names_are_told_in_one_place() -> None:

@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora.base import DroppedError, Imported, Item, Options, split_of, trimmed
+from data_module.corpora.base import DroppedError, Imported, Item, Options, needed, split_of, trimmed
 from data_module.corpora.takes import Take, find_takes, read_motion, with_text
 from data_module.errors import InputError
 from data_module.motion.bvh import CENTIMETRES, BvhWarning
@@ -38,22 +38,19 @@ _EMOTIONS_END = (72, 80, 86, 94, 102, 110, 118)
 
 
 def published_split(name: str) -> dict[str, Split] | None:
-    """The halves of a recording ('' the whole) -> their published split; None where the split says nothing.
-
-    It is known for English alone (recording types 0 and 1), by the number of the sequence.
-    """
-    told = NAME.fullmatch(name)
-    if told is None or told["record"] not in "01":
+    """The halves of a recording ('' the whole) -> their published split, by the number of the sequence; None if
+    unknown. It is known for English only (recording types 0 and 1)."""
+    fields = NAME.fullmatch(name)
+    if fields is None or fields["record"] not in "01":
         return None
-    numbers = range(int(told["start"]), int(told["end"]) + 1)
-    rules = [_rule(number, told["record"] == "1", int(told["id"]) in FOUR_HOURS) for number in numbers]
+    numbers = range(int(fields["start"]), int(fields["end"]) + 1)
+    rules = [_rule(number, fields["record"] == "1", int(fields["id"]) in FOUR_HOURS) for number in numbers]
     # A file of several sequences (version 0.1) is in a split when all of them are.
     same = bool(rules) and all(rule == rules[0] for rule in rules)
     return rules[0] if same and ("" in rules[0] or len(rules) == 1) else None
 
 
 def _rule(number: int, talk: bool, many: bool) -> dict[str, Split]:
-    """The published rule for one sequence: a conversation (`talk`) or read speech, of a speaker with `many` hours."""
     if many:
         tests = {1} if talk else {*range(1, 9), *_EMOTIONS_BEGIN}
         checks = {12} if talk else {*range(57, 65), *_EMOTIONS_END}
@@ -66,13 +63,13 @@ def _rule(number: int, talk: bool, many: bool) -> dict[str, Split]:
 
 
 def info_of(name: str, split: Split, half: str = "") -> RecordingInfo:
-    """What the name ID_NAME_RECORD_START_END tells; read speech of one text is one group over all speakers."""
-    told = NAME.fullmatch(name)
-    if told is None:
+    """The info in the name ID_NAME_RECORD_START_END; read speech of one text is one group over all speakers."""
+    fields = NAME.fullmatch(name)
+    if fields is None:
         raise ValueError(f"{name} is not named ID_NAME_RECORD_START_END")
-    record = int(told["record"])
-    speaker = f"{told['id']}_{told['name']}"
-    group = name if record % 2 else f"{record}_{told['start']}_{told['end']}"
+    record = int(fields["record"])
+    speaker = f"{fields['id']}_{fields['name']}"
+    group = name if record % 2 else f"{record}_{fields['start']}_{fields['end']}"
     return RecordingInfo(name + ("_" + half if half else ""), split, speaker, speaker, LANGUAGES[record // 2],
                          group=group)
 
@@ -83,8 +80,7 @@ class Beat:
     licence = "CC BY-NC 4.0 (BEAT): not for commercial use, nor are weights trained on it"
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        if source is None:
-            raise InputError("--source", "is missing", "name the folder that holds BEAT's folders of speakers")
+        source = needed(source, "name the folder that holds BEAT's folders of speakers")
         self._options = options
         takes, self._notes = find_takes(source, NAME, texts=(".textgrid",))
         self._takes: dict[str, Take] = {name: takes[name] for name in sorted(takes, key=_order)}
@@ -95,7 +91,7 @@ class Beat:
                         for file in sorted(source.rglob("*.bvh")) if not NAME.fullmatch(file.stem)]
         unknown = sum(published_split(name) is None for name in self._takes)
         if unknown:
-            self._notes.append(f"{unknown} recordings are in no published split: theirs goes by their order")
+            self._notes.append(f"{unknown} recordings are in no published split: they are split by their order")
 
     def settings(self) -> Mapping[str, Any]:
         return {"files": {name: take.sizes() for name, take in self._takes.items()}, "motion_fps": self._options.fps,
@@ -126,7 +122,7 @@ class Beat:
         return self._notes
 
     def _motion(self, path: Path) -> tuple[Motion, str]:
-        """--fps is for files whose header contradicts itself (some do, as published); it must not touch the others."""
+        """--fps applies only to files whose header contradicts itself, as some published ones do."""
         try:
             return read_motion(path, replace(self._options, fps=None), CENTIMETRES)
         except InputError as error:
@@ -139,7 +135,6 @@ class Beat:
 
 
 def halved(recording: Imported, half: str) -> Imported:
-    """The first ('a') or the second ('b') half of a recording, or the whole ('')."""
     if not half:
         return recording
     speech, motion = trimmed(recording.speech, recording.motion)
@@ -156,5 +151,5 @@ def halved(recording: Imported, half: str) -> Imported:
 
 
 def _order(name: str) -> tuple[int, ...]:
-    told = NAME.fullmatch(name)
-    return tuple(int(told[part]) for part in ("id", "record", "start", "end")) if told else ()
+    fields = NAME.fullmatch(name)
+    return tuple(int(fields[part]) for part in ("id", "record", "start", "end")) if fields else ()

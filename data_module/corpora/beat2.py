@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora.base import DroppedError, Imported, Item, Options
+from data_module.corpora.base import DroppedError, Imported, Item, Options, needed
 from data_module.corpora.beat import NAME, info_of
 from data_module.corpora.takes import with_text
 from data_module.errors import InputError
@@ -30,13 +30,12 @@ _SPLITS: dict[str, Split] = {"train": "train", "val": "val", "test": "test", "ad
 
 
 class Beat2:
-    """A reader of BEAT2. The recordings that its list calls additional are trained on."""
+    """A reader of BEAT2. Recordings listed as additional are used for training."""
 
     licence = "CC BY-NC 4.0 (BEAT2): not for commercial use, nor are weights trained on it"
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        if source is None:
-            raise InputError("--source", "is missing", "name BEAT2's folder beat_english_v2.0.0")
+        source = needed(source, "name BEAT2's folder beat_english_v2.0.0")
         self._source, self._options = source, options
         self._notes: list[str] = []
         kinds: Counter[str] = Counter()
@@ -54,7 +53,7 @@ class Beat2:
             raise InputError(source, f"holds none of the recordings that {_LIST} lists",
                              "it should have smplxflame_30/ and wave16k/")
         if kinds["additional"]:
-            self._notes.append(f"{kinds['additional']} recordings listed as additional are trained on")
+            self._notes.append(f"{kinds['additional']} recordings listed as additional are used for training")
         self._notes += [f"left out {file}: {_LIST} does not list it"
                         for file in sorted((source / "smplxflame_30").glob("*.npz")) if file.stem not in self._splits
                         and not any(note.startswith(f"left out {file.stem}:") for note in self._notes)]
@@ -90,12 +89,12 @@ class Beat2:
 
 
 def _listed(path: Path) -> list[tuple[str, str]]:
-    """The recordings of the published list and what it calls them."""
+    """The recordings of the published list and their types."""
     if not path.exists():
         raise InputError(path, "does not exist", "--source is BEAT2's folder beat_english_v2.0.0")
     rows = [(row.get("id") or "", row.get("type") or "") for _, row in read_table(path, "fetch it again")]
     wrong = [name or kind or "an empty line" for name, kind in rows if kind not in _SPLITS or not NAME.fullmatch(name)]
     if not rows or wrong or len({name for name, _ in rows}) != len(rows):
-        raise InputError(path, f"has entries that are not read ({', '.join(wrong[:3])})" if wrong else
+        raise InputError(path, f"has invalid entries ({', '.join(wrong[:3])})" if wrong else
                          "is empty or lists a recording twice", "its columns are id and type")
     return rows

@@ -1,11 +1,11 @@
-"""Any folder of speech and BVH files of the same name; also what `build` writes as a data set.
+"""Any folder of speech and BVH files of the same name, such as the data set that `build` writes.
 
-`NAME.bvh` (any rig whose joints have known names) goes with `NAME.flac`, `.wav`, `.mp3` or `.ogg`. What is said may
-lie beside them as `NAME.TextGrid`, `.json` (words with their times), `.srt`, `.vtt` or `.txt` (plain); without any the
-words are unknown. `NAME.json` may also tell split, performer, voice, language, whether whoever moves stands in one
-place (`stands`), joints whose motion was made up (`filled`) and the truth of a scripted performance; without it the
-split goes by the order of the names, in shares of 80/10/10 or as `Options.split` says, and the performer is what stands
-before the first "_" of the names where several recordings share it, else the folder, or what `Options.speaker` says.
+`NAME.bvh` (any rig whose joints have known names) goes with `NAME.flac`, `.wav`, `.mp3` or `.ogg`. A transcript may be
+`NAME.TextGrid`, `.json` (words with times), `.srt`, `.vtt` or `.txt` (plain); without one the words are unknown.
+`NAME.json` may also give split, performer, voice, language, whether the performer stands in one place (`stands`),
+joints with synthetic motion (`filled`) and the truth of a scripted performance. Without it the split follows the order
+of the names, 80/10/10 or `Options.split`, and the performer is the part of the names before the first "_" if several
+recordings share it, else the folder, or given by `Options.speaker`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora.base import DroppedError, Imported, Item, Options, spread
+from data_module.corpora.base import DroppedError, Imported, Item, Options, needed, spread
 from data_module.corpora.takes import TEXTS, read_motion, with_text
 from data_module.errors import InputError, shown
 from data_module.files import read_text, write_text
@@ -31,7 +31,7 @@ from data_module.types import Speech, Word
 DEFAULT_SPLIT = "80/10/10"
 """Percent for train, val and test."""
 _SAID = ("words", "segments", "tiers", "text")
-"""Keys of a JSON object that hold what is said."""
+"""Keys of a JSON object with a transcript."""
 
 
 class Folder:
@@ -40,8 +40,7 @@ class Folder:
     licence = "that of the source folder; ask its owner"
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        if source is None:
-            raise InputError("--source", "is missing", "name the folder that holds the BVH and sound files")
+        source = needed(source, "name the folder that holds the BVH and sound files")
         self._source, self._options = source, options
         self._pairs: dict[str, tuple[Path, Path]] = {}
         self._alone: list[str] = []
@@ -73,21 +72,21 @@ class Folder:
                 for index, info in enumerate(self._infos)]
 
     def _listed(self) -> list[RecordingInfo]:
-        """Every pair with its split and speaker: as NAME.json says, else as the options do."""
-        beside = {name: self._told(name) for name in self._pairs}
-        self._guessed = not self._options.speaker and any(not told.get("performer") for told in beside.values())
+        beside = {name: self._fields(name) for name in self._pairs}
+        self._guessed = not self._options.speaker and any(not fields.get("performer") for fields in beside.values())
         open_ = [name for name in self._pairs if not beside[name].get("split")]
         splits = dict(zip(open_, spread_by(self._options.split, open_), strict=True))
         speakers = speakers_by(self._options.speaker, list(self._pairs), self._source)
         infos = []
-        for name, told in beside.items():
+        for name, fields in beside.items():
             for key in ("split", "performer", "voice", "language", "group"):
-                if not isinstance(told.get(key) or "", str):
-                    raise InputError(self._source / f"{name}.json", f"has {key} {shown(told[key])!r}",
+                if not isinstance(fields.get(key) or "", str):
+                    raise InputError(self._source / f"{name}.json", f"has {key} {shown(fields[key])!r}",
                                      "write a text there")
-            speaker = told.get("performer") or speakers[name]
-            infos.append(RecordingInfo(name, told.get("split") or splits[name], speaker, told.get("voice") or speaker,
-                                       told.get("language") or "und", group=told.get("group") or name))
+            speaker = fields.get("performer") or speakers[name]
+            infos.append(RecordingInfo(name, fields.get("split") or splits[name], speaker,
+                                       fields.get("voice") or speaker, fields.get("language") or "und",
+                                       group=fields.get("group") or name))
         return infos
 
     def read(self, item: Item) -> Imported:
@@ -95,104 +94,100 @@ class Folder:
         bvh, sound = self._pairs[name]
         try:
             motion, unit = read_motion(bvh, self._options)
-            told = self._told(name)
-            speech, timing = self._with_words(name, replace(load_speech(sound), speaker=item.info.speaker), told)
-            truth = Truth.from_json(told) if "strokes" in told else None
+            fields = self._fields(name)
+            speech, timing = self._with_words(name, replace(load_speech(sound), speaker=item.info.speaker), fields)
+            truth = Truth.from_json(fields) if "strokes" in fields else None
         except InputError as error:
             raise DroppedError(str(error)) from None
         except (KeyError, TypeError, ValueError) as error:
-            raise DroppedError(f"{self._source / name}.json: {error!r} does not belong there") from None
-        filled = told.get("filled")
+            raise DroppedError(f"{self._source / name}.json: has invalid content ({error!r})") from None
+        filled = fields.get("filled")
         if isinstance(filled, list):
             motion = replace(motion, filled=tuple(joint for joint in motion.skeleton.names if joint in filled))
-        return Imported(item.info, speech, motion, truth, told.get("stands") is True, unit=unit, words=timing)
+        return Imported(item.info, speech, motion, truth, fields.get("stands") is True, unit=unit, words=timing)
 
     def notes(self) -> Sequence[str]:
         lines = [f"{name}: has no sound of the same name" for name in self._alone]
         there = {info.split for info in self._infos}
         lines += [f"no recording is in {split}: {what}; --split {DEFAULT_SPLIT} shares them out, or name them in a file"
-                  for split, what in (("train", "nothing can be trained"), ("test", "score has nothing to judge"))
+                  for split, what in (("train", "nothing can be trained"), ("test", "nothing can be scored"))
                   if split not in there]
         speakers = {info.speaker for info in self._infos}
         if self._guessed and len(self._infos) > 1 and len(speakers) in (1, len(self._infos)):
-            lines.append(f"every recording has {'the same speaker' if len(speakers) == 1 else 'a speaker of its own'}; "
-                         "if that is wrong, --speaker '^([^_]+)' takes the name from what stands before '_'")
+            lines.append(f"every recording has {'the same' if len(speakers) == 1 else 'another'} speaker; "
+                         "if that is wrong, --speaker '^([^_]+)' takes the part of the name before '_'")
         return lines
 
-    def _with_words(self, name: str, speech: Speech, told: Mapping[str, Any]) -> tuple[Speech, str]:
-        """The speech with its words, and how they got their times: from `write_recording`, or from any text."""
-        words = told.get("words")
+    def _with_words(self, name: str, speech: Speech, fields: Mapping[str, Any]) -> tuple[Speech, str]:
+        """The speech with its words and the source of their times: NAME.json, or any transcript."""
+        words = fields.get("words")
         if words and all(isinstance(word, Mapping) and "text" in word for word in words):
             return replace(speech, words=tuple(Word(w["text"], w["start"], w["end"]) for w in words)), "given"
         for text in self._texts[name]:
-            # An object without words may be there for the split alone.
-            if text.suffix.lower() != ".json" or not told or any(told.get(key) for key in _SAID):
+            # An object without words may be there only for the split.
+            if text.suffix.lower() != ".json" or not fields or any(fields.get(key) for key in _SAID):
                 return with_text(speech, text)
         return speech, ""
 
-    def _told(self, name: str) -> dict[str, Any]:
-        """The object in NAME.json; nothing where there is none, or another kind of JSON (a list of words)."""
+    def _fields(self, name: str) -> dict[str, Any]:
+        """The object in NAME.json; empty if there is none, or a list of words."""
         file = next((text for text in self._texts[name] if text.suffix.lower() == ".json"), None)
         if file is None:
             return {}
-        told = read_json(file, "delete or repair it")
-        if isinstance(told, list):
+        content = read_json(file, "delete or repair it")
+        if isinstance(content, list):
             return {}
-        if not isinstance(told, dict):
+        if not isinstance(content, dict):
             raise InputError(file, "is not an object", "delete or repair it")
-        return told
+        return content
 
 
-def spread_by(asked: str, names: Sequence[str]) -> Sequence[Split]:
-    """The split of each name. asked: shares such as "80/10/10" (empty: those), or a file of lines NAME,SPLIT.
-
-    InputError for anything else, and for a name that the file lacks.
-    """
-    shares = (asked or DEFAULT_SPLIT).split("/")
+def spread_by(option: str, names: Sequence[str]) -> Sequence[Split]:
+    """The split of each name. option: shares such as "80/10/10" (the default), or a file of lines NAME,SPLIT.
+    InputError for anything else, and for a name that is not in the file."""
+    shares = (option or DEFAULT_SPLIT).split("/")
     if len(shares) == 3 and all(re.fullmatch(r"\d{1,3}(\.\d{1,3})?", share) for share in shares):
         train, val, test = map(float, shares)
         if train + val + test > 0:
             return spread(len(names), (train, val, test))
-    file = Path(asked)
+    file = Path(option)
     if not file.is_file():
-        raise InputError(f"--split {asked}", "is neither three shares nor a file", f"give {DEFAULT_SPLIT}, for example")
-    told: dict[str, Split] = {}
+        raise InputError(f"--split {option}", "is neither three shares nor a file", f"give for example {DEFAULT_SPLIT}")
+    splits: dict[str, Split] = {}
     for number, line in enumerate(read_text(file, "write NAME,train in each line").split("\n"), 1):
         name, _, word = (part.strip() for part in line.rpartition(","))
         split = next((split for split in SPLITS if split == word), None)
         if split is not None and name:
-            told[name] = split
+            splits[name] = split
         elif line.strip() and number > 1:  # the first line may be a head
             raise InputError(file, f"line {number}: {shown(line)!r} is no name with train, val or test",
                              "write NAME,train in each line")
-    lacking = [name for name in names if name not in told]
+    lacking = [name for name in names if name not in splits]
     if lacking:
         raise InputError(file, f"does not name {', '.join(lacking[:5])}", "write NAME,train in each line")
-    return [told[name] for name in names]
+    return [splits[name] for name in names]
 
 
-def speakers_by(asked: str, names: Sequence[str], folder: Path) -> dict[str, str]:
-    """Who gestures in each recording. asked: a name for all, or a regular expression with a group; empty for a guess.
-
-    The guess is what stands before the first "_", where at least two recordings share it; else all are one speaker,
-    named after the folder. InputError for an expression that is none or does not fit a name.
-    """
-    if not asked:
+def speakers_by(option: str, names: Sequence[str], folder: Path) -> dict[str, str]:
+    """The performer of each recording. option: a name for all, or a regular expression with a group; empty for a guess.
+    The guess is the part of the name before the first "_" if at least two recordings share it; else all have one
+    performer, named after the folder. InputError for an invalid expression or one that does not match a name."""
+    if not option:
         guess = {name: name.split("_")[0] for name in names}
         if len(set(guess.values())) < len(names) or len(names) == 1:
             return guess
         return dict.fromkeys(names, folder.resolve().name or "speaker")
-    if "(" not in asked:
-        return dict.fromkeys(names, asked)
+    if "(" not in option:
+        return dict.fromkeys(names, option)
     out = {}
     try:
-        pattern = re.compile(asked)
+        pattern = re.compile(option)
     except re.error as error:
-        raise InputError(f"--speaker {asked}", f"is no regular expression ({error})", "try '^([^_]+)'") from None
+        raise InputError(f"--speaker {option}", f"is no regular expression ({error})", "try '^([^_]+)'") from None
     for name in names:
         match = pattern.search(name)
         if match is None or not pattern.groups or not match[1]:
-            raise InputError(f"--speaker {asked}", f"finds no speaker in {name}", "try '^([^_]+)'")
+            raise InputError(f"--speaker {option}", f"matches no speaker in {name}", "try '^([^_]+)'")
         out[name] = match[1]
     return out
 
@@ -201,11 +196,11 @@ def write_recording(folder: Path, recording: Recording) -> None:
     """Write NAME.bvh and NAME.json, the inverse of `Folder.read` (the sound is the store's own file)."""
     info, words = recording.info, recording.speech.words
     write_text(folder / f"{info.name}.bvh", bvh_text(recording.motion))
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "words": [asdict(word) for word in words] if words is not None else None,
         "performer": info.speaker, "voice": info.voice, "language": info.language, "split": info.split,
         "group": info.group, "stands": recording.stands, "filled": list(recording.motion.filled),
     }
     if recording.truth is not None:
-        told |= recording.truth.to_json()
-    write_text(folder / f"{info.name}.json", json.dumps(told, ensure_ascii=False))
+        fields |= recording.truth.to_json()
+    write_text(folder / f"{info.name}.json", json.dumps(fields, ensure_ascii=False))

@@ -1,17 +1,15 @@
-"""The scripted performer as a data set: real motion and speech brought together by rule.
+"""The scripted performer as a data set: real motion combined with speech by rule.
 
-Part A ("motion"): continuous real motion, and synthetic speech made for it. Part B ("talk"): synthetic speech, and real
-strokes played on it by hands that act apart, over a real person's trunk. Part C ("style"): the same in styles that can
-be heard. And real readings ("reading") performed as B. Without the folder `free_motion` there is only B, over a trunk
-that sways by formula, and C.
+Part A ("motion"): continuous real motion with speech synthesised for it. Part B ("talk"): synthetic speech performed
+with real strokes by independent hands, over a real person's trunk. Part C ("style"): the same in audible styles. Real
+readings ("reading") are performed as B. Without the folder `free_motion` there are only B and C, over a trunk that
+sways by formula.
 
-Nothing leaks from one split to another: the test split has its own topics and sentence templates, its own voices, its
-own takes of real motion, strokes that no other split plays, and readings that are never trained on; the validation
-split has its own takes and sentences. Recording `i` depends on (seed, i) alone, so it is the same in any order and on
-any number of workers.
+Nothing leaks between splits: the test split has separate topics, sentence templates, voices, takes, strokes and
+readings; the validation split has separate takes and sentences. Recording `i` depends on (seed, i) alone, so it is the
+same in any order and with any number of workers.
 
-The synthetic talks are in English, and every reading there is is used, unless `Options.languages` names the languages
-of both.
+The synthetic talks are in English and all readings are used, unless `Options.languages` names the languages of both.
 """
 
 from __future__ import annotations
@@ -36,31 +34,31 @@ from data_module.truth import JOIN, Mark, StyleKnot, Truth
 
 PARTS = ("motion", "talk", "style", "reading")
 SHARES = {"motion": 0.36, "talk": 0.46, "style": 0.18}
-"""Of the hours of synthetic speech. The real motion for part A lasts 10 minutes, so more of it would be repetition."""
+"""Shares of the hours of synthetic speech. Part A has 10 minutes of real motion, so more of it would be repetition."""
 SHORTEST, LONGEST = 115.0, 150.0
-"""Seconds of a recording of part B or C, before the voice decides."""
+"""Requested length of a recording of part B or C, seconds; the voice determines the actual one."""
 SHORTEST_MOTION, LONGEST_MOTION = 60.0, 80.0
-"""Seconds of a recording of part A: it draws on 14 stretches of about 9 s."""
+"""Length of a recording of part A, seconds: it draws on 14 stretches of about 9 s."""
 POOL: dict[Split, int] = {"train": 700, "val": 350, "test": 400}
-"""Phrases of a voice that speech for motion is chosen from: 150 leave a third of the phrases of motion without speech,
-700 leave one in a hundred."""
+"""Phrases in a voice's pool of speech for motion: with 150, a third of the phrases of motion get no speech, with 700
+one in a hundred."""
 MOTION_VOICES: dict[Split, tuple[str, ...]] = {
     "train": ("slt", "us_f3", "rms", "gb_m3", "scot_f2"), "val": ("us_f3", "gb_m3"), "test": ("awb", "rp_m7")}
-"""Each voice needs a pool of its own, said phrase by phrase."""
+"""Voices of part A; each needs a pool, spoken phrase by phrase."""
 MOTION_GROUPS = ("conversation", "traffic", "story", "presenter", "conversation", "traffic", "story", "lesson")
-"""Whose motion a recording of part A is mostly made of, in turns (keys of `performer.takes.GROUPS`)."""
+"""Main group of motion in the recordings of part A, in turns (keys of `performer.takes.GROUPS`)."""
 TEST_READINGS = ("en_sonnet_3", "es_prose_1", "en_austen_0930")
-"""Held out whole."""
+"""Readings that are held out for test as a whole."""
 TEST_TAIL = 30.0
-"""Seconds at the end of every other reading without word times (German) that are kept for test."""
+"""Seconds at the end of every other reading without word times (German) that are held out for test."""
 PERFORMERS_PER_READING = 3
-"""Of 5 minutes of real voices more performances than this would be memorised."""
+"""Performances of each reading for training; with more, the 5 minutes of real voices would be memorised."""
 _TINY_SECONDS = 20.0
 _TINY_SPLITS: tuple[Split, ...] = ("train", "train", "train", "train", "val", "train", "train", "test", "test")
 _TINY_VOICES: dict[Split, tuple[str, ...]] = {"train": ("numpy_low",), "val": ("numpy_low",), "test": ("numpy_high",)}
 _FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
 """The index of the first recording of each part."""
-# What a random generator of a recording is for; one each, so that a longer text does not change the voice.
+# Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
 _TEXT, _VOICE, _PLAY, _STYLE, _POOL = 0, 1, 2, 3, 4
 CREDITS = {
     "speech": "synthetic voices",
@@ -71,12 +69,12 @@ CREDITS = {
                    "the clips are not to be resold): The data used in this project was obtained from mocap.cs.cmu.edu. "
                    "The database was created with funding from NSF EIA-0196217.",
 }
-"""The licences of what a corpus is made of, as they stand in its store."""
+"""The licences of the sources of a corpus, as they are written to its store."""
 
 
 @dataclass(frozen=True)
 class Script:
-    """A recording of part B or C before it is spoken; styled: whether it drifts through styles."""
+    """The script of a recording of part B or C; styled: whether its style drifts."""
 
     utterances: tuple[text.Utterance, ...]
     styled: bool = False
@@ -84,7 +82,7 @@ class Script:
 
 @dataclass(frozen=True)
 class MotionScript:
-    """A recording of part A before it is put together: who moves most in it, and for how long."""
+    """The script of a recording of part A: its main group of motion and its length in seconds."""
 
     group: str
     seconds: float
@@ -92,18 +90,20 @@ class MotionScript:
 
 @dataclass(frozen=True)
 class Reading:
-    """A real recording, or the part of it before (`head`) or after (`tail`) the cut."""
+    """A real reading: "whole", or its "head" before or "tail" after the cut."""
 
     stem: str
     part: str = "whole"
 
 
 class Performer:
-    """A reader that makes what it reads."""
+    """A reader whose recordings are synthesised."""
 
     def __init__(self, source: Path | None, options: Options) -> None:
         self._options = options
         self._tiny = options.preset == "tiny"
+        self._trunks: dict[str, tuple[Any, ...]] = {}
+        self._pools: dict[tuple[str, Split], Any] = {}
         if self._tiny:
             if options.languages:
                 raise InputError("--languages", "is not for the tiny preset, which speaks English letters only",
@@ -121,7 +121,7 @@ class Performer:
         self._source = source
         unknown = sorted(set(options.languages) - set(voices.VOICES_OF))
         if unknown:
-            raise InputError(f"--languages {','.join(options.languages)}", f"nobody here speaks {', '.join(unknown)}",
+            raise InputError(f"--languages {','.join(options.languages)}", f"no voice speaks {', '.join(unknown)}",
                              f"choose among {', '.join(voices.VOICES_OF)}")
         used = {"speech": True, "readings": bool(self._stems), "strokes": True, "free_motion": self._moved,
                 "austen": any(stem.startswith("en_austen") for stem in self._stems)}
@@ -131,8 +131,8 @@ class Performer:
                              "pip install 'gesticulator[align]'")
 
     def settings(self) -> Mapping[str, Any]:
-        own = Path(text.__file__).parent
-        code = _hash_of([*sorted(own.glob("*.py")), Path(__file__)], own.parent)
+        room = Path(text.__file__).parent
+        code = _hash_of([*sorted(room.glob("*.py")), Path(__file__)], room.parent)
         settings: dict[str, Any] = {"preset": self._options.preset, "code": code}
         if self._source is not None:
             files = [file for folder in ("strokes", "speech", "free_motion")
@@ -143,15 +143,15 @@ class Performer:
         return settings
 
     def items(self) -> Sequence[Item]:
-        # Sentences that were said already, by the grammar they come from; those of part A come first.
-        said = {source: set(self._phrases[1][source]) if self._moved else set() for source in text.SPLITS}
+        # Sentences that are used already, by grammar; those of part A come first.
+        used = {source: set(self._phrases[1][source]) if self._moved else set() for source in text.SPLITS}
         if self._tiny:
-            return self._talks("talk", said)
-        return [*self._motion_talks(), *self._talks("talk", said), *self._talks("style", said), *self._readings()]
+            return self._talks("talk", used)
+        return [*self._motion_talks(), *self._talks("talk", used), *self._talks("style", used), *self._readings()]
 
     def read(self, item: Item) -> Recording:
         if isinstance(item.content, MotionScript):
-            return self._made_for_motion(item)
+            return self._speech_for_motion(item)
         from data_module.performer import play, styles
         from data_module.performer.hands import STEADY, draw_manner
         from data_module.performer.plan import rests_of
@@ -166,7 +166,7 @@ class Performer:
             spoken = voices.speak(item.info.name, item.content.utterances, item.info.voice,
                                   self._rng(item.index, _VOICE))
         else:
-            spoken = self._heard(item)
+            spoken = self._reading(item)
         manner = STEADY if item.info.part == "style" else draw_manner(rng)
         staging = None if self._tiny else play.Staging(manner, self._segments(item.info.split), style)
         played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
@@ -179,7 +179,7 @@ class Performer:
                        sources=tuple(sorted({stroke.clip.removesuffix("-mirrored") for stroke in played.strokes})))
         return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, truth, stands=True)
 
-    def _made_for_motion(self, item: Item) -> Recording:
+    def _speech_for_motion(self, item: Item) -> Recording:
         from data_module.performer.talks import talk_for_motion
 
         script: MotionScript = item.content
@@ -187,7 +187,7 @@ class Performer:
         pool = self._pool(item.info.voice, item.info.split)
         talk = talk_for_motion(item.info.name, self._library, takes, script.group, pool, script.seconds,
                                self._rng(item.index, _PLAY))
-        spoken = talk.made.spoken
+        spoken = talk.fitted.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
         joins = tuple(Mark(JOIN, time, time) for time in talk.edges[1:-1].tolist())
         truth = Truth((), spoken.syllables, spoken.phrases, joins)
@@ -195,8 +195,8 @@ class Performer:
 
     def notes(self) -> Sequence[str]:
         strokes = self._strokes.strokes
-        held = sum(stroke.held_out for stroke in strokes)
-        lines = [f"strokes: {len(strokes)}, mirror images counted, {held} of them kept for test"]
+        held_out = sum(stroke.held_out for stroke in strokes)
+        lines = [f"strokes: {len(strokes)} including mirror images, {held_out} of them held out for test"]
         if self._source is not None:
             clips = {Path(row["file"]).stem for row in self._manifest}
             lines.append(f"clips without a usable stroke: {len(clips - {stroke.base for stroke in strokes})} of "
@@ -212,7 +212,7 @@ class Performer:
 
     @property
     def _moved(self) -> bool:
-        """Whether there is real motion, and somebody to speak for it (part A speaks English)."""
+        """Whether part A exists: there is real motion, and English is among the languages."""
         there = self._source is not None and (self._source / "free_motion" / "manifest.csv").is_file()
         return there and (not self._options.languages or "en" in self._options.languages)
 
@@ -233,7 +233,6 @@ class Performer:
 
     @functools.cached_property
     def _library(self) -> Any:
-        """The takes of real motion."""
         from data_module.performer.takes import load_takes
 
         assert self._source is not None
@@ -241,21 +240,18 @@ class Performer:
 
     @functools.cached_property
     def _take_splits(self) -> dict[str, Split]:
-        """The split of each take of real motion."""
         from data_module.performer.takes import split_of_takes
 
         return split_of_takes(self._takes)
 
     @functools.cached_property
     def _takes(self) -> list[Any]:
-        """The takes as they are listed, without their motion."""
         from data_module.performer.takes import list_takes
 
         assert self._source is not None
         return [take for take, _ in list_takes(self._source / "free_motion")]
 
     def _segments(self, split: Split) -> tuple[Any, ...]:
-        """The trunks of the takes of a split; none where there is no real motion."""
         if not self._moved:
             return ()
         if split not in self._trunks:
@@ -264,16 +260,8 @@ class Performer:
             self._trunks[split] = trunk_segments(self._library, self._take_splits, split)
         return self._trunks[split]
 
-    @functools.cached_property
-    def _trunks(self) -> dict[str, tuple[Any, ...]]:
-        return {}
-
-    @functools.cached_property
-    def _pools(self) -> dict[tuple[str, Split], Any]:
-        return {}
-
     def _pool(self, voice: str, split: Split) -> Any:
-        """What a voice can say in a split, said once per process."""
+        """The phrase pool of a voice in a split, spoken once per process."""
         if (voice, split) not in self._pools:
             from data_module.performer.sentence_pool import make_pool
 
@@ -283,18 +271,18 @@ class Performer:
 
     @functools.cached_property
     def _phrases(self) -> tuple[dict[tuple[str, Split], tuple[str, ...]], dict[str, set[str]]]:
-        """The phrases of part A by voice and split, and the sentences they are of, by grammar; no sentence is said by
-        two voices or in two splits."""
+        """The phrases of part A by voice and split, and their sentences by grammar; no sentence is used by two voices
+        or in two splits."""
         from data_module.performer.sentence_pool import phrase_texts
 
         out: dict[tuple[str, Split], tuple[str, ...]] = {}
-        said: dict[str, set[str]] = {"train": set(), "test": set()}
+        used: dict[str, set[str]] = {"train": set(), "test": set()}
         for number, (split, speakers) in enumerate(MOTION_VOICES.items()):
             source = "test" if split == "test" else "train"
             for place, voice in enumerate(speakers):
                 rng = self._rng(_FIRST["motion"] + 100 * number + place, _TEXT)
-                out[voice, split] = phrase_texts(rng, POOL[split], source, said[source])
-        return out, said
+                out[voice, split] = phrase_texts(rng, POOL[split], source, used[source])
+        return out, used
 
     @functools.cached_property
     def _manifest(self) -> list[dict[str, str]]:
@@ -319,19 +307,19 @@ class Performer:
         return tuple(stem for stem in stems if not wanted or stem.split("_")[0] in wanted)
 
     def _motion_talks(self) -> list[Item]:
-        """Part A: in each split the groups of movers that have takes there, in turns."""
+        """Part A: in each split the groups with takes there, in turns."""
         if not self._moved:
             return []
         mean = (SHORTEST_MOTION + LONGEST_MOTION) / 2
         items = []
-        seen = dict.fromkeys(POOL, 0)
+        turns = dict.fromkeys(POOL, 0)
         for place in range(max(1, round(self._options.hours * SHARES["motion"] * 3600 / mean))):
             split = split_of(place)
             able = {take.group for take in self._takes if self._take_splits[take.name] == split}
             groups = [group for group in MOTION_GROUPS if group in able]
-            group = groups[seen[split] % len(groups)]
-            voice = MOTION_VOICES[split][seen[split] % len(MOTION_VOICES[split])]
-            seen[split] += 1
+            group = groups[turns[split] % len(groups)]
+            voice = MOTION_VOICES[split][turns[split] % len(MOTION_VOICES[split])]
+            turns[split] += 1
             index = _FIRST["motion"] + place
             seconds = float(self._rng(index, _TEXT).uniform(SHORTEST_MOTION, LONGEST_MOTION))
             name = f"motion_{place:04d}_{group}"
@@ -339,27 +327,27 @@ class Performer:
             items.append(Item(info, index, MotionScript(group, seconds), seconds))
         return items
 
-    def _talks(self, part: str, said: dict[str, set[str]]) -> list[Item]:
-        """Parts B and C with their texts; no sentence of `said` (by grammar), which grows, is said again."""
+    def _talks(self, part: str, used: dict[str, set[str]]) -> list[Item]:
+        """Parts B and C with their texts; no sentence of `used` (by grammar, updated) is repeated."""
         mean = (SHORTEST + LONGEST) / 2
         wanted = self._options.hours * (SHARES[part] if self._moved else SHARES[part] / (1.0 - SHARES["motion"]))
         count = len(_TINY_SPLITS) if self._tiny else max(1, round(wanted * 3600 / mean))
-        seen = dict.fromkeys(("train", "val", "test"), 0)
+        turns = dict.fromkeys(("train", "val", "test"), 0)
         items = []
         for place in range(count):
             split = _TINY_SPLITS[place] if self._tiny else split_of(place)
-            turn = seen[split]
-            seen[split] += 1
+            turn = turns[split]
+            turns[split] += 1
             performer = self._performers[turn % len(self._performers)]
             choice = self._voices(split)
-            # Another round of the performers begins with another voice, so that every pair comes up.
+            # Each round of the performers begins with another voice, so that every pair occurs.
             voice = choice[(turn + turn // len(self._performers)) % len(choice)]
             index = _FIRST[part] + place
             rng = self._rng(index, _TEXT)
             seconds = _TINY_SECONDS if self._tiny else float(rng.uniform(SHORTEST, LONGEST))
             source = "test" if split == "test" else "train"
             language = voices.VOICES[voice].language
-            script = Script(tuple(text.compose(rng, seconds, source, said[source], language)), part == "style")
+            script = Script(tuple(text.compose(rng, seconds, source, used[source], language)), part == "style")
             name = f"{part}_{place:04d}_{performer}"
             info = RecordingInfo(name, split, performer, voice, language, group=name, part=part)
             items.append(Item(info, index, script, seconds))
@@ -369,12 +357,12 @@ class Performer:
         if self._tiny:
             return _TINY_VOICES[split]
         side = 1 if split == "test" else 0
-        own = [voices.VOICES_OF[language][side] for language in sorted(set(self._options.languages)) or ("en",)]
+        names = [voices.VOICES_OF[language][side] for language in sorted(set(self._options.languages)) or ("en",)]
         # Languages take turns, so that each gets its share however many voices it has.
-        return tuple(of[rank % len(of)] for rank in range(max(map(len, own))) for of in own)
+        return tuple(of[rank % len(of)] for rank in range(max(map(len, names))) for of in names)
 
     def _readings(self) -> list[Item]:
-        """Every reading for training by three performers, in turns; those for test by one performer each."""
+        """Every reading for training by three performers, in turns; readings for test by one performer each."""
         items: list[Item] = []
         for number, stem in enumerate(self._stems):
             language = stem.split("_")[0]
@@ -393,8 +381,8 @@ class Performer:
                     items.append(Item(info, index, Reading(stem, part), LONGEST))
         return items
 
-    def _heard(self, item: Item) -> Spoken:
-        """A real reading as the performer hears it: English with its words, other languages by prominence alone."""
+    def _reading(self, item: Item) -> Spoken:
+        """A real reading with its syllables; word times are known for English only."""
         from data_module.performer.syllables import find_syllables
         from data_module.speech.audio import load_speech
         from data_module.text import alignment as transcripts
@@ -413,7 +401,8 @@ class Performer:
 
 
 def tail_begins(samples: np.ndarray, sample_rate: int) -> int:
-    """The sample at which the part kept for test begins: the quietest 50 ms of the two seconds before `TEST_TAIL`."""
+    """The sample at which the part held out for test begins: the quietest 50 ms of the two seconds before `TEST_TAIL`.
+    """
     hop = int(0.05 * sample_rate)
     last = max(hop, len(samples) - int(TEST_TAIL * sample_rate))
     starts = np.arange(max(0, last - 2 * sample_rate), last, hop)

@@ -1,8 +1,8 @@
-"""SmartBody's gesture clips, as published: the strokes that the performer plays, made from `.skm` on `.sk`.
+"""SmartBody's published gesture clips (`.skm` on `.sk`) as strokes for the performer.
 
-There is no speech in it, so it makes no store of talks: it makes the folder `strokes/` (BVH in metres and
-`manifest.csv`) that the `performer` takes beside `speech/`. DIR is SmartBody's `data/behaviorsets`; each folder in it
-that holds `skeletons/` and `motions/` is one body:
+There is no speech, so no store is made but the folder `strokes/` (BVH in metres and `manifest.csv`) that the
+`performer` uses with `speech/`. DIR is SmartBody's `data/behaviorsets`; each folder in it with `skeletons/` and
+`motions/` is one body:
 
     Gestures/skeletons/ChrBrad.sk             Gestures/motions/ChrBrad@Idle01_BeatLowBt01.skm
     Gestures2/skeletons/ChrBrad2.sk           Gestures2/motions/ChrBrad@Idle01_BeatLowBt01.skm
@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from data_module.corpora.base import Options
+from data_module.corpora.base import Options, needed
 from data_module.errors import InputError
 from data_module.files import rename, write_bytes, write_text
 from data_module.motion import skeletons, smartbody
@@ -28,15 +28,15 @@ from data_module.motion.bvh import CENTIMETRES, bvh_text
 
 COLUMNS = ("file", "speaker", "posture", "lexeme", "hand", "frames", *smartbody.SYNC_TIMES)
 _FOLDERS = {"Gestures": "brad", "Gestures2": "brad2", "FemaleGestures": "connor", "MaleGestures": "garza"}
-"""The published folders of gestures, and whose body each holds; SmartBody has more, of walking and reaching."""
+"""The published folders of gestures and their bodies; SmartBody has more, of walking and reaching."""
 _HANDS = {"Bt": "both", "Both": "both", "Lf": "left", "Rt": "right"}
 _NO_GESTURE = ("Guitar", "ScrewYou", "ToIdleFight", "ToWalk")
-"""A mime, an insult and two ways out of the pose: nothing that goes with a talk."""
+"""Clips that do not belong in a talk: a mime, an insult and two transitions out of the pose."""
 
 
 @dataclass(frozen=True)
 class ClipName:
-    """What a clip's name tells: whose body, the pose it starts from, what it shows, and with which hand ('' unsaid)."""
+    """The parts of a clip's name: body, start pose, gesture, and hand ('' if not given)."""
 
     file: str
     speaker: str
@@ -46,16 +46,13 @@ class ClipName:
 
 
 def clip_name(stem: str, speaker: str) -> ClipName:
-    """Read "ChrBrad@Idle01_BeatLowBt01": what stands after the @, on the body of `speaker`.
-
-    ValueError when it is not named so.
-    """
-    told = re.fullmatch(r"\w+@(?P<posture>[A-Za-z]+\d*)(?:_(?P<lexeme>\w+?)(?P<hand>Both|Bt|Lf|Rt)?\d*)?", stem)
-    if told is None:
+    """Parse a name such as "ChrBrad@Idle01_BeatLowBt01" on the body of `speaker`; ValueError for another form."""
+    match = re.fullmatch(r"\w+@(?P<posture>[A-Za-z]+\d*)(?:_(?P<lexeme>\w+?)(?P<hand>Both|Bt|Lf|Rt)?\d*)?", stem)
+    if match is None:
         raise ValueError(f"{stem} is not named CHARACTER@POSTURE_GESTURE")
     name = f"{speaker}_{stem.partition('@')[2]}"
-    lexeme = told["lexeme"] or told["posture"].rstrip("0123456789")
-    return ClipName(f"{speaker}/{name}.bvh", speaker, told["posture"], lexeme, _HANDS.get(told["hand"] or "", ""))
+    lexeme = match["lexeme"] or match["posture"].rstrip("0123456789")
+    return ClipName(f"{speaker}/{name}.bvh", speaker, match["posture"], lexeme, _HANDS.get(match["hand"] or "", ""))
 
 
 class SmartBody:
@@ -64,9 +61,7 @@ class SmartBody:
     licence = "LGPL 2.1 (SmartBody, University of Southern California)"
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        if source is None:
-            raise InputError("--source", "is missing", "name SmartBody's folder data/behaviorsets")
-        self._source = source
+        self._source = source = needed(source, "name SmartBody's folder data/behaviorsets")
         self._bodies = {folder: _skeleton_file(source / folder) for folder in _FOLDERS
                         if (source / folder / "motions").is_dir()}
         self._notes: list[str] = [f"{source / folder}: is not there, so {speaker} has no clips"
@@ -76,14 +71,11 @@ class SmartBody:
                              "name SmartBody's folder data/behaviorsets")
 
     def notes(self) -> Sequence[str]:
-        """What was left out, and why; complete after `write`."""
         return self._notes
 
     def write(self, out: Path) -> int:
-        """Write OUT/SPEAKER/CLIP.bvh, OUT/manifest.csv and the licence, whole or not at all; how many clips it holds.
-
-        InputError names the file that cannot be read, and OUT when something is there already.
-        """
+        """Write OUT/SPEAKER/CLIP.bvh, OUT/manifest.csv and the licence, whole or not at all; the number of clips.
+        InputError names the file that cannot be read, or OUT if it exists and is not empty."""
         if out.exists() and not (out.is_dir() and not any(out.iterdir())):
             raise InputError(out, "is already there", "delete it or choose another folder")
         partial = out.with_name(out.name + ".partial")
@@ -133,15 +125,15 @@ class SmartBody:
             self._notes.append(f"left out {file}: has no time for {', '.join(lacking)}")
             return None
         motion = smartbody.motion_of(bind, clip, path=str(file))
-        # BVH files of ours are in centimetres; a stroke's are in metres.
+        # The BVH writer converts to centimetres; strokes are in metres.
         write_text(out / name.file, bvh_text(skeletons.scaled(motion, CENTIMETRES)))
         return {"file": name.file, "speaker": name.speaker, "posture": name.posture, "lexeme": name.lexeme,
                 "hand": name.hand, "frames": len(motion), **{mark: clip.sync[mark] for mark in smartbody.SYNC_TIMES}}
 
 
 def _skeleton_file(folder: Path) -> Path:
-    found = sorted((folder / "skeletons").glob("*.sk"))
-    if len(found) != 1:
-        raise InputError(folder / "skeletons", f"holds {len(found)} .sk files" if found else "holds no .sk file",
+    files = sorted((folder / "skeletons").glob("*.sk"))
+    if len(files) != 1:
+        raise InputError(folder / "skeletons", f"holds {len(files)} .sk files" if files else "holds no .sk file",
                          "it should hold the one that motions/ was made on")
-    return found[0]
+    return files[0]

@@ -1,7 +1,7 @@
-"""The tables of data sets that can be read, and of sources of strokes, by their names on the command line.
+"""The tables of data sets and of sources of strokes, by their names on the command line.
 
-A new data set is one file in this folder, with a reader as `data_module.corpora.base` describes it, and one entry of
-`CORPORA`; or an entry point of another package.
+A new data set is one file in this folder with a reader (`data_module.corpora.base`) and one entry of `CORPORA`; or an
+entry point of another package.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ STROKE_SOURCES: Registry[RegistryEntry] = Registry("strokes", "a source of strok
         "SmartBody's data/behaviorsets; writes the folder strokes/ for `performer` instead of a store",
         "data_module.corpora.smartbody:SmartBody"),
 }, RegistryEntry)
-"""The same, for what makes a folder of strokes and no store."""
+"""The same for sources that make a folder of strokes instead of a store."""
 
 
 def open_corpus(name: str, source: Path | None, options: Options) -> Reader:
-    """The reader `name` on the folder `source`; `InputError` when there is no such reader or no such folder."""
+    """The reader `name` on the folder `source`; `InputError` for an unknown reader or a missing folder."""
     if name not in CORPORA:
         raise InputError(name, "is no data set that can be read",
                          f"take one of {', '.join((*CORPORA, *STROKE_SOURCES))}")

@@ -1,7 +1,7 @@
-"""Takes: the motion, the sound and the text of one recording, which data sets keep in files of one name.
+"""Takes: the motion, the sound and the text of one recording, in files of the same name.
 
-They may lie side by side or in sister folders (`Motion/NAME.bvh` beside `Audio/NAME.wav`). A take without sound is left
-out and said so, by file; a take without text stays, its words unknown.
+They may be side by side or in sibling folders (`Motion/NAME.bvh` and `Audio/NAME.wav`). A take without sound is left
+out and reported; the words of a take without text are unknown.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from data_module.store import RecordingInfo
 from data_module.types import Motion, Speech, Word
 
 TEXTS = (".textgrid", ".json", ".srt", ".vtt", ".txt")
-"""Endings of a text that may lie beside a take, the one with the surest times first."""
+"""Suffixes of transcripts, the most reliable times first."""
 
 
 class TakeWarning(UserWarning):
-    """A file is not quite what was published; it was read all the same."""
+    """A file differs from the published one, but was read."""
 
 
 @dataclass(frozen=True)
@@ -37,30 +37,28 @@ class Take:
     text: Path | None = None
 
     def sizes(self) -> list[int]:
-        """Bytes of its files: a file that changed is another build."""
+        """Sizes of its files in bytes, to detect changes."""
         return [file.stat().st_size for file in (self.motion, self.sound, self.text) if file is not None]
 
 
 def find_takes(source: Path, name: re.Pattern[str], *, texts: Sequence[str] = TEXTS,
                folders: Mapping[str, str] | None = None) -> tuple[dict[str, Take], list[str]]:
-    """The takes below `source` whose file names match `name` altogether, by name; and what is missing, by file.
-
-    texts: endings of texts to look for, in lower case, best first. folders: ending -> the folder that the data set
-    keeps such files in, for the path of what is missing. `InputError` when a file is there twice or no take is whole.
-    """
+    """The takes below `source` whose file names fully match `name`, by name; and notes on missing files. texts:
+    suffixes of transcripts, in lower case, best first. folders: suffix -> the data set's folder of such files, for the
+    path in a note. `InputError` for a duplicate file, or if no take is complete."""
     kinds = (".bvh", ".wav", *texts)
-    found: dict[str, dict[str, Path]] = {}
+    files_of: dict[str, dict[str, Path]] = {}
     for file in sorted(source.rglob("*")):
         kind = file.suffix.lower()
         if kind not in kinds or not name.fullmatch(file.stem) or not file.is_file():
             continue
-        files = found.setdefault(file.stem, {})
+        files = files_of.setdefault(file.stem, {})
         if kind in files:
-            raise InputError(file, f"is there twice (also {files[kind]})", "keep one of them")
+            raise InputError(file, f"is there twice (also {files[kind]})", "remove one of them")
         files[kind] = file
     takes: dict[str, Take] = {}
     notes: list[str] = []
-    for stem, files in sorted(found.items()):
+    for stem, files in sorted(files_of.items()):
         missing = [_expected(files, stem, kind, folders or {}) for kind in (".bvh", ".wav") if kind not in files]
         if missing:
             notes += [f"left out {stem}: {file} is missing" for file in missing]
@@ -75,7 +73,6 @@ def find_takes(source: Path, name: re.Pattern[str], *, texts: Sequence[str] = TE
 
 
 def _expected(files: Mapping[str, Path], stem: str, kind: str, folders: Mapping[str, str]) -> Path:
-    """Where a missing file should be, next to or in the sister folder of one that is there."""
     there = files[".bvh"] if ".bvh" in files else next(iter(files.values()))
     if there.parent.name in folders.values() and kind in folders:
         return there.parent.parent / folders[kind] / (stem + kind)
@@ -84,11 +81,10 @@ def _expected(files: Mapping[str, Path], stem: str, kind: str, folders: Mapping[
 
 def read_take(info: RecordingInfo, take: Take, options: Options, *, unit: float | None = None,
               fps: float | None = None, words: Sequence[Word] | None = None) -> Imported:
-    """Read a take. unit, fps: as published, None where that is not known; words: those of its text, where the caller
-    read it. `DroppedError` names the file that cannot be used.
-    """
+    """Read a take. unit, fps: as published, None if unknown; words: of its text, if the caller has read it.
+    `DroppedError` names the file that cannot be used."""
     try:
-        motion, said = read_motion(take.motion, options, unit)
+        motion, unit_note = read_motion(take.motion, options, unit)
         speech = replace(load_speech(take.sound), speaker=info.speaker)
         timing = ""
         if words is not None:
@@ -100,16 +96,14 @@ def read_take(info: RecordingInfo, take: Take, options: Options, *, unit: float 
     if fps is not None and options.fps is None and abs(motion.fps - fps) > 0.01 * fps:
         warnings.warn(f"{take.motion} says {motion.fps:g} frames a second and was published with {fps:g}; "
                       f"say --fps {fps:g} if the file is wrong", TakeWarning, stacklevel=2)
-    return Imported(info, speech, motion, unit=said, words=timing)
+    return Imported(info, speech, motion, unit=unit_note, words=timing)
 
 
 def read_motion(path: Path, options: Options, published: float | None = None) -> tuple[Motion, str]:
-    """A BVH file in metres, and what its unit was taken as.
-
-    The unit is what the user told, else what was published, else a guess by the length from hips to head.
-    """
+    """A BVH file in metres, and a note on its unit: that of --unit, else the published one, else a guess by the length
+    from hips to head."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", BvhWarning)  # the user told the rate, so the warning is answered
+        warnings.simplefilter("ignore", BvhWarning)  # the user gave the rate, so the warning is answered
         try:
             raw = read_bvh(path, fps=options.fps, unit=1.0)
         except InputError as error:
@@ -121,7 +115,7 @@ def read_motion(path: Path, options: Options, published: float | None = None) ->
     except InputError:
         guess = None
     if options.unit is not None:
-        unit, how = options.unit, "told by --unit"
+        unit, how = options.unit, "given by --unit"
     elif published is not None:
         unit, how = published, "as published"
         if guess is not None and guess != published:
@@ -135,7 +129,7 @@ def read_motion(path: Path, options: Options, published: float | None = None) ->
 
 
 def with_text(speech: Speech, text: Path) -> tuple[Speech, str]:
-    """The speech with the words of a text beside it, and how they got their times: given, heard or guessed."""
+    """The speech with the words of a transcript, and the source of their times: given, heard or guessed."""
     from data_module.text import transcript
 
     speech, timing = transcript.with_transcript(speech, transcript.read_transcript(text, speech))

@@ -2,11 +2,9 @@
 
 DIR is `ted_dataset` with the folders `lmdb_train`, `lmdb_val` and `lmdb_test`, which are the split. A value of such a
 database is a video: its name and its clips, each with `skeletons_3d` [T, 10, 3], `audio_raw` (16 kHz), `words`
-([text, start, end], seconds of the video) and `start_time`, `end_time`. They are read whole, not as the 34-frame
-samples that others cut from them, and at the video's own frame rate, as everything here. Positions become rotations
-of the 16-joint character; only directions of bones count.
-
-Nothing in it is unpickled (see `data_module.corpora.serialised`).
+([text, start, end], seconds of the video) and `start_time`, `end_time`. Clips are read whole, not as the usual samples
+of 34 frames, and at the video's frame rate. Positions become rotations of the 16-joint character; only the directions
+of bones matter. Nothing is unpickled (see `data_module.corpora.serialised`).
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from data_module.corpora import serialised
-from data_module.corpora.base import DroppedError, Item, Options
+from data_module.corpora.base import DroppedError, Item, Options, needed
 from data_module.errors import InputError
 from data_module.motion.representation import rotations_from_positions
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
@@ -40,8 +38,7 @@ class Ted:
     licence = "that of the talks (TED: CC BY-NC-ND 4.0) and of the data's authors; weights trained on it likewise"
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        if source is None:
-            raise InputError("--source", "is missing", "name the folder that holds lmdb_train, lmdb_val and lmdb_test")
+        source = needed(source, "name the folder that holds lmdb_train, lmdb_val and lmdb_test")
         if importlib.util.find_spec("lmdb") is None or not serialised.available():
             raise InputError("the TED databases", "need lmdb and pyarrow, which are not installed",
                              "pip install 'gesticulator[ted]'")
@@ -97,7 +94,7 @@ class Ted:
 
 
 def _motion(skeletons_3d: Any, seconds: float) -> Motion:
-    """The clip on the 16-joint character, at the rate that spreads its frames over its time."""
+    """The clip on the 16-joint character, at the frame rate that fits its duration."""
     points: Array = np.asarray(skeletons_3d, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 30:
         points = points.reshape(-1, 10, 3)
@@ -105,7 +102,7 @@ def _motion(skeletons_3d: Any, seconds: float) -> Motion:
         raise ValueError(f"skeletons_3d has shape {points.shape} or joints that are not numbers")
     fps = len(points) / seconds if seconds > 0 else 0.0
     if not _FPS_RANGE[0] <= fps <= _FPS_RANGE[1]:
-        raise ValueError(f"{len(points)} frames in {seconds:.2f} s are no frame rate of a video")
+        raise ValueError(f"{len(points)} frames in {seconds:.2f} s are not a plausible frame rate")
     return rotations_from_positions(points * _AXES, fps)
 
 
@@ -118,14 +115,13 @@ def _sound(audio: Any) -> Any:
 
 
 def _words(words: Sequence[Sequence[Any]], begin: float) -> tuple[Word, ...]:
-    """The words in seconds from the clip's begin; what was said before it is left out."""
-    told = [Word(str(text), float(start) - begin, float(end) - begin) for text, start, end in words]
-    return tuple(Word(word.text, max(word.start, 0.0), word.end) for word in told if word.end > 0)
+    """The words in seconds from the start of the clip, without those before it."""
+    timed = [Word(str(text), float(start) - begin, float(end) - begin) for text, start, end in words]
+    return tuple(Word(word.text, max(word.start, 0.0), word.end) for word in timed if word.end > 0)
 
 
 @contextmanager
 def _database(place: Path) -> Iterator[Any]:
-    """A reading transaction."""
     import lmdb
 
     try:
@@ -137,7 +133,6 @@ def _database(place: Path) -> Iterator[Any]:
 
 
 def _videos(place: Path) -> Iterator[tuple[str, bytes]]:
-    """The keys and values of a database, in the order of the keys."""
     with _database(place) as transaction:
         for key, value in transaction.cursor():
             yield key.decode("latin-1"), value

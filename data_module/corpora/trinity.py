@@ -6,8 +6,8 @@ DIR is `GENEA_Challenge_2020_data_release`, or a folder that holds it:
     Training_data/Motion/Recording_001.bvh          Test_data/Motion/TestSeq001.bvh         centimetres, 60 fps
     Training_data/Transcripts/Recording_001.json    Test_data/Transcripts/TestSeq001.json   optional
 
-The split is that of RG's released configuration: Recording_008 validates, the other 22 recordings are trained on, the
-ten test sequences test.
+The split is that of RG's released configuration: Recording_008 for validation, the other 22 recordings for training,
+the ten test sequences for test.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora.base import DroppedError, Imported, Item, Options
+from data_module.corpora.base import DroppedError, Imported, Item, Options, needed
 from data_module.corpora.takes import find_takes, read_take
 from data_module.errors import InputError
 from data_module.json_files import read_json
@@ -43,18 +43,17 @@ class Trinity:
     licence = "that of Trinity Speech-Gesture (research, on a signed agreement); weights trained on it likewise"
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        if source is None:
-            raise InputError("--source", "is missing", "name the folder GENEA_Challenge_2020_data_release")
+        source = needed(source, "name the folder GENEA_Challenge_2020_data_release")
         self._options = options
         takes, self._notes = find_takes(source, _NAME, texts=(".json",), folders=_FOLDERS)
-        self._notes += [f"left out {takes[name].motion}: it is no recording of the published split"
+        self._notes += [f"left out {takes[name].motion}: it is not a recording of the published split"
                         for name in takes if name not in SPLIT]
         self._takes = {name: takes[name] for name in SPLIT if name in takes}
         if not self._takes:
             raise InputError(source, "holds no Recording_NNN.bvh or TestSeqNNN.bvh with a .wav of the same name",
                              "name the folder GENEA_Challenge_2020_data_release")
-        told = " ".join(self._notes)
-        absent = [name for name in SPLIT if name not in takes and name not in told]
+        noted = " ".join(self._notes)
+        absent = [name for name in SPLIT if name not in takes and name not in noted]
         if absent:
             self._notes.append(f"not there: {', '.join(absent)}")
 
@@ -79,20 +78,18 @@ class Trinity:
 
 
 def read_words(path: Path) -> tuple[Word, ...]:
-    """The words of a transcript as Google's recogniser writes it: times are texts like "1.200s".
-
-    Either a list of segments, each with `alternatives` of which the first holds `words`, or a plain list of words.
-    `InputError` names the file, and the place in it that is wrong.
-    """
-    told = read_json(path, "fetch it again")
-    if not isinstance(told, list):
+    """The words of a transcript of Google's recogniser, with times such as "1.200s": either a list of segments, each
+    with `alternatives` of which the first has `words`, or a plain list of words. `InputError` names the file and the
+    place of an error."""
+    content = read_json(path, "fetch it again")
+    if not isinstance(content, list):
         raise InputError(path, "is no list of words or segments", "fetch it again")
     words: list[Word] = []
-    for place, entry in enumerate(told):
+    for place, entry in enumerate(content):
         try:
-            said = entry["alternatives"][0].get("words", []) if "alternatives" in entry else [entry]
+            spoken = entry["alternatives"][0].get("words", []) if "alternatives" in entry else [entry]
             words += [Word(str(word["word"]), _seconds(word["start_time"]), _seconds(word["end_time"]))
-                      for word in said]
+                      for word in spoken]
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise InputError(path, f"entry {place}: {error} (words have word, start_time and end_time)",
                              "fetch it again") from None
@@ -101,7 +98,6 @@ def read_words(path: Path) -> tuple[Word, ...]:
 
 
 def _seconds(time: object) -> float:
-    """1.2 for "1.200s"."""
     if not isinstance(time, str) or not _TIME.fullmatch(time):
-        raise ValueError(f"{str(time)[:30]!r} is no time")
+        raise ValueError(f"{str(time)[:30]!r} is not a time")
     return float(time[:-1])

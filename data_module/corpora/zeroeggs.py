@@ -6,9 +6,9 @@ DIR is the `data` folder of the release, or its `clean` folder, in which sound a
     clean/001_Neutral_0_x_1_0.bvh           centimetres, 60 fps     NUMBER_STYLE_TAKE_x_1_0
     clean/001_Neutral_0_x_1_0.wav
 
-Its published split knows training and validation. What is held out there is shared here between validation and test,
-every other recording, so that the training part is the published one and there is something to test on. Mirrored and
-time-stretched copies, which its authors train on besides, are left out.
+The published split has training and validation only. Its validation part is divided here between validation and test,
+every other recording, so that the training part is the published one. Mirrored and time-stretched copies, which the
+authors also use for training, are left out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from data_module.corpora.base import Imported, Item, Options
+from data_module.corpora.base import Imported, Item, Options, needed
 from data_module.corpora.takes import find_takes, read_take
 from data_module.errors import InputError
 from data_module.files import read_table
@@ -27,7 +27,7 @@ from data_module.store import RecordingInfo, Split
 
 FPS = 60.0
 HELD_OUT = frozenset({5, 10, 15, 20, 25, 29, 33, 35, 38, 41, 44, 47, 50, 53, 56, 58, 61, 64, 65, 66, 67})
-"""Numbers of the recordings that the published list holds out, for where the list is not there."""
+"""Numbers of the recordings that the published list holds out, used if the list is missing."""
 RECORDINGS = 67
 
 _NAME = re.compile(r"(?P<number>\d{3})_[A-Za-z]+_\d+_x_1_0")
@@ -40,15 +40,14 @@ class ZeroEggs:
     licence = "CC BY-NC-ND 4.0 (ZeroEGGS): not for commercial use, nor are weights trained on it, and not to be shared"
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        if source is None:
-            raise InputError("--source", "is missing", "name ZeroEGGS's folder data, which holds clean/")
+        source = needed(source, "name ZeroEGGS's folder data, which holds clean/")
         self._options = options
         clean = source / "clean" if (source / "clean").is_dir() else source
         self._takes, self._notes = find_takes(clean, _NAME)
         if not self._takes:
             raise InputError(clean, "holds no NUMBER_STYLE_TAKE_x_1_0.bvh with a .wav of the same name",
                              "name ZeroEGGS's folder data, which holds clean/")
-        # There is no text in the release, so its absence is no news.
+        # The release has no text, so its absence is not reported.
         self._notes = [note for note in self._notes if not note.endswith("its words are unknown")]
         if not any(take.text for take in self._takes.values()):
             self._notes.append("words are unknown: the release has none (put NAME.txt or .TextGrid beside NAME.wav)")
@@ -61,7 +60,7 @@ class ZeroEggs:
             self._notes.append(f"{source / 'info.csv'} is missing: the split is the published one, by number")
         self._splits: dict[int, Split] = {number: "val" if place % 2 else "test"
                                           for place, number in enumerate(sorted(held))}
-        self._notes.append("published as validation, shared here between val and test: "
+        self._notes.append("published as validation, divided here between val and test: "
                            f"{', '.join(f'{number:03d}' for number in sorted(held))}")
         absent = sorted(set(range(1, RECORDINGS + 1)) - {_number(name) for name in self._takes})
         if absent:
@@ -93,9 +92,9 @@ def _held_out(path: Path) -> frozenset[int]:
     """Numbers of the recordings that info.csv marks TRUE in its column `validation`."""
     rows = [(row.get("anim_bvh") or "", (row.get("validation") or "").strip().upper())
             for _, row in read_table(path, "fetch it again")]
-    wrong = [name or told or "an empty line" for name, told in rows
-             if not re.match(r"\d{3}_", name) or told not in ("TRUE", "FALSE")]
+    wrong = [name or marked or "an empty line" for name, marked in rows
+             if not re.match(r"\d{3}_", name) or marked not in ("TRUE", "FALSE")]
     if wrong or not rows:
-        raise InputError(path, f"has entries that are not read ({', '.join(wrong[:3])})" if wrong else "is empty",
+        raise InputError(path, f"has invalid entries ({', '.join(wrong[:3])})" if wrong else "is empty",
                          "its columns are anim_bvh and validation, among others")
-    return frozenset(_number(name) for name, told in rows if told == "TRUE")
+    return frozenset(_number(name) for name, marked in rows if marked == "TRUE")

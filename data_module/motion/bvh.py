@@ -1,6 +1,6 @@
-"""BVH, read and written: the animation format that every tool opens.
+"""Reader and writer of BVH, the animation format that every tool opens.
 
-In the file angles are degrees; lengths are the file's own unit (centimetres in what we write, unless told). In memory
+In the file angles are degrees and lengths are in the unit of the file (by default we write centimetres). In memory
 everything is radians and metres.
 """
 
@@ -27,15 +27,15 @@ _WRITTEN_ORDER = "ZXY"
 CENTIMETRES = 0.01
 """Metres."""
 _LARGEST = 1e9
-"""Degrees or units of length, of which none is smaller than a millimetre: a number beyond it is none of a body's."""
+"""Largest plausible number of degrees or units of length, of at least a millimetre."""
 _LARGEST_FILE = 1 << 30
 """Bytes (1 GiB): an hour of a body with fingers at 120 frames a second."""
 FRAME_RATE_ADVICE = "give the frame rate"
-"""What to do about a file whose frame rate is in doubt; commands name their own option for it."""
+"""Advice for a file of doubtful frame rate, which commands replace by their option."""
 
 
 class BvhWarning(UserWarning):
-    """A file contradicts itself, and reading went on with what the caller told."""
+    """A file contradicts itself, and was read with the values of the caller."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class _Header:
 
 
 class _Tokens:
-    """The words of the header, with a clear error where one is missing or wrong."""
+    """The words of the header, with a clear error for missing and wrong ones."""
 
     def __init__(self, text: str, path: str) -> None:
         self._words, self._at, self.path = text.split(), 0, path
@@ -94,14 +94,14 @@ def _parse_header(text: str, path: str) -> _Header:
             stack.append(len(names) - 1)
             tokens.take("OFFSET")
             offsets.append([tokens.number() for _ in range(3)])
-            own: list[str] = []
+            joint_channels: list[str] = []
             if tokens.peek().upper() == "CHANNELS":
                 tokens.take()
-                own = [tokens.take() for _ in range(int(tokens.number()))]
-                unknown = [c for c in own if c not in _AXES and c not in _PLACES]
+                joint_channels = [tokens.take() for _ in range(int(tokens.number()))]
+                unknown = [c for c in joint_channels if c not in _AXES and c not in _PLACES]
                 if unknown:
                     raise InputError(path, f"has unknown channels {shown(', '.join(unknown), 100)}", "export it again")
-            channels.append(tuple(own))
+            channels.append(tuple(joint_channels))
             pending = None
             continue
         word = tokens.take()
@@ -133,10 +133,8 @@ def _parse_header(text: str, path: str) -> _Header:
 
 
 def _frame_rate(frame_time: float) -> float:
-    """Frames per second; a frame time written with few digits (0.033333) means the whole rate next to it (30).
-
-    The margin is less than what parts 30 from 29.97; without it an hour of motion would drift by frames.
-    """
+    """Frames per second; a frame time written with few digits (0.033333) means the whole rate next to it (30). The
+    margin is less than what parts 30 from 29.97; without it an hour of motion would drift by frames."""
     fps = 1.0 / frame_time
     whole = round(fps)
     return float(whole) if abs(fps - whole) < 3e-4 * fps else fps
@@ -160,10 +158,10 @@ def _rows(body: str, width: int, path: str) -> Array:
 def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: float | None = None) -> Motion:
     """Read a BVH file: any channel order, any joint names.
 
-    fps: the frame rate, when the header's is known to be wrong. A header whose frame count is not that of the rows
-    is an InputError without it, and a `BvhWarning` with it.
-    unit: metres per unit of the file; guessed from hips to head when not told (centimetres for a skeleton without).
-    Positions of joints other than the root are read as constant offsets (their mean), which is what rigs mean by them.
+    fps: the frame rate, if that of the header is wrong. A frame count in the header other than the number of rows is an
+    InputError without it, and a `BvhWarning` with it. unit: metres per unit of the file; by default guessed from the
+    distance of hips and head (else centimetres). Positions of joints other than the root are read as constant offsets
+    (their mean), as in most rigs.
     """
     where = str(path)
     for name, value in (("frame rate", fps), ("unit", unit)):
@@ -172,11 +170,11 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
     header, frames = _opened(path, where)
     rows = _rows(frames, sum(map(len, header.channels)), where)
     if len(rows) != header.frames:
-        said = (f"its header says {header.frames} frames at {header.fps:g} fps but {len(rows)} rows follow "
+        conflict = (f"its header says {header.frames} frames at {header.fps:g} fps but {len(rows)} rows follow "
                 f"({len(rows) * header.fps / max(header.frames, 1):.4g} fps would keep the header's duration)")
         if fps is None:
-            raise InputError(where, said, FRAME_RATE_ADVICE)
-        warnings.warn(f"{where}: {said}; read at {fps:g} fps", BvhWarning, stacklevel=2)
+            raise InputError(where, conflict, FRAME_RATE_ADVICE)
+        warnings.warn(f"{where}: {conflict}; read at {fps:g} fps", BvhWarning, stacklevel=2)
     motion = _assemble(header, rows, header.fps if fps is None else float(fps))
     if unit is None:
         try:
@@ -187,11 +185,9 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
 
 
 def read_hierarchy(path: str | os.PathLike[str]) -> tuple[Motion, tuple[tuple[str, ...], ...]]:
-    """The skeleton of a BVH file as it stands there: its own units and axes, and the channels of each joint.
-
-    The motion is its first frame, or one of zeros where the file has none. Nothing is scaled; the root keeps its own
-    offset, and places of other joints are those of their offsets.
-    """
+    """The skeleton of a BVH file in its units and axes, and the channels of each joint. The motion is the first frame,
+    or one of zeros without any. Nothing is scaled; the root has its offset, and other joints have the positions of
+    their offsets."""
     where = str(path)
     header, frames = _opened(path, where)
     width = sum(map(len, header.channels))
@@ -202,7 +198,6 @@ def read_hierarchy(path: str | os.PathLike[str]) -> tuple[Motion, tuple[tuple[st
 
 
 def _opened(path: str | os.PathLike[str], where: str) -> tuple[_Header, str]:
-    """The header of a file, and the lines of its frames as they stand."""
     text = read_text(path, "give a .bvh file", _LARGEST_FILE)
     at = text.find("Frame Time:")
     if at < 0:
@@ -219,9 +214,9 @@ def _assemble(header: _Header, rows: Array, fps: float) -> Motion:
     offsets = skeleton.offsets.copy()
     root = np.tile(offsets[0], (len(rows), 1))
     column = 0
-    for joint, own in enumerate(header.channels):
+    for joint, joint_channels in enumerate(header.channels):
         order, angles = "", []
-        for channel in own:
+        for channel in joint_channels:
             values = rows[:, column]
             column += 1
             if channel in _AXES:
@@ -252,7 +247,7 @@ def _compose(angles: Array, order: str) -> Array:
 
 
 def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIMETRES) -> None:
-    """Write a motion as BVH, rotations in the order ZXY, whole or not at all. unit: metres per unit of the file."""
+    """Write a motion as BVH, rotations in the order ZXY, atomically. unit: metres per unit of the file."""
     write_text(path, bvh_text(motion, unit))
 
 
@@ -264,7 +259,7 @@ def bvh_text(motion: Motion, unit: float = CENTIMETRES) -> str:
 
 
 class BvhWriter:
-    """A BVH file of frames that come piece by piece: the text is that of all of them together."""
+    """Streaming writer of a BVH file; the text is the same as for all frames at once."""
 
     def __init__(self, skeleton: Skeleton, fps: float, unit: float = CENTIMETRES) -> None:
         """unit: metres per unit of the file."""
@@ -276,13 +271,12 @@ class BvhWriter:
         self._lines, self._order = hierarchy(skeleton.names, skeleton.parents, skeleton.offsets, tips, channels)
         self._fps, self._unit, self._unwrap = fps, unit, Unwrap()
         self.frames = 0
-        """How many came."""
+        """Number of frames so far."""
 
     def rows(self, motion: Motion) -> str:
-        """The lines of some more frames."""
         self.frames += len(motion)
         places = motion.root_positions if self._unit == 1.0 else motion.root_positions * (1.0 / self._unit)
-        # Unwrapped angles keep curves smooth in tools that interpolate the channels one by one.
+        # Unwrapped angles are smooth in tools that interpolate the channels separately.
         angles = np.degrees(self._unwrap(rotation.to_euler(motion.rotations, _WRITTEN_ORDER)))
         values = np.concatenate([places, angles[:, self._order].reshape(len(motion), -1)], axis=1)
         body = io.StringIO()
@@ -290,19 +284,17 @@ class BvhWriter:
         return body.getvalue()
 
     def head(self) -> str:
-        """What stands before the frames that came."""
         return "\n".join([*self._lines, "MOTION", f"Frames: {self.frames}", f"Frame Time: {1.0 / self._fps:.10f}", ""])
 
 
 class Unwrap:
-    """`numpy.unwrap` along the first axis for angles [T, ...] in radians that come piece by piece."""
+    """Streaming `numpy.unwrap` along the first axis for angles [T, ...] in radians."""
 
     def __init__(self) -> None:
         self._last: Array | None = None
         self._turned: Array | None = None
 
     def __call__(self, angles: Array) -> Array:
-        """Some more angles, each by as many full turns off as brings it within half a turn of the one before."""
         if not len(angles):
             return angles
         before = angles[:1] if self._last is None else self._last
@@ -310,7 +302,7 @@ class Unwrap:
         near = np.mod(steps + np.pi, 2 * np.pi) - np.pi
         near = np.where((near == -np.pi) & (steps > 0), np.pi, near)
         turns = np.where(np.abs(steps) < np.pi, 0.0, near - steps)
-        # Summed one after the other from the first piece on, as for all of them at once: the same bits.
+        # Summed in sequence from the first piece on, for the same bits as at once.
         if self._turned is not None:
             turns = np.concatenate([self._turned, turns])
         summed = turns.cumsum(axis=0)[-len(angles):]

@@ -1,4 +1,4 @@
-"""Forward kinematics: from local rotations to where the joints are."""
+"""Forward kinematics: from local rotations to joint positions."""
 
 from __future__ import annotations
 
@@ -14,43 +14,47 @@ __all__ = ["global_rotations", "joint_positions", "local_rotations", "positions_
 
 def global_rotations(skeleton: Skeleton, rotations: Array) -> Array:
     """Local [..., J, 4] to world rotations [..., J, 4]."""
-    world = np.empty_like(rotations)
-    for joint, parent in enumerate(skeleton.parents):
-        local = rotations[..., joint, :]
-        world[..., joint, :] = local if parent < 0 else rotation.multiply(world[..., parent, :], local)
+    return chained(skeleton.parents, rotations)
+
+
+def chained(parents: Sequence[int], rotations: Array) -> Array:
+    """As `global_rotations`, for any tree with parents before children, -1 for the root."""
+    world = rotations.copy()
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            world[..., joint, :] = rotation.multiply(world[..., parent, :], rotations[..., joint, :])
     return world
 
 
 def local_rotations(skeleton: Skeleton, world: Array) -> Array:
     """The inverse of `global_rotations`."""
-    local = np.empty_like(world)
+    local = world.copy()
     for joint, parent in enumerate(skeleton.parents):
-        own = world[..., joint, :]
-        local[..., joint, :] = own if parent < 0 else rotation.multiply(rotation.conjugate(world[..., parent, :]), own)
+        if parent >= 0:
+            local[..., joint, :] = rotation.multiply(rotation.conjugate(world[..., parent, :]), world[..., joint, :])
     return local
 
 
 def copied_rotations(motion: Motion, sources: Mapping[str, tuple[str, ...]], parents: Mapping[str, str | None]
                      ) -> dict[str, Array]:
-    """Local rotations [T, 4] of another tree of joints, whose rest is the same pose, by copying world rotations.
-
-    sources: joint there -> the joints of the motion whose world rotation it takes (of two: halfway between them), the
-    joint's parent before it. parents: joint there -> the joint above it, None for the root.
-    """
+    """Local rotations [T, 4] of another tree of joints with the same rest pose, by copying world rotations. sources:
+    joint of that tree -> the joints of the motion whose world rotation it copies (halfway between two), parents first.
+    parents: joint of that tree -> its parent, None for the root."""
     world = global_rotations(motion.skeleton, motion.rotations)
     turned: dict[str, Array] = {}
     local: dict[str, Array] = {}
     for joint, names in sources.items():
         first, last = (world[:, motion.skeleton.index(name)] for name in (names[0], names[-1]))
         turned[joint] = rotation.normalise(first + np.where(np.sum(first * last, -1, keepdims=True) < 0, -last, last))
-        above = parents[joint]
-        own = turned[joint] if above is None else rotation.multiply(rotation.conjugate(turned[above]), turned[joint])
-        local[joint] = rotation.continuous(rotation.normalise(own))
+        relative, parent = turned[joint], parents[joint]
+        if parent is not None:
+            relative = rotation.multiply(rotation.conjugate(turned[parent]), relative)
+        local[joint] = rotation.continuous(rotation.normalise(relative))
     return local
 
 
 def joint_positions(skeleton: Skeleton, rotations: Array, root_positions: Array | None = None) -> Array:
-    """Positions [..., J, 3] in metres for local rotations [..., J, 4]; the root is at the origin when not told."""
+    """Positions [..., J, 3] in metres for local rotations [..., J, 4]; the root is at the origin by default."""
     world = global_rotations(skeleton, rotations)
     positions = np.zeros((*rotations.shape[:-1], 3))
     if root_positions is not None:
@@ -63,10 +67,9 @@ def joint_positions(skeleton: Skeleton, rotations: Array, root_positions: Array 
 
 
 def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
-    """As `positions_of`, of these joints alone, [T, len(joints), 3]: only the chains from the root to them are turned.
-    """
+    """As `positions_of` for these joints only, [T, len(joints), 3]; computes only the chains from the root to them."""
     parents, offsets = motion.skeleton.parents, motion.skeleton.offsets
-    turned: dict[int, tuple[Array, Array]] = {-1: (np.zeros(0), motion.root_positions)}  # world rotation and place
+    turned: dict[int, tuple[Array, Array]] = {-1: (np.zeros(0), motion.root_positions)}  # world rotation and position
 
     def at(joint: int) -> tuple[Array, Array]:
         if joint not in turned:
@@ -80,7 +83,7 @@ def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
 
 
 def chains(skeleton: Skeleton, ends: Sequence[int]) -> tuple[Skeleton, list[int]]:
-    """The skeleton of these joints and those above them alone, and which joints of the whole one it has, rising."""
+    """The skeleton of these joints and their ancestors, and its joint indices in the full one, rising."""
     needed: set[int] = set()
     for end in ends:
         while end >= 0:

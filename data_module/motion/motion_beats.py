@@ -1,6 +1,6 @@
-"""Motion beats: when the acting arms brake hardest, or stand still.
+"""Motion beats: the times when the acting arms decelerate hardest, or stand still.
 
-They are found at the motion's own frame rate, between frames: a tenth of a second, the scale of synchrony, is two
+They are detected at the original frame rate and interpolated between frames: 0.1 s, the scale of synchrony, is only two
 frames at 20 fps.
 """
 
@@ -17,9 +17,9 @@ MODES = ("A", "B")
 ACTING = ("RightHand", "RightForeArm", "LeftHand", "LeftForeArm")
 """Joints whose speeds are summed (skeleton joints: the wrist and the elbow)."""
 SMOOTHING = 0.05
-"""Seconds: the standard deviation of the Gaussian that velocity is smoothed with."""
+"""Standard deviation of the Gaussian smoothing of the velocity, seconds."""
 SPACING = 0.1
-"""Seconds: of two motion beats closer than this the stronger one stays."""
+"""Seconds; of two closer motion beats only the stronger one counts."""
 
 _DEPTH = 0.5
 _STILL = 0.1
@@ -33,7 +33,7 @@ def acting_speed(positions: Array, fps: float) -> Array:
 
     if len(positions) < 2:
         return np.zeros(len(positions))
-    # Smoothing the velocity, not the speed: a norm has a corner at 0, and noise would never average out of it.
+    # Smooth the velocity, not the speed: a norm is never negative, so noise in it would not average out.
     velocity = gaussian_filter1d(np.gradient(positions, 1.0 / fps, axis=0), SMOOTHING * fps, axis=0, mode="nearest")
     return np.linalg.norm(velocity, axis=-1).sum(axis=-1)
 
@@ -50,7 +50,7 @@ def motion_beats(motion: Motion, mode: str = "A") -> Array:
 
     Mode A: the strongest decelerations, minima of d/dt of `acting_speed` deeper than half its standard deviation.
     Mode B: minima of `acting_speed` itself, as deep as half its standard deviation below their surroundings. Both
-    leave out stretches where the arms hardly move, and both place a beat between frames by a parabola.
+    exclude stretches in which the arms hardly move, and interpolate the beat between frames by a parabola.
     """
     if mode not in MODES:
         raise InputError("motion beats", f"mode {mode!r} is unknown", f"choose from {', '.join(MODES)}")
@@ -58,7 +58,7 @@ def motion_beats(motion: Motion, mode: str = "A") -> Array:
 
 
 def beats_of_speed(speed: Array, fps: float, mode: str = "A") -> Array:
-    """`motion_beats` from a summed speed [T] in m/s, for callers that have their own joints."""
+    """`motion_beats` from a summed speed [T] in m/s, for other joints than `ACTING`."""
     from scipy.ndimage import maximum_filter1d
     from scipy.signal import find_peaks
 
@@ -70,14 +70,14 @@ def beats_of_speed(speed: Array, fps: float, mode: str = "A") -> Array:
     depth = _DEPTH * float(np.std(curve))
     limits = {"height": max(depth, _GENTLE)} if mode == "A" else {"prominence": max(depth, _STILL / 2)}
     peaks = find_peaks(curve, distance=spacing, **limits)[0]
-    # A beat ends a movement: within the last moments the arms must have moved.
+    # A beat ends a movement: just before it the arms must have moved.
     span = max(1, round(_BEFORE * fps))
     fastest = maximum_filter1d(speed, span + 1, origin=span // 2, mode="nearest")
     return _between_frames(curve, peaks[fastest[peaks] > _STILL]) / fps
 
 
 def _between_frames(curve: Array, peaks: NDArray[np.int64]) -> Array:
-    """Where the parabola through each peak and its two neighbours is highest, in frames."""
+    """The maximum of the parabola through each peak and its two neighbours, in frames."""
     left, middle, right = curve[peaks - 1], curve[peaks], curve[peaks + 1]
     bend = left - 2.0 * middle + right
     shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1.0), 0.0)

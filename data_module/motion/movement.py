@@ -1,13 +1,13 @@
-"""What a block of motion adds to its past, in a few numbers: the coordinates of movement.
+"""Coordinates of movement: a block of motion relative to its past, in a few coefficients.
 
-A block X [K, D_m] is told by how it leaves its past: with l the last pose before it, v and a the last velocity and
-acceleration (differences of frames, rescaled to the block's own duration), a linear predictor W, fitted by ridge
-regression, says what the body would do if nothing new came, and principal components U tell the rest:
+With l the last pose before a block X [K, D_m], v and a the last velocity and acceleration (differences of frames,
+rescaled to the block's duration), a linear predictor W, fitted by ridge regression, extrapolates the past, and
+principal components U encode the residual:
 
     base(past) = l + W [l, v, a, 1]        E = X - base        y = U^T E
 
-Each part of the body (torso, head, each arm, the fingers of each hand) has its own W and its own U. W has learned the
-way back to the mean pose, so a long performance does not drift. Everything is fitted in closed form.
+Each part of the body (torso, head, each arm, the fingers of each hand) has a separate W and U. W includes the return to
+the mean pose, so a long performance does not drift. Everything is fitted in closed form.
 """
 
 from __future__ import annotations
@@ -23,25 +23,24 @@ from torch import Tensor, nn
 from data_module.types import Array
 
 PAST = 3
-"""Frames before a block that it is told from: a pose, a velocity and an acceleration."""
+"""Frames of the past of a block: enough for a pose, a velocity and an acceleration."""
 _RIDGE = 1.0
-"""Of the predictor, on features of unit deviation: nothing beside tens of thousands of blocks, but few stay calm."""
+"""Ridge of the predictor, on features of unit deviation: negligible for tens of thousands of blocks, but it keeps a fit
+to few blocks stable."""
 _TORSO = ("Hips", "Spine")
 _HEAD = ("Neck", "Head")
 _FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky", "Little")
 _LEAST_SCALE = 1e-6
 _SHARES = {"torso": 0.4, "head": 0.4, "left fingers": 0.3, "right fingers": 0.3}
-"""Of what an arm weighs, 1: nobody names a gesture by its fingers, which have four times as many numbers, and at an
-arm's weight a third of the codes would tell sways of the trunk apart with both hands at rest."""
+"""Weights relative to an arm (1): fingers hardly define a gesture but have four times as many dimensions, and with the
+weight of an arm a third of the codes would only distinguish sways of the trunk with both hands at rest."""
 LIMITS = (0.03, 99.97)
-"""Percent: between these the coefficients of training blocks lie, but for the wildest six in ten thousand."""
+"""Percentiles of the training coefficients that are used as limits."""
 
 
 def body_parts(joints: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Part of the body -> its columns among three numbers a joint: torso, head, and for each side arm and fingers.
-
-    Joints of other names (places in space, say) make one part, "body".
-    """
+    """Part of the body -> its columns, three per joint: torso, head, and for each side arm and fingers. Joints of other
+    names make one part, "body"."""
     parts: dict[str, list[int]] = {}
     for index, joint in enumerate(joints):
         side = next((s for s in ("Left", "Right") if joint.startswith(s)), "")
@@ -55,14 +54,14 @@ def body_parts(joints: Sequence[str]) -> dict[str, tuple[int, ...]]:
 
 @dataclass(frozen=True)
 class Pasts:
-    """What blocks are told from. frames: [..., 3, D_m] the frames before a block; ratio: [...] the block's duration
-    over that of the block before, which brings velocities to the block's own clock."""
+    """The pasts of blocks. frames: [..., 3, D_m] the frames before a block; ratio: [...] the block's duration over that
+    of the previous block, which rescales velocities to the block's normalised time."""
 
     frames: Tensor
     ratio: Tensor
 
     def state(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Last pose, velocity and acceleration [..., D_m], in the block's own frames."""
+        """Last pose, velocity and acceleration [..., D_m], per frame of the block."""
         ratio = self.ratio[..., None]
         last, before = self.frames[..., 2, :], self.frames[..., 1, :]
         velocity = (last - before) * ratio
@@ -74,15 +73,12 @@ class Pasts:
 
 def pasts_of(motion: Tensor, durations: Tensor, first: Tensor) -> Pasts:
     """The pasts of the blocks of one recording: motion [N, K, D_m], durations [N] s, first: [D_m] its pose at time 0.
-
-    Before the first block the body stands still in its first pose.
-    """
+    Before the first block the body stands still in its first pose."""
     before = torch.cat([durations[:1], durations[:-1]])
     return Pasts(torch.cat([first.expand(1, PAST, -1), motion[:-1, -PAST:]]), (durations / before).to(motion.dtype))
 
 
 def joined(pasts: Iterable[Pasts]) -> Pasts:
-    """Several recordings' pasts in a row."""
     each = list(pasts)
     return Pasts(torch.cat([past.frames for past in each]), torch.cat([past.ratio for past in each]))
 
@@ -97,7 +93,7 @@ class MovementBasis(nn.Module):
     _back: Tensor
 
     def __init__(self, frames: int, parts: Mapping[str, tuple[int, ...]], components: Mapping[str, int]) -> None:
-        """frames: K; parts: name -> its columns of D_m; components: name -> how many principal components it has."""
+        """frames: K; parts: name -> its columns of D_m; components: name -> number of principal components."""
         super().__init__()
         self.frames, self.parts = frames, dict(parts)
         self.motion_width = sum(len(columns) for columns in parts.values())
@@ -106,7 +102,7 @@ class MovementBasis(nn.Module):
             self.register_buffer(f"columns_{index}", torch.tensor(columns, dtype=torch.long), persistent=False)
             self.register_buffer(f"predictor_{index}", torch.zeros(3 * len(columns) + 1, frames * len(columns)))
             self.register_buffer(f"components_{index}", torch.zeros(frames * len(columns), width))
-        # All columns part after part, and back: one look-up for all is cheaper than one for each part.
+        # One permutation of all columns is cheaper than one look-up for each part.
         order = torch.tensor([column for columns in parts.values() for column in columns], dtype=torch.long)
         self.register_buffer("_order", order, persistent=False)
         self.register_buffer("_back", order.argsort(), persistent=False)
@@ -120,16 +116,14 @@ class MovementBasis(nn.Module):
         return sum(self.widths)
 
     def slices(self) -> list[slice]:
-        """Where each part's coefficients stand."""
         ends = np.cumsum((0, *self.widths))
         return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
     def _buffer(self, name: str, part: int) -> Tensor:
-        found: Tensor = getattr(self, f"{name}_{part}")
-        return found
+        buffer: Tensor = getattr(self, f"{name}_{part}")
+        return buffer
 
     def _by_part(self, values: Tensor) -> Sequence[Tensor]:
-        """[..., D_m] to each part's columns."""
         return values[..., self._order].split([len(columns) for columns in self.parts.values()], -1)
 
     def _joined(self, parts: Sequence[Tensor]) -> Tensor:
@@ -137,36 +131,34 @@ class MovementBasis(nn.Module):
         return torch.cat([part.unflatten(-1, (self.frames, -1)) for part in parts], -1)[..., self._back]
 
     def base(self, past: Pasts) -> Tensor:
-        """[..., K, D_m] what the body would do if nothing new came."""
+        """[..., K, D_m] the motion predicted from the past alone."""
         state = torch.stack(past.state(), -2)
         one = torch.ones_like(state[..., 0, :1])
-        led = [torch.cat([own.flatten(-2), one], -1) @ self._buffer("predictor", part)
-               for part, own in enumerate(self._by_part(state))]
+        led = [torch.cat([values.flatten(-2), one], -1) @ self._buffer("predictor", part)
+               for part, values in enumerate(self._by_part(state))]
         return state[..., :1, :] + self._joined(led)
 
     def project(self, error: Tensor) -> Tensor:
         """E [..., K, D_m], a block less its base, to coefficients y [..., n]."""
-        return torch.cat([own.flatten(-2) @ self._buffer("components", part)
-                          for part, own in enumerate(self._by_part(error))], -1)
+        return torch.cat([values.flatten(-2) @ self._buffer("components", part)
+                          for part, values in enumerate(self._by_part(error))], -1)
 
     def expand(self, coefficients: Tensor) -> Tensor:
         """Coefficients [..., n] to E [..., K, D_m]."""
-        return self._joined([own @ self._buffer("components", part).T
-                             for part, own in enumerate(coefficients.split(self.widths, -1))])
+        return self._joined([values @ self._buffer("components", part).T
+                             for part, values in enumerate(coefficients.split(self.widths, -1))])
 
     def coefficients(self, motion: Tensor, past: Pasts) -> Tensor:
         """Blocks [..., K, D_m] and their pasts to y [..., n]."""
         return self.project(motion - self.base(past))
 
     def compose(self, coefficients: Tensor, past: Pasts) -> Tensor:
-        """The inverse of `coefficients`, but for what the components leave out: [..., K, D_m]."""
+        """The inverse of `coefficients`, up to the residual of the components: [..., K, D_m]."""
         return self.base(past) + self.expand(coefficients)
 
     def known(self, mask: Tensor) -> Tensor:
-        """[..., n] 1 for the coefficients of parts that a source has, of its numbers' mask [..., D_m].
-
-        A part is there when most of its joints are (Spine3 alone is often lacking).
-        """
+        """[..., n] 1 for the coefficients of the parts that a source has, from its mask [..., D_m]: those with most of
+        their joints (Spine3 alone is often missing)."""
         shares = [mask[..., self._buffer("columns", part)].mean(-1, keepdim=True) > 0.5
                   for part in range(len(self.parts))]
         return torch.cat([share.expand(*mask.shape[:-1], width) for share, width in
@@ -174,32 +166,30 @@ class MovementBasis(nn.Module):
 
     @torch.no_grad()
     def fit(self, motion: Tensor, past: Pasts, mask: Tensor) -> Tensor:
-        """W, U, scale, weight and limits from blocks [N, K, D_m] with their pasts.
-
-        mask: [N, D_m] 1 where the source has it; a part is fitted on the blocks of sources that have it. Gives the
-        coefficients [N, n], 0 where it is lacking.
-        """
+        """Fit W, U, scale, weight and limits to blocks [N, K, D_m] with their pasts. mask: [N, D_m] 1 for present
+        dimensions; a part is fitted on the blocks that have it. Returns the coefficients [N, n], 0 for missing
+        parts."""
         known = self.known(mask) > 0
         coefficients = torch.zeros(len(motion), self.width, dtype=torch.float64)
         for part, (name, at) in enumerate(zip(self.parts, self.slices(), strict=True)):
             rows = known[:, at.start].nonzero()[:, 0]
             if not len(rows):
                 continue
-            own = self._fit_part(part, motion[rows], past[rows])
-            coefficients[rows, at] = own
-            self.scale[at] = own.std(0, correction=0).clamp_min(_LEAST_SCALE).float()
-            # Each part's variance is then its share's.
+            fitted = self._fit_part(part, motion[rows], past[rows])
+            coefficients[rows, at] = fitted
+            self.scale[at] = fitted.std(0, correction=0).clamp_min(_LEAST_SCALE).float()
+            # The total variance of each part is then its squared share.
             self.weight[at] = _SHARES.get(name, 1.0) / self.scale[at].pow(2).sum().sqrt()
-            self.limits[:, at] = torch.as_tensor(np.percentile(own.numpy(), LIMITS, axis=0)).float()
+            self.limits[:, at] = torch.as_tensor(np.percentile(fitted.numpy(), LIMITS, axis=0)).float()
         return coefficients.float()
 
     def _fit_part(self, part: int, motion: Tensor, past: Pasts) -> Tensor:
         columns = self._buffer("columns", part)
         last, velocity, acceleration = (value[:, columns].double().numpy() for value in past.state())
-        told = np.concatenate([last, velocity, acceleration, np.ones((len(last), 1))], 1)
+        features = np.concatenate([last, velocity, acceleration, np.ones((len(last), 1))], 1)
         moved = (motion[..., columns].double().numpy() - last[:, None]).reshape(len(motion), -1)
-        predictor = np.linalg.solve(told.T @ told + _RIDGE * np.eye(told.shape[1]), told.T @ moved)
-        error = moved - told @ predictor
+        predictor = np.linalg.solve(features.T @ features + _RIDGE * np.eye(features.shape[1]), features.T @ moved)
+        error = moved - features @ predictor
         components = _principal(error, self.widths[part])
         self._buffer("predictor", part).copy_(torch.as_tensor(predictor))
         self._buffer("components", part).copy_(torch.as_tensor(components))
@@ -207,7 +197,7 @@ class MovementBasis(nn.Module):
 
 
 def _principal(error: Array, count: int) -> Array:
-    """[D, count] the directions of most energy, each with its largest entry positive, so that a fit is repeatable."""
+    """[D, count] the principal directions, each with its largest entry positive so that a fit is reproducible."""
     _, directions = np.linalg.eigh(error.T @ error / len(error))
     first: NDArray[np.float64] = directions[:, ::-1][:, :count]
     return first * np.where(first[np.abs(first).argmax(0), np.arange(count)] < 0, -1.0, 1.0)

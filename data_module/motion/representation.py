@@ -1,9 +1,9 @@
-"""How a motion is told in numbers: as rotations (RG 4.1.1), or as ten joints in space (RG 7.1.1, the TED data).
+"""Representations of motion: rotations (RG 4.1.1), or the positions of ten joints (RG 7.1.1, the TED data).
 
-A representation gives the poses of a motion as vectors [T, D_m] and makes a motion of such vectors; what lies between
-(blocks, statistics, models, the cubic and the smoothing) is the same for all. A vector of positions says nothing of
-how a limb is turned about its own length. That is chosen here: the elbow is a hinge, the head looks where the nose is,
-and where neither tells, as with a straight arm, the turn that was is kept.
+A representation converts the poses of a motion to vectors [T, D_m] and back; everything between (blocks, statistics,
+models, interpolation, smoothing) is the same for all. Positions do not determine the twist of a limb. It is chosen
+here: the elbow is a hinge, the head faces in the direction of the nose, and if neither is defined, as for a straight
+arm, the previous twist is kept.
 """
 
 from __future__ import annotations
@@ -23,43 +23,38 @@ from data_module.types import Array, Motion
 
 
 class Representation(Protocol):
-    """A way to tell a pose of the character in `width` numbers (D_m)."""
+    """A representation of a pose of the character by `width` numbers (D_m)."""
 
     @property
     def name(self) -> str:
-        """What the configuration calls it."""
+        """Name in the configuration."""
 
     @property
     def width(self) -> int:
         """D_m."""
 
     def vectors(self, motion: Motion, times: Array) -> Array:
-        """[len(times), D_m] the poses of a motion of the character, in any of its sizes, at these seconds.
-
-        Joints that it lacks are at rest. Yaw and place of the root do not count (`skeletons.facing`). Before its start
-        and past its end the motion holds its first and its last pose.
-        """
+        """[len(times), D_m] the poses of a motion of the character, in any of its sizes, at these seconds. Missing
+        joints are at rest. Yaw and position of the root are removed (`skeletons.facing`). Before its start and after
+        its end the motion has its first and last pose."""
 
     def motion(self, vectors: Array, fps: float) -> Motion:
         """A motion of the character from vectors [T, D_m], one each 1 / fps seconds."""
 
     def present(self, absent: tuple[str, ...]) -> NDArray[np.bool_]:
-        """[D_m] the numbers that are known of a source that lacks these joints of the character."""
+        """[D_m] True for the dimensions that are known if a source lacks these joints of the character."""
 
 
 @dataclass(frozen=True)
 class Rotations:
-    """Exponential maps of all joints of the character, hierarchical, unrolled over time (RG 4.1.1).
-
-    joints: how many, a size of `skeletons.CHARACTERS`: 16 make the papers' 48 numbers, 46 (with fingers) make 138.
-    """
+    """Exponential maps of all joints of the character, hierarchical, unrolled over time (RG 4.1.1). joints: how many, a
+    size of `skeletons.CHARACTERS`: 16 make the papers' 48 numbers, 46 (with fingers) make 138."""
 
     joints: int = len(CHARACTER)
     name: str = "rotations"
 
     @property
     def width(self) -> int:
-        """See `Representation.width`."""
         return 3 * self.joints
 
     def vectors(self, motion: Motion, times: Array) -> Array:
@@ -70,11 +65,9 @@ class Rotations:
         return rotation.unroll(rotation.to_exponential_map(poses)).reshape(len(poses), 3 * len(motion.skeleton))
 
     def motion(self, vectors: Array, fps: float) -> Motion:
-        """See `Representation.motion`."""
         return skeletons.from_vector(vectors, fps)
 
     def present(self, absent: tuple[str, ...]) -> NDArray[np.bool_]:
-        """See `Representation.present`."""
         return np.repeat([joint not in absent for joint in CHARACTERS[self.joints].names], 3)
 
 
@@ -95,16 +88,13 @@ class Positions:
         return (1.0 - share) * points[low] + share * points[high]
 
     def motion(self, vectors: Array, fps: float) -> Motion:
-        """See `Representation.motion`: only the directions of the bones count, see `rotations_from_positions`.
-
-        The spine is the origin, whatever its three numbers say.
-        """
+        """See `Representation.motion`: only the directions of the bones count, see `rotations_from_positions`. The
+        spine is the origin, whatever its three numbers say."""
         points = np.array(vectors, dtype=np.float64).reshape(len(vectors), len(TED_JOINTS), 3)
         points[:, 0] = 0.0
         return rotations_from_positions(points, fps)
 
     def present(self, absent: tuple[str, ...]) -> NDArray[np.bool_]:
-        """See `Representation.present`: a joint's place needs the rotations above it; the spine's is no news."""
         known = [index > 0 and not set(above) & set(absent) for index, above in enumerate(_CARRIED_BY)]
         return np.repeat(known, 3)
 
@@ -114,7 +104,7 @@ REPRESENTATIONS: dict[str, Representation] = {"rotations": ROTATIONS, "positions
 
 
 def representation(name: str, joints: int) -> Representation:
-    """The representation of that name (a key of `REPRESENTATIONS`), of so many joints where it is of rotations."""
+    """The representation `name` (a key of `REPRESENTATIONS`); joints: for rotations."""
     return Rotations(joints) if name == ROTATIONS.name else REPRESENTATIONS[name]
 
 
@@ -125,7 +115,7 @@ of Human3.6M, which lies inside the face), the crown of the head, and both arms,
 TED_BONES = ((0, 1), (1, 2), (2, 3), (1, 4), (4, 5), (5, 6), (1, 7), (7, 8), (8, 9))
 """Nine bones as pairs of `TED_JOINTS`, parents before children."""
 TED_ABSENT = ("Hips", "Spine3", "Neck1", "RightHand", "LeftHand")
-"""Joints of the character that ten points tell nothing of; they keep the identity."""
+"""Joints of the character that the ten points do not determine; they have the identity rotation."""
 
 _SPINE, _NECK, _NOSE, _HEAD = 0, 1, 2, 3  # joints; the bones that follow are numbered by `TED_BONES`
 _TO_NECK, _TO_NOSE, _TO_CROWN = 0, 1, 2
@@ -138,7 +128,7 @@ _NOTHING = np.zeros(3)
 # For each of the ten: the joint of the character that carries it, and where in that joint's frame.
 _POINTS = (("Spine2", _NOTHING), ("Neck", _NOTHING), ("Head", _NOSE_OFFSET), ("Head", _CROWN_OFFSET),
            *((side + joint, _NOTHING) for side in ("Left", "Right") for joint in ("Arm", "ForeArm", "Hand")))
-# For each of the ten: the joints without whose rotation its place is not known.
+# For each of the ten: the joints whose rotations determine its position.
 _CARRIED_BY = ((), (), ("Head",), ("Head",), *((side + "Arm",) * (joint > 0) + (side + "ForeArm",) * (joint > 1)
                                                for side in ("Left", "Right") for joint in range(3)))
 
@@ -152,10 +142,8 @@ _EPS = 1e-9
 
 
 def ted_positions(motion: Motion) -> Array:
-    """`TED_JOINTS` of a motion of the character, [T, 10, 3] metres from the spine, in the facing frame.
-
-    Y is up, the hips face +Z and the left is +X (`skeletons.facing`). ValueError for a motion of something else.
-    """
+    """`TED_JOINTS` of a motion of the character, [T, 10, 3] metres from the spine, in the facing frame. Y is up, the
+    hips face +Z and the left is +X (`skeletons.facing`). ValueError for a motion of something else."""
     faced = skeletons.facing(skeletons.resized(motion, CHARACTER))
     world = kinematics.global_rotations(faced.skeleton, faced.rotations)
     places = kinematics.positions_of(faced)
@@ -165,10 +153,8 @@ def ted_positions(motion: Motion) -> Array:
 
 
 def bone_directions(positions: Array) -> Array:
-    """Unit vectors [T, 9, 3] along `TED_BONES` of positions [T, 10, 3] in any unit.
-
-    A bone without a length has the direction that it had before, or that of the rest pose where it had none yet.
-    """
+    """Unit vectors [T, 9, 3] along `TED_BONES` of positions [T, 10, 3] in any unit. A bone without a length has the
+    direction that it had before, or that of the rest pose where it had none yet."""
     points = np.asarray(positions, dtype=np.float64)
     if points.ndim != 3 or points.shape[1:] != (len(TED_JOINTS), 3):
         raise ValueError(f"positions must be [T, {len(TED_JOINTS)}, 3], not {points.shape}")
@@ -186,17 +172,16 @@ def bone_directions(positions: Array) -> Array:
 def rotations_from_positions(positions: Array, fps: float) -> Motion:
     """A motion of the 16-joint character whose bones point as those of `TED_JOINTS` [T, 10, 3] do.
 
-    Y is up, the speaker faces +Z with her left at +X; the origin and the unit do not count, nor do the lengths of the
-    bones: the character keeps her own. A turn of the whole speaker appears as a turn of the torso against the hips,
-    which keep still. `ted_positions` of the result has the directions of the input exactly, but for one: between neck,
-    nose and crown a head bends by 10 to 118 degrees only. Outside of that, and where the head would have to spin to
-    reach it, nose to crown is turned to the nearest that can be.
+    Y is up, the speaker faces +Z, left is +X; origin, unit and bone lengths are ignored, and the character's own bone
+    lengths are used. A turn of the whole speaker appears as a turn of the torso against the hips. `ted_positions` of
+    the result has exactly the directions of the input, with one exception: between neck, nose and crown a head bends by
+    10 to 118 degrees only. Outside this range, or if the head would have to spin, nose to crown takes the nearest
+    possible direction.
 
-    The torso turns with the shoulders, in equal parts over three joints of the spine; the collar bones take up what is
-    left; the plane of neck, nose and crown is the head's own; the elbow bends as a hinge; the wrist is straight. No
-    limb turns about its own length faster than 12 rad/s, nor where that turn cannot be seen: a straight arm keeps what
-    it has. A frame depends on those before it alone. The joints in `TED_ABSENT` hold the identity. ValueError for
-    another shape or for numbers not finite.
+    The torso turns with the shoulders, in equal parts over three joints of the spine; the collar bones take the rest;
+    the plane of neck, nose and crown is fixed in the head; the elbow is a hinge; the wrist is straight. No limb twists
+    faster than 12 rad/s, nor if the twist is not visible (a straight arm). A frame depends on previous frames only. The
+    joints in `TED_ABSENT` have the identity. ValueError for another shape or numbers that are not finite.
     """
     bones = bone_directions(positions)
     world = np.zeros((len(bones), len(CHARACTER), 4))
@@ -214,7 +199,7 @@ def rotations_from_positions(positions: Array, fps: float) -> Motion:
     for joint, turn in parts.items():
         world[:, CHARACTER.index(joint)] = turn
     local = rotation.continuous(rotation.normalise(kinematics.local_rotations(CHARACTER, world)))
-    # Not only but for rounding: what is absent must not be scaled up by its deviation.
+    # Exactly, without rounding errors, which would be scaled up by the tiny standard deviation of absent joints.
     local[:, [CHARACTER.index(joint) for joint in TED_ABSENT]] = (1.0, 0.0, 0.0, 0.0)
     return Motion(CHARACTER, local, np.zeros((len(bones), 3)), fps, TED_ABSENT)
 
@@ -228,7 +213,7 @@ def _torso(bones: Array, fps: float) -> Array:
 
 
 def _neck_and_head(bones: Array, torso: Array, fps: float) -> tuple[Array, Array]:
-    """[T, 4] the rotations of neck and head that bring nose and crown into their directions from the neck."""
+    """[T, 4] the rotations of neck and head for the directions of nose and crown from the neck."""
     to_nose, to_crown = bones[:, _TO_NOSE], bones[:, _TO_CROWN]
     rest = _CROWN_OFFSET - _NOSE_OFFSET
     rest = rest / np.linalg.norm(rest)
@@ -237,8 +222,7 @@ def _neck_and_head(bones: Array, torso: Array, fps: float) -> tuple[Array, Array
                                                                             _LEFT)[0], fps)
     head = _turned((rest, _LEFT), to_crown, left)
 
-    # The triangle of neck joint, head joint and nose: one side is as long as the neck, one as far as the nose lies from
-    # the head joint, and the third runs to the nose, as long as it must be.
+    # The triangle of neck joint, head joint and nose has two known sides: the neck, and head joint to nose.
     neck = CHARACTER.offsets[CHARACTER.index("Neck1")] + CHARACTER.offsets[CHARACTER.index("Head")]
     neck_length, nose_length = float(np.linalg.norm(neck)), float(np.linalg.norm(_NOSE_OFFSET))
     nose = rotation.rotate(head, _NOSE_OFFSET)
@@ -254,7 +238,7 @@ def _neck_and_head(bones: Array, torso: Array, fps: float) -> tuple[Array, Array
 
 
 def _collar(bones: Array, torso: Array, side: str) -> Array:
-    """[T, 4] the rotation of a collar bone that puts the shoulder into its direction from the neck."""
+    """[T, 4] the rotation of a collar bone for the direction of the shoulder from the neck."""
     spine = CHARACTER.offsets[CHARACTER.index("Neck")]
     begin = rotation.rotate(torso, CHARACTER.offsets[CHARACTER.index(side + "Shoulder")] - spine)
     bone = CHARACTER.offsets[CHARACTER.index(side + "Arm")]
@@ -263,14 +247,14 @@ def _collar(bones: Array, torso: Array, side: str) -> Array:
 
 
 def _reach(directions: Array, begin: Array, length: float) -> Array:
-    """[T, 3] the way of this length from `begin` to the ray along `directions` from the origin: the farther point."""
+    """[T, 3] the vector of this length from `begin` to the farther point on the ray along `directions`."""
     along = np.sum(directions * begin, axis=-1)
     inside = along ** 2 - np.sum(begin * begin, axis=-1) + length ** 2
     return (along + np.sqrt(np.maximum(inside, 0.0)))[:, None] * directions - begin
 
 
 def _arm(bones: Array, torso: Array, side: str, fps: float) -> tuple[Array, Array]:
-    """[T, 4] the rotations of upper arm and forearm; the elbow's hinge is the normal of their plane."""
+    """[T, 4] the rotations of upper arm and forearm; the axis of the elbow is the normal of their plane."""
     upper, fore = bones[:, _SHOULDER_BONES[side] + 1], bones[:, _SHOULDER_BONES[side] + 2]
     outward = CHARACTER.offsets[CHARACTER.index(side + "ForeArm")]
     outward = outward / np.linalg.norm(outward)
@@ -282,14 +266,14 @@ def _arm(bones: Array, torso: Array, side: str, fps: float) -> tuple[Array, Arra
 
 
 def _turned(rest: tuple[Array, Array], along: Array, sideways: Array) -> Array:
-    """[T, 4] the rotations that bring two orthogonal unit vectors `rest` onto `along` and `sideways`, [T, 3] each."""
+    """[T, 4] the rotations from two orthogonal unit vectors `rest` to `along` and `sideways`, [T, 3] each."""
     frames = np.stack([along, sideways, np.cross(along, sideways)], axis=-1)
     resting = np.stack([*rest, np.cross(*rest)], axis=-1)
     return Rotation.from_matrix(frames @ resting.T).as_quat(scalar_first=True)
 
 
 def _swing(begin: Array, end: Array, otherwise: Array) -> Array:
-    """[T, 4] the shortest rotations of directions [T, 3] onto others; opposite ones turn about `otherwise` [T, 3]."""
+    """[T, 4] the shortest rotations between directions [T, 3]; opposite ones turn about `otherwise` [T, 3]."""
     a = begin / np.linalg.norm(begin, axis=-1, keepdims=True)
     b = end / np.linalg.norm(end, axis=-1, keepdims=True)
     middle = a + b
@@ -300,11 +284,11 @@ def _swing(begin: Array, end: Array, otherwise: Array) -> Array:
 
 
 def _followed(along: Array, sideways: Array, first: Array, fps: float) -> Array:
-    """[T, 3] unit vectors at right angles to the directions `along` that follow `sideways` [T, 3] without a jump.
+    """[T, 3] unit vectors perpendicular to the directions `along` that follow `sideways` [T, 3] without jumps.
 
-    A length of `sideways` near 0 says that it is not to be trusted, 1 that it is. From frame to frame the vector is
-    carried along with the shortest turn of `along`, and from there it turns about `along` towards `sideways`, by no
-    more than `_FASTEST` times that trust. first: [3] where it stands when nothing is known yet.
+    The length of `sideways` is its reliability, from 0 to 1. From frame to frame the vector is transported by the
+    shortest rotation of `along` and then turns about `along` towards `sideways`, at most by `_FASTEST` times the
+    reliability. first: [3] the initial vector.
     """
     perpendicular = sideways - np.sum(sideways * along, axis=-1, keepdims=True) * along
     trust = np.clip((np.linalg.norm(perpendicular, axis=-1) - _UNSURE) / (_SURE - _UNSURE), 0.0, 1.0)
@@ -315,19 +299,19 @@ def _followed(along: Array, sideways: Array, first: Array, fps: float) -> Array:
     now = 0.0
     for t, (goal, limit) in enumerate(zip(wanted.tolist(), (trust * _FASTEST / fps).tolist(), strict=True)):
         way = math.remainder(goal - now, math.tau)
-        # At the start there is nothing to be continuous with.
+        # The first frame may jump.
         now += way * trust[0] if t == 0 else max(-limit, min(limit, way))
         angles[t] = now
     return np.cos(angles)[:, None] * carried + np.sin(angles)[:, None] * across
 
 
 def _carried(along: Array, first: Array) -> Array:
-    """[T, 3] `first` as it is carried by the shortest turns from each of the directions [T, 3] to the next."""
+    """[T, 3] `first` transported by the shortest rotations between successive directions [T, 3]."""
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(along), 1))
-    # Any vector at right angles will do where a direction turns right round.
+    # Any perpendicular vector will do for a reversal of direction.
     sideways = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=-1)])
     turns[1:] = _swing(along[:-1], along[1:], sideways[:-1])
-    # The product of all turns so far, in log2(T) steps: each doubles how many are taken together.
+    # The cumulative product of all rotations in log2(T) steps.
     reach = 1
     while reach < len(turns):
         turns[reach:] = rotation.multiply(turns[reach:], turns[:-reach])
@@ -339,7 +323,7 @@ def _carried(along: Array, first: Array) -> Array:
 
 @functools.cache
 def _rest_directions() -> Array:
-    """[9, 3] the way along each of `TED_BONES` of the character at rest, metres."""
+    """[9, 3] directions of `TED_BONES` of the character at rest."""
     identity = np.zeros((1, len(CHARACTER), 4))
     identity[..., 0] = 1.0
     points = ted_positions(Motion(CHARACTER, identity, np.zeros((1, 3)), 1.0))[0]

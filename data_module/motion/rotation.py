@@ -1,7 +1,7 @@
 """Rotations in numpy: quaternions (w first), exponential maps and Euler angles.
 
-The heavy lifting is `scipy.spatial.transform.Rotation`; this file adds what motion needs: continuity over time,
-the removal of yaw, and interpolation.
+Conversions are those of `scipy.spatial.transform.Rotation`; this file adds continuity over time, the removal of yaw,
+and interpolation.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def conjugate(q: Array) -> Array:
 
 
 def rotate(q: Array, v: Array) -> Array:
-    """Turn vectors [..., 3] by unit quaternions [..., 4] (the leading shapes broadcast)."""
+    """Rotate vectors [..., 3] by unit quaternions [..., 4] (the leading shapes broadcast)."""
     w, u = q[..., :1], q[..., 1:]
     t = 2.0 * _cross(u, v)
     return v + w * t + _cross(u, t)
@@ -60,33 +60,32 @@ def normalise(q: Array) -> Array:
 
 
 def continuous(q: Array) -> Array:
-    """Choose the sign of each quaternion along axis 0 so that neighbours lie on the same half sphere. [T, ..., 4]."""
+    """Choose the signs of quaternions [T, ..., 4] so that neighbours in time lie on the same half sphere."""
     dots = np.sum(q[1:] * q[:-1], axis=-1)
     signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
     return np.concatenate([q[:1], q[1:] * signs[..., None]])
 
 
 class Continuous:
-    """`continuous` for quaternions [T, ..., 4] that come piece by piece: the same bits as for all of them at once."""
+    """Streaming `continuous` for quaternions [T, ..., 4]: the same bits as for all of them at once."""
 
     def __init__(self) -> None:
         self._last: Array | None = None
         self._signs: Array = np.ones(1)
 
     def __call__(self, q: Array) -> Array:
-        """Some more of them, on the half sphere of those before."""
         if not len(q):
             return q
         before = np.concatenate([q[:1] if self._last is None else self._last, q[:-1]])
         flips = np.where(np.sum(q * before, axis=-1) < 0, -1.0, 1.0)
         signs: Array = self._signs * np.cumprod(flips, axis=0)
-        # The sign is kept beside the quaternion as it came: two at right angles keep the sign of the first.
+        # Store the original quaternion and its sign separately, for neighbours at right angles.
         self._last, self._signs = q[-1:].copy(), signs[-1:]
         return np.asarray(q * signs[..., None])
 
 
 def from_euler(angles: Array, order: str) -> Array:
-    """[..., 3] radians about the axes of `order` (such as "ZXY", the first written is the outermost) to [..., 4]."""
+    """[..., 3] radians about the axes of `order` (such as "ZXY", the outermost first) to [..., 4]."""
     a = np.asarray(angles, dtype=np.float64)
     return Rotation.from_euler(order.upper(), a.reshape(-1, 3)).as_quat(scalar_first=True).reshape(*a.shape[:-1], 4)
 
@@ -111,11 +110,9 @@ def to_exponential_map(q: Array) -> Array:
 
 
 def unroll(v: Array) -> Array:
-    """Exponential maps [T, ..., 3] freed of jumps of 2 pi along time.
-
-    The same rotation is axis times (angle + 2 pi n) for every n; for each frame the one nearest the frame before is
-    taken. Where a rotation is the identity its axis is undefined, and that of the frame before is kept.
-    """
+    """Exponential maps [T, ..., 3] freed of jumps of 2 pi along time. A rotation is axis times (angle + 2 pi n) for
+    every n; for each frame the value nearest to the previous frame is taken. The identity, whose axis is undefined,
+    takes the previous axis."""
     out = np.array(v, dtype=np.float64)
     turn = 2.0 * np.pi
     for t in range(1, len(out)):
@@ -130,7 +127,7 @@ def unroll(v: Array) -> Array:
 
 
 def yaw_of(q: Array, axis: int = 1) -> Array:
-    """The twist of [..., 4] about a coordinate axis (Y when not told), as unit quaternions [..., 4]."""
+    """The twist of [..., 4] about a coordinate axis (by default Y), as unit quaternions [..., 4]."""
     twist = np.zeros_like(q)
     twist[..., 0] = q[..., 0]
     twist[..., 1 + axis] = q[..., 1 + axis]
@@ -138,13 +135,13 @@ def yaw_of(q: Array, axis: int = 1) -> Array:
 
 
 def remove_yaw(q: Array) -> Array:
-    """The swing of [..., 4]: what is left when the turn about the vertical axis is taken off from outside."""
+    """The swing of [..., 4]: the rotation without its yaw, which is removed on the left."""
     # q = yaw * rest with yaw the twist of q about Y; then the twist of `rest` about Y is the identity.
     return multiply(conjugate(yaw_of(q)), q)
 
 
 def between(a: Array, b: Array) -> Array:
-    """The shortest rotation that turns the direction a [3] onto the direction b [3], [4]."""
+    """[4] the shortest rotation from the direction a [3] to the direction b [3]."""
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     cosine = float(np.clip(a @ b, -1.0, 1.0))
     if cosine < -1.0 + 1e-9:
@@ -170,7 +167,7 @@ def interpolate(q: Array, positions: Array) -> Array:
     b = np.where(cosine < 0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     sine = np.sin(angle)
-    # Two nearly equal rotations: the chord is the arc, and 0 / 0 is avoided.
+    # For nearly equal rotations interpolate linearly, to avoid 0 / 0.
     near = sine < 1e-6
     safe = np.where(near, 1.0, sine)
     wa = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)

@@ -1,8 +1,8 @@
-"""The character, the names other sources give its joints, and how any motion is brought onto it.
+"""The character, the joint names of other sources, and retargeting to the character.
 
-It comes in three sizes, each the one before with joints added at the end, so that the first of them are the same in
-all: `CHARACTER`, the 16 upper-body joints of the papers including the rotational root (RG 4.1.1; names as in the
-Trinity data set); `FINGERED`, 46 with three joints of each finger; `WHOLE_BODY`, 54 with the legs, which a store keeps.
+It has three sizes, each with joints appended to the previous one: `CHARACTER`, the 16 upper-body joints of the papers
+including the rotational root (RG 4.1.1; names as in the Trinity data set); `FINGERED`, 46 with three joints of each
+finger; `WHOLE_BODY`, 54 with the legs, which is stored.
 """
 
 from __future__ import annotations
@@ -91,23 +91,21 @@ CHARACTER: Skeleton = _build(fingers=False, legs=False)
 FINGERED: Skeleton = _build(fingers=True, legs=False)
 WHOLE_BODY: Skeleton = _build(fingers=True, legs=True)
 CHARACTERS: dict[int, Skeleton] = {len(skeleton): skeleton for skeleton in (CHARACTER, FINGERED, WHOLE_BODY)}
-"""The sizes of the character by how many joints they have."""
+"""The sizes of the character by the number of joints."""
 JOINTS = CHARACTER.names
 HIP_HEIGHT = 0.95
-"""Metres from the floor to the root, used where a picture or a file needs a standing character."""
+"""Height of the root over the floor of a standing character, metres."""
 
-# One row per source: our joint -> its name there. A joint that a source lacks is left out of its row.
+# One row per source: our joint -> its name there, without joints that a source lacks.
 _TRINITY = {name: name for name in WHOLE_BODY.names}
 
 
 def _sided(pattern: str, arms: Sequence[str], legs: Sequence[str] = (), fingers: str = "",
            naming: tuple[Sequence[str], Sequence[str], Sequence[str]] = (_SIDES, FINGERS, "123")) -> dict[str, str]:
-    """A table of what comes in pairs. pattern: of arms and legs; fingers: the pattern of their joints ("" for none).
-
-    naming: what the source calls the right and the left side, the five fingers from the thumb on, and the joints of a
-    finger from the palm on.
-    """
-    sides, own, places = naming
+    """A table of the joints on both sides. pattern: of arms and legs; fingers: pattern of their joints ("" for none);
+    naming: the source's names of the right and the left side, of the five fingers from the thumb on, and of the joints
+    of a finger from the palm on."""
+    sides, names, places = naming
     out: dict[str, str] = {}
     for side, theirs in zip(_SIDES, sides, strict=True):
         out |= {side + joint: pattern.format(side=theirs, part=part)
@@ -116,7 +114,7 @@ def _sided(pattern: str, arms: Sequence[str], legs: Sequence[str] = (), fingers:
                 for (joint, _, _), part in zip(_LEFT_LEG, legs, strict=False)}
         if fingers:
             out |= {f"{side}Hand{finger}{place + 1}": fingers.format(side=theirs, finger=name, place=number)
-                    for finger, name in zip(FINGERS, own, strict=True) for place, number in enumerate(places)}
+                    for finger, name in zip(FINGERS, names, strict=True) for place, number in enumerate(places)}
     return out
 
 
@@ -126,7 +124,7 @@ NAME_TABLES: dict[str, dict[str, str]] = {
     "smartbody": {ours: name for ours, name in _TRINITY.items() if ours != "Spine3"},
     "mixamo": {"Hips": "Hips", "Spine": "Spine", "Spine1": "Spine1", "Spine2": "Spine2", "Neck": "Neck",
                "Head": "Head", **_sided("{side}{part}", *_LIMBS, fingers="{side}Hand{finger}{place}")},
-    # What CMU's files call fingers and a thumb are single joints that nobody measured.
+    # The fingers and thumbs in CMU's files are single joints that were not measured.
     "cmu": {"Hips": "Hips", "Spine": "LowerBack", "Spine1": "Spine", "Spine2": "Spine1", "Neck": "Neck",
             "Neck1": "Neck1", "Head": "Head", **_sided("{side}{part}", *_LIMBS)},
     "rocketbox": {"Hips": "Bip01_Pelvis", "Spine": "Bip01_Spine", "Spine1": "Bip01_Spine1", "Spine2": "Bip01_Spine2",
@@ -153,29 +151,26 @@ NAME_TABLES: dict[str, dict[str, str]] = {
                      ("UpperLeg", "LowerLeg", "Foot", "ToeBase"), "J_Bip_{side}_{finger}{place}",
                      ("RL", ("Thumb", "Index", "Middle", "Ring", "Little"), "123"))},
 }
-"""What each family of skeletons calls our joints; prefixes up to a colon ("mixamorig:") are ignored, and a space in a
-name is the same as "_"."""
+"""The names of our joints in each family of skeletons; prefixes up to a colon ("mixamorig:") are ignored, and a space
+in a name is the same as "_"."""
 
 REQUIRED = ("Hips", "Spine", "Neck", "Head",
             *(side + part for side in _SIDES for part in ("Arm", "ForeArm", "Hand")))
-"""Without these a source is not an upper body; the others may be absent."""
+"""The joints that every source must have; the others may be absent."""
 
 
 def find_table(names: Sequence[str]) -> Mapping[str, int]:
-    """Our joints (of `WHOLE_BODY`) -> index into `names`, by the table that fits best; InputError when none covers
-    `REQUIRED`.
-
-    Which fits best is decided by the 16 joints of `CHARACTER`, and by fingers and legs only between equals.
-    """
+    """Our joints (of `WHOLE_BODY`) -> index in `names`, by the table with the most joints of `CHARACTER` (and among
+    equals the most fingers and legs); InputError if none covers `REQUIRED`."""
     plain = {name.rsplit(":", 1)[-1].replace(" ", "_").lower(): index
              for index, name in reversed(list(enumerate(names)))}
     best: dict[str, int] = {}
     most = (0, 0)
     for table in NAME_TABLES.values():
-        found = {ours: plain[theirs.lower()] for ours, theirs in table.items() if theirs.lower() in plain}
-        fit = (sum(ours in found for ours in JOINTS), len(found))
+        matches = {ours: plain[theirs.lower()] for ours, theirs in table.items() if theirs.lower() in plain}
+        fit = (sum(ours in matches for ours in JOINTS), len(matches))
         if fit > most:
-            best, most = found, fit
+            best, most = matches, fit
     lacking = [ours for ours in REQUIRED if ours not in best]
     if lacking:
         unknown = [name for index, name in enumerate(names) if index not in best.values()]
@@ -185,7 +180,8 @@ def find_table(names: Sequence[str]) -> Mapping[str, int]:
 
 
 def guess_unit(skeleton: Skeleton, table: Mapping[str, int]) -> float:
-    """Metres per unit of the skeleton's offsets: 1, 0.01 or 0.001, whichever makes hips to head most like 0.6 m."""
+    """Metres per unit of the skeleton's offsets: 1, 0.01 or 0.001, for a distance from hips to head nearest to 0.6
+    m."""
     ancestors, joint = [], table["Head"]
     while joint > 0 and joint != table["Hips"]:
         ancestors.append(joint)
@@ -203,13 +199,12 @@ def scaled(motion: Motion, unit: float) -> Motion:
 
 
 def scaled_skeleton(skeleton: Skeleton, unit: float) -> Skeleton:
-    """The skeleton with all lengths multiplied by `unit`."""
     return replace(skeleton, offsets=skeleton.offsets * unit,
                    end_sites={joint: tip * unit for joint, tip in skeleton.end_sites.items()})
 
 
 _EPS = 1e-9
-"""Metres: what is closer is in one place."""
+"""Least distance of two joints, metres."""
 _NEEDED_BONES = (("Hips", "Head"), ("RightArm", "LeftArm"), *((side + bone, side + tip) for side in _SIDES
                  for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand"))))
 
@@ -221,7 +216,7 @@ def _rest_positions(skeleton: Skeleton) -> Array:
 
 
 def _axes(rest: Array, table: Mapping[str, int]) -> Array:
-    """[4] the rotation that brings a source's axes onto ours (Y up, left +X), from its rest pose."""
+    """[4] the rotation from a source's axes to ours (Y up, left +X), from its rest pose."""
     def dominant(v: Array) -> Array:
         out = np.zeros(3)
         out[np.argmax(np.abs(v))] = np.sign(v[np.argmax(np.abs(v))])
@@ -238,11 +233,11 @@ def _axes(rest: Array, table: Mapping[str, int]) -> Array:
 
 
 def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleton: Skeleton = CHARACTER) -> Motion:
-    """Any upper body on the character, by the copying of world rotations (RG 4.1.1).
+    """Retarget any upper body to the character by copying world rotations (RG 4.1.1).
 
-    Each bone's world rotation relative to its rest is copied. The arms and the fingers are also corrected for the rest
-    pose: the shortest turn between the source's resting bone and ours is taken off, so an A-pose and a T-pose agree. A
-    joint that the source lacks follows its parent and is listed in `absent`. The root keeps its place, in metres.
+    Each bone's world rotation relative to its rest is copied. For arms and fingers the shortest rotation between the
+    source's rest bone and ours is compensated, so that A-pose and T-pose agree. A joint that the source lacks follows
+    its parent and is listed in `absent`. The position of the root is unchanged, in metres.
 
     skeleton: `CHARACTER`, `FINGERED` or `WHOLE_BODY`.
     """
@@ -259,8 +254,8 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleto
     corrections = _corrections(source, rest, table, change, skeleton)
     for joint, name in enumerate(skeleton.names):
         if name in table:
-            own = rotation.multiply(rotation.multiply(change, world[:, table[name]]), rotation.conjugate(change))
-            out[:, joint] = rotation.multiply(own, corrections[name]) if name in corrections else own
+            turned = rotation.multiply(rotation.multiply(change, world[:, table[name]]), rotation.conjugate(change))
+            out[:, joint] = rotation.multiply(turned, corrections[name]) if name in corrections else turned
         else:
             out[:, joint] = out[:, skeleton.parents[joint]]
     local = rotation.normalise(kinematics.local_rotations(skeleton, out))
@@ -275,7 +270,7 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleto
 
 def _corrections(source: Skeleton, rest: Array, table: Mapping[str, int], change: Array, skeleton: Skeleton
                  ) -> dict[str, Array]:
-    """Joint -> [4] the turn that brings our bone at rest onto the source's; rest: [J, 3] the source's joints."""
+    """Joint -> [4] the rotation from our rest bone to the source's; rest: [J, 3] the source's joints."""
     ours_rest = _rest_positions(skeleton)
     out: dict[str, Array] = {}
     for side in _SIDES:
@@ -290,21 +285,21 @@ def _corrections(source: Skeleton, rest: Array, table: Mapping[str, int], change
         below = name[:-1] + str(int(name[-1]) + 1)
         way = rest[table[below]] - rest[table[name]] if below in table else source.end_sites.get(table[name])
         if way is None or np.linalg.norm(way) < _EPS:
-            # The last bone of a finger whose tip is not told lies as the one before it does.
+            # The last bone of a finger with unknown tip is parallel to the previous one.
             before = name[:-1] + str(int(name[-1]) - 1)
             out[name] = out.get(before, out[name[:name.index("Hand") + 4]])
             continue
         ours = skeleton.offsets[skeleton.index(below)] if below in skeleton.names \
             else skeleton.end_sites[skeleton.index(name)]
-        # From where the hand's own correction leaves our finger: the shortest turn from a T-pose could roll it.
+        # Relative to the correction of the hand: the shortest rotation from a T-pose could roll the finger.
         hand = out[name[:name.index("Hand") + 4]]
         out[name] = rotation.multiply(rotation.between(rotation.rotate(hand, ours), rotation.rotate(change, way)), hand)
     return out
 
 
 def resized(motion: Motion, skeleton: Skeleton) -> Motion:
-    """A motion of the character in one of its sizes in another: joints at the end are cut off, or added at rest and
-    listed in `absent`. ValueError for a motion of something else."""
+    """Convert a motion between sizes of the character: joints at the end are removed, or added at rest and listed in
+    `absent`. ValueError for another skeleton."""
     there, wanted = len(motion.skeleton), len(skeleton)
     least = min(there, wanted)
     if motion.skeleton.names[:least] != skeleton.names[:least] \
@@ -321,7 +316,7 @@ def resized(motion: Motion, skeleton: Skeleton) -> Motion:
 
 
 def upper_body(motion: Motion) -> Motion:
-    """The 16 joints of a motion of the character, whatever its size; a motion of something else as it is."""
+    """The 16 joints of a motion of the character of any size; other motions are returned unchanged."""
     ours = len(motion.skeleton) in CHARACTERS and motion.skeleton.same_joints(CHARACTERS[len(motion.skeleton)])
     return resized(motion, CHARACTER) if ours else motion
 
@@ -334,16 +329,13 @@ def facing(motion: Motion) -> Motion:
 
 
 def has_legs(motion: Motion) -> bool:
-    """True where both of its legs are known, or were made up to go with the body."""
+    """Whether both legs are known or synthesised."""
     return all(name in motion.skeleton.names and name not in motion.absent for name in LEG_JOINTS)
 
 
 def standing(motion: Motion) -> Motion:
-    """The motion lifted (or lowered) so that the root's median height is `HIP_HEIGHT`; doing it twice changes nothing.
-
-    Models work with the root at the origin; a viewer's floor is at zero. Legs that are known stay on their own floor:
-    such a motion is given back as it is.
-    """
+    """The motion raised or lowered so that the median height of the root is `HIP_HEIGHT`, because models have the root
+    at the origin and viewers the floor at zero. A motion with legs is returned unchanged."""
     if has_legs(motion):
         return motion
     lift = np.array([0.0, HIP_HEIGHT - float(np.median(motion.root_positions[:, 1])), 0.0])
@@ -351,7 +343,7 @@ def standing(motion: Motion) -> Motion:
 
 
 def to_vector(motion: Motion) -> Array:
-    """The motion as the models see it, [T, J * 3]: exponential maps unrolled over time, yaw and translation removed."""
+    """[T, J * 3] the input of the models: exponential maps unrolled over time, without yaw and translation."""
     faced = facing(motion)
     return rotation.unroll(rotation.to_exponential_map(faced.rotations)).reshape(len(motion), -1)
 

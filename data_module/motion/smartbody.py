@@ -1,11 +1,11 @@
-"""SmartBody's published text formats: `.sk` (a skeleton) and `.skm` (its motion), read as any other motion.
+"""SmartBody's text formats: `.sk` (skeleton) and `.skm` (motion).
 
-A joint's world rotation is that of its parent, then the constant `prerot`, then the channel. What comes out is each
+The world rotation of a joint is that of its parent, then the constant `prerot`, then the channel. The result is each
 joint's world rotation relative to its bind pose (prerot alone), so that all rest rotations are the identity:
 
     W_j = W_parent(j) P_j C_j(t),   B_j = B_parent(j) P_j,   R_j = W_j B_j^-1
 
-Joints that only share out a twist are left out; what they turn is already in W of the joint below them.
+Twist joints are left out; their rotation is contained in W of the joint below them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from data_module.types import Array, Motion, Skeleton
 
 FPS = 30.0
 SYNC_TIMES = ("ready", "strokeStart", "emphasis", "stroke", "relax")
-"""The author's marks in a motion file: preparation ends, stroke begins, its peak, its end, retraction begins."""
+"""The author's marks in a motion file: end of preparation, start, peak and end of the stroke, start of retraction."""
 
 _FINGERS = {"Thumb": "Thumb", "Index": "Index", "Middle": "Middle", "Ring": "Ring", "Pinky": "Little"}
 _TRUNK = {"Hips": "JtRoot", "Spine": "JtSpineA", "Spine1": "JtSpineB", "Spine2": "JtSpineC", "Neck": "JtNeckA",
@@ -33,11 +33,11 @@ _SIDES = {"Left": "Lf", "Right": "Rt"}
 _ARM = {"Shoulder": "Clavicle", "Arm": "Shoulder", "ForeArm": "Elbow", "Hand": "Wrist"}
 _LEG = {"UpLeg": "Hip", "Leg": "Knee", "Foot": "Ankle", "ToeBase": "Ball"}
 _LONGEST = 600.0
-"""Seconds of a clip; those published last twenty at most."""
+"""Longest plausible clip, seconds; the published clips last 20 s at most."""
 _LARGEST = 1e6
-"""Metres, radians or seconds: a number beyond it is none of a clip's."""
+"""Largest plausible number of metres, radians or seconds in a clip."""
 _TIP_SHARE = 0.8
-"""The bone beyond the last joint of a chain, as a share of the one before it."""
+"""Length of the bone beyond the last joint of a chain, as a share of the previous bone."""
 
 
 def _joint_table() -> dict[str, str]:
@@ -57,10 +57,8 @@ JOINT_TABLE: Mapping[str, str] = _joint_table()
 
 @dataclass(frozen=True)
 class BindPose:
-    """A skeleton as its file tells it: every joint, twist and face joints too.
-
-    parents: -1 for the root; offsets: [J, 3] metres in the parent's turned frame; prerots: [J, 4].
-    """
+    """A skeleton file with all joints, including those for twist and face. parents: -1 for the root; offsets: [J, 3]
+    metres in the parent's rotated frame; prerots: [J, 4]."""
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
@@ -70,10 +68,8 @@ class BindPose:
 
 @dataclass(frozen=True)
 class SmartBodyMotion:
-    """A motion file as it stands: channels (joint, kind), their values, and the author's marks in seconds.
-
-    times: [F] seconds; columns: (joint, kind) -> [F, 1] metres (XPos, YPos, ZPos) or [F, 3] axis times angle (Quat).
-    """
+    """A motion file. times: [F] seconds; columns: (joint, kind) -> [F, 1] metres (XPos, YPos, ZPos) or [F, 3] axis
+    times angle (Quat); sync: the author's marks in seconds."""
 
     times: Array
     columns: Mapping[tuple[str, str], Array]
@@ -81,7 +77,7 @@ class SmartBodyMotion:
 
 
 def read_sk(path: str | os.PathLike[str]) -> BindPose:
-    """Read a `.sk` skeleton; InputError, by name, when it is none."""
+    """Read a `.sk` skeleton; InputError names a file that is not one."""
     where = str(path)
     words = _text(path).replace("{", " { ").replace("}", " } ").split()
     names: list[str] = []
@@ -106,8 +102,8 @@ def read_sk(path: str | os.PathLike[str]) -> BindPose:
             angle = np.radians(_numbers(words[at + 6:at + 7], 1, where)[0])
             prerots[stack[-1]] = rotation.from_exponential_map(axis / max(float(np.linalg.norm(axis)), 1e-12) * angle)
         elif word in ("prerot", "postrot"):
-            raise InputError(where, f"has a rotation of a kind that is not read ({word})", "give a skeleton whose "
-                             "prerot is axis and angle")
+            raise InputError(where, f"has an unsupported kind of rotation ({word})",
+                             "give a skeleton whose prerot is axis and angle")
         at += 1
     if not names or stack or len(set(names)) != len(names) or parents.count(-1) != 1:
         raise InputError(where, "is not a SmartBody skeleton (no closed tree with one root)", "fetch it again")
@@ -121,18 +117,18 @@ _WIDTHS = {"XPos": 1, "YPos": 1, "ZPos": 1, "Quat": 3}
 
 
 def read_skm(path: str | os.PathLike[str]) -> SmartBodyMotion:
-    """Read a `.skm` motion; InputError, by name, when it is none or is cut short."""
+    """Read a `.skm` motion; InputError names a file that is not one or is truncated."""
     where = str(path)
     text = _text(path)
     head, mark, body = text.partition("\nkt ")
-    told = re.search(r"^channels[ \t]+(\d{1,6})[ \t]*$", head, re.MULTILINE)
-    channels = re.findall(r"^[ \t]*(\S+)[ \t]+([A-Z]\w+)[ \t]*$", head[told.end():] if told else "", re.MULTILINE)
-    if told is None or not mark:
+    count = re.search(r"^channels[ \t]+(\d{1,6})[ \t]*$", head, re.MULTILINE)
+    channels = re.findall(r"^[ \t]*(\S+)[ \t]+([A-Z]\w+)[ \t]*$", head[count.end():] if count else "", re.MULTILINE)
+    if count is None or not mark:
         raise InputError(where, "is not a SmartBody motion (no channels or no frames)", "fetch it again")
     unknown = sorted({kind for _, kind in channels} - set(_WIDTHS))
-    if unknown or len(channels) != int(told[1]):
+    if unknown or len(channels) != int(count[1]):
         raise InputError(where, f"has channels that are not read ({', '.join(unknown)})" if unknown else
-                         f"says {told[1]} channels and lists {len(channels)}", "fetch it again")
+                         f"says {count[1]} channels and lists {len(channels)}", "fetch it again")
     lines = [line.split() for line in (mark + body).splitlines() if line.startswith("kt ")]
     width = sum(_WIDTHS[kind] for _, kind in channels)
     if any(line[2:3] != ["fr"] or len(line) != 3 + width for line in lines):
@@ -151,11 +147,8 @@ def read_skm(path: str | os.PathLike[str]) -> SmartBodyMotion:
 
 
 def motion_of(bind: BindPose, clip: SmartBodyMotion, *, path: str = "motion") -> Motion:
-    """The clip on its skeleton at 30 fps, with the joints of `JOINT_TABLE`; metres.
-
-    A last frame whose time, as written with six digits, falls short of a whole frame is left out. InputError naming
-    `path` when skeleton or motion lack a joint.
-    """
+    """The clip on its skeleton at 30 fps, with the joints of `JOINT_TABLE`; metres. A last partial frame is left out.
+    InputError naming `path` if skeleton or motion lack a joint."""
     place = {name: joint for joint, name in enumerate(bind.names)}
     lacking = [theirs for theirs in JOINT_TABLE.values() if theirs not in place]
     if lacking:
@@ -174,7 +167,7 @@ def motion_of(bind: BindPose, clip: SmartBodyMotion, *, path: str = "motion") ->
             local[:, joint] = rotation.multiply(bind.prerots[joint], rotation.from_exponential_map(values))
         elif joint == 0:
             root[:, "XYZ".index(kind[0])] += values[:, 0]
-    world = _down(bind.parents, local)[:, chosen]
+    world = kinematics.chained(bind.parents, local)[:, chosen]
     turned = kinematics.local_rotations(skeleton, rotation.multiply(world, rotation.conjugate(rest)))
     turned = rotation.continuous(rotation.normalise(turned))
     since = clip.times - clip.times[0]
@@ -185,8 +178,8 @@ def motion_of(bind: BindPose, clip: SmartBodyMotion, *, path: str = "motion") ->
 
 
 def _skeleton(bind: BindPose, place: Mapping[str, int]) -> tuple[Skeleton, list[int], Array]:
-    """Our joints in the bind pose, which joints of the file they are, and the bind rotations [J, 4] of those."""
-    turned = _down(bind.parents, bind.prerots)
+    """The joints of `JOINT_TABLE` in the bind pose, their indices in the file, and their bind rotations [J, 4]."""
+    turned = kinematics.chained(bind.parents, bind.prerots)
     spots = np.zeros((len(bind.names), 3))
     for joint, parent in enumerate(bind.parents):
         if parent >= 0:
@@ -203,14 +196,6 @@ def _skeleton(bind: BindPose, place: Mapping[str, int]) -> tuple[Skeleton, list[
     tips = {joint: offsets[joint] * _TIP_SHARE for joint in range(len(chosen)) if joint not in parents}
     return Skeleton(tuple(JOINT_TABLE), tuple(parents), offsets, tips), chosen, turned[chosen]
 
-
-def _down(parents: tuple[int, ...], local: Array) -> Array:
-    """Local [..., J, 4] to world rotations along any tree that has parents first."""
-    world = np.empty_like(local)
-    for joint, parent in enumerate(parents):
-        own = local[..., joint, :]
-        world[..., joint, :] = own if parent < 0 else rotation.multiply(world[..., parent, :], own)
-    return world
 
 
 def _text(path: str | os.PathLike[str]) -> str:

@@ -1,8 +1,8 @@
 """SMPL-X motion files (`.npz`: axis-angle poses, translation, frame rate), read and written.
 
-Only rotations and the path of the pelvis are read; body shape and face are written as zeros. The body's own template is
-under a licence of its own and is not here: the offsets below are those of our character in SMPL-X's joints, standing in
-a T-pose, Y up, facing +Z, the character's left to +X, which is also SMPL-X's rest pose.
+Only rotations and the path of the pelvis are read; body shape and face are written as zeros. The template of the body
+has a separate licence and is not included: the offsets below are those of our character in SMPL-X's joints, in a
+T-pose, Y up, facing +Z, the character's left at +X, which is also SMPL-X's rest pose.
 """
 
 from __future__ import annotations
@@ -47,20 +47,20 @@ _BODY = [
     ("right_wrist", "right_elbow", (-0.250, 0.0, 0.0)),
 ]
 _TIPS = {"head": (0.0, 0.170, 0.020), "left_wrist": (0.160, 0.0, 0.0), "right_wrist": (-0.160, 0.0, 0.0)}
-# Which column of a pose the first finger joint is: SMPL-X has a jaw and two eyes before it, SMPL-H has not.
+# Column of the first finger joint in a pose: SMPL-X has a jaw and two eyes before it, SMPL-H does not.
 _FINGERS_AT = {55: 25, 52: 22}
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 JOINTS = 55
 _BETAS, _EXPRESSIONS = 300, 100
-"""Numbers of the body's shape and of the face, as BEAT2 has them."""
+"""Numbers of parameters of body shape and face in BEAT2."""
 _PELVIS_BELOW_ORIGIN = 0.35
-"""Metres: `trans` moves the body's origin, which lies about the breastbone, and our root is the pelvis."""
+"""Metres from the origin of the body, about the breastbone, whose position is `trans`, to the pelvis, our root."""
 
 _RATES = ("mocap_frame_rate", "mocap_framerate")
 _MOST_TURN = 1e3
-"""Radians: a hundred and sixty turns; the sine of a larger number has lost its digits."""
+"""Largest angle, radians (160 turns); larger ones are not accurate."""
 _FARTHEST = 1e6
-"""Metres from the origin: beyond it a float has no millimetres."""
+"""Largest distance from the origin, metres; beyond it single precision is coarser than millimetres."""
 
 
 def _build() -> Skeleton:
@@ -91,9 +91,9 @@ _SOURCES: dict[str, tuple[str, ...]] = {
 def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Motion:
     """Read `poses` [T, 165] or [T, 66 or more], `trans` [T, 3] and `mocap_frame_rate` of an SMPL-X `.npz`.
 
-    Fingers are read of 165 numbers, or of SMPL-H's 156, as turns against a flat hand, and are absent of fewer. fps: the
-    frame rate, where the file has none or a wrong one. InputError names the file that is absent, is no .npz, lacks an
-    array, or holds another shape. Nothing in it is unpickled.
+    Poses of 165 numbers, or of SMPL-H's 156, include fingers, as rotations against a flat hand; with fewer they are
+    absent. fps: the frame rate, if that of the file is missing or wrong. InputError names a missing or invalid file.
+    Nothing is unpickled.
     """
     arrays = read_npz(path, ("poses", "trans", *_RATES), "fetch it again")
     for name in ("poses", "trans"):
@@ -126,11 +126,11 @@ def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Mot
 def smplx_arrays(motion: Motion) -> dict[str, NDArray[Any]]:
     """A motion of our character, standing on the floor, as the arrays of an SMPL-X file; the inverse of `read_smplx`.
 
-    They are those that BEAT2 has, and that its leaderboard reads, float32: poses [T, 165] (axis times angle, radians,
-    in SMPL-X's order: 22 of the body, jaw, eyes, 15 of each hand), trans [T, 3] metres, betas [300] and expressions
-    [T, 100] (zeros: the mean body and a still face), mocap_frame_rate, model and gender. Hands are turns against a flat
-    hand. World rotations are copied: SMPL-X has three joints in the spine for our four, and one in the neck for two.
-    Joints that the motion lacks are left at rest, in the frame of the joint above.
+    They are those of BEAT2 and its leaderboard, float32: poses [T, 165] (axis times angle, radians, in SMPL-X's order:
+    22 of the body, jaw, eyes, 15 of each hand), trans [T, 3] metres, betas [300] and expressions [T, 100] (zeros: the
+    mean body and a still face), mocap_frame_rate, model and gender. Hands are rotations against a flat hand. World
+    rotations are copied: SMPL-X has three joints in the spine for our four, and one in the neck for two. Joints that
+    the motion lacks stay at rest relative to their parent.
     """
     there = set(motion.skeleton.names) - set(motion.absent)
     sources = {joint: names for joint, names in _SOURCES.items() if set(names) <= there}
@@ -138,10 +138,10 @@ def smplx_arrays(motion: Motion) -> dict[str, NDArray[Any]]:
                for joint, parent in zip(SKELETON.names, SKELETON.parents, strict=True)}
     turns = kinematics.copied_rotations(motion, sources, parents)
     poses = np.zeros((len(motion), JOINTS, 3))
-    for joint, own in turns.items():
+    for joint, turned in turns.items():
         index = SKELETON.index(joint)
         column = index if index < len(_BODY) else index - len(_BODY) + _FINGERS_AT[JOINTS]
-        poses[:, column] = rotation.unroll(rotation.to_exponential_map(own))
+        poses[:, column] = rotation.unroll(rotation.to_exponential_map(turned))
     trans = motion.root_positions + np.array([0.0, _PELVIS_BELOW_ORIGIN, 0.0])
     return {
         "betas": np.zeros(_BETAS, np.float32),
@@ -155,6 +155,5 @@ def smplx_arrays(motion: Motion) -> dict[str, NDArray[Any]]:
 
 
 def _rate(arrays: Mapping[str, NDArray[Any]]) -> float | None:
-    """Frames a second as the file tells them, None where it does not."""
-    told = next((arrays[name] for name in _RATES if name in arrays), None)
-    return float(told.ravel()[0]) if told is not None and told.size == 1 and told.dtype.kind in "fiu" else None
+    rate = next((arrays[name] for name in _RATES if name in arrays), None)
+    return float(rate.ravel()[0]) if rate is not None and rate.size == 1 and rate.dtype.kind in "fiu" else None

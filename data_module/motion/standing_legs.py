@@ -1,8 +1,8 @@
-"""Legs for a speaker who stands in one place: feet that stay where they are under hips that move.
+"""Legs for a standing speaker: planted feet under moving hips.
 
-The hips go the other way than the chest, as they do in everybody who keeps her balance, and no higher than both legs
-reach. A leg is two bones: where the hip and the ankle are, the law of cosines tells how far the knee is bent, and the
-knee points to where the toes do.
+For balance the hips move opposite to the chest, and no higher than both legs reach. A leg has two bones: the law of
+cosines gives the bend of the knee from the positions of hip and ankle, and the knee points in the direction of the
+toes.
 """
 
 from __future__ import annotations
@@ -18,28 +18,26 @@ from data_module.motion.skeletons import HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY
 from data_module.types import Array, Motion, Skeleton
 
 _BALANCE = 0.25
-"""Metres that the hips go back for each metre that the chest comes forward or goes to a side."""
+"""Metres that the hips move per metre of the chest, in the opposite direction."""
 _SLOW = 0.35
-"""Seconds that this is smoothed over: the weight moves slower than the chest."""
+"""Smoothing of this motion, seconds: the weight moves slower than the chest."""
 _ANKLE = 0.08
-"""Metres from the floor to the ankle of a foot that stands flat."""
+"""Height of the ankle of a flat foot, metres."""
 _FEET = np.array([0.105, _ANKLE, -0.010])
-"""Metres from the floor under the hips to the left ankle."""
+"""Position of the left ankle relative to the floor under the hips, metres."""
 _TOES_OUT = np.radians(9.0)
-"""How far each foot is turned outwards."""
+"""Outward turn of each foot, radians."""
 _STRETCHED = 0.997
-"""Share of a leg's length beyond which it is not stretched: a knee that locks jumps."""
+"""Largest extension of a leg as a share of its length: a locked knee jumps."""
 _DIP, _DIP_WIDTH = 0.6, 0.2
-"""Seconds ahead and behind in which the hips come down for a leg that would not reach, and the smoothing of that."""
+"""Seconds before and after in which the hips are lowered for a leg that would not reach, and the smoothing of that."""
 _SIDES = (("Left", 1.0), ("Right", -1.0))
 
 
 def with_standing_legs(motion: Motion) -> Motion:
-    """The motion with planted feet: hips' travel and all joints of the legs are made up, the other joints stay.
-
-    motion: on `WHOLE_BODY`; its hips' rotations are kept, their path is not. Y = 0 is the floor, the hips' mean place
-    is over the origin, and the feet point to where the hips do on average. What the legs were does not count.
-    """
+    """The motion with planted feet: the path of the hips and all joints of the legs are synthesised, the rest stays.
+    motion: on `WHOLE_BODY`; the rotations of the hips are used, their path and the legs are not. Y = 0 is the floor,
+    the mean position of the hips is over the origin, and the feet point in the mean direction of the hips."""
     motion = skeletons.resized(motion, WHOLE_BODY)
     heading = _mean_yaw(motion.rotations[:, 0])
     hips = motion.rotations[:, 0]
@@ -55,9 +53,9 @@ def with_standing_legs(motion: Motion) -> Motion:
         thigh, shin = bent_leg(ankles[side] - root - sockets[side], rotation.rotate(toes, np.array([0.0, 0.0, 1.0])),
                                leg_lengths(WHOLE_BODY, side))
         foot = np.broadcast_to(toes, thigh.shape)
-        own = (rotation.multiply(rotation.conjugate(hips), thigh), rotation.multiply(rotation.conjugate(thigh), shin),
+        local = (rotation.multiply(rotation.conjugate(hips), thigh), rotation.multiply(rotation.conjugate(thigh), shin),
                rotation.multiply(rotation.conjugate(shin), foot), np.tile([1.0, 0.0, 0.0, 0.0], (len(motion), 1)))
-        for part, turns in zip(("UpLeg", "Leg", "Foot", "ToeBase"), own, strict=True):
+        for part, turns in zip(("UpLeg", "Leg", "Foot", "ToeBase"), local, strict=True):
             rotations[:, WHOLE_BODY.index(side + part)] = rotation.continuous(turns[:, None])[:, 0]
     every = {*motion.filled, *LEG_JOINTS}
     return replace(motion, rotations=rotations, root_positions=root,
@@ -66,7 +64,6 @@ def with_standing_legs(motion: Motion) -> Motion:
 
 
 def _mean_yaw(hips: Array) -> Array:
-    """[4] the turn about the vertical that is nearest to all of the hips' [T, 4]."""
     yaws = rotation.yaw_of(hips)
     return rotation.normalise(np.where(yaws @ yaws[0] < 0.0, -1.0, 1.0) @ yaws)
 
@@ -76,7 +73,7 @@ def _about_up(angle: float) -> Array:
 
 
 def _travel(motion: Motion) -> Array:
-    """[T, 2] metres along X and Z that the hips are off their mean place."""
+    """[T, 2] displacement of the hips along X and Z from their mean position, metres."""
     body = skeletons.upper_body(motion)
     chest = kinematics.joint_positions(body.skeleton, body.rotations)[:, body.skeleton.index("Spine3")][:, [0, 2]]
     slow = gaussian_filter1d(chest, _SLOW * motion.fps, axis=0, mode="nearest")
@@ -84,19 +81,18 @@ def _travel(motion: Motion) -> Array:
 
 
 def leg_lengths(skeleton: Skeleton, side: str) -> tuple[float, float]:
-    """Metres of thigh and shin of a skeleton with our names, of its "Left" or "Right"."""
     thigh, shin = (float(np.linalg.norm(skeleton.offsets[skeleton.index(side + part)])) for part in ("Leg", "Foot"))
     return thigh, shin
 
 
 def _reach(socket: Array, ankle: Array) -> Array:
-    """[T] metres over the floor at which the socket may be, for the leg to reach the ankle; its own height apart."""
+    """[T] greatest height over the floor, metres, of a socket [T, 3] from which the leg reaches the ankle."""
     level = np.sum((socket - ankle)[:, [0, 2]] ** 2, axis=-1)
     return ankle[1] + np.sqrt(np.maximum((_STRETCHED * sum(leg_lengths(WHOLE_BODY, "Left"))) ** 2 - level, 0.0))
 
 
 def _under(limit: Array, fps: float) -> Array:
-    """[T] smooth and nowhere above `limit`: a mean, over a window, of minima over at least that window."""
+    """[T] a smooth curve nowhere above `limit`: a windowed mean of minima over at least that window."""
     half = max(1, round(_DIP * fps))
     least = minimum_filter1d(limit, 2 * half + 1, mode="nearest")
     return gaussian_filter1d(least, _DIP_WIDTH * fps, mode="nearest", radius=half)
@@ -105,10 +101,10 @@ def _under(limit: Array, fps: float) -> Array:
 def bent_leg(way: Array, toes: Array, lengths: tuple[float, float]) -> tuple[Array, Array]:
     """World rotations [T, 4] of thigh and shin, for bones that hang at rest (-Y): inverse kinematics of two bones.
 
-    By the law of cosines the knee lies (a^2 + d^2 - b^2) / 2d along the way d from hip to ankle, and beside it to where
-    the toes point. way: [T, 3] from the hip's socket to the ankle; toes: [3] or [T, 3] the direction of the knee, not
-    along the way; lengths: a and b, metres of thigh and shin. A way that is longer than both stretches the leg and
-    stops short.
+    By the law of cosines the knee lies (a^2 + d^2 - b^2) / 2d along the line of length d from hip to ankle, offset in
+    the direction of the toes. way: [T, 3] from the hip socket to the ankle; toes: [3] or [T, 3] the direction of the
+    knee, not parallel to the way; lengths: a and b, metres of thigh and shin. A way longer than both bones stretches
+    the leg.
     """
     thigh, shin = lengths
     length = np.clip(np.linalg.norm(way, axis=-1, keepdims=True), abs(thigh - shin) + 1e-6, thigh + shin - 1e-6)
@@ -122,7 +118,7 @@ def bent_leg(way: Array, toes: Array, lengths: tuple[float, float]) -> tuple[Arr
 
 
 def _hung(bone: Array, hinge: Array) -> Array:
-    """[T, 4] the rotations of a bone that hangs at rest (-Y) beside a knee whose axis is X, from both as they are."""
+    """[T, 4] the rotations of a bone that hangs at rest (-Y) with knee axis X, from its direction and the knee axis."""
     up = -bone / np.linalg.norm(bone, axis=-1, keepdims=True)
     frames = np.stack([hinge, up, np.cross(hinge, up)], axis=-1)
     return Rotation.from_matrix(frames).as_quat(scalar_first=True)

@@ -1,4 +1,4 @@
-"""Strokes of somebody without a body of her own here, lent to every performer."""
+"""Strokes of a person whose body is not among the performers, lent to every performer."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LEXEMES: dict[str, tuple[str, ...]] = {
     "question": ("Shrug", "BeatFlip"), "stop": ("StopForward", "Stop"), "us": ("We", "BeatMid"), "we": ("We",),
     "you": ("YouForward", "You"),
 }
-"""What a clip is called between "pn_" and its version -> names of lexemes, the best first."""
+"""Part of a clip's name between "pn_" and its version -> names of lexemes, the best first."""
 
 
 def lexemes_of_clip(stem: str) -> tuple[str, ...]:
@@ -29,7 +29,6 @@ def lexemes_of_clip(stem: str) -> tuple[str, ...]:
 
 
 def load_borrowed(folder: str | Path) -> tuple[PerformerBody, tuple[Stroke, ...]]:
-    """The lender's body and strokes from the folder of her clips and their manifest; `InputError` for another."""
     rows = [row for _, row in read_clips(folder, {"file", "person", "emphasis"}) if row["person"] == LENDER]
     chosen = [{"file": row["file"], "speaker": LENDER, "posture": "", "hand": "", "emphasis": row["emphasis"] or "1.0",
                "lexeme": lexemes_of_clip(Path(row["file"]).stem)[0]}
@@ -38,27 +37,24 @@ def load_borrowed(folder: str | Path) -> tuple[PerformerBody, tuple[Stroke, ...]
         raise InputError(Path(folder) / "manifest.csv", f"names no stroke of {LENDER}",
                          "take the manifest that came with the clips")
     figure, strokes = speaker_strokes(Path(folder), LENDER, chosen)
-    kept = held_out_keys((LENDER, stroke.base) for stroke in strokes)
-    return figure, tuple(replace(stroke, held_out=(LENDER, stroke.base) in kept) for stroke in strokes)
+    held_out = held_out_keys((LENDER, stroke.base) for stroke in strokes)
+    return figure, tuple(replace(stroke, held_out=(LENDER, stroke.base) in held_out) for stroke in strokes)
 
 
-def with_borrowed(strokes: StrokeSet, lender: PerformerBody, own: Sequence[Stroke]) -> StrokeSet:
-    """The strokes with those of a lender for every performer: the arms' log rotations on joints of the same name.
-
-    A joint that the lender lacks stays at rest, and so does the trunk. A lexeme takes the first of its names that the
-    performer knows.
-    """
-    theirs = [lender.skeleton.names[j] for j in lender.arms[0]]
+def with_borrowed(strokes: StrokeSet, lender: PerformerBody, lent: Sequence[Stroke]) -> StrokeSet:
+    """Add a lender's strokes for every performer: the arms' log rotations on joints of the same name. Joints that the
+    lender lacks and the trunk stay at rest. A lexeme takes the first of its names that the performer knows."""
+    lent_names = [lender.skeleton.names[j] for j in lender.arms[0]]
     out = list(strokes.strokes)
     for performer in strokes.performers:
         figure = strokes.figures[performer]
         names = [figure.skeleton.names[j] for j in figure.arms[0]]
         known = {stroke.lexeme for stroke in strokes.of(performer, "test")}
-        for stroke in own:
+        for stroke in lent:
             arms = np.zeros((2, stroke.arms.shape[1], len(names), 3))
             for place, name in enumerate(names):
-                if name in theirs:
-                    arms[:, :, place] = stroke.arms[:, :, theirs.index(name)]
+                if name in lent_names:
+                    arms[:, :, place] = stroke.arms[:, :, lent_names.index(name)]
             # A mirror image has its own lexeme already ("YouLeft" becomes "YouRight").
             wanted = [stroke.lexeme, *lexemes_of_clip(stroke.base)[1:]]
             usual = "BeatMid" if "BeatMid" in known else stroke.lexeme

@@ -1,4 +1,4 @@
-"""Stretches of motion joined to a talk where pose and velocity agree best."""
+"""Join stretches of motion to a talk at the places where pose and velocity agree best."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ from data_module.performer.takes import FPS
 from data_module.types import Array
 
 _VELOCITY = 0.12
-"""Seconds: a difference in velocity weighs as much as the difference in pose that it makes in this time."""
+"""Seconds: a difference in velocity costs as much as the difference in pose that it makes in this time."""
 _STEP = 3
-"""Frames between the places at which a stretch may be left or entered."""
+"""Frames between the candidate places at which a stretch may be left or entered."""
 _LEAVE, _ENTER = 0.35, 0.4
-"""A stretch is left in the last, and entered in the first, of these shares of its length."""
+"""A stretch is left in the last 35 % and entered in the first 40 % of its length."""
 _LEAST = 2.0
-"""Seconds of a stretch that are played at least."""
+"""Least seconds of a stretch that are played."""
 _BEST = 3
-"""The next stretch is drawn among this many that fit best."""
+"""The next stretch is drawn at random from this many with the lowest cost."""
 _FADE, _LONGEST_FADE = 0.45, 0.9
-"""Seconds in which what is left of the old stretch dies away, by how far the two poses lie apart."""
+"""Seconds over which the offset at a seam fades, for close poses and for distant ones."""
 _FAR = 3.0
-"""The root of a cost at which the longest fade is taken (weighted radians)."""
+"""Square root of the cost at which the longest fade is used (weighted radians)."""
 
 
 def _weights() -> Array:
-    """[16] how much each joint counts: what moves the wrists farthest counts most."""
-    own = {"Hips": 0.7, "LeftArm": 2.0, "RightArm": 2.0, "LeftForeArm": 1.5, "RightForeArm": 1.5, "LeftHand": 0.3,
-           "RightHand": 0.3}
-    return np.array([own.get(name, 1.0) for name in CHARACTER.names])
+    weights = {"Hips": 0.7, "LeftArm": 2.0, "RightArm": 2.0, "LeftForeArm": 1.5, "RightForeArm": 1.5, "LeftHand": 0.3,
+               "RightHand": 0.3}
+    return np.array([weights.get(name, 1.0) for name in CHARACTER.names])
 
 
 _WEIGHTS = _weights()
@@ -40,10 +39,8 @@ _WEIGHTS = _weights()
 
 @dataclass(frozen=True)
 class Chain:
-    """A talk made of stretches.
-
-    logs: [T, J, 3]; edges: [K + 1] seconds at which stretches begin, and the end; used: [K] their indices.
-    """
+    """A talk made of stretches. logs: [T, J, 3]; edges: [K + 1] seconds at which stretches begin, and the end;
+    used: [K] indices of the stretches."""
 
     logs: Array
     edges: Array
@@ -51,11 +48,9 @@ class Chain:
 
 
 def chain(stretches: Sequence[Array], seconds: float, rng: np.random.Generator, recent: int = 6) -> Chain:
-    """Join stretches [T, J, 3] at 60 fps until `seconds` are full; none of the last `recent` is taken again.
-
-    Each one is left late and entered early, at the two places where poses and velocities are nearest to those of one of
-    the `_BEST` candidates, and the difference dies away by a quintic. ValueError with fewer than two stretches.
-    """
+    """Join stretches [T, J, 3] at 60 fps until `seconds` are filled, without repeating any of the last `recent`. Each
+    seam is at the two places where pose and velocity are nearest; the remaining offset fades by a quintic. ValueError
+    with fewer than two stretches."""
     if len(stretches) < 2:
         raise ValueError("a chain needs two stretches at least")
     recent = min(recent, len(stretches) - 1)
@@ -77,7 +72,8 @@ def chain(stretches: Sequence[Array], seconds: float, rng: np.random.Generator, 
 
 
 def _features(logs: Array) -> Array:
-    """[T, 96] weighted poses and velocities without fingers, so that a squared distance is a cost."""
+    """[T, 96] weighted poses and velocities, fingers left out; the cost of a seam is the squared distance of two rows.
+    """
     logs = logs[:, :len(_WEIGHTS)]
     velocity = np.gradient(logs, 1.0 / FPS, axis=0) * _VELOCITY
     both = np.concatenate([logs * _WEIGHTS[:, None], velocity * _WEIGHTS[:, None]], axis=1)
@@ -86,7 +82,7 @@ def _features(logs: Array) -> Array:
 
 def _next(stretches: Sequence[Array], features: Sequence[Array], recent: Sequence[int], now: int, start: int,
           rng: np.random.Generator) -> tuple[int, int, int, float]:
-    """Where to leave `now`, which stretch follows, where to enter it, and the cost of that."""
+    """(frame at which to leave `now`, next stretch, frame at which to enter it, cost of the seam)."""
     length = len(stretches[now])
     first = min(max(start + round(_LEAST * FPS), round(length * (1.0 - _LEAVE))), length - 2)
     ends = np.arange(first, length - 1, _STEP)
@@ -106,7 +102,6 @@ def _next(stretches: Sequence[Array], features: Sequence[Array], recent: Sequenc
 
 
 def _joined(out: Array, logs: Array, start: int, leave: int, fade: float) -> Array:
-    """`out` with the frames start .. leave of a stretch added, the difference at the seam fading."""
     piece = logs[start:leave + 1].copy()
     if len(out) >= 3:
         times = np.arange(len(piece)) / FPS
@@ -116,10 +111,8 @@ def _joined(out: Array, logs: Array, start: int, leave: int, fade: float) -> Arr
 
 
 def seam_ratio(hands: Array, edges: Array) -> float:
-    """Mean acceleration of the faster hand within two frames of the inner edges (seconds), over that elsewhere.
-
-    hands: [T, 2, 3] metres at 60 fps. 1 where there is no inner edge.
-    """
+    """Mean acceleration of the faster hand within two frames of the inner edges (seconds), divided by that elsewhere.
+    hands: [T, 2, 3] metres at 60 fps. 1 without an inner edge."""
     acceleration = np.linalg.norm(np.diff(hands, 2, axis=0), axis=-1).max(axis=1)
     at = np.round(edges[1:-1] * FPS).astype(int)
     at = at[(at > 2) & (at < len(acceleration) - 3)]

@@ -1,4 +1,4 @@
-"""The voices of espeak-ng, in many languages, with the times of words and phones from its library's events."""
+"""Voices of espeak-ng in many languages; the times of words and phones come from the library's events."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TOKEN = re.compile(r"[^\W_]+(?:['’][^\W_]+)*")
 
 @dataclass(frozen=True)
 class Line:
-    """A phrase for espeak-ng: its voice ("en-us+f3"), words per minute, pitch and range (0 to 99)."""
+    """A phrase for espeak-ng: voice ("en-us+f3"), text, words per minute, pitch and pitch range (0 to 99)."""
 
     voice: str
     text: str
@@ -39,22 +39,19 @@ _CHILD = "from data_module.performer.espeak_child import main; main()"
 
 
 def available() -> bool:
-    """True when the library of espeak-ng can be loaded."""
     return library() is not None
 
 
 def sound_phrases(lines: Sequence[Line]) -> list[Sounded]:
-    """Speak all phrases in one process of their own; the same list gives the same samples.
-
-    InputError when espeak-ng is missing or has no such voice.
-    """
+    """Speak all phrases in one subprocess; the same list gives the same samples. InputError if espeak-ng is missing or
+    lacks a voice."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "spoken.npz"
         done = subprocess.run([sys.executable, "-c", _CHILD, str(path)],
                               input=json.dumps([asdict(line) for line in lines]), capture_output=True, text=True,
                               timeout=600, cwd=Path(__file__).parents[2])
         if done.returncode == NO_VOICE:
-            raise InputError("espeak-ng", f"has not all of the voices {sorted({line.voice for line in lines})}",
+            raise InputError("espeak-ng", f"lacks some of the voices {sorted({line.voice for line in lines})}",
                              "on Debian: apt install espeak-ng")
         if done.returncode != 0:
             raise InputError("espeak-ng", "its library cannot be used", "on Debian: apt install espeak-ng")
@@ -65,7 +62,7 @@ def sound_phrases(lines: Sequence[Line]) -> list[Sounded]:
 
 
 def _sounded(text: str, samples: NDArray[np.int16], events: NDArray[np.int64], names: list[str], rate: int) -> Sounded:
-    tokens = [(found.group(), found.start(), found.end()) for found in _TOKEN.finditer(text)]
+    tokens = [(match.group(), match.start(), match.end()) for match in _TOKEN.finditer(text)]
     phones: list[Phone] = []
     word = -1
     ends = [*events[1:, 2].tolist(), len(samples)]
@@ -84,12 +81,12 @@ def _sounded(text: str, samples: NDArray[np.int16], events: NDArray[np.int64], n
 
 
 def _token_at(tokens: list[tuple[str, int, int]], position: int) -> int:
-    """The token that holds a position of the text, or the next one after it."""
+    """Index of the token at a position of the text, or of the next one after it."""
     return next((i for i, (_, _, end) in enumerate(tokens) if position < end), len(tokens) - 1)
 
 
 def _shared_out(phones: tuple[Phone, ...], tokens: list[str]) -> tuple[Phone, ...]:
-    """Words that espeak-ng runs together ("of the") get their share of the phones, by their letters."""
+    """Share out the phones of words that espeak-ng runs together ("of the") by the number of letters."""
     owners = [phone.word for phone in phones]
     for first in range(len(tokens)):
         if first in owners and first + 1 < len(tokens) and first + 1 not in owners:

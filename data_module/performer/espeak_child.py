@@ -1,7 +1,7 @@
-"""A process of its own that speaks a list of phrases through libespeak-ng and writes samples and events.
+"""Subprocess that speaks a list of phrases through libespeak-ng and writes samples and events.
 
-The library keeps noise and filter memory from phrase to phrase; in a fresh process the same list gives the same bytes.
-Reads JSON from standard input: [{"voice", "text", "rate", "pitch", "range"}]; writes an npz to the path given.
+The library keeps noise and filter state from phrase to phrase; a fresh process gives the same bytes for the same list.
+Reads JSON from standard input: [{"voice", "text", "rate", "pitch", "range"}]; writes an npz to the path in argv[1].
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ _Callback = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctype
 
 
 def library() -> ctypes.CDLL | None:
-    """libespeak-ng, or None where it is not installed."""
     for name in _LIBRARIES:
         try:
             return ctypes.CDLL(name)
@@ -87,10 +86,9 @@ def speak_all(phrases: list[dict[str, Any]]) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    """Speak what standard input asks for into the file that the command line names, and end the process."""
     spoken_phrases = speak_all(json.load(sys.stdin))
     with open(sys.argv[1], "wb") as stream:
         np.savez(stream, **spoken_phrases)  # type: ignore[arg-type]
-    # The library's own clean-up at exit can wait for a thread that never ends.
+    # The library's clean-up at exit can wait for a thread that never ends.
     sys.stdout.flush()
     os._exit(0)

@@ -1,8 +1,8 @@
-"""The voices of flite, a phrase at a time: samples, and each phone in its word.
+"""Voices of flite, phrase by phrase: samples, and the word that each phone belongs to.
 
-flite tells when each phone ends, but not which word it is in. Its words' phones are asked for once, spoken one by one,
-and the phrase's phones are matched to them in order, at the least cost of substitutions, so that sounds that merge or
-change between words do no harm.
+flite prints the end time of each phone but not its word. The phones of each word are looked up once by speaking the
+word alone; the phones of the phrase are then aligned with them at minimal edit cost, which tolerates sounds that merge
+or change between words.
 """
 
 from __future__ import annotations
@@ -28,18 +28,16 @@ _WORD = re.compile(r"\w+(?:'\w+)*")
 
 
 def available() -> bool:
-    """True when the program can be called."""
     return shutil.which("flite") is not None
 
 
 def tokens_of(text: str) -> list[str]:
-    """The words of a text without punctuation, as they are spoken."""
     return _WORD.findall(text)
 
 
 def sound_phrase(base: str, text: str, pitch: float, deviation: float, stretch: float) -> Sounded:
     """Speak a phrase with the voice `base`. pitch, deviation: Hz (target mean and standard deviation of F0);
-    stretch: times the normal duration. InputError when flite is missing or has no such voice."""
+    stretch: factor on the normal duration. InputError if flite is missing or lacks the voice."""
     with tempfile.TemporaryDirectory() as folder:
         wave = Path(folder) / "phrase.wav"
         printed = _call("-voice", base, "--setf", f"int_f0_target_mean={pitch:.3f}", "--setf",
@@ -58,16 +56,15 @@ def sound_phrase(base: str, text: str, pitch: float, deviation: float, stretch: 
 
 def _call(*arguments: str) -> str:
     try:
-        done = subprocess.run(["flite", *arguments], capture_output=True, check=True, text=True, timeout=120)
+        return subprocess.run(["flite", *arguments], capture_output=True, check=True, text=True, timeout=120).stdout
     except FileNotFoundError:
         raise InputError("flite", "is not installed", "on Debian: apt install flite") from None
     except subprocess.CalledProcessError as error:
         raise InputError("flite", f"failed: {error.stderr.strip()[:200]}", "on Debian: apt install flite") from None
-    return done.stdout
 
 
 def _timed(printed: str) -> list[tuple[str, float, float]]:
-    """(phone, start, end) of each phone; the clock starts anew where flite splits the text in utterances."""
+    """(phone, start, end) of each phone; flite restarts its clock with each utterance it splits the text into."""
     timed: list[tuple[str, float, float]] = []
     for line in printed.splitlines():
         offset, before = (timed[-1][2] if timed else 0.0), 0.0
@@ -79,7 +76,6 @@ def _timed(printed: str) -> list[tuple[str, float, float]]:
 
 @lru_cache(maxsize=20000)
 def phones_of(word: str) -> tuple[str, ...]:
-    """The phones of a word spoken alone."""
     printed = _call("-voice", "kal16", "-ps", "-t", word, "-o", "none")
     return tuple(name for name in printed.split() if name != _PAUSE)
 
@@ -94,11 +90,9 @@ def _in_words(timed: list[tuple[str, float, float]], words: list[str]) -> tuple[
 
 
 def assigned(phones: list[str], words: list[tuple[str, ...]]) -> list[int]:
-    """The word index of each phone: the monotone alignment of phones with the words' own phones at least cost.
-
-    A substitution costs 1 within vowels or within consonants and 3 across, a phone more or less costs 1.2. Every word
-    gets a phone: one that would get none takes its neighbour's nearest.
-    """
+    """The word index of each phone, by the monotone alignment with the phones of each word at minimal cost. A
+    substitution costs 1 within vowels or within consonants and 3 across; an insertion or deletion costs 1.2. Every word
+    gets a phone: a word without any takes the nearest one of its neighbour."""
     expected = [(name, index) for index, word in enumerate(words) for name in word]
     rows, columns = len(phones), len(expected)
     cost = np.full((rows + 1, columns + 1), np.inf)
@@ -133,7 +127,7 @@ def _substitution(one: str, other: str) -> float:
 
 
 def _every_word(owners: list[int], words: int) -> list[int]:
-    """The same list, rising, where a word without a phone takes one from the nearest word that has two."""
+    """The same rising list, where a word without a phone takes one from the nearest word that has two."""
     counts = np.bincount(owners, minlength=words)
     while (counts == 0).any():
         empty = int(np.flatnonzero(counts == 0)[0])

@@ -1,4 +1,4 @@
-"""Our own sentences: topics with their words, and templates by what they mean.
+"""Sentences of the corpus: topics with their words, and templates by meaning.
 
 A template's slots: {thing} {other} {things} {athing} {person} {someone} {place} {elsewhere} {adj} {do} {did} {doing}
 are filled from one topic; {n} is a small number and {time} a time of day. `|` ends a phrase, `...` is a hesitation.

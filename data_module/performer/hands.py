@@ -1,4 +1,4 @@
-"""Hands that act apart: which of them plays a phrase, and what the other one does meanwhile."""
+"""Independent hands: which hand plays each phrase, and what the idle one does."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from data_module.types import Array
 
 HANG, LOW, STAY = "hang", "low", "stay"
 HANGING_LEVEL = 0.04
-"""Share of the home pose of a hand that hangs while the other one acts."""
-_KEPT = 0.4
-"""Probability that a hand that is up stays as it is when the next phrase begins."""
+"""Level, as a share of the home pose, of a hand that hangs while the other one acts."""
+_STAY_UP = 0.4
+"""Probability that a raised hand keeps its level when the next phrase begins."""
 _EARLY, _JITTER = 0.3, 0.13
-"""Seconds before a phrase at which a hand sets out for it, and by how much that varies."""
+"""Seconds before a phrase at which a hand starts to move, and their standard deviation."""
 _FALL_GAP = (0.45, 1.7)
-"""Seconds of a pause in which the hands may sink before the next phrase."""
-# Weights of strokes of the left hand, the right hand and both, by what the phrase is played with.
+"""Length in seconds of the pauses in which the hands may sink before the next phrase."""
+# Weights of strokes of the left hand, the right hand and both, by the acting hands.
 _WEIGHTS = {(LEFT,): (1.0, 0.03, 0.10), (RIGHT,): (0.03, 1.0, 0.10), (LEFT, RIGHT): (0.12, 0.12, 1.0)}
 _LAG, _UNEVEN = (0.03, 0.08), 0.13
-"""Seconds that one hand of a two-handed stroke is later, and the deviation of the log of the two gains."""
+"""Lag of one hand in a two-handed stroke, seconds, and the standard deviation of the log ratio of the two gains."""
 
 
 @dataclass(frozen=True)
 class Manner:
-    """How somebody performs a talk: drawn per talk, so that two talks of a performer differ.
+    """The manner of a performance, drawn per talk so that two talks of a performer differ.
 
     both: probability that a phrase is played with both hands; dominant: share of the other phrases that the preferred
     hand plays; switch: probability that the next phrase is drawn anew; hanging: probability that the idle hand hangs;
-    falling: probability that hands sink in a short pause; gain, hold, drift: times the excursion, the holds and the
-    wandering of the arms; small_beats: prominence from which a free syllable gets a small beat; eagerness: added to the
-    performer's; sympathy: share of a hand's motion that the hanging one takes part in; trunk: times the trunk's motion;
-    drop: seconds in which the arms come to rest.
+    falling: probability that hands sink in a short pause; gain, hold, drift: factors on the excursion, the holds and
+    the drift of the arms; small_beats: least prominence of a free syllable that gets a small beat; eagerness: added to
+    the performer's; sympathy: share of the acting hand's motion that the hanging hand follows; trunk: factor on the
+    trunk's motion; drop: seconds in which the arms come to rest.
     """
 
     both: float
@@ -55,7 +55,7 @@ class Manner:
 
 @dataclass(frozen=True)
 class PhraseHands:
-    """Who acts from `start` to `end` (seconds): the sides that do, and what the idle one does."""
+    """The sides that act from `start` to `end` (seconds), and what the idle one does."""
 
     start: float
     end: float
@@ -64,7 +64,6 @@ class PhraseHands:
 
 
 def draw_manner(rng: np.random.Generator) -> Manner:
-    """The manner of a talk."""
     return Manner(both=rng.uniform(0.7, 0.95), dominant=rng.uniform(0.55, 0.8), switch=rng.uniform(0.35, 0.7),
                   hanging=rng.uniform(0.05, 0.25), falling=rng.uniform(0.05, 0.3),
                   gain=float(np.clip(1.5 * np.exp(rng.normal(0.0, 0.07)), 1.25, 1.7)), hold=rng.uniform(1.1, 1.7),
@@ -74,12 +73,11 @@ def draw_manner(rng: np.random.Generator) -> Manner:
 
 STEADY = Manner(both=0.85, dominant=0.67, switch=0.5, hanging=0.12, falling=0.15, gain=1.3, hold=1.3, drift=0.65,
                 small_beats=0.2, eagerness=0.1, trunk=1.0)
-"""The manner of a talk whose style is to be heard: nothing else about it varies."""
+"""The fixed manner of a talk with an audible style: nothing but the style varies."""
 
 
 def hands_of_phrases(phrases: Sequence[Phrase], manner: Manner, preferred: int,
                      rng: np.random.Generator) -> tuple[PhraseHands, ...]:
-    """Who plays each phrase, in order of time."""
     shares = ((1.0 - manner.both) * manner.dominant, (1.0 - manner.both) * (1.0 - manner.dominant), manner.both)
     choices = ((preferred,), (1 - preferred,), (LEFT, RIGHT))
     out: list[PhraseHands] = []
@@ -92,7 +90,7 @@ def hands_of_phrases(phrases: Sequence[Phrase], manner: Manner, preferred: int,
 
 
 def weights_at(hands: Sequence[PhraseHands], time: float) -> tuple[float, float, float]:
-    """Weights of strokes of the left hand, the right one and both at a time; a stroke sets out before its phrase."""
+    """Weights of left-hand, right-hand and two-handed strokes at a time; a stroke may start before its phrase."""
     for phrase in hands:
         if phrase.start - 0.4 <= time < phrase.end:
             return _WEIGHTS[phrase.acting]
@@ -105,11 +103,8 @@ Levels = tuple[list[tuple[float, float]], list[tuple[float, float]]]
 
 def waiting_levels(hands: Sequence[PhraseHands], drives: Sequence[float], run_starts: Sequence[float],
                    raise_time: float, manner: Manner, rng: np.random.Generator) -> Levels:
-    """Per arm [(time, share of the home pose)]: how high it waits in each phrase.
-
-    drives: the vigour of each phrase. run_starts: when speech begins after a long pause; the hands rise `raise_time`
-    before it.
-    """
+    """Per arm [(time, share of the home pose)]: the height at which it waits in each phrase. drives: the vigour of each
+    phrase. run_starts: seconds at which speech begins after a long pause; the hands rise `raise_time` before it."""
     out: Levels = ([], [])
     for k, (phrase, drive) in enumerate(zip(hands, drives, strict=True)):
         first = any(abs(phrase.start - start) < 0.05 for start in run_starts)
@@ -123,19 +118,19 @@ def waiting_levels(hands: Sequence[PhraseHands], drives: Sequence[float], run_st
             for side in (LEFT, RIGHT):
                 if rng.random() < 0.7:
                     out[side].append((phrase.end + 0.05 + float(rng.uniform(0.0, 0.2)), HANGING_LEVEL))
-    for own in out:
-        own.sort()
+    for levels in out:
+        levels.sort()
     return out
 
 
-def _level(phrase: PhraseHands, side: int, drive: float, going_on: bool, own: list[tuple[float, float]],
+def _level(phrase: PhraseHands, side: int, drive: float, going_on: bool, levels: list[tuple[float, float]],
            rng: np.random.Generator) -> float | None:
-    """The level that an arm takes for a phrase, None to stay at the one it has."""
+    """The level that an arm takes for a phrase; None to stay at the last of its `levels`."""
     if side in phrase.acting:
-        if going_on and own[-1][1] > 0.4 and rng.random() < _KEPT:
+        if going_on and levels[-1][1] > 0.4 and rng.random() < _STAY_UP:
             return None
         return float(rng.uniform(0.6, 1.15) * np.exp(0.2 * drive))
-    if phrase.idle == HANG or not own:
+    if phrase.idle == HANG or not levels:
         return HANGING_LEVEL
     return float(rng.uniform(0.25, 0.55)) if phrase.idle == LOW else None
 

@@ -1,4 +1,4 @@
-"""How one motion passes into another without a seam: what is left of the old one dies away on top of the new one."""
+"""Inertialisation, and the minimum-jerk step: seamless transitions from one motion to another."""
 
 from __future__ import annotations
 
@@ -7,13 +7,19 @@ import numpy as np
 from data_module.types import Array
 
 
+def minimum_jerk(s: Array) -> Array:
+    """The minimum-jerk step s^3 (10 - 15 s + 6 s^2) from 0 to 1, for s within [0, 1]."""
+    return s ** 3 * (10.0 - 15.0 * s + 6.0 * s * s)
+
+
 def quintic_offset(before: Array, target: Array, times: Array, fade: float, fps: float) -> Array:
-    """[M, D] what remains of the old motion at `times`: place, velocity and acceleration fade to zero by a quintic.
+    """[M, D] the offset to add to the new motion at `times`: the gap to the old motion, its velocity and acceleration
+    fade to zero by a quintic.
 
     before: [3, D] the last frames of the old motion; target: [3, D] the new motion at the same three frames. times: [M]
-    seconds of the new frames, the first one frame after `before`. fade: seconds until nothing is left. With s = t /
+    seconds of the new frames, the first one frame after `before`. fade: seconds until the offset is zero. With s = t /
     fade, x = x0 (1 - 10 s3 + 15 s4 - 6 s5) + v0 fade (s - 6 s3 + 8 s4 - 3 s5) + a0 fade2 / 2 (s2 - 3 s3 + 3 s4 - s5).
-    Zeros where `before` holds fewer than three frames.
+    Zeros if `before` holds fewer than three frames.
     """
     if len(before) < 3:
         return np.zeros((len(times), target.shape[1]))

@@ -1,8 +1,7 @@
-"""Speech made for motion: stressed vowels fall on its beats, phrases on its phrases, pauses in its rests.
+"""Synthesise speech for recorded motion: stressed vowels fall on motion beats, phrases and pauses follow the motion.
 
-The usual way round, a performer hears speech and moves. Here the motion is a real person's, and speech is looked for
-that this person might have said: the motion is cut into phrases where it rests, a phrase of the pool is aligned with
-the beats of each, and its sound is stretched so that vowels and beats meet.
+The motion is a real person's. It is cut into phrases at its rests; for each of them the best phrase of a pool is
+aligned with the motion beats, and its sound is stretched so that vowels and beats coincide.
 """
 
 from __future__ import annotations
@@ -27,31 +26,32 @@ from data_module.truth import Phrase
 from data_module.types import Array, Speech, Word
 
 SLOWEST, FASTEST = 0.80, 1.25
-"""Bounds of the rate at which a phrase is played, against the voice's own."""
+"""Bounds of the playing rate of a phrase, relative to the voice's own rate."""
 _LEAD, _LOOSENESS, _LOOSEST = 0.038, 0.055, 0.13
-"""Seconds: the vowel follows the motion's beat by this much, with this standard deviation, at most this far from it."""
+"""Delay of the vowel after the motion beat, seconds: mean, standard deviation, and the largest deviation."""
 _RATE_COST, _EDGE_COST, _SKIPPED_BEAT, _SKIPPED_STRESS = 6.0, 1.0, 1.3, 0.12
-"""Costs: of log rate squared per second, of a second between a phrase's edge and its window's, of a strong beat without
+"""Costs: of log rate squared per second, of a second between the edges of phrase and window, of a strong beat without
 a vowel, and of a prominent vowel without a beat."""
 _STRESS_REWARD, _MEANING_REWARD = 0.4, 0.7
 _START_SLACK, _END_SLACK = (0.2, 0.35), (0.55, 0.15)
-"""Seconds that a phrase may begin before and after its window's start, and end before and after its end."""
+"""Seconds by which a phrase may begin before and after the window's start, and end before and after its end."""
 _UNSTRESSED = -1.2
-"""Vowels of less prominence take no beat."""
+"""Vowels of less prominence are not put on a beat."""
 _RATES = np.exp(np.linspace(np.log(SLOWEST), np.log(FASTEST), 7))
 _CANDIDATES = 200
-"""Phrases of a fitting length that are tried on each window."""
+"""Phrases of suitable length that are tried on each window."""
 _PHRASE, _PHRASE_SPREAD, _SHORTEST, _LONGEST = 2.6, 1.0, 0.9, 6.0
-"""Seconds: how long phrases of motion are, by how much they vary, and their bounds."""
+"""Length of motion phrases, seconds: mean, standard deviation, least and greatest."""
 _BEATS_APART = 0.12
-"""Seconds: two vowels are never put on beats closer than this."""
+"""Least seconds between two beats that carry vowels."""
 _MINIMA_APART, _SPEED_WEIGHT, _LENGTH_WEIGHT = 0.2, 1.5, 0.35
 _REST_SHARE, _LONGEST_REST, _LEAST_REST = 0.45, 1.2, 0.08
-"""A pause reaches from its cut as long as speed stays under this share of the median, at most these seconds to either
-side, and at least these."""
+"""A pause extends from its cut while speed stays under this share of the median; greatest and least seconds to either
+side."""
 _LEAST_WINDOW = 0.6
 _MOVED_SHARE, _MOVED = 0.28, (0.35, 0.9)
-"""Real speakers pause in motion too: this share of the pauses is moved off its rest by so many seconds."""
+"""Share of the pauses that are moved off their rest, because real speakers pause while moving too, and the seconds by
+which they are moved."""
 _EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.65, 0.45
 """Effort = .65 tanh(.55 (local + global energy)) + .45 noise; energy is the z-score of the phrase's mean log speed."""
 _BESIDE = 0.5
@@ -60,7 +60,7 @@ _BESIDE = 0.5
 
 @dataclass(frozen=True)
 class Window:
-    """Seconds of the motion that a phrase is to fill."""
+    """The seconds of motion that a phrase has to fill."""
 
     start: float
     end: float
@@ -68,16 +68,13 @@ class Window:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a window asks for.
-
-    beats: [n] seconds, rising, at which vowels shall fall; strength: [n]; shown: [n, M] z-scores of what the motion
-    shows at each beat (`meaning.MOVEMENTS`).
-    """
+    """The requirements of a window on its phrase. beats: [n] seconds, rising, at which vowels should fall; strength:
+    [n]; movement: [n, M] z-scores of the features of motion (`meaning.MOVEMENTS`) at each beat."""
 
     window: Window
     beats: Array
     strength: Array
-    shown: Array
+    movement: Array
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Match:
-    """A phrase of a pool on a window. anchors: [K, 2] seconds in the phrase and in the talk; beats: how many met."""
+    """A phrase of a pool on a window. anchors: [K, 2] seconds in the phrase and in the talk; beats: vowels on beats."""
 
     phrase: int
     cost: float
@@ -101,12 +98,9 @@ class Match:
 
 
 @dataclass(frozen=True)
-class Made:
-    """Speech for a motion, and how well it could be made.
-
-    matched, beats: motion beats that a vowel was put on, of how many; empty: seconds of windows without a phrase;
-    rates: [K, 2] playing rates of the pieces and their seconds.
-    """
+class FittedSpeech:
+    """Speech for a motion, and how well it fits. matched, beats: motion beats with a vowel on them, and all motion
+    beats; empty: seconds of windows without a phrase; rates: [K, 2] playing rate and seconds of each piece."""
 
     spoken: Spoken
     matched: int
@@ -129,45 +123,41 @@ def log_speed(speed: Array) -> Array:
 
 
 def speech_for(name: str, places: Array, pool: Pool, energy: Energy, movements: Array,
-               rng: np.random.Generator) -> Made:
-    """Speech for the joint positions [T, 16, 3] (60 fps, facing frame) of a talk.
-
-    movements: [T, M] how far the motion at each frame is what each of `meaning.MOVEMENTS` asks for (z-scores).
-    InputError comes from the voice's program. Same arguments and generator state, same bytes.
-    """
+               rng: np.random.Generator) -> FittedSpeech:
+    """Speech for the joint positions [T, 16, 3] (60 fps, facing frame) of a talk. movements: [T, M] z-score of each of
+    `meaning.MOVEMENTS` at each frame. InputError comes from the voice's program. Same arguments and generator state,
+    same bytes."""
     speed = arms_speed(places)
     windows = phrase_windows(speed, rng)
     beats = beats_of_speed(speed, FPS)
     strength = _strengths(speed, beats)
     targets = beats + np.clip(rng.normal(_LEAD, _LOOSENESS, len(beats)), _LEAD - _LOOSEST, _LEAD + _LOOSEST)
     efforts = _efforts(log_speed(speed), windows, energy, rng)
-    shown = movements[np.minimum((beats * FPS).astype(int) + 6, len(movements) - 1)]
+    features = movements[np.minimum((beats * FPS).astype(int) + 6, len(movements) - 1)]
     free = np.ones(len(pool), dtype=bool)
     laid: list[tuple[Match, Sounded, float]] = []
     matched, empty = 0, 0.0
     for window, effort in zip(windows, efforts, strict=True):
         near = np.flatnonzero((targets > window.start + 0.02) & (targets < window.end + 0.05))
         near = near[np.argsort(targets[near])]
-        wanted = Wanted(window, targets[near], strength[near], shown[near])
-        found = _best(pool, free, wanted, rng)
-        if found is None:
+        wanted = Wanted(window, targets[near], strength[near], features[near])
+        best = _best(pool, free, wanted, rng)
+        if best is None:
             empty += window.end - window.start
             continue
-        free[found.phrase] = False
-        match, said = _resaid(pool, found, effort, wanted, rng)
-        laid.append((match, said, effort))
+        free[best.phrase] = False
+        match, sounded = _spoken_again(pool, best, effort, wanted, rng)
+        laid.append((match, sounded, effort))
         matched += match.beats
     spoken = _laid_out(name, pool, laid, log_speed(speed), rng)
     rates = np.concatenate([_rates(match) for match, _, _ in laid]) if laid else np.zeros((0, 2))
-    return Made(spoken, matched, len(beats), empty, rates)
+    return FittedSpeech(spoken, matched, len(beats), empty, rates)
 
 
 def phrase_windows(speed: Array, rng: np.random.Generator) -> list[Window]:
-    """The phrases of a motion by its speed [T], in order, with the rests between them left out.
-
-    Cuts are minima of the speed, chosen by dynamic programming so that speed is low at them and the phrases between
-    them are 2.6 s long, by and large; then some are moved off their rests.
-    """
+    """The phrases of a motion from its speed [T], in order, without the rests between them. Cuts are minima of the
+    speed, chosen by dynamic programming for low speed at the cuts and phrases of about 2.6 s; some cuts are then moved
+    off their rests."""
     smooth = gaussian_filter1d(speed, 0.15 * FPS, mode="nearest")
     middle = float(np.median(smooth))
     cuts = _cuts(smooth, middle)
@@ -183,7 +173,6 @@ def phrase_windows(speed: Array, rng: np.random.Generator) -> list[Window]:
 
 
 def _cuts(smooth: Array, middle: float) -> list[int]:
-    """Frames of the cuts, the first and the last frame among them."""
     minima = find_peaks(-smooth, distance=round(_MINIMA_APART * FPS))[0]
     places = np.concatenate([[0], minima[(minima > 0) & (minima < len(smooth) - 1)], [len(smooth) - 1]])
     best, before = np.full(len(places), np.inf), np.zeros(len(places), dtype=int)
@@ -201,7 +190,6 @@ def _cuts(smooth: Array, middle: float) -> list[int]:
 
 
 def _rest(smooth: Array, cut: int, middle: float) -> tuple[int, int]:
-    """The frames around a cut in which the motion rests."""
     slow = smooth < _REST_SHARE * middle
     most, least = round(_LONGEST_REST * FPS), round(_LEAST_REST * FPS)
     first = cut
@@ -214,7 +202,7 @@ def _rest(smooth: Array, cut: int, middle: float) -> tuple[int, int]:
 
 
 def _strengths(speed: Array, beats: Array) -> Array:
-    """[n] how hard each beat brakes, in halves of the standard deviation of the deceleration, within 0.4 and 2."""
+    """[n] deceleration at each beat over half its standard deviation, clipped to 0.4 .. 2."""
     slope = -np.gradient(speed) * FPS
     at = np.interp(beats * FPS, np.arange(len(speed)), slope)
     return np.clip(at / max(0.5 * float(slope.std()), 1e-6), 0.4, 2.0)
@@ -233,7 +221,6 @@ def _efforts(level: Array, windows: Sequence[Window], energy: Energy, rng: np.ra
 
 
 def _best(pool: Pool, free: NDArray[np.bool_], wanted: Wanted, rng: np.random.Generator) -> Match | None:
-    """The phrase of the pool, among those not yet used, that fits a window best."""
     start, end = wanted.window.start, wanted.window.end
     length = pool.durations / (end - start)
     fitting = np.flatnonzero(free & (length > SLOWEST * 0.97) & (length < FASTEST * 1.03))
@@ -248,24 +235,21 @@ def _best(pool: Pool, free: NDArray[np.bool_], wanted: Wanted, rng: np.random.Ge
 
 
 def candidates_of(pool: Pool, chosen: NDArray[np.int64]) -> Candidates:
-    """Phrases of a pool by their indices [B]."""
     return Candidates(chosen, pool.durations[chosen], pool.vowels[chosen], pool.prominence[chosen])
 
 
 def rewards(pool: Pool, chosen: NDArray[np.int64], wanted: Wanted) -> Array:
-    """[B, I, n] what it is worth to put a vowel on a beat: stress on strength, words where the motion shows them."""
+    """[B, I, n] the reward for each vowel on each beat: stress on strong beats, words on motion of their meaning."""
     stress = 0.8 + _STRESS_REWARD * np.clip(pool.prominence[chosen], -1.2, 2.0)
     asks = pool.asks[chosen]
-    fits = np.where(asks >= 0, 1.0, 0.0)[..., None] * wanted.shown.T[np.maximum(asks, 0)]
+    fits = np.where(asks >= 0, 1.0, 0.0)[..., None] * wanted.movement.T[np.maximum(asks, 0)]
     return stress[:, :, None] * wanted.strength + _MEANING_REWARD * fits
 
 
 def assign(candidates: Candidates, wanted: Wanted, reward: Array) -> Match | None:
-    """The cheapest monotone assignment of vowels to beats over all candidates; None when none can be played in bounds.
-
-    Dynamic programming over pairs (vowel i, beat j): C[i, j] = min over earlier pairs of C + 6 ln(rate)2 dt + what is
-    skipped between them, less the reward [B, I, n] of the pair. Rates stay in [SLOWEST, FASTEST].
-    """
+    """The cheapest monotone assignment of vowels to beats over all candidates; None if no candidate fits the bounds.
+    Dynamic programming over pairs (vowel i, beat j): C[i, j] = min over earlier pairs of C + 6 ln(rate)^2 dt + cost of
+    the vowels and beats skipped between them - reward [B, I, n] of the pair. Rates stay in [SLOWEST, FASTEST]."""
     usable = np.isfinite(candidates.vowels) & (candidates.prominence > _UNSTRESSED)
     at = np.where(usable, candidates.vowels, 0.0)
     stress = np.where(usable, np.clip(candidates.prominence, 0.0, 2.0), 0.0)
@@ -296,7 +280,7 @@ class _Table:
 
 
 def _begun(table: _Table, wanted: Wanted, j: int) -> Array:
-    """[B, I] the cost of beat j as the first one, at the best rate from the phrase's start; notes the start."""
+    """[B, I] the cost of beat j as the first, at the best rate from the phrase's start; stores the start in `table`."""
     first = table.at[..., None] / _RATES
     start = wanted.beats[j] - first
     window = wanted.window.start
@@ -309,7 +293,7 @@ def _begun(table: _Table, wanted: Wanted, j: int) -> Array:
 
 
 def _gone_on(table: _Table, wanted: Wanted, best: Array, earlier: int, j: int) -> Array:
-    """[B, I] the cost of beat j, where going on from an earlier beat's pair is cheaper than `best`; notes the way."""
+    """[B, I] the lower of `best` and the cost of beat j after an earlier beat; stores the way back in `table`."""
     lasts = wanted.beats[j] - wanted.beats[earlier]
     rate = (table.at[:, None, :] - table.at[:, :, None]) / lasts
     fine = (rate >= SLOWEST) & (rate <= FASTEST)
@@ -325,7 +309,7 @@ def _gone_on(table: _Table, wanted: Wanted, best: Array, earlier: int, j: int) -
 
 
 def _ended(candidates: Candidates, wanted: Wanted, table: _Table) -> Match | None:
-    """The best candidate, by the best end that each of its pairs allows, followed back to its start."""
+    """The candidate with the lowest total cost over all possible ends, traced back to its start."""
     rest = (candidates.durations[:, None, None] - table.at[:, :, None])[..., None] / _RATES
     end = wanted.beats[None, None, :, None] + rest
     window = wanted.window.end
@@ -348,23 +332,23 @@ def _ended(candidates: Candidates, wanted: Wanted, table: _Table) -> Match | Non
     return Match(int(candidates.indices[b]), cost, np.array(anchors), len(pairs))
 
 
-def _resaid(pool: Pool, match: Match, effort: float, wanted: Wanted,
-            rng: np.random.Generator) -> tuple[Match, Sounded]:
-    """The phrase said with its effort and aligned anew; effort changes its rate, and with it the vowels' times."""
+def _spoken_again(pool: Pool, match: Match, effort: float, wanted: Wanted,
+                  rng: np.random.Generator) -> tuple[Match, Sounded]:
+    """Speak the phrase with its effort and align it again, because effort changes the rate and so the vowel times."""
     k = match.phrase
-    said = say(pool.voice, [Part(pool.texts[k], effort, 0.0)], rng)[0]
-    duration = len(said.samples) / RATE
-    own = np.array([n.vowel for n in voices.nuclei_of(said.phones)])
+    sounded = say(pool.voice, [Part(pool.texts[k], effort, 0.0)], rng)[0]
+    duration = len(sounded.samples) / RATE
+    times = np.array([n.vowel for n in voices.nuclei_of(sounded.phones)])
     count = int(np.isfinite(pool.vowels[k]).sum())
-    if len(wanted.beats) and len(own) == count:
+    if len(wanted.beats) and len(times) == count:
         one, vowels = np.array([k]), pool.vowels[k].copy()
-        vowels[:count] = own
+        vowels[:count] = times
         again = assign(Candidates(one, np.array([duration]), vowels[None], pool.prominence[one]), wanted,
                        rewards(pool, one, wanted))
         if again is not None:
-            return again, said
-    # The alignment of the phrase at rest, on the clock of the phrase as it was said.
-    return replace(match, anchors=match.anchors * np.array([duration / pool.durations[k], 1.0])), said
+            return again, sounded
+    # Otherwise keep the alignment of the phrase at effort 0, scaled to the new duration.
+    return replace(match, anchors=match.anchors * np.array([duration / pool.durations[k], 1.0])), sounded
 
 
 def _rates(match: Match) -> Array:
@@ -374,17 +358,17 @@ def _rates(match: Match) -> Array:
 
 def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]], level: Array,
               rng: np.random.Generator) -> Spoken:
-    """The phrases in their places, at the loudness of their effort, recorded and listened to."""
+    """Place the phrases in time at the loudness of their effort, record them and measure the syllables."""
     count = round(len(level) / FPS * RATE)
     dry, active = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=bool)
     near = (level - level.mean()) / (level.std() + 1e-6)
     words: list[Word] = []
     nuclei: list[Nucleus] = []
     phrases: list[Phrase] = []
-    for match, said, effort in laid:
+    for match, sounded, effort in laid:
         start = max(0.0, float(match.anchors[0, 1]), phrases[-1].end + 0.01 if phrases else 0.0)
         anchors = match.anchors - np.array([0.0, match.anchors[0, 1]])
-        samples = with_tilt(stretched(said.samples, anchors), effort)
+        samples = with_tilt(stretched(sounded.samples, anchors), effort)
         first = round(start * RATE)
         samples = samples[:max(0, count - first)]
         if not len(samples):
@@ -395,13 +379,13 @@ def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]
         dry[first:first + len(samples)] += samples * gain.astype(np.float32)
         active[first:first + len(samples)] = True
         end = (first + len(samples)) / RATE
-        own = voices.nuclei_of(said.phones)
-        moved = np.interp([[n.start, n.vowel, n.end] for n in own], anchors[:, 0], anchors[:, 1]) + start
+        unmoved = voices.nuclei_of(sounded.phones)
+        moved = np.interp([[n.start, n.vowel, n.end] for n in unmoved], anchors[:, 0], anchors[:, 1]) + start
         nuclei += [Nucleus(float(a), float(b), float(c), n.word + len(words))
-                   for n, (a, b, c) in zip(own, np.minimum(moved, end), strict=True)]
-        spans = np.interp([[w.start, w.end] for w in said.words], anchors[:, 0], anchors[:, 1]) + start
+                   for n, (a, b, c) in zip(unmoved, np.minimum(moved, end), strict=True)]
+        spans = np.interp([[w.start, w.end] for w in sounded.words], anchors[:, 0], anchors[:, 1]) + start
         spans = np.minimum(spans, end)
-        words += [Word(w.text, float(a), float(b)) for w, (a, b) in zip(said.words, spans, strict=True)]
+        words += [Word(w.text, float(a), float(b)) for w, (a, b) in zip(sounded.words, spans, strict=True)]
         phrases.append(Phrase(start, end, effort))
     speech = Speech(recorded(dry, active, rng), RATE, tuple(words), pool.voice)
     language = voices.VOICES[pool.voice].language

@@ -1,4 +1,4 @@
-"""Fingers of the performed strokes: no larger and no faster than a hand's, and never quite still."""
+"""Fingers of the performed strokes: limited in range, smoothed, and never quite still."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from data_module.performer.takes import FPS, soft_limit
 from data_module.types import Array
 
 _FARTHEST = np.radians(95.0)
-"""What the bend of a joint against the hanging hand tends to: strokes that are joined or doubled add up."""
+"""Soft limit of the bend of a joint against the hanging hand: bends of overlapping strokes add up."""
 _SMOOTH = 0.05
-"""Seconds of a low pass: some clips' fingers jump from frame to frame."""
+"""Standard deviation of the low pass, seconds: in some clips the fingers jump from frame to frame."""
 _FIDGET, _SECONDS = np.radians(2.0), 5.3
-"""How far a finger closes and opens while nothing is played, and in what time."""
+"""Amplitude (radians) and period (seconds) with which a finger closes and opens at rest."""
 _CLOSING = (np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]))
 """Axes about which the fingers of the left and the right hand close."""
 
 
 def living_fingers(logs: Array, side: int) -> Array:
-    """Log rotations [T, F, 3] (60 fps) of one hand's finger joints as they are played. side: 0 left, 1 right."""
+    """Log rotations [T, F, 3] (60 fps) of one hand's finger joints, limited, smoothed and with a slow fidget. side: 0
+    left, 1 right."""
     joints = np.arange(logs.shape[1])
     times = np.arange(len(logs))[:, None] / FPS
-    # Three joints to a finger, which go together; the fingers and the hands do not.
+    # The three joints of a finger move in phase; the fingers and the hands do not.
     period = _SECONDS * (1.0 + 0.13 * (joints // 3))
     phase = 2.0 * np.pi * (times / period + 0.21 * (joints // 3) + 0.37 * side)
     smooth = gaussian_filter1d(soft_limit(logs, _FARTHEST), _SMOOTH * FPS, axis=0, mode="nearest")

@@ -1,6 +1,6 @@
-"""Which words ask for which strokes (English), and which strokes are beats, that any stressed syllable may take.
+"""English words that ask for a stroke by meaning, and the beat strokes that any stressed syllable may take.
 
-The names are those of `data/strokes` and of the procedural strokes; a performer who lacks one takes the next.
+The names are those of `data/strokes` and of the procedural strokes; a performer without a stroke takes the next name.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ _WORDS: dict[tuple[str, ...], str] = {
 _OFTEN = ("i my your our we us me what how who one like have this that these those there then other still over no not "
           "now so see get got too come take long time only great little right")
 _WEAK = frozenset(_OFTEN.split())
-"""Words so common that they seldom move a hand."""
+"""Words so common that a stroke on them is rare."""
 _PHRASES: dict[tuple[str, ...], tuple[str, ...]] = {
     ("on", "the", "other", "hand"): _BUT, ("on", "the", "one", "hand"): _BUT, ("for", "example"): _EXAMPLE,
     ("for", "instance"): _EXAMPLE, ("not", "at", "all"): _NEGATE, ("do", "not", "know"): _DOUBT,
@@ -85,19 +85,17 @@ _LONGEST = max(map(len, _PHRASES))
 
 
 def plain(word: str) -> str:
-    """A word as the tables spell it: lower case, one kind of apostrophe, no punctuation."""
+    """A word in the spelling of the tables: lower case, one kind of apostrophe, no punctuation."""
     return re.sub(r"[^a-z']", "", word.lower().replace("\u2019", "'")).strip("'")
 
 
 def lexemes_of(words: Sequence[str], index: int) -> tuple[tuple[str, ...], float]:
-    """Candidate lexemes for the word at `index`, best first, and how strongly it asks (0 to 1).
-
-    Phrases come before single words; the last word of a phrase carries it. ((), 0) where nothing is known.
-    """
+    """Candidate lexemes for the word at `index`, best first, and the weight of the request (0 to 1). Phrases take
+    precedence over words; the last word of a phrase carries its stroke. ((), 0) for other words."""
     for length in range(min(_LONGEST, index + 1), 1, -1):
-        said = tuple(plain(word) for word in words[index - length + 1:index + 1])
-        if said in _PHRASES:
-            return _PHRASES[said], 1.0
+        phrase = tuple(plain(word) for word in words[index - length + 1:index + 1])
+        if phrase in _PHRASES:
+            return _PHRASES[phrase], 1.0
     word = plain(words[index])
     if word in _LOOKUP:
         return _LOOKUP[word], 0.35 if word in _WEAK else 1.0
@@ -105,7 +103,7 @@ def lexemes_of(words: Sequence[str], index: int) -> tuple[tuple[str, ...], float
 
 
 def beat_level(prominence: float) -> str:
-    """Low, mid or high: which beats a syllable of this prominence takes."""
+    """Level of the beats for a syllable of this prominence: low, mid or high."""
     if prominence < 0.35:
         return LOW
     return MID if prominence < 1.1 else HIGH
@@ -115,11 +113,11 @@ MOVEMENTS: dict[str, tuple[tuple[str, ...], ...]] = {
     "large": (_BIG, _ALL), "small": (_SMALL,), "self": (_ME,), "forward": (_YOU, _THERE, _GIVE), "left": (_LEFT,),
     "right": (_RIGHT,), "sideways": (_NEGATE, _NO),
 }
-"""What a word can ask a movement to be, in the order of `movements.features_of`, and the lexemes that ask for it."""
+"""Movement feature that a word can ask for, in the order of `movements.features_of` -> the lexemes that ask for it."""
 
 
 def movements_of(words: Sequence[str]) -> list[int]:
-    """For each word the index in `MOVEMENTS` of what it asks for, -1 for nothing or for a word that is too common."""
+    """For each word the index of its feature in `MOVEMENTS`, -1 for none and for words that are too common."""
     out = []
     for index in range(len(words)):
         lexemes, strength = lexemes_of(words, index)

@@ -1,4 +1,4 @@
-"""What a movement shows: how far the hands are apart, near the chest, ahead, to a side, at each moment."""
+"""Movement features at each frame: distance between the hands, nearness to the chest, reach ahead and to the sides."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from data_module.performer.takes import FPS, WRISTS
 from data_module.types import Array
 
 _HEART = np.array([0.0, 0.38, 0.12])
-"""Metres from the hips: where a hand points to its owner."""
+"""Point near the chest that a hand moves to for "me", metres from the hips."""
 _LIFTED = 0.05
-"""Metres over the hips from which a hand is in front of the body."""
+"""Least height over the hips, metres, of a hand that counts as raised."""
 
 
 def features_of(places: Array) -> Array:
-    """[T, 7] z-scores within [-2, 2.5] of what `meaning.MOVEMENTS` names, from facing positions [T, 16, 3]."""
+    """[T, 7] z-scores, clipped to [-2, 2.5], of the features in `meaning.MOVEMENTS`, from facing positions [T, 16, 3].
+    """
     left, right = (places[:, wrist] for wrist in WRISTS)
     apart = np.linalg.norm(right - left, axis=1)
     up = np.maximum(left[:, 1], right[:, 1]) > _LIFTED

@@ -1,7 +1,7 @@
-"""Our own sentences in German, Spanish and Mandarin: the performer does not understand them, and follows stress alone.
+"""Sentences in German, Spanish and Mandarin. No meaning is attached to their words: the performer follows stress alone.
 
 Slots are drawn from the lists of the same name; a digit after the name asks for another entry of that list. Mandarin
-(cmn, ISO 639-3) is in simplified characters with spaces between its words, which tell a voice where each word is.
+(cmn, ISO 639-3) is in simplified characters with spaces between its words, so that a voice knows the words.
 """
 
 from __future__ import annotations

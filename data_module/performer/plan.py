@@ -1,7 +1,7 @@
-"""What a performer is going to do with a piece of speech: which stroke falls on which syllable, how large, how fast.
+"""Plan a performance: which stroke falls on which syllable, its size and its speed.
 
-Meaning comes first: a word that asks for a stroke takes it with some probability. Then prominent syllables take
-beats. Size and speed follow the loudness of the syllable and the effort of its phrase, so that they can be heard.
+Words with a meaning take their stroke with some probability; prominent syllables then take beats. Size and speed
+follow the loudness of the syllable and the effort of its phrase, so that they are predictable from the sound.
 """
 
 from __future__ import annotations
@@ -20,39 +20,39 @@ from data_module.truth import REST, Mark, Phrase, Syllable
 from data_module.types import Array
 
 REST_PAUSE = 1.6
-"""Seconds without speech after which the arms go to rest."""
+"""Pause in speech, seconds, after which the arms go to rest."""
 BRAKE = 0.789
-"""A minimum-jerk movement brakes hardest at this share of its length."""
+"""Share of the length of a minimum-jerk movement at which it decelerates hardest."""
 _MIN_GAP = 0.5
-"""Seconds between the beats of two strokes at least."""
+"""Least seconds between the beats of two strokes."""
 _MIN_PREPARATION = 0.3
-"""Seconds from the start of a stroke to its beat at least; where there is less room, the stroke is not played."""
+"""Least seconds from the start of a stroke to its beat; with less room the stroke is not played."""
 _AFTER_BEAT = 0.12
-"""Seconds after a beat in which its arm takes no new stroke: the brake ends in them."""
+"""Seconds after a beat in which its arm takes no new stroke, because it is still decelerating."""
 _JOIN = 1.2
-"""Seconds between a hold's end and the next stroke below which the hold goes on until then, instead of a retraction."""
+"""Gap between the end of a hold and the next stroke, seconds, below which the hold is extended instead of retracted."""
 _STRETCH = 1.6
-"""Times that a hold may be stretched for it."""
+"""Largest factor on the length of an extended hold."""
 _LONGEST_HOLD = 1.0
-"""Seconds of a hold after stretching."""
+"""Longest hold after stretching, seconds."""
 _RECENT = 3
-"""Clips of a performer's past that are not repeated at once."""
+"""Number of recent clips that are unlikely to be repeated."""
 _RECENT_WEIGHT = 0.1
-"""Times as likely as others they are chosen."""
+"""Factor on the probability of a recent clip."""
 _SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.25, 0.9
-"""Log of the gain by the vigour of the syllable and by amplitude; log of the speed, and eagerness, by tempo."""
+"""Slopes: log gain by vigour, log gain by amplitude, log speed by tempo, eagerness by tempo."""
 _LARGEST = 1.75
-"""Gain beyond which elbows fold and hands come near the face."""
+"""Largest gain: beyond it elbows fold and hands come near the face."""
 
 
 @dataclass(frozen=True)
 class Habits:
-    """How one performer differs from another.
+    """The habits of a performer.
 
-    meaning: probability that a meaningful word takes its stroke; eagerness: shifts how easily a stress takes a beat;
-    hands: weights of left, right, both; looseness: standard deviation of the beat about the syllable, seconds;
-    speed and gain: against the recorded clips; sway: degrees of the torso's yaw; nod: degrees of a nod;
-    hanging: probability that one arm hangs through a phrase.
+    meaning: probability that a meaningful word takes its stroke; eagerness: offset on the prominence at which a
+    syllable takes a beat; hands: weights of left, right, both; looseness: standard deviation of the beat about the
+    syllable, seconds; speed and gain: relative to the recorded clips; sway: yaw of the torso, degrees; nod: size of a
+    nod, degrees; hanging: probability that one arm hangs through a phrase.
     """
 
     meaning: float = 0.65
@@ -76,10 +76,8 @@ HABITS: dict[str, Habits] = {
 
 @dataclass(frozen=True)
 class Planned:
-    """A stroke in its place, seconds of the performance.
-
-    gain: times the excursion; lag, uneven: seconds later, and times the gain, of the left and the right hand.
-    """
+    """A stroke placed in time, seconds of the performance. gain: factor on the excursion; lag, uneven: delay in seconds
+    and factor on the gain of the left and the right hand."""
 
     stroke: Stroke
     start: float
@@ -94,7 +92,7 @@ class Planned:
 
 @dataclass(frozen=True)
 class _Wish:
-    """A syllable that shall have a stroke: the lexemes it asks for, and when."""
+    """A syllable that should have a stroke: its candidate lexemes, the time of the beat, and the vigour."""
 
     at: Syllable
     beat: float
@@ -103,7 +101,6 @@ class _Wish:
 
 
 def habits_of(performer: str) -> Habits:
-    """The habits of a performer; those of nobody in particular when the name is new."""
     return HABITS.get(performer, Habits())
 
 
@@ -119,18 +116,15 @@ def runs_of(phrases: Sequence[Phrase], pause: float = REST_PAUSE) -> list[tuple[
 
 
 def rests_of(phrases: Sequence[Phrase], duration: float) -> tuple[Mark, ...]:
-    """The pauses of a recording of `duration` seconds that are long enough for the arms to rest."""
+    """The pauses in a recording of `duration` seconds that are long enough for the arms to rest."""
     runs = runs_of(phrases)
     ends, starts = [0.0, *(end for _, end in runs)], [*(start for start, _ in runs), duration]
     return tuple(Mark(REST, end, start) for end, start in zip(ends, starts, strict=True) if start - end >= REST_PAUSE)
 
 
 def drives(spoken: Spoken) -> Array:
-    """How much vigour each syllable is spoken with, [syllables], -1 to 1.
-
-    Half is the effort of its phrase, half its loudness (with the phrase's mean loudness, 6 dB to about 0.75), so that
-    a listener can tell it from the sound.
-    """
+    """The vigour of each syllable, [syllables], -1 to 1: half the effort of its phrase, half its loudness (averaged
+    with the phrase's; 6 dB give about 0.75), so that it can be predicted from the sound."""
     loud = np.array([s.loudness for s in spoken.syllables])
     starts = np.array([s.vowel for s in spoken.syllables])
     out = np.zeros(len(loud))
@@ -144,7 +138,7 @@ def drives(spoken: Spoken) -> Array:
 
 @dataclass(frozen=True)
 class Casting:
-    """How a talk is to be performed: its manner, which hands play each of its phrases, and its style."""
+    """The manner of a talk, the hands that play each of its phrases, and its style."""
 
     manner: Manner
     hands: tuple[PhraseHands, ...]
@@ -152,7 +146,6 @@ class Casting:
 
 
 def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng: np.random.Generator) -> Casting:
-    """Give the phrases of a talk to the hands of a performer."""
     habits = habits_of(performer)
     preferred = RIGHT if habits.hands[RIGHT] >= habits.hands[LEFT] else LEFT
     return Casting(manner, hands_of_phrases(spoken.phrases, manner, preferred, rng), style)
@@ -160,10 +153,8 @@ def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng:
 
 def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator, split: str = "train",
          casting: Casting | None = None) -> tuple[Planned, ...]:
-    """The strokes that `performer` plays on `spoken`, in the order of their beats, none overlapping on one arm.
-
-    Held-out strokes are used in the split "test" alone. InputError when the performer is unknown.
-    """
+    """The strokes that `performer` plays on `spoken`, in order of their beats, without overlap on one arm. Held-out
+    strokes are used in the split "test" only. InputError for an unknown performer."""
     usable = strokes.of(performer, split)
     habits = habits_of(performer)
     if casting is not None:
@@ -224,7 +215,6 @@ def _wishes(spoken: Spoken, habits: Habits, known: set[str], style: StyleTrack,
 
 def _meaningful(spoken: Spoken, habits: Habits, known: set[str],
                 rng: np.random.Generator) -> dict[int, tuple[str, ...]]:
-    """Syllable -> lexemes for words that ask for a stroke and get it, half a second and more apart."""
     texts = [word.text for word in spoken.speech.words or ()]
     strongest: dict[int, int] = {}
     for i, syllable in enumerate(spoken.syllables):
@@ -246,7 +236,8 @@ def _meaningful(spoken: Spoken, habits: Habits, known: set[str],
 
 def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Sequence[str], last_hand: str,
             rng: np.random.Generator) -> Stroke | None:
-    """A stroke of the wished lexemes: earlier names, preferred and alternating hands, and rested clips weigh more."""
+    """Draw a stroke of the wanted lexemes; earlier names, preferred and alternating hands, and clips not recently used
+    weigh more."""
     order = {name: 0.5 ** place for place, name in enumerate(wish.lexemes)}
     candidates = [s for s in usable if s.lexeme in order and s.base not in recent[-1:]]
     if not candidates:
@@ -261,7 +252,7 @@ def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Seque
 
 def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], casting: Casting | None,
            rng: np.random.Generator) -> Planned | None:
-    """Times and size of a stroke on its syllable; None when its arms are not free in time."""
+    """Times and size of a stroke on its syllable; None if its arms are not free in time."""
     size, pace = 1.1 * 0.2 * wish.drive, 0.8 * 0.2 * wish.drive
     loose, largest, holding, vary = 1.0, 1.22, 1.0, 0.04
     if casting is not None:
@@ -283,13 +274,12 @@ def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], 
 
 
 def _held_through(planned: Sequence[Planned], phrases: Sequence[Phrase]) -> tuple[Planned, ...]:
-    """Holds that last into a pause of under 1.6 s last through it, as far as the arm's next stroke allows."""
+    """Extend holds that reach into a pause of under 1.6 s through it, as far as the arm's next stroke allows."""
     order = sorted(phrases, key=lambda p: p.start)
     pauses = [(a.end, b.start) for a, b in zip(order, order[1:], strict=False) if 0.2 < b.start - a.end < REST_PAUSE]
     out = []
     for k, one in enumerate(planned):
-        later = [p.start for p in planned[k + 1:k + 8] if set(p.stroke.sides) & set(one.stroke.sides)]
-        following = min(later, default=np.inf)
+        following = _next_start(planned, k)
         for start, end in pauses:
             if start - 0.45 <= one.hold_end <= end and one.beat < start + 0.1:
                 hold_end = min(max(one.hold_end, end - 0.15), following)
@@ -299,12 +289,16 @@ def _held_through(planned: Sequence[Planned], phrases: Sequence[Phrase]) -> tupl
     return tuple(out)
 
 
+def _next_start(planned: Sequence[Planned], k: int) -> float:
+    sides = set(planned[k].stroke.sides)
+    return min((p.start for p in planned[k + 1:k + 8] if sides & set(p.stroke.sides)), default=np.inf)
+
+
 def _join(planned: Sequence[Planned], runs: Sequence[tuple[float, float]]) -> tuple[Planned, ...]:
-    """Holds cut where the next stroke of the arm begins, or stretched to it when it begins soon."""
+    """Cut holds at the start of the arm's next stroke, or extend them to it if it starts soon."""
     out = []
     for k, one in enumerate(planned):
-        later = [p.start for p in planned[k + 1:k + 8] if set(p.stroke.sides) & set(one.stroke.sides)]
-        following = min(later, default=np.inf)
+        following = _next_start(planned, k)
         hold_end, back = one.hold_end, one.end - one.hold_end
         if following < hold_end + _JOIN and any(a - 1.0 <= one.beat and following <= b for a, b in runs):
             hold_end = min(following, one.beat + _STRETCH * (one.hold_end - one.beat))

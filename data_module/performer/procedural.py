@@ -1,11 +1,14 @@
-"""Strokes made by formula on the 16-joint character: minimum-jerk reaches of our own, in need of no recording."""
+"""Strokes by formula on the 16-joint character: minimum-jerk reaches that need no recording."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT
+from data_module.performer.inertialisation import minimum_jerk
 from data_module.performer.strokes import (
     LEFT,
     RIGHT,
@@ -13,26 +16,24 @@ from data_module.performer.strokes import (
     PerformerBody,
     Stroke,
     StrokeSet,
-    acting_hands,
     arm_joints,
     home_pose,
-    logs_against,
+    measured_stroke,
     mirror,
-    stroke_times,
     trunk_joints,
 )
 from data_module.types import Array
 
 PERFORMER = "puppet"
 _FPS = 30.0
-"""Frames per second, as the recorded clips have."""
+"""Frames per second of the clips, as of the recorded ones."""
 _LEAD = 0.2
 """Seconds at rest before a clip's preparation."""
 _HANGING = np.array([0.06, -0.50, 0.04])
 """Metres from the shoulder (left, up, forward) of a hand that hangs."""
 
-# Where the left hand goes, metres from the left shoulder (left, up, forward): from where it sets out (ready), and where
-# it arrives. `both` tells whether the other hand does the same in the mirror.
+# The start (ready) and the target of the left hand, metres from the left shoulder (left, up, forward); whether the
+# right hand does the same in the mirror.
 _REACHES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], bool]] = {
     "BeatLow": ((0.06, -0.30, 0.28), (0.06, -0.40, 0.26), False),
     "BeatMid": ((0.04, -0.16, 0.30), (0.04, -0.30, 0.34), False),
@@ -49,13 +50,10 @@ _PREPARATION, _STROKE, _HOLD, _BACK = 0.42, 0.28, 0.40, 0.75
 
 
 def _ease(times: Array, start: float, duration: float) -> Array:
-    """The minimum-jerk way from 0 to 1, [T, 1]."""
-    s = np.clip((times - start) / duration, 0.0, 1.0)[:, None]
-    return s ** 3 * (10.0 - 15.0 * s + 6.0 * s * s)
+    return minimum_jerk(np.clip((times - start) / duration, 0.0, 1.0)[:, None])
 
 
 def _hand_path(times: Array, ready: Array, target: Array) -> Array:
-    """[T, 3] rest, ready, target, hold and back to rest."""
     rest = _HANGING
     path = rest + (ready - rest) * _ease(times, _LEAD, _PREPARATION)
     path = path + (target - ready) * _ease(times, _LEAD + _PREPARATION - 0.06, _STROKE)
@@ -64,9 +62,7 @@ def _hand_path(times: Array, ready: Array, target: Array) -> Array:
 
 def _two_bones(reach: Array, side: int) -> tuple[Array, Array]:
     """World rotations [T, 4] of the upper arm and the forearm that bring the hand to `reach` [T, 3] from the shoulder.
-
-    The law of cosines gives the elbow; it hangs down and a little outwards.
-    """
+    The law of cosines gives the elbow, which points down and a little outwards."""
     sign = 1.0 if side == LEFT else -1.0
     upper, fore = (float(np.linalg.norm(CHARACTER.offsets[CHARACTER.index(SIDES[side] + part)]))
                    for part in ("ForeArm", "Hand"))
@@ -98,9 +94,7 @@ def _clip(paths: dict[int, Array], frames: int) -> Array:
 
 def procedural_strokes() -> StrokeSet:
     """A performer, "puppet", with three sizes of nine strokes and their mirror images; the third of each is held out.
-
-    Lexemes: BeatLow, BeatMid, BeatHigh, You, Me, Left, Right, Negate, All.
-    """
+    Lexemes: BeatLow, BeatMid, BeatHigh, You, Me, Left, Right, Negate, All."""
     flip = np.array([-1.0, 1.0, 1.0])
     frames = int((_LEAD + _PREPARATION + _STROKE + _HOLD + _BACK + 0.25) * _FPS)
     times = np.arange(frames) / _FPS
@@ -108,28 +102,18 @@ def procedural_strokes() -> StrokeSet:
     rest = _clip({LEFT: idle, RIGHT: idle * flip}, frames)[0]
     arms, trunk = arm_joints(CHARACTER), trunk_joints(CHARACTER)
     figure = PerformerBody(PERFORMER, CHARACTER, rest, np.array([0.0, HIP_HEIGHT, 0.0]), arms, trunk,
-                    np.zeros((2, len(arms[0]), 3)))
+                           np.zeros((2, len(arms[0]), 3)))
     strokes: list[Stroke] = []
     for name, (ready, target, both) in _REACHES.items():
         for variant, size in enumerate((1.0, 0.88, 1.1)):
             path = _hand_path(times, _HANGING + size * (np.array(ready) - _HANGING),
                               _HANGING + size * (np.array(target) - _HANGING))
             rotations = _clip({LEFT: path, RIGHT: (path if both else idle) * flip}, frames)
-            stroke = _stroke(figure, name, variant, rotations)
+            row = {"file": f"{PERFORMER}_{name}{variant + 1:02d}.bvh", "speaker": PERFORMER, "posture": "Standing",
+                   "lexeme": "BeatMid" if name == "BeatBoth" else name, "emphasis": str(_LEAD + _PREPARATION + _STROKE)}
+            stroke = measured_stroke(figure, row, rotations, _FPS)
+            assert stroke is not None
+            stroke = replace(stroke, held_out=variant == 2)
             strokes += [stroke, mirror(stroke)]
-    figure = PerformerBody(PERFORMER, CHARACTER, rest, figure.root, arms, trunk, home_pose(strokes))
+    figure = replace(figure, home=home_pose(strokes))
     return StrokeSet(tuple(strokes), {PERFORMER: figure})
-
-
-def _stroke(figure: PerformerBody, name: str, variant: int, rotations: Array) -> Stroke:
-    positions = kinematics.joint_positions(CHARACTER, rotations)
-    hands = positions[:, [CHARACTER.index(side + "Hand") for side in SIDES]]
-    hand, reach = acting_hands(hands)
-    sides = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT)}[hand]
-    start, beat, hold_end, end = stroke_times(hands, sides, _FPS, _LEAD + _PREPARATION + _STROKE)
-    clip = f"{PERFORMER}_{name}{variant + 1:02d}"
-    lexeme = "BeatMid" if name == "BeatBoth" else name
-    logs = np.stack([logs_against(figure.rest, rotations, joints) for joints in figure.arms])
-    return Stroke(clip, clip, PERFORMER, "Standing", lexeme, hand, _FPS, logs,
-                  logs_against(figure.rest, rotations, figure.trunk), start, beat, hold_end, end, reach,
-                  held_out=variant == 2)

@@ -1,4 +1,4 @@
-"""What every voice gives for a phrase, and what a recording does to it: room, noise and level."""
+"""A spoken phrase with its words and phones, and the simulated recording: room, noise and level."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RATE = 16000
 
 @dataclass(frozen=True)
 class Phone:
-    """A sound of speech, seconds; `word` is an index into the words it is spoken in."""
+    """A phone, seconds; `word` is the index of its word."""
 
     name: str
     start: float
@@ -25,13 +25,12 @@ class Phone:
     word: int
 
     def moved(self, seconds: float, words: int = 0) -> Phone:
-        """The same phone later, in a longer list of words."""
         return replace(self, start=self.start + seconds, end=self.end + seconds, word=self.word + words)
 
 
 @dataclass(frozen=True)
 class Sounded:
-    """A phrase as a voice spoke it: samples at 16 kHz, words and phones in seconds from its first sample."""
+    """A spoken phrase: samples at 16 kHz, words and phones in seconds from the first sample."""
 
     samples: Samples
     words: tuple[Word, ...]
@@ -39,7 +38,7 @@ class Sounded:
 
 
 def word_spans(texts: list[str], phones: tuple[Phone, ...]) -> tuple[Word, ...]:
-    """Each text from the start of its first phone to the end of its last; every word has a phone at least."""
+    """Each word from the start of its first phone to the end of its last; every word has at least one phone."""
     spans: dict[int, tuple[float, float]] = {}
     for phone in phones:
         start, end = spans.get(phone.word, (phone.start, phone.end))
@@ -48,7 +47,7 @@ def word_spans(texts: list[str], phones: tuple[Phone, ...]) -> tuple[Word, ...]:
 
 
 def trimmed(samples: Samples, phones: tuple[Phone, ...], margin: float = 0.02) -> tuple[Samples, tuple[Phone, ...]]:
-    """Without the silence before the first and after the last phone, but for a faded margin of seconds."""
+    """Cut the silence before the first and after the last phone, except for a faded margin of `margin` seconds."""
     first = max(0, round((phones[0].start - margin) * RATE))
     last = min(len(samples), round((phones[-1].end + margin) * RATE))
     cut = samples[first:last].copy()
@@ -61,7 +60,7 @@ def trimmed(samples: Samples, phones: tuple[Phone, ...], margin: float = 0.02) -
 
 
 def read_at(samples: Samples, speed: Array, phones: tuple[Phone, ...]) -> tuple[Samples, tuple[Phone, ...]]:
-    """Play samples at a varying speed [N] (1 = as it is): pitch and formants rise with it, times shrink with it."""
+    """Play samples at a varying speed [N] (1: unchanged), which raises pitch and formants and shortens the times."""
     clock = np.concatenate(([0.0], np.cumsum(1 / speed)))
     played = np.interp(np.arange(int(clock[-1])), clock, np.arange(len(clock), dtype=np.float64))
     out = map_coordinates(samples, played[None], order=3, mode="nearest").astype(np.float32)
@@ -71,19 +70,18 @@ def read_at(samples: Samples, speed: Array, phones: tuple[Phone, ...]) -> tuple[
 
 
 def with_tilt(samples: Samples, effort: float) -> Samples:
-    """Brighter with effort, duller without, at the same energy: loud voices carry more of the high frequencies."""
+    """Tilt the spectrum at constant energy, brighter with effort: loud voices have stronger high frequencies."""
     before = float(np.sqrt(np.mean(samples ** 2))) + 1e-9
     shaped = lfilter([1.0, -0.45 * effort], [1.0], samples)
     return np.asarray(shaped * (before / (float(np.sqrt(np.mean(shaped ** 2))) + 1e-9)), dtype=np.float32)
 
 
 def decibels(value: float) -> float:
-    """The amplitude of `value` dB."""
     return float(10 ** (value / 20))
 
 
 def in_a_room(samples: Samples, rng: np.random.Generator) -> Samples:
-    """With an exponential tail of 0.15 to 0.5 s, 6 to 26 dB below the direct sound; onsets stay where they are."""
+    """Add an exponential reverb of 0.15 to 0.5 s, 6 to 26 dB below the direct sound; onsets do not move."""
     length = float(rng.uniform(0.15, 0.5))
     below = float(rng.uniform(6, 26))
     time = np.arange(round(length * RATE)) / RATE
@@ -96,14 +94,14 @@ def in_a_room(samples: Samples, rng: np.random.Generator) -> Samples:
 
 
 def noise_floor(count: int, rng: np.random.Generator) -> Samples:
-    """[count] coloured noise of -65 to -45 dBFS: white, through one pole of varied darkness."""
+    """[count] coloured noise of -65 to -45 dBFS: white noise through a one-pole low pass."""
     level, pole = float(rng.uniform(-65, -45)), float(rng.uniform(0.0, 0.97))
     noise = lfilter([np.sqrt(1 - pole ** 2)], [1.0, -pole], rng.standard_normal(count, dtype=np.float32))
     return np.asarray(noise * decibels(level), dtype=np.float32)
 
 
 def recorded(samples: Samples, active: NDArray[np.bool_], rng: np.random.Generator) -> Samples:
-    """A recording of dry speech: room, a level of -30 to -18 dBFS over the `active` samples, noise; peaks below 1."""
+    """Record dry speech: room, a level of -30 to -18 dBFS over the `active` samples, noise; peaks below 1."""
     wet = in_a_room(samples, rng)
     level = float(np.sqrt(np.mean(wet[active] ** 2))) if active.any() else 1.0
     wet *= np.float32(decibels(float(rng.uniform(-30, -18))) / max(level, 1e-9))

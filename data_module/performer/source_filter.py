@@ -1,7 +1,7 @@
-"""A speaker in numpy: pulses and noise through formants, every syllable where it was put. Needs no program.
+"""A source-filter voice in numpy: pulses and noise through formants, with exact syllable times. Needs no program.
 
-It reads letters, not phonemes: a run of vowel letters is a vowel. It is understood with goodwill only, but its
-energy, pitch and timing are those of speech, and known exactly.
+It reads letters, not phonemes: a run of vowel letters is a vowel. It is hardly intelligible, but its energy, pitch and
+timing are those of speech.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ _CHUNK = re.compile(r"[aeiouy]+|sh|th|ch|ph|ck|ng|[bcdfghjklmnpqrstvwxz]")
 
 
 def sounds_of(word: str) -> list[str]:
-    """The word as vowels (runs of vowel letters) and consonants; a silent final e is dropped, a vowel always there."""
+    """Split a word into vowels (runs of vowel letters) and consonants, without a silent final e; there is always a
+    vowel."""
     letters = re.sub(r"[^a-z]", "", word.lower())
     if re.fullmatch(".*[aeiouy].*[^aeiouy]e", letters):
         letters = letters[:-1]
@@ -34,13 +35,13 @@ def sounds_of(word: str) -> list[str]:
 
 
 def is_vowel(sound: str) -> bool:
-    """True for a run of vowel letters."""
     return sound[0] in _FORMANTS
 
 
 def sound_phrase(text: str, effort: float, pitch: float, tract: float, rate: float, spread: float,
                  rng: np.random.Generator) -> Sounded:
-    """Speak a phrase. pitch: Hz; tract: formants times this; rate: times normal; spread: semitones of an accent."""
+    """Speak a phrase. pitch: Hz; tract: factor on the formants; rate: factor on the normal rate; spread: semitones of
+    an accent."""
     tokens = [token for token in (re.sub(r"[^\w']", "", t) for t in text.split()) if token]
     phones = _timed(tokens, rate, rng)
     total = round((phones[-1].end + 0.02) * RATE)
@@ -80,7 +81,7 @@ def _timed(tokens: list[str], rate: float, rng: np.random.Generator) -> tuple[Ph
 
 
 def _intonation(tokens: list[str], phones: tuple[Phone, ...], total: int, spread: float, asks: bool) -> Array:
-    """[total] semitones: a falling line, an accent on the first vowel of each content word, a rise to ask."""
+    """[total] semitones: a falling line, an accent on the first vowel of each content word, a rise for a question."""
     time = np.arange(total) / RATE
     line = spread * (0.4 - 0.8 * time / time[-1])
     done: set[int] = set()
@@ -96,7 +97,7 @@ def _intonation(tokens: list[str], phones: tuple[Phone, ...], total: int, spread
 
 
 def _pulses(contour: Array) -> Array:
-    """[N] glottal pulses at contour Hz: one impulse a period, rounded by two poles."""
+    """[N] glottal pulses at contour Hz: one impulse per period, smoothed by two poles."""
     phase = np.cumsum(contour / RATE)
     impulses = np.diff(np.floor(phase), prepend=0.0) * np.sqrt(RATE / contour)
     return np.asarray(lfilter([1.0, -1.0], [1.0, -1.7, 0.7225], impulses))
@@ -117,7 +118,7 @@ def _source(phone: Phone, voiced: Array, breath: Array, stress: float, effort: f
 
 
 def _resonated(source: Array, formants: tuple[int, ...], tract: float, state: dict[int, Array]) -> Array:
-    """The source through three resonators in a row, whose memory goes on from sound to sound."""
+    """The source through three resonators in series, whose state carries over from sound to sound."""
     for index, (frequency, width) in enumerate(zip(formants, _BANDWIDTHS, strict=True)):
         radius = np.exp(-np.pi * width / RATE)
         b1, b2 = 2 * radius * np.cos(2 * np.pi * frequency * tract / RATE), -radius ** 2

@@ -1,8 +1,7 @@
-"""The strokes that a performer plays: where each one starts, has its beat, ends its hold and comes to rest.
+"""The strokes that a performer plays, with the times of start, beat, end of hold and end.
 
-A stroke is kept as log rotations of the two arms (fingers included) against the performer's rest pose, so that it can
-be made larger by a factor, joined to another one and mirrored. All its times are measured on its motion, not read
-from a label.
+A stroke is stored as log rotations of the two arms (fingers included) against the performer's rest pose, so that it can
+be scaled, joined to another one and mirrored. Its times are measured on the motion, not read from a label.
 """
 
 from __future__ import annotations
@@ -26,10 +25,11 @@ from data_module.types import Array, Motion, Skeleton
 
 LEFT, RIGHT = 0, 1
 SIDES = ("Left", "Right")
+ACTING_SIDES: dict[str, tuple[int, ...]] = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT)}
 HELD_OUT_SHARE = 0.15
-"""Share of each person's clips that are kept for test."""
+"""Share of each person's clips that are held out for test."""
 
-# Retargeted from one another: the same person, who must not stand on both sides of a split.
+# Retargeted from one another: the same person, who must not be on both sides of a split.
 _PERSON = {"brad2": "brad"}
 _POSTURE = {"brad": "Idle01", "brad2": "Idle01", "connor": "IdleStand01", "garza": "IdleStand01"}
 # Another start pose, the wrong hand, or a hand inside the torso.
@@ -47,22 +47,22 @@ _NOT_FASTER = frozenset({"brad2_Idle01_YouLf02", "brad2_Idle01_Shrug02", "brad2_
                          "connor_IdleStand01_NegateRightMidBt01"})
 _COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
 _MIN_REACH = 0.05
-"""Metres that a hand must leave its place by, to be a stroke and no fidget."""
+"""Least travel of a hand in a stroke, metres; anything smaller is a fidget."""
 _FINE_FPS = 120.0
-"""Frames per second at which a clip's times are measured: four to a frame of the clips."""
+"""Frames per second at which a clip's times are measured: four per frame of the clips."""
 _SMOOTH = 0.05
-"""Seconds that speed is smoothed over, as for motion beats."""
+"""Smoothing of the speed, seconds, as for motion beats."""
 _BEAT_DEPTH = 0.35
-"""Share of a clip's hardest brake that the brake of its beat must have."""
+"""Least deceleration at the beat, as a share of the clip's hardest."""
 _AFTER_EMPHASIS = 0.12
-"""Seconds that the beat may come after the author's mark of the emphasis."""
+"""Seconds by which the beat may follow the emphasis mark of the clip's author."""
 
 
 @dataclass(frozen=True)
 class PerformerBody:
     """A performer's body.
 
-    rest: [J, 4] local rotations of the pose with hanging arms. root: [3] place of the hips at rest, metres.
+    rest: [J, 4] local rotations of the pose with hanging arms. root: [3] position of the hips at rest, metres.
     arms: joint indices of the left and the right arm, shoulder first, fingers last, in the same order on both sides.
     trunk: indices of the joints from the hips to the head, in order. home: [2, A, 3] log rotations against rest of the
     pose in front of the body that an arm returns to between strokes.
@@ -78,7 +78,6 @@ class PerformerBody:
 
     @cached_property
     def forearm(self) -> float:
-        """Length of the left forearm, metres: the scale of the body."""
         return float(np.linalg.norm(self.skeleton.offsets[self.skeleton.index("LeftHand")]))
 
 
@@ -87,9 +86,9 @@ class Stroke:
     """One gesture of one performer.
 
     clip: name of the recording; base: the same for a clip and its mirror image. arms: [2, T, A, 3] log rotations of
-    the left and the right arm against the figure's rest; trunk: [T, B, 3] likewise, B joints of `PerformerBody.trunk`.
-    start, beat, hold_end, end: seconds in the clip. reach: metres that the acting hand travels away. held_out: kept
-    for the test split. steady: must not be played faster than recorded.
+    the left and the right arm against the rest pose; trunk: [T, B, 3] likewise, B joints of `PerformerBody.trunk`.
+    start, beat, hold_end, end: seconds in the clip. reach: metres that the acting hand travels. held_out: for the test
+    split only. steady: must not be played faster than recorded.
     """
 
     clip: str
@@ -112,15 +111,15 @@ class Stroke:
 
     @property
     def sides(self) -> tuple[int, ...]:
-        """The arms that act."""
-        return {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT)}[self.hand]
+        return ACTING_SIDES[self.hand]
 
     def arm_at(self, side: int, seconds: Array, joints: int | None = None) -> Array:
-        """Log rotations [M, joints * 3] of an arm, from the shoulder on, at times in the clip; held beyond its ends."""
+        """Log rotations [M, joints * 3] of an arm, from the shoulder on, at times in the clip; constant beyond its
+        ends."""
         return self._at((side, joints), self.arms[side][:, :joints], seconds)
 
     def trunk_at(self, seconds: Array) -> Array:
-        """Log rotations [M, B * 3] of the trunk at times in the clip, held still beyond its ends."""
+        """Log rotations [M, B * 3] of the trunk at times in the clip, constant beyond its ends."""
         return self._at((2, None), self.trunk, seconds)
 
     def _at(self, key: tuple[int, int | None], track: Array, seconds: Array) -> Array:
@@ -132,28 +131,25 @@ class Stroke:
 
 @dataclass(frozen=True)
 class StrokeSet:
-    """Strokes, and the bodies that play them."""
+    """Strokes, and the bodies of the performers by name."""
 
     strokes: tuple[Stroke, ...]
     figures: Mapping[str, PerformerBody]
 
     @property
     def performers(self) -> tuple[str, ...]:
-        """Names of the performers, sorted."""
         return tuple(sorted(self.figures))
 
     def of(self, performer: str, split: str = "train") -> tuple[Stroke, ...]:
-        """The strokes that `performer` may play in a split: those held out in the split "test" alone."""
         if performer not in self.figures:
-            raise InputError(performer, "is no performer of these strokes", f"take one of {', '.join(self.performers)}")
+            raise InputError(performer, "is not a performer of these strokes",
+                             f"take one of {', '.join(self.performers)}")
         return tuple(s for s in self.strokes if s.speaker == performer and (split == "test" or not s.held_out))
 
 
 def arrivals(speed: Array, fps: float, depth: float = 0.0) -> tuple[Array, Array]:
-    """Strong decelerations of a speed [T]: times in seconds (between frames, by a parabola) and depths, m/s2.
-
-    A motion beat is a minimum of the derivative of the speed, smoothed over 50 ms (`motion_beats`, mode A).
-    """
+    """Strong decelerations of a speed [T]: times in seconds (between frames, by a parabola) and depths, m/s^2. A motion
+    beat is a minimum of the derivative of the speed, smoothed over 50 ms (`motion_beats`, mode A)."""
     smooth = gaussian_filter1d(speed, _SMOOTH * fps / 2.0, mode="nearest")
     slope = np.gradient(smooth) * fps
     middle = slope[1:-1]
@@ -165,7 +161,7 @@ def arrivals(speed: Array, fps: float, depth: float = 0.0) -> tuple[Array, Array
 
 
 def _speed(track: Array, fps: float) -> tuple[Array, Array]:
-    """Positions [T, 3] at `fps` to positions and smoothed speed at `_FINE_FPS`."""
+    """Resample positions [T, 3] at `fps` to positions and smoothed speed at `_FINE_FPS`."""
     times = np.arange(len(track)) / fps
     fine = np.arange(int(times[-1] * _FINE_FPS) + 1) / _FINE_FPS
     spline = CubicSpline(times, track)
@@ -174,10 +170,8 @@ def _speed(track: Array, fps: float) -> tuple[Array, Array]:
 
 
 def acting_hands(hands: Array) -> tuple[str, float]:
-    """Which hand acts, from the paths [T, 2, 3] of the left and the right hand: its name and its reach in metres.
-
-    Both act when the lesser one travels at least 45 % as far as the greater.
-    """
+    """The acting hand ("left", "right" or "both") and its travel in metres, from the hand paths [T, 2, 3]. Both act if
+    the hand that travels less goes at least 45 % as far as the other."""
     reach = np.linalg.norm(hands - hands[:1], axis=-1).max(axis=0)
     greater = int(reach.argmax())
     if reach.min() > 0.45 * reach.max():
@@ -186,11 +180,9 @@ def acting_hands(hands: Array) -> tuple[str, float]:
 
 
 def stroke_times(hands: Array, sides: Iterable[int], fps: float, emphasis: float) -> tuple[float, float, float, float]:
-    """Move start, beat, hold end and end in seconds, measured on the paths [T, 2, 3] of the hands.
-
-    The beat is the last deceleration of at least 35 % of the clip's strongest before `emphasis` + 0.12 s: `emphasis`
-    is the arrival, and the very strongest deceleration is often that of the preparation.
-    """
+    """Start, beat, end of hold and end in seconds, measured on the paths [T, 2, 3] of the hands. The beat is the last
+    deceleration before `emphasis` + 0.12 s that has at least 35 % of the strongest one: `emphasis` is the arrival, and
+    the strongest deceleration is often that of the preparation."""
     speed = np.sum([_speed(hands[:, side], fps)[1] for side in sides], axis=0)
     duration = (len(speed) - 1) / _FINE_FPS
     times, depths = arrivals(speed, _FINE_FPS)
@@ -217,7 +209,7 @@ def _distance_home(track: Array, fps: float) -> Array:
 
 
 def _retraction(speed: Array, away: Array, beat: int) -> tuple[float, float]:
-    """When the last way back begins and ends, seconds; `away` is the distance [T] from where the clip ends."""
+    """Start and end of the retraction, seconds; away: [T] distance from the position at the end of the clip."""
     arrived = min(beat + int(0.1 * _FINE_FPS), len(speed) - 2)
     crossing = arrived + int(np.flatnonzero(away[arrived:] >= 0.55 * away[arrived])[-1])
     low, high = max(arrived, crossing - int(0.2 * _FINE_FPS)), crossing + int(0.2 * _FINE_FPS) + 1
@@ -230,14 +222,13 @@ def _retraction(speed: Array, away: Array, beat: int) -> tuple[float, float]:
 
 
 def arm_joints(skeleton: Skeleton) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Indices of the joints of the left and the right arm, shoulder first, in the same order on both sides."""
+    """Joint indices of the left and the right arm, shoulder first, in the same order on both sides."""
     left = [j for j, name in enumerate(skeleton.names) if name.startswith("Left")
             and not any(part in name for part in ("Leg", "Foot", "Toe"))]
     return tuple(left), tuple(skeleton.index("Right" + skeleton.names[j][4:]) for j in left)
 
 
 def trunk_joints(skeleton: Skeleton) -> tuple[int, ...]:
-    """Indices of the joints from the hips to the head."""
     chain = [skeleton.index("Head")]
     while chain[-1] > 0:
         chain.append(skeleton.parents[chain[-1]])
@@ -245,16 +236,14 @@ def trunk_joints(skeleton: Skeleton) -> tuple[int, ...]:
 
 
 def logs_against(rest: Array, rotations: Array, joints: tuple[int, ...]) -> Array:
-    """Log rotations [T, joints, 3] of local rotations [T, J, 4] against a rest pose [J, 4], without jumps of a turn."""
+    """Log rotations [T, joints, 3] of local rotations [T, J, 4] against a rest pose [J, 4], without jumps by 2 pi."""
     relative = rotation.multiply(rotation.conjugate(rest[list(joints)]), rotations[:, list(joints)])
     return rotation.unroll(rotation.to_exponential_map(relative))
 
 
 def mirror(stroke: Stroke) -> Stroke:
-    """The stroke as seen in a mirror: left and right change places, in its hand and in the name of its lexeme.
-
-    A reflection in x = 0 keeps the x of an axis times angle and turns y and z round.
-    """
+    """The mirror image of a stroke: left and right are swapped, in its hand and in the name of its lexeme too. A
+    reflection in x = 0 keeps the x of a log rotation and negates y and z."""
     flip = np.array([1.0, -1.0, -1.0])
     other = {"left": "right", "right": "left", "both": "both"}
     lexeme = stroke.lexeme
@@ -266,10 +255,8 @@ def mirror(stroke: Stroke) -> Stroke:
 
 
 def home_pose(strokes: Iterable[Stroke], share: float = 0.9) -> Array:
-    """[2, A, 3]: `share` of the way from rest to the mean pose in the holds, per arm, over the strokes it acts in.
-
-    A stroke and its mirror image both count, so that an arm that rarely acts has a home as well.
-    """
+    """[2, A, 3]: `share` of the way from rest to the mean pose in the holds of the strokes that each arm acts in. A
+    stroke and its mirror image both count, so that an arm that rarely acts has a home pose too."""
     holds: dict[int, list[Array]] = defaultdict(list)
     for stroke in strokes:
         times = np.linspace(stroke.beat, stroke.hold_end, 5)
@@ -282,49 +269,43 @@ def home_pose(strokes: Iterable[Stroke], share: float = 0.9) -> Array:
 
 
 def held_out_keys(keys: Iterable[tuple[str, str]], share: float = HELD_OUT_SHARE) -> frozenset[tuple[str, str]]:
-    """The (person, clip) keys kept for test: of each person the `share` with the smallest hash, the same every time."""
+    """The held-out (person, clip) keys: of each person the `share` with the smallest hashes, so always the same."""
     people: dict[str, set[str]] = defaultdict(set)
     for person, clip in keys:
         people[person].add(clip)
-    kept: set[tuple[str, str]] = set()
+    held_out: set[tuple[str, str]] = set()
     for person, clips in people.items():
         order = sorted(clips, key=lambda clip: hashlib.sha256(f"{person}/{clip}".encode()).hexdigest())
-        kept.update((person, clip) for clip in order[:round(share * len(order))])
-    return frozenset(kept)
+        held_out.update((person, clip) for clip in order[:round(share * len(order))])
+    return frozenset(held_out)
 
 
 def load_strokes(folder: str | Path) -> StrokeSet:
-    """Read `manifest.csv` and the BVH clips beside it (metres) into strokes, each with its mirror image.
-
-    InputError when the manifest or a clip is absent or broken.
-    """
+    """Read `manifest.csv` and the BVH clips beside it (metres) into strokes, each with its mirror image. InputError if
+    the manifest or a clip is missing or broken."""
     rows = [row for row in read_manifest(folder)
             if Path(row["file"]).stem not in _DROPPED and row["lexeme"] not in _NO_STROKE]
     strokes: list[Stroke] = []
     figures: dict[str, PerformerBody] = {}
     for speaker in sorted({row["speaker"] for row in rows}):
-        figure, own = speaker_strokes(Path(folder), speaker, [row for row in rows if row["speaker"] == speaker])
-        figures[speaker] = figure
-        strokes += own
-    kept = held_out_keys((_PERSON.get(s.speaker, s.speaker), _clip_key(s)) for s in strokes)
-    strokes = [replace(s, held_out=(_PERSON.get(s.speaker, s.speaker), _clip_key(s)) in kept) for s in strokes]
-    return StrokeSet(tuple(strokes), figures)
+        figures[speaker], measured = speaker_strokes(Path(folder), speaker,
+                                                     [row for row in rows if row["speaker"] == speaker])
+        strokes += measured
+    held_out = held_out_keys(map(_key, strokes))
+    return StrokeSet(tuple(replace(s, held_out=_key(s) in held_out) for s in strokes), figures)
 
 
 def read_manifest(folder: str | Path) -> list[dict[str, str]]:
-    """The rows of `manifest.csv` in a folder of strokes, each with its `_COLUMNS`.
-
-    InputError with the line for a short row, a clip outside of the folder, or an emphasis that is no time.
-    """
+    """The rows of `manifest.csv` in a folder of strokes, each with its `_COLUMNS`; InputError as of `read_clips`."""
     return [row for _, row in read_clips(folder, _COLUMNS)]
 
 
-def _clip_key(stroke: Stroke) -> str:
-    return stroke.base.removeprefix(stroke.speaker + "_")
+def _key(stroke: Stroke) -> tuple[str, str]:
+    return _PERSON.get(stroke.speaker, stroke.speaker), stroke.base.removeprefix(stroke.speaker + "_")
 
 
 def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[PerformerBody, list[Stroke]]:
-    """The body of a speaker and the strokes of her clips (rows of the manifest), each with its mirror image."""
+    """The body of a speaker and the strokes of the clips (rows of the manifest), each with its mirror image."""
     motions = [read_bvh(folder / row["file"], unit=1.0) for row in rows]
     skeleton = motions[0].skeleton
     for row, motion in zip(rows, motions, strict=True):
@@ -341,7 +322,6 @@ def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> t
 
 def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Sequence[Motion]
                         ) -> tuple[PerformerBody, list[Stroke]]:
-    """The body of a speaker and the strokes of its clips; KeyError or ValueError where they lack arms to move."""
     skeleton = motions[0].skeleton
     standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _POSTURE.get(speaker, "")]
     first = np.stack([m.rotations[0] for m in standing or motions])
@@ -352,22 +332,22 @@ def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Seque
     figure = PerformerBody(speaker, skeleton, rest, root, arms, trunk, np.zeros((2, len(arms[0]), 3)))
     strokes = []
     for row, motion in zip(rows, motions, strict=True):
-        stroke = _measure(figure, row, motion.rotations, motion.fps)
+        stroke = measured_stroke(figure, row, motion.rotations, motion.fps)
         if stroke is not None:
             strokes += [stroke, mirror(stroke)]
     return replace(figure, home=home_pose(strokes)), strokes
 
 
-def _measure(figure: PerformerBody, row: Mapping[str, str], rotations: Array, fps: float) -> Stroke | None:
-    """The stroke of one clip, or None when no hand leaves its place."""
+def measured_stroke(figure: PerformerBody, row: Mapping[str, str], rotations: Array, fps: float) -> Stroke | None:
+    """The stroke of one clip (its row of the manifest, and its rotations [T, J, 4]); None if no hand leaves its place.
+    """
     positions = kinematics.joint_positions(figure.skeleton, rotations)
     hands = positions[:, [figure.skeleton.index(side + "Hand") for side in SIDES]]
     hand, reach = acting_hands(hands)
     if reach < _MIN_REACH:
         return None
-    sides = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT)}[hand]
     try:
-        start, beat, hold_end, end = stroke_times(hands, sides, fps, float(row["emphasis"]))
+        start, beat, hold_end, end = stroke_times(hands, ACTING_SIDES[hand], fps, float(row["emphasis"]))
     except ValueError:
         return None
     stem = Path(row["file"]).stem

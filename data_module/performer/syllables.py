@@ -1,4 +1,4 @@
-"""What a performer hears: where vowels begin, how loud, long and high each syllable is, how much it stands out."""
+"""Syllables of speech: vowel onsets, loudness, duration, pitch and prominence."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from data_module.types import Array, Samples, Speech, Word
 HOP = 0.01
 """Seconds between the measurements of loudness and pitch."""
 LOWEST, HIGHEST = 60.0, 420.0
-"""Hertz of the pitch that is looked for: a creaking bass to a high voice."""
-# Words that carry grammar rather than meaning; pointing words, negations and quantities are left out on purpose.
+"""Range of the pitch search, hertz: from a creaking bass to a high voice."""
+# Words that carry grammar rather than meaning; pointing words, negations and quantities are deliberately absent.
 _FUNCTION_WORDS = {"en": """
 a an the of to in on at by for from with into onto as than and or so if that which who whom whose what while until
 is are was were be been being am do does did done has have had having can could may might must shall should will would
@@ -34,7 +34,7 @@ FUNCTION_WORDS = {language: frozenset(words.split()) for language, words in _FUN
 
 @dataclass(frozen=True)
 class Nucleus:
-    """A syllable's place: its start, the onset of its vowel, its end (seconds), and the word it is in (-1: unknown)."""
+    """Start, vowel onset and end of a syllable (seconds), and the index of its word (-1: unknown)."""
 
     start: float
     vowel: float
@@ -43,18 +43,14 @@ class Nucleus:
 
 
 def is_function_word(text: str, language: str = "en") -> bool:
-    """True for articles, prepositions, auxiliaries and pronouns of English (en), German (de) and Spanish (es)."""
     return re.sub(r"[^\w']", "", text.lower()) in FUNCTION_WORDS.get(language, ())
 
 
 def listen(speech: Speech, phrases: Sequence[Phrase], nuclei: Sequence[Nucleus] | None = None,
            language: str = "en") -> tuple[Syllable, ...]:
-    """The syllables of speech with their prominence.
-
-    nuclei: where the syllables are, when it is known; otherwise vowels are found in the signal, inside the words where
-    there are words, else inside the phrases. prominence = .5 loudness + .4 duration + .5 pitch (each a z-score over the
-    recording), content words +.3, function words -.9.
-    """
+    """The syllables of speech with their prominence. nuclei: the known syllable times; without them vowels are detected
+    in the signal, within the words if they are known, else within the phrases. prominence = .5 loudness + .4 duration +
+    .5 pitch (each a z-score over the recording), content words +.3, function words -.9."""
     level, pitch = loudness(speech), pitch_track(speech.samples, speech.sample_rate)
     places = list(nuclei) if nuclei is not None else find_nuclei(speech, phrases, pitch)
     if not places:
@@ -73,7 +69,7 @@ def listen(speech: Speech, phrases: Sequence[Phrase], nuclei: Sequence[Nucleus] 
 
 
 def find_syllables(name: str, speech: Speech, voice: str, language: str) -> Spoken:
-    """A recording of a real voice, with everything found in its signal (and in its words, where it has them)."""
+    """The phrases and syllables of a real voice, detected in the signal (and in the words, if they are known)."""
     phrases = find_phrases(speech)
     return Spoken(name, speech, listen(speech, phrases, language=language), phrases, voice, language)
 
@@ -90,11 +86,8 @@ def loudness(speech: Speech) -> Array:
 
 
 def pitch_track(samples: Samples, sample_rate: int) -> Array:
-    """[T] Hz every 10 ms, frame t centred on t * 10 ms, 0 where unvoiced.
-
-    The peak of the autocorrelation, divided by that of the window (Boersma's remedy for its slope), with a slight
-    preference for short lags.
-    """
+    """[T] Hz every 10 ms, frame t centred on t * 10 ms, 0 where unvoiced. The peak of the autocorrelation divided by
+    that of the window (Boersma 1993), with a slight preference for short lags."""
     rate = 8000
     low = resample_poly(samples, rate, sample_rate) if sample_rate != rate else samples
     size, hop, padded_size = 320, round(HOP * rate), 512
@@ -105,7 +98,7 @@ def pitch_track(samples: Samples, sample_rate: int) -> Array:
     shortest, longest = int(rate / HIGHEST), int(rate / LOWEST)
     lags = np.arange(shortest, longest + 1)
     weight = shape[0] / shape[lags] * (1 - 0.12 * np.log2(lags / shortest) / np.log2(longest / shortest))
-    found = np.zeros(count)
+    track = np.zeros(count)
     frames = np.lib.stride_tricks.sliding_window_view(padded, size)[::hop][:count]
     for first in range(0, count, 4096):
         block = frames[first:first + 4096]
@@ -121,15 +114,13 @@ def pitch_track(samples: Samples, sample_rate: int) -> Array:
         bend = left - 2 * middle + right
         shift = np.where(np.abs(bend) > 1e-9, 0.5 * (left - right) / np.where(bend == 0, 1, bend), 0)
         hertz = rate / (lags[inner] + np.clip(shift, -0.5, 0.5))
-        found[first:first + len(block)] = np.where((score[row, best] > 0.5) & ~quiet, hertz, 0)
-    return found
+        track[first:first + len(block)] = np.where((score[row, best] > 0.5) & ~quiet, hertz, 0)
+    return track
 
 
 def find_nuclei(speech: Speech, phrases: Sequence[Phrase], pitch: Array) -> list[Nucleus]:
-    """Vowels from the signal: peaks of 2 dB or more in the voiced energy of 300 to 2500 Hz, 90 ms apart at least.
-
-    The vowel's onset is where the energy rises fastest before its peak; syllables meet at the valleys between.
-    """
+    """Detect vowels: peaks of at least 2 dB in the voiced energy of 300 to 2500 Hz, at least 90 ms apart. The vowel
+    onset is where the energy rises fastest before the peak; syllables meet at the minima between peaks."""
     band = butter(2, (300, 2500), "bandpass", fs=speech.sample_rate, output="sos")
     voice = Speech(sosfiltfilt(band, speech.samples).astype(np.float32), speech.sample_rate)
     level = gaussian_filter1d(loudness(voice), 2.0)
@@ -154,10 +145,8 @@ def find_nuclei(speech: Speech, phrases: Sequence[Phrase], pitch: Array) -> list
 
 
 def find_phrases(speech: Speech, gap: float = 0.25) -> tuple[Phrase, ...]:
-    """Stretches between pauses of `gap` seconds or more, from the words where there are words, else from loudness.
-
-    effort: the phrase's loudness against the median phrase, 6 dB for 1, within [-1, 1].
-    """
+    """Stretches between pauses of `gap` seconds or more, from the words if they are known, else from loudness. effort:
+    the phrase's loudness relative to the median phrase, 6 dB for 1, clipped to [-1, 1]."""
     level = loudness(speech)
     spans = _joined([w for w in speech.words if w.text], gap) if speech.words else _loud_spans(level, gap)
     louds = np.array([np.percentile(level[_frames(start, end, len(level))], 80) for start, end in spans])
@@ -198,21 +187,20 @@ def _valley(level: Array, left: int, right: int) -> int:
 
 
 def _semitones(pitch: Array, places: Sequence[Nucleus]) -> Array:
-    """[S] the median pitch of each syllable from its vowel on, against the recording's; 0 where unvoiced."""
     voiced = pitch[pitch > 0]
     if len(voiced) == 0:
         return np.zeros(len(places))
     middle = float(np.median(voiced))
-    found = np.zeros(len(places))
+    medians = np.zeros(len(places))
     for index, place in enumerate(places):
         inside = pitch[_frames(place.vowel, place.end, len(pitch))]
         inside = inside[inside > 0]
         if len(inside):
             semitones = 12 * np.log2(inside / middle)
-            # A jump of an octave is the tracker's slip, not the speaker's.
+            # A jump of an octave is an error of the pitch tracker.
             folded = semitones - 12 * np.sign(semitones)
-            found[index] = float(np.median(np.where(np.abs(semitones) > 9, folded, semitones)))
-    return found
+            medians[index] = float(np.median(np.where(np.abs(semitones) > 9, folded, semitones)))
+    return medians
 
 
 def _z(values: Array) -> Array:

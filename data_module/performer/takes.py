@@ -1,8 +1,8 @@
-"""Continuous motion of real people, made fit for a speaker who stands and faces her listener.
+"""Continuous motion of real people, adapted to a speaker who stands and faces the listener.
 
-Takes of many people and purposes (conversations, told stories, traffic directions, lessons, presentations) lose their
-turning and walking, lean and look about less, keep their hands below the shoulders, and lose stretches in which nothing
-happens. What is left are stretches that `chaining` joins to talks.
+Takes of many people (conversations, stories, traffic directions, lessons, presentations) lose turning and walking;
+leaning and looking about are reduced, hands stay below the shoulders, and idle stretches are cut. `chaining` joins the
+remaining stretches to talks.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "lesson": ("cmu_80_",),
     "presenter": ("f_gestic_presentation", "m_gestic_presentation", "m_idle_angry", "m_idle_nervous", "f_invite"),
 }
-"""What somebody does in a take -> how the names of its files begin."""
+"""Activity in a take -> prefixes of its file names."""
 IDLING = ("gestic_listen", "idle_neutral", "idle_breathe", "idle_look_around")
-"""Parts of the names of takes in which somebody stands and listens or waits."""
+"""Parts of the file names of takes of people who stand and listen or wait."""
 _HANGING = ("idle_neutral", "idle_breathe")
 _TWINS = frozenset({"f_gestic_listen_sad_01"})
-"""Takes that show what another one shows already."""
+"""Duplicates of other takes."""
 TEST_SHARE, VALIDATION_SHARE = 0.2, 0.1
 """Shares of the takes of each group."""
 
@@ -54,39 +54,40 @@ WRISTS = tuple(CHARACTER.index(name) for name in ("LeftHand", "RightHand"))
 _ACTING = tuple(CHARACTER.index(name) for name in ACTING)
 _SWAPPED = tuple(FINGERED.index(name.replace("Left", "?").replace("Right", "Left").replace("?", "Right"))
                  for name in FINGERED.names)
-_MIRROR = np.array([1.0, -1.0, -1.0])
-"""A reflection in x = 0 keeps the x of an axis times angle and turns y and z round."""
+MIRROR = np.array([1.0, -1.0, -1.0])
+"""A reflection in x = 0 keeps the x of a log rotation and negates y and z."""
 
 _SLOW_YAW = 0.8
-"""Seconds: standard deviation of the low pass whose turning is taken off the hips."""
+"""Standard deviation, seconds, of the low pass of the hips' yaw, which is subtracted."""
 _LIMITS = ((HIPS, 6.0, 0.5, (1.0, 0.6, 0.4)), (SPINE, 18.0, 0.7, (1.0, 0.6, 0.6)), (SKULL, 34.0, 0.8, (1.0, 0.6, 0.75)))
-"""Joints that bend together, the degrees that their bend tends to, its gain, and gains of lean, yaw and roll: some
+"""Joints that bend together, the soft limit of their bend in degrees, its gain, and gains of lean, yaw and roll: some
 takes are pantomime, with leans of 40 degrees."""
 _ELBOW_SHARE = 0.15
-"""Of what the shoulder's gain takes off, the share that the elbow and the wrist lose: a log rotation scaled at the
-elbow straightens the arm, so they keep nearly all of theirs."""
+"""Share of the shoulder's reduction that is applied to elbow and wrist: scaling a log rotation at the elbow straightens
+the arm, so nearly all of it stays."""
 _CENTRE_SHARE = 0.15
 """The point that the arms are scaled about, from hanging (0) to their mean pose (1)."""
 _HIGH_PERCENTILE, _TOO_HIGH = 93.0, 0.16
-"""Hands stay under a limit in this share of the frames; frames this many metres over the limit are cut out."""
+"""Percentage of frames in which hands must be under the limit; metres over the limit at which frames are cut out."""
 _GAINS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-_IDLE_SPEED, _IDLE_SECONDS, _IDLE_KEPT = 0.25, 1.2, 0.5
-"""m/s of both arms together below which nothing happens; how long that may last; seconds kept at either end of it."""
+_IDLE_SPEED, _IDLE_SECONDS, _IDLE_MARGIN = 0.25, 1.2, 0.5
+"""Speed of both arms together, m/s, below which they idle; seconds for which they may; seconds left at either end."""
 _LEAST_STRETCH = 2.2
-"""Seconds: shorter stretches are not used."""
+"""Shortest stretch that is used, seconds."""
 TORSO_RADIUS, ELBOW_RADIUS = 0.115, 0.13
-"""Metres from the line from hips to chest within which a hand, or an elbow, is inside the torso."""
+"""Radius of the capsule from hips to chest that a hand (half the depth of an adult's chest) or an elbow may not enter,
+metres."""
 _GRAZE = 0.01
-"""Metres deeper than which a frame is cut out."""
+"""Depth inside the torso, metres, beyond which a frame is cut out."""
 
 
 @dataclass(frozen=True)
 class RealTake:
     """A real take on the character with fingers at 60 fps.
 
-    name: the file's stem; person: who moved; group: a key of `GROUPS`, or "idling"; licence: of the recording.
+    name: the file's stem; person: the performer; group: a key of `GROUPS`, or "idling"; licence: of the recording.
     logs: [T, 46, 3] log rotations against the hanging pose of `Library.rest`, without slow yaw; for the trunk less the
-    person's mean. filled: joints that were not recorded, whose motion is made up (`with_relaxed_hands`).
+    person's mean. filled: joints that were not recorded and have synthetic motion (`with_relaxed_hands`).
     """
 
     name: str
@@ -102,40 +103,36 @@ class RealTake:
 
 @dataclass(frozen=True)
 class Library:
-    """All takes.
-
-    rest: [46, 4] the pose with hanging arms that the logs are against; centre: [8, 3] mean logs of the arms' joints.
-    """
+    """All takes. rest: [46, 4] the pose with hanging arms that the logs are relative to; centre: [8, 3] mean logs of
+    the joints of the arms."""
 
     takes: tuple[RealTake, ...]
     rest: Array
     centre: Array
 
     def talks(self) -> tuple[RealTake, ...]:
-        """The takes in which somebody gestures."""
         return tuple(take for take in self.takes if take.group in GROUPS)
 
     def rotations(self, logs: Array) -> Array:
-        """Local rotations [T, 46, 4] of logs [T, 46, 3]."""
         turned = rotation.multiply(self.rest[None], rotation.from_exponential_map(logs))
         return rotation.continuous(rotation.normalise(turned))
 
 
 @dataclass(frozen=True)
 class MotionRange:
-    """How large a speaker moves: hands under `height` (metres over the hips) nearly always; trunk times `trunk`."""
+    """Range of a speaker's motion. height: metres over the hips that the hands rarely exceed; trunk: factor on the
+    trunk's motion."""
 
     height: float
     trunk: float
 
 
 def load_takes(folder: str | Path) -> Library:
-    """Read `manifest.csv` and the takes beside it that somebody gestures or idles in; `InputError` without them."""
     return library_of([_read(take, file) for take, file in list_takes(folder)])
 
 
 def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
-    """The takes that `manifest.csv` names and that are used, without their motion, and their files."""
+    """The usable takes of `manifest.csv`, without their motion, and their files."""
     listed: list[tuple[RealTake, Path]] = []
     for _, row in read_clips(folder, {"file", "person", "licence"}):
         stem = Path(row["file"]).stem
@@ -144,13 +141,13 @@ def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
             take = RealTake(stem, row["person"], group, row["licence"], np.zeros((0, len(FINGERED), 3)))
             listed.append((take, Path(folder) / row["file"]))
     if not any(any(part in take.name for part in _HANGING) for take, _ in listed):
-        raise InputError(Path(folder) / "manifest.csv", "names no take of somebody standing",
+        raise InputError(Path(folder) / "manifest.csv", "names no take of a standing person",
                          "take the manifest that came with the clips")
     return listed
 
 
 def group_of(stem: str) -> str:
-    """The group of a file by its stem: a key of `GROUPS`, "idling", or "" for what is not used."""
+    """The group of a file by its stem: a key of `GROUPS`, "idling", or "" for a file that is not used."""
     for group, beginnings in GROUPS.items():
         if stem.startswith(beginnings):
             return group
@@ -158,26 +155,25 @@ def group_of(stem: str) -> str:
 
 
 def library_of(read: Sequence[tuple[RealTake, Array]]) -> Library:
-    """A library of takes with their rotations [T, 46, 4]; hanging is the mean pose of those that stand and wait."""
+    """A library of takes with their rotations [T, 46, 4]; the rest pose is the mean of people who stand and wait."""
     standing = [q[::10] for take, q in read if any(part in take.name for part in _HANGING)] or [q for _, q in read]
     rest = _mean_rotation(np.concatenate(standing))
     logs = [rotation.unroll(rotation.to_exponential_map(rotation.multiply(rotation.conjugate(rest)[None], q)))
             for _, q in read]
     trunk = [j for j in range(len(CHARACTER)) if j not in ARMS]
     means: dict[str, list[Array]] = defaultdict(list)
-    for (take, _), own in zip(read, logs, strict=True):
-        means[take.person].append(own[:, trunk].mean(axis=0))
+    for (take, _), rotations in zip(read, logs, strict=True):
+        means[take.person].append(rotations[:, trunk].mean(axis=0))
     takes = []
-    for (take, _), own in zip(read, logs, strict=True):
-        own[:, trunk] -= np.mean(means[take.person], axis=0)
-        takes.append(replace(take, logs=own))
+    for (take, _), rotations in zip(read, logs, strict=True):
+        rotations[:, trunk] -= np.mean(means[take.person], axis=0)
+        takes.append(replace(take, logs=rotations))
     acting = [take.logs[:, list(ARMS)].mean(axis=0) for take in takes if take.group in GROUPS]
     centre = np.mean(acting, axis=0) if acting else np.zeros((len(ARMS), 3))
     return Library(tuple(takes), rest, centre)
 
 
 def _read(take: RealTake, file: Path) -> tuple[RealTake, Array]:
-    """The take, and [T, 46, 4] of its file at 60 fps, without the slow part of the hips' yaw."""
     motion = kinematics.resample(skeletons.to_character(read_bvh(file, unit=1.0), skeleton=FINGERED), FPS)
     motion = with_relaxed_hands(motion)
     rotations = rotation.continuous(rotation.normalise(motion.rotations))
@@ -189,35 +185,32 @@ def _read(take: RealTake, file: Path) -> tuple[RealTake, Array]:
 
 
 def _mean_rotation(rotations: Array) -> Array:
-    """[J, 4] of [T, J, 4]: the eigenvector of the largest eigenvalue of the sum of outer products."""
+    """[J, 4] the mean of [T, J, 4]: the eigenvector of the largest eigenvalue of the sum of outer products."""
     outer = np.einsum("tji,tjk->jik", rotations, rotations)
     return np.linalg.eigh(outer)[1][..., -1]
 
 
 def split_of_takes(takes: Iterable[RealTake]) -> dict[str, Split]:
-    """Name -> "train", "val" or "test": of each group the takes with the smallest hashes are kept, the same every time.
-
-    Whatever is made of a take stays on its side, so that no motion of the test split was ever trained on.
-    """
+    """Name -> "train", "val" or "test": of each group the takes with the smallest hashes are held out, always the same.
+    Everything made from a take stays in its split, so that no test motion occurs in training."""
     groups: dict[str, list[str]] = defaultdict(list)
     for take in takes:
         groups[take.group].append(take.name)
     out: dict[str, Split] = {}
     for names in groups.values():
         order = sorted(names, key=lambda name: hashlib.sha256(name.encode()).hexdigest())
-        test, held = round(TEST_SHARE * len(order)), round(VALIDATION_SHARE * len(order))
+        test, val = round(TEST_SHARE * len(order)), round(VALIDATION_SHARE * len(order))
         for rank, name in enumerate(order):
-            out[name] = "test" if rank < test else "val" if rank < test + held else "train"
+            out[name] = "test" if rank < test else "val" if rank < test + val else "train"
     return out
 
 
 def mirrored(logs: Array) -> Array:
-    """Logs [T, J, 3] as seen in a mirror: left and right change places."""
-    return logs[:, list(_SWAPPED[:logs.shape[1]])] * _MIRROR
+    return logs[:, list(_SWAPPED[:logs.shape[1]])] * MIRROR
 
 
 def soft_limit(vectors: Array, limit: float) -> Array:
-    """Vectors [..., 3] shortened so that none is longer than `limit`: length l becomes limit tanh(l / limit)."""
+    """Shorten vectors [..., 3] below `limit`: length l becomes limit tanh(l / limit)."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors * limit * np.tanh(length / limit) / np.maximum(length, 1e-9)
 
@@ -225,8 +218,8 @@ def soft_limit(vectors: Array, limit: float) -> Array:
 def calmed(library: Library, take: RealTake, gain: float, trunk: float) -> Array:
     """Logs [T, 46, 3] of a take with the shoulders' excursion times `gain`, and the trunk's within its limits."""
     out = take.logs.copy()
-    for joints, degrees, own, axes in _LIMITS:
-        bend = take.logs[:, list(joints)].sum(axis=1) * own * trunk * np.array(axes)
+    for joints, degrees, part_gain, axes in _LIMITS:
+        bend = take.logs[:, list(joints)].sum(axis=1) * part_gain * trunk * np.array(axes)
         out[:, list(joints)] = (soft_limit(bend, np.radians(degrees)) / len(joints))[:, None]
     centre = _CENTRE_SHARE * library.centre
     shares = np.array([1.0 - _ELBOW_SHARE * (1.0 - gain) if CHARACTER.names[j].endswith(("ForeArm", "Hand")) else gain
@@ -236,7 +229,7 @@ def calmed(library: Library, take: RealTake, gain: float, trunk: float) -> Array
 
 
 def stretches(library: Library, take: RealTake, limits: MotionRange) -> list[Array]:
-    """The usable stretches [T, 46, 3] of a take: hands in range and outside the torso, no long idling in them."""
+    """The usable stretches [T, 46, 3] of a take: hands in range and outside the torso, without long idling."""
     for gain in _GAINS:
         logs = calmed(library, take, gain, limits.trunk)
         places = facing_positions(library.rotations(logs))
@@ -249,40 +242,43 @@ def stretches(library: Library, take: RealTake, limits: MotionRange) -> list[Arr
 
 
 def facing_positions(rotations: Array) -> Array:
-    """[T, 16, 3] metres from the hips, in the frame of their facing, of rotations [T, 16 or more, 4]."""
+    """Joint positions [T, 16, 3] in metres from the hips, in the facing frame, of rotations [T, 16 or more, 4]."""
     faced = rotations[:, :len(CHARACTER)].copy()
     faced[:, 0] = rotation.remove_yaw(faced[:, 0])
     return kinematics.joint_positions(CHARACTER, faced)
 
 
 def arms_speed(places: Array) -> Array:
-    """[T] m/s: the summed speed of wrists and elbows of positions [T, 16, 3], as motion beats are found in."""
     return acting_speed(places[:, list(_ACTING)], FPS)
 
 
 def idling(places: Array) -> NDArray[np.bool_]:
-    """[T] the inner part of stretches in which the arms hardly move for longer than they may."""
+    """[T] True in the inner part of stretches in which the arms idle for longer than they may."""
     quiet = gaussian_filter1d(arms_speed(places), 0.33 * FPS) < _IDLE_SPEED
     out = np.zeros(len(quiet), dtype=bool)
-    kept = round(_IDLE_KEPT * FPS)
+    margin = round(_IDLE_MARGIN * FPS)
     for first, last in runs(quiet):
         if last - first > _IDLE_SECONDS * FPS:
-            out[first + kept:last - kept] = True
+            out[first + margin:last - margin] = True
     return out
 
 
 def torso_depth(places: Array) -> Array:
-    """[T] metres that the deepest wrist or elbow lies within the torso (a capsule from hips to chest), 0 outside."""
-    chest, depth = places[:, CHARACTER.index("Spine3")], np.zeros(len(places))
-    for name, radius in (("Hand", TORSO_RADIUS), ("ForeArm", ELBOW_RADIUS)):
-        for side in ("Left", "Right"):
-            point = places[:, CHARACTER.index(side + name)]
-            share = np.clip(np.sum(point * chest, axis=-1) / np.sum(chest * chest, axis=-1), 0.0, 1.0)
-            depth = np.maximum(depth, radius - np.linalg.norm(point - share[:, None] * chest, axis=-1))
-    return depth
+    """[T] depth of the deepest wrist or elbow inside the torso (a capsule from hips to chest), metres, 0 outside."""
+    chest = places[:, CHARACTER.index("Spine3")]
+    hips = np.zeros_like(chest)
+    return np.maximum.reduce([
+        capsule_depth(places[:, CHARACTER.index(side + name)], hips, chest, radius)
+        for name, radius in (("Hand", TORSO_RADIUS), ("ForeArm", ELBOW_RADIUS)) for side in ("Left", "Right")])
+
+
+def capsule_depth(point: Array, low: Array, high: Array, radius: float) -> Array:
+    """[T] depth in metres of points [T, 3] inside a capsule between two points [T, 3], 0 outside."""
+    axis = high - low
+    share = np.clip(np.sum((point - low) * axis, axis=-1) / np.sum(axis * axis, axis=-1), 0.0, 1.0)
+    return np.maximum(0.0, radius - np.linalg.norm(point - low - share[:, None] * axis, axis=-1))
 
 
 def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """[(first, last + 1)] of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -1,4 +1,4 @@
-"""Text to perform: sentences of our own grammar, broken in phrases, with an effort and a pause for each."""
+"""Text to perform: sentences of the grammar in phrases, each with an effort and a pause."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from data_module.performer.other_grammars import PHRASEBOOKS, Phrasebook
 
 SPLITS = ("train", "test")
 CHARACTERS_PER_SECOND = {"cmn": 7.5}
-"""How fast our voices get through written text, where it is not the usual 17 letters and spaces a second."""
+"""Characters a second that the voices speak, for languages other than those with 17 letters and spaces a second."""
 _LETTERS_PER_SECOND = 17.0
-"""Letters and spaces a second that our voices get through."""
-# The longest pause, and what share of sentence ends gets one of a second or more.
+# The longest pause in seconds, and the share of sentence ends with a pause of a second or more.
 LONG_PAUSE, LONG_SHARE = 6.0, 0.21
 _VOWELS = "aeiou"
 _PARTICIPLES = {"threw": "thrown", "drew": "drawn", "stole": "stolen", "hid": "hidden"}
@@ -28,7 +27,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class Part:
-    """A phrase to speak: its text, the effort (-1 to 1) to speak it with, and the seconds of silence after it."""
+    """A phrase to speak: its text, its effort (-1 to 1), and the silence after it in seconds."""
 
     text: str
     effort: float
@@ -37,35 +36,34 @@ class Part:
 
 @dataclass(frozen=True)
 class Utterance:
-    """A sentence as its phrases, in order, and what kind of sentence it is (a key of the grammar)."""
+    """A sentence as its phrases, in order, and its kind (a key of the grammar)."""
 
     parts: tuple[Part, ...]
     kind: str
 
     @property
     def text(self) -> str:
-        """The sentence in one line."""
         return " ".join(part.text for part in self.parts)
 
 
 def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str] | None = None,
             language: str = "en") -> list[Utterance]:
-    """Write about `seconds` of speech, pauses included, without saying a sentence twice.
+    """Write about `seconds` of speech, pauses included, without repeating a sentence.
 
-    split: "train" or "test"; the two share neither topics nor templates. used: sentences not to be said again; the new
-    ones are added, so that one set kept over many calls makes hours without repetition. Effort wanders from sentence to
+    split: "train" or "test"; the two share neither topics nor templates. used: sentences not to be repeated; the new
+    ones are added, so that one set over many calls gives hours without repetition. Effort drifts from sentence to
     sentence (AR(1), 0.7) and varies from phrase to phrase. Same generator state, same text.
     """
     if split not in SPLITS:
         raise InputError(f"split {split!r}", "is not known", f"choose one of {', '.join(SPLITS)}")
-    said = set() if used is None else used
+    used = set() if used is None else used
     source = _English(split) if language == "en" else _phrasebook(split, language)
     pace = CHARACTERS_PER_SECOND.get(language, _LETTERS_PER_SECOND)
     utterances: list[Utterance] = []
     mood = float(rng.normal(0, 0.5))
     total = 0.0
     while total < seconds:
-        kind, lines = _new_sentence(rng, source, said)
+        kind, lines = _new_sentence(rng, source, used)
         mood = 0.7 * mood + float(rng.normal(0, 0.38))
         utterance = Utterance(_paced(rng, lines, mood), kind)
         utterances.append(utterance)
@@ -74,12 +72,12 @@ def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str]
 
 
 def sentence_key(utterance: Utterance) -> str:
-    """A sentence without its pauses, capitals and punctuation: two utterances that say the same share it."""
+    """A sentence without pauses, capitals and punctuation, for the comparison of utterances."""
     return " ".join(re.findall(r"[^\W\d_]+(?:'[^\W\d_]+)*", utterance.text.lower()))
 
 
 class _English:
-    """Draws English sentences; a topic stays for a few of them."""
+    """Draws English sentences; consecutive ones share a topic."""
 
     def __init__(self, split: str) -> None:
         train = split == "train"
@@ -89,7 +87,6 @@ class _English:
         self._topic, self._left = self.topics[0], 0
 
     def draw(self, rng: np.random.Generator) -> tuple[str, str]:
-        """(kind, sentence) at random."""
         if self._left == 0:
             self._topic, self._left = _one(rng, self.topics), int(rng.integers(3, 9))
         self._left -= 1
@@ -104,7 +101,6 @@ class _Phrases:
         self.book, self.openers = book, book.openers
 
     def draw(self, rng: np.random.Generator) -> tuple[str, str]:
-        """("phrase", sentence) at random; no entry of a list stands twice in it."""
         slots: dict[str, str] = {}
         for name, entries in self.book.slots.items():
             order = rng.permutation(len(entries))
@@ -123,15 +119,15 @@ def _phrasebook(split: str, language: str) -> _Phrases:
     return _Phrases(PHRASEBOOKS[language, split])
 
 
-def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, said: set[str]) -> tuple[str, list[str]]:
-    """(kind, phrases) of a sentence not in `said`; it is added there without its opener."""
+def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, used: set[str]) -> tuple[str, list[str]]:
+    """(kind, phrases) of a sentence not in `used`, to which it is added without its opener."""
     for _ in range(2000):
         kind, sentence = source.draw(rng)
-        if sentence not in said:
+        if sentence not in used:
             break
     else:
         raise InputError("text", "has no new sentence left", "ask for fewer seconds, or for another split or language")
-    said.add(sentence)
+    used.add(sentence)
     if rng.random() < 0.22:
         opener = _one(rng, source.openers).strip()
         sentence = f"{opener} | {sentence}" if opener[-1] in ",.，" else f"{opener} {sentence}"
@@ -139,7 +135,7 @@ def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, said: s
 
 
 def _fill(rng: np.random.Generator, topic: Topic, template: str) -> str:
-    """The template with words of the topic in its slots; no word stands twice."""
+    """The template with words of the topic in its slots; no word occurs twice."""
     things = [topic.things[i] for i in rng.permutation(len(topic.things))[:4]]
     people = [topic.people[i] for i in rng.permutation(len(topic.people))[:2]]
     places = [topic.places[i] for i in rng.permutation(len(topic.places))[:2]]
@@ -153,7 +149,6 @@ def _fill(rng: np.random.Generator, topic: Topic, template: str) -> str:
 
 
 def plural(noun: str) -> str:
-    """The regular English plural."""
     irregular = {"wolf": "wolves", "shelf": "shelves", "goose": "geese"}
     if noun in irregular:
         return irregular[noun]
@@ -163,12 +158,10 @@ def plural(noun: str) -> str:
 
 
 def with_article(noun: str) -> str:
-    """The noun after a or an."""
     return f"{'an' if noun[0] in _VOWELS and not noun.startswith('uni') else 'a'} {noun}"
 
 
 def _paced(rng: np.random.Generator, phrases: Sequence[str], mood: float) -> tuple[Part, ...]:
-    """Phrases with an effort around the mood of the sentence and a pause after each."""
     parts = []
     for position, phrase in enumerate(phrases):
         effort = float(np.tanh(1.1 * (mood + rng.normal(0, 0.33))))
@@ -183,7 +176,6 @@ def _paced(rng: np.random.Generator, phrases: Sequence[str], mood: float) -> tup
 
 
 def _pause_between(rng: np.random.Generator) -> float:
-    """Seconds between two sentences: mostly short, sometimes 1 to 6 s."""
     if rng.random() < LONG_SHARE:
         return float(1 + (LONG_PAUSE - 1) * rng.beta(1.0, 2.0))
     return float(rng.uniform(0.3, 1.0) if rng.random() < 0.75 else rng.uniform(0.12, 0.3))

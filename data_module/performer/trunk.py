@@ -1,8 +1,8 @@
-"""A trunk and a head that live: real people's leaning, turning and nodding, laid under a talk phrase by phrase.
+"""Lifelike motion of trunk and head: real people's leaning, turning and nodding, selected phrase by phrase.
 
 Bends are log rotations [T, 3 parts, 3] of the hips, of the whole spine and of neck and head together, so that they fit
-every skeleton. Segments of real takes are chosen where the head moves on the stresses of the speech, joined by
-quintics, calmed in pauses, and postures that change every ten seconds or so are added.
+every skeleton. Segments of real takes in which the head moves on the stresses of the speech are joined by quintics and
+calmed in pauses; postures that change about every ten seconds are added.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.performer.inertialisation import quintic_offset
-from data_module.performer.takes import ARM_SIDES, FPS, GROUPS, HIPS, SKULL, SPINE, Library, soft_limit
+from data_module.performer.takes import ARM_SIDES, FPS, GROUPS, HIPS, MIRROR, SKULL, SPINE, Library, soft_limit
 from data_module.performer.types import Spoken
 from data_module.types import Array
 
@@ -24,36 +24,32 @@ _LIMITS = np.radians([8.0, 16.0, 38.0])
 _AXES = np.array([[1.0, 0.75, 0.75], [1.0, 0.75, 0.75], [1.0, 1.0, 0.8]])
 """Gains of lean, yaw and roll of each part."""
 _GAINS = np.array([0.5, 0.8, 0.72])
-"""Of the three parts, on somebody else's body and speech."""
+"""Gains of the three parts, on another person's body and speech."""
 _HEAD_YAW, _EYES = 0.65, 0.35
-"""The head's own yaw, and the share of the spine's yaw that it takes back to keep the eyes on the listener."""
+"""Gain of the head's yaw, and the share of the spine's yaw that it undoes to keep the eyes on the listener."""
 _LEAST_WINDOW = 0.85
 _TRIES = 24
 _RECENT = 8
 _STRESSED = 0.4
-"""Prominence from which a syllable is one for the head to move on."""
+"""Least prominence of a stressed syllable, on which the head should move."""
 _FADE = 0.7
 _CALM, _CALMER_SPAN = 0.7, 1.5
-"""Share of the trunk's fast motion (against its mean over so many seconds) that is left in a pause."""
+"""Share of the trunk's fast motion that remains in a pause, and the low pass that separates it, seconds."""
 _POSTURE = (9.0, 16.0)
 _SHIFT = 1.6
-"""Seconds that a posture lasts, and that the way to the next one takes."""
+"""Seconds that a posture lasts, and seconds of the transition to the next one."""
 _FIDGET, _IDLE_FADE = np.radians(12.0), 1.0
-"""What the fidgets of a hanging arm's joints tend to, and the seconds in which one take passes into another."""
+"""Soft limit of the fidgets of a hanging arm's joints, radians, and seconds of the transition between takes."""
 _SWAY, _SWAY_SECONDS = np.radians(1.3), 3.2
-"""How far a standing body leans as its weight goes round, and how long a round takes."""
+"""Lean of a standing body as its weight circles, radians, and the period of the circle, seconds."""
 _MOST_YAW = np.radians(20.0)
-"""The yaw of the head in the room that 95 % of the frames stay within, its joints' yaws added up."""
-_MIRROR = np.array([1.0, -1.0, -1.0])
+"""Yaw of the head in the room (the sum of its joints' yaws), radians, that 95 % of the frames stay within."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A take's trunk, and what its arms do about their mean.
-
-    bends: [T, 3, 3]; arms: [2, T, 12] log rotations of shoulder, upper arm, forearm and hand, left and right; quiet:
-    from somebody who listens or waits.
-    """
+    """The trunk of a take, and its arms relative to their mean. bends: [T, 3, 3]; arms: [2, T, 12] log rotations of
+    shoulder, upper arm, forearm and hand, left and right; quiet: the person listens or waits."""
 
     name: str
     bends: Array
@@ -62,7 +58,7 @@ class Segment:
 
 
 def trunk_segments(library: Library, splits: Mapping[str, str], split: str) -> tuple[Segment, ...]:
-    """The trunks of the takes of a split, each with its mirror image. Story tellers act too much and are left out."""
+    """The trunks of the takes of a split, each with its mirror image; story tellers act too much and are left out."""
     out = []
     for take in library.takes:
         if splits[take.name] != split or take.group == "story" or len(take) < _LEAST_WINDOW * FPS:
@@ -74,13 +70,14 @@ def trunk_segments(library: Library, splits: Mapping[str, str], split: str) -> t
         arms = np.stack([take.logs[:, list(side)] - take.logs[:, list(side)].mean(axis=0) for side in ARM_SIDES])
         arms = soft_limit(arms, _FIDGET)
         out += [Segment(take.name, bends, arms.reshape(2, len(take), -1), quiet),
-                Segment(take.name, bends * _MIRROR, (arms[::-1] * _MIRROR).reshape(2, len(take), -1), quiet)]
+                Segment(take.name, bends * MIRROR, (arms[::-1] * MIRROR).reshape(2, len(take), -1), quiet)]
     return tuple(out)
 
 
 def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array, gain: float,
                 rng: np.random.Generator) -> Array:
-    """Bends [T, 3, 3] for a talk. speaking: [T] 0 in pauses, 1 in speech, with soft edges; gain: times the motion."""
+    """Bends [T, 3, 3] for a talk. speaking: [T] 0 in pauses, 1 in speech, with soft edges; gain: factor on the motion.
+    """
     frames = len(speaking)
     stressed = np.array([s.vowel * FPS for s in spoken.syllables if s.prominence > _STRESSED])
     out = np.zeros((frames, 3, 3))
@@ -99,7 +96,7 @@ def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array, 
 
 
 def idle_arms(segments: tuple[Segment, ...], frames: int, rng: np.random.Generator) -> Array:
-    """[2, T, 12] log rotations about the mean of arms that hang: the fidgets of people who listen or wait, joined."""
+    """[2, T, 12] log rotations of hanging arms about their mean: joined fidgets of people who listen or wait."""
     quiet = [s for s in segments if s.quiet and s.arms.shape[1] > 3 * FPS]
     out = np.zeros((0, 24))
     while quiet and len(out) < frames:
@@ -113,23 +110,20 @@ def idle_arms(segments: tuple[Segment, ...], frames: int, rng: np.random.Generat
 
 
 def sway(frames: int, rng: np.random.Generator) -> Array:
-    """[T, 3] log rotations of the spine of somebody whose weight goes round: lean and roll a quarter turn apart.
-
-    The speed of a circle is never zero, so a body in it never freezes; its pace wanders.
-    """
+    """[T, 3] log rotations of the spine of a swaying body: lean and roll, a quarter period apart. The speed on a circle
+    is never zero, so the body never freezes; the pace drifts."""
     pace = 2.0 * np.pi / _SWAY_SECONDS * np.exp(rng.normal(0.0, 0.2, frames // round(2 * FPS) + 2))
     turned = np.interp(np.arange(frames) / (2 * FPS), np.arange(len(pace)), pace)
     angle = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(turned) / FPS * (1.0 if rng.random() < 0.5 else -1.0)
     return _SWAY * np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=-1)
 
 
-def kept_ahead(yaws: Array) -> float:
-    """What to multiply the yaws [T] (radians, of the head in the room) by, so that 95 % stay within 20 degrees."""
+def yaw_scale(yaws: Array) -> float:
+    """Factor on the yaws [T] (radians, of the head in the room) that keeps 95 % of them within 20 degrees."""
     return min(1.0, _MOST_YAW / max(float(np.percentile(np.abs(yaws), 95)), 1e-9))
 
 
 def _windows(spoken: Spoken, frames: int) -> list[int]:
-    """Frames at which another segment begins: where phrases begin and where pauses do."""
     least = round(_LEAST_WINDOW * FPS)
     cuts = [0]
     for phrase in sorted(spoken.phrases, key=lambda p: p.start):
@@ -141,7 +135,8 @@ def _windows(spoken: Spoken, frames: int) -> list[int]:
 
 def _fitting(segments: tuple[Segment, ...], before: Array, count: int, quiet: bool, stressed: Array,
              recent: list[str], rng: np.random.Generator) -> tuple[str, Array]:
-    """The best of some pieces of `count` frames: it goes on where the last ended, and the head moves on stresses."""
+    """The best of `_TRIES` random pieces of `count` frames: it continues the last one and its head moves on stresses.
+    """
     long = [s for s in segments if len(s.bends) > count + 8]
     able = [s for s in long if s.quiet == quiet and s.name not in recent] or long
     if not able:
@@ -168,13 +163,13 @@ def _fitting(segments: tuple[Segment, ...], before: Array, count: int, quiet: bo
 
 
 def _piece(bends: Array, at: int, count: int) -> Array:
-    """[3 + count, 3, 3] from three frames before `at`; held at the end of a segment that is too short."""
+    """[3 + count, 3, 3] from three frames before `at`; the last frame is repeated if the segment is too short."""
     rows = np.minimum(np.arange(at - 3, at + count), len(bends) - 1)
     return bends[rows]
 
 
 def _accent_cost(head: Array, stressed: Array) -> float:
-    """Less where the head moves fast at the stresses, and dips towards them. head: [T, 3]."""
+    """A cost that is lower if the head [T, 3] moves fast at the stresses and dips towards them."""
     if not len(stressed) or len(head) < 20:
         return 0.0
     speed = gaussian_filter1d(np.linalg.norm(np.gradient(head, axis=0), axis=-1), 3)
@@ -183,31 +178,31 @@ def _accent_cost(head: Array, stressed: Array) -> float:
 
 
 def calm(bends: Array, speaking: Array, vigour: Array | float = 1.0) -> Array:
-    """Bends [T, ...] whose fast part is smaller in pauses and larger in vigorous phrases."""
+    """Scale the fast part of bends [T, ...]: smaller in pauses, larger in vigorous phrases."""
     slow = gaussian_filter1d(bends, _CALMER_SPAN * FPS, axis=0, mode="nearest")
     share = (_CALM + (1.0 - _CALM) * gaussian_filter1d(speaking, 0.35 * FPS, mode="nearest")) * vigour
     return slow + (bends - slow) * share.reshape(-1, *[1] * (bends.ndim - 1))
 
 
 def postures(frames: int, rng: np.random.Generator) -> Array:
-    """[T, 2, 3] bends of spine and head that stay for 9 to 16 s: a lean of one's own, and changes of a few degrees."""
+    """[T, 2, 3] bends of spine and head that last 9 to 16 s: a constant lean, and changes of a few degrees."""
     seconds = frames / FPS
     times = np.arange(0.0, seconds + 40.0, rng.uniform(*_POSTURE))
     lean = np.radians([rng.normal(5.0, 5.0), rng.normal(0.0, 2.5), rng.normal(0.0, 1.5)])
     spine = lean + np.radians(rng.normal(size=(len(times), 3)) * [3.5, 3.0, 1.8])
-    own = np.radians([rng.normal(0.0, 5.0), 0.0, 0.0])
-    head = own + np.radians(rng.normal(size=(len(times), 3)) * [4.0, 4.0, 3.0]) - 0.5 * spine
+    tilt = np.radians([rng.normal(0.0, 5.0), 0.0, 0.0])
+    head = tilt + np.radians(rng.normal(size=(len(times), 3)) * [4.0, 4.0, 3.0]) - 0.5 * spine
     return np.stack([_held(times, spine, frames), _held(times, head, frames)], axis=1)
 
 
 def _held(times: Array, values: Array, frames: int) -> Array:
-    """[T, 3] values [K, 3] held from time to time, the way to the next one taken in the last `_SHIFT` seconds."""
+    """[T, 3] piecewise constant values [K, 3], with a smooth transition in the last `_SHIFT` seconds of each."""
     ends = np.append(times[1:] - _SHIFT, times[-1] + 5.0)
     knots = np.stack([times, ends], axis=1).ravel()
     return PchipInterpolator(knots, np.repeat(values, 2, axis=0))(np.arange(frames) / FPS)
 
 
 def spread(bends: Array, counts: tuple[int, int, int]) -> tuple[Array, Array, Array]:
-    """Log rotations [T, 3] of one joint of each part, when it has so many joints; the eyes stay on the listener."""
+    """Log rotations [T, 3] for one joint of each part, given the joints per part; the eyes stay on the listener."""
     head = bends[:, 2] * [1.0, _HEAD_YAW, 1.0] - bends[:, 1] * [0.0, _EYES, 0.0]
     return bends[:, 0] / counts[0], bends[:, 1] / counts[1], head / counts[2]

@@ -1,4 +1,4 @@
-"""The nouns of the scripted performer; what it meant to do is in `data_module.truth`."""
+"""The data types of the scripted performer; the records of its intentions are in `data_module.truth`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from data_module.types import Motion, Speech
 
 @dataclass(frozen=True)
 class Spoken:
-    """Speech with everything that the performer uses of it.
-
-    `speech.words` holds the words; `language` is ISO 639-1.
-    """
+    """Speech with everything that the performer uses; `speech.words` holds the words, `language` is ISO 639-1."""
 
     name: str
     speech: Speech

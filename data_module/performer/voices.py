@@ -1,4 +1,4 @@
-"""Voices that speak our text: who they are, how effort changes them, and the recording they are heard on."""
+"""The voices: their table, the effect of effort, and the simulated recording of their speech."""
 
 from __future__ import annotations
 
@@ -11,25 +11,22 @@ from data_module.errors import InputError
 from data_module.performer import espeak, flite, source_filter
 from data_module.performer.sound import RATE, Phone, Sounded, decibels, read_at, recorded, with_tilt, word_spans
 from data_module.performer.syllables import Nucleus, listen, pitch_track
-from data_module.performer.text import Part, Utterance, compose
+from data_module.performer.text import Part, Utterance
 from data_module.performer.types import Spoken
 from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Samples, Speech, Word
 
-# At effort 1: decibels louder, times faster, times the pitch range (log), semitones higher. At -1 the reverse.
+# At effort 1: decibels louder, log factors on rate and pitch range, semitones higher. At -1 the reverse.
 LOUDER, FASTER, WIDER, HIGHER = 9.0, 0.10, 0.55, 1.5
 LEAD = 0.4
-"""Seconds of silence before the first word."""
+"""Silence before the first word, seconds."""
 
 
 @dataclass(frozen=True)
 class Voice:
-    """A voice. engine: "flite", "espeak" or "numpy"; base: the engine's own name of it.
-
-    pitch: Hz; spread: the engine's measure of pitch range (flite: Hz; espeak: 0 to 99; numpy: semitones);
-    tract: formants times this (flite, numpy); rate: times the engine's normal speed; language: ISO 639-1, or 639-3
-    where that has none (cmn).
-    """
+    """A voice. engine: "flite", "espeak" or "numpy"; base: the engine's name for it. pitch: Hz; spread: the engine's
+    measure of pitch range (flite: Hz; espeak: 0 to 99; numpy: semitones); tract: factor on the formants (flite, numpy);
+    rate: factor on the engine's normal speed; language: ISO 639-1, or 639-3 if there is none (cmn)."""
 
     name: str
     engine: str
@@ -89,14 +86,14 @@ VOICES_OF: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "en": (TRAIN_VOICES, TEST_VOICES),
     "es": (("es_m3", "es_f2", "es_m1", "es_f4"), ("es_m5", "es_f1")),
 }
-"""Language -> voices that speak for training and validation, voices that speak for test."""
+"""Language -> voices for training and validation, voices for test."""
 TONAL = frozenset({"cmn"})
-"""Languages in which pitch tells words apart, so that a high syllable need not be a stressed one."""
+"""Languages in which pitch distinguishes words, so that a high syllable need not be stressed."""
 
 
 @dataclass(frozen=True)
 class Synthesis:
-    """Speech with what the voice knows of it: words in `speech`, phones and phrases in seconds."""
+    """Synthesised speech: words in `speech`, phones and phrases in seconds."""
 
     speech: Speech
     phones: tuple[Phone, ...]
@@ -107,60 +104,49 @@ def synthesise(utterances: Sequence[Utterance], voice: Voice, rng: np.random.Gen
     """Speak the utterances and record them: 16 kHz, word times, phone times, phrases with their effort.
 
     Effort drives loudness (9 dB either way), brightness, pitch, pitch range and rate together. Phrases are spoken one
-    by one and placed by counting samples. The generator decides the room, the noise and the level.
-    InputError names the Debian package of a program that is missing.
+    by one and placed by counting samples. The generator determines the room, the noise and the level.
+    InputError names the Debian package of a missing program.
     """
     parts = [part for utterance in utterances for part in utterance.parts]
     if not parts:
         raise InputError("text", "is empty", "give a sentence to speak")
-    sounded = sound_all(parts, voice, rng)
-    return on_the_clock(parts, sounded, voice, rng)
+    return on_the_clock(parts, sound_all(parts, voice, rng), voice, rng)
 
 
 def speak(name: str, utterances: Sequence[Utterance], voice: str, rng: np.random.Generator) -> Spoken:
-    """Speak with a voice of `VOICES`, and listen to it: what the performer performs to. Same generator, same bytes."""
     if voice not in VOICES:
         raise InputError(f"voice {voice!r}", "is not known", f"choose one of {', '.join(VOICES)}")
-    return heard(name, synthesise(utterances, VOICES[voice], rng), voice)
+    return with_syllables(name, synthesise(utterances, VOICES[voice], rng), voice)
 
 
-def heard(name: str, made: Synthesis, voice: str) -> Spoken:
-    """What a listener hears in the speech of a voice of `VOICES`."""
+def with_syllables(name: str, synthesis: Synthesis, voice: str) -> Spoken:
+    """Synthesised speech of a voice of `VOICES` with its measured syllables."""
     language = VOICES[voice].language
-    syllables = listen(made.speech, made.phrases, nuclei_of(made.phones), language)
+    syllables = listen(synthesis.speech, synthesis.phrases, nuclei_of(synthesis.phones), language)
     if language in TONAL:
         syllables = without_tone(syllables)
-    return Spoken(name, made.speech, syllables, made.phrases, voice, language)
+    return Spoken(name, synthesis.speech, syllables, synthesis.phrases, voice, language)
 
 
 def without_tone(syllables: Sequence[Syllable]) -> tuple[Syllable, ...]:
-    """The same syllables, prominent by loudness and duration alone: in a tonal language pitch belongs to the word."""
+    """The same syllables with prominence from loudness and duration alone, for tonal languages."""
     if not syllables:
         return ()
     pitch = np.array([syllable.pitch for syllable in syllables])
-    # What `listen` has added for pitch: .5 of its z-score over the recording.
+    # The contribution of pitch in `listen`: .5 of its z-score over the recording.
     share = 0.5 * np.clip((pitch - pitch.mean()) / (pitch.std() + 1e-6), -3, 3)
     return tuple(replace(one, prominence=one.prominence - high)
                  for one, high in zip(syllables, share.tolist(), strict=True))
 
 
-def numpy_speech(seconds: float, seed: int, split: str = "train") -> Spoken:
-    """A made-up speech of about `seconds` by our own numpy speaker: no program, no data."""
-    rng = np.random.default_rng(seed)
-    voice = "numpy_low" if rng.random() < 0.5 else "numpy_high"
-    return speak(f"numpy_{seed}", compose(rng, seconds, split), voice, rng)
-
-
 def nuclei_of(phones: Sequence[Phone]) -> list[Nucleus]:
-    """The syllables of phones: each vowel with the consonant before it; the rest closes the syllable before.
-
-    A word without a vowel ("hm") is one syllable, whose "vowel" is its first phone.
-    """
+    """The syllables of phones: each vowel with the consonant before it; other consonants close the syllable before. A
+    word without a vowel ("hm") is one syllable; its first phone counts as the vowel."""
     nuclei: list[Nucleus] = []
     for word in sorted({phone.word for phone in phones}):
         inside = [phone for phone in phones if phone.word == word]
         vowels = [i for i, phone in enumerate(inside) if phone.vowel] or [0]
-        # Between two vowels one consonant goes with the second; none when they touch.
+        # The last consonant between two vowels belongs to the second; none if they touch.
         cuts = [max(vowel - 1, before + 1) for before, vowel in zip(vowels, vowels[1:], strict=False)]
         bounds = [inside[0].start, *(inside[cut].start for cut in cuts), inside[-1].end]
         nuclei += [Nucleus(left, inside[vowel].start, right, word)
@@ -169,7 +155,7 @@ def nuclei_of(phones: Sequence[Phone]) -> list[Nucleus]:
 
 
 def sound_all(parts: Sequence[Part], voice: Voice, rng: np.random.Generator) -> list[Sounded]:
-    """Each part as the voice speaks it at its effort, dry; only the numpy speaker takes from the generator."""
+    """Speak each part at its effort, dry; only the numpy voice draws from the generator."""
     if voice.engine == "numpy":
         return [source_filter.sound_phrase(p.text, p.effort, voice.pitch * 2 ** (HIGHER * p.effort / 12), voice.tract,
                                            voice.rate * _faster(p.effort), voice.spread * _wider(p.effort), rng)
@@ -184,29 +170,27 @@ def sound_all(parts: Sequence[Part], voice: Voice, rng: np.random.Generator) -> 
 
 def _flite_phrase(part: Part, voice: Voice) -> Sounded:
     pitch = voice.pitch * 2 ** (HIGHER * part.effort / 12)
-    # The tract is changed by playing faster or slower, so flite speaks slower or faster, lower or higher, for it.
+    # The tract is changed by the playing speed; flite's rate and pitch are changed the other way to compensate.
     stretch = voice.tract / (voice.rate * _faster(part.effort))
     deviation = voice.spread * _wider(part.effort)
-    said = flite.sound_phrase(voice.base, part.text, pitch / voice.tract, deviation / voice.tract, stretch)
-    speed = np.full(len(said.samples), voice.tract)
+    sounded = flite.sound_phrase(voice.base, part.text, pitch / voice.tract, deviation / voice.tract, stretch)
+    speed = np.full(len(sounded.samples), voice.tract)
     if voice.base == "rms":
-        # This voice takes no pitch from outside; its own contour is widened, and raised, by playing at a varying speed.
-        speed = speed * _widened(said.samples, _wider(part.effort)) * 2 ** (HIGHER * part.effort / 24)
+        # This voice ignores the pitch settings; its contour is widened and raised by a varying playing speed.
+        speed = speed * _widened(sounded.samples, _wider(part.effort)) * 2 ** (HIGHER * part.effort / 24)
     if np.ptp(speed) == 0 and speed[0] == 1:
-        return said
-    samples, phones = read_at(said.samples, speed, said.phones)
-    spans = word_spans([word.text for word in said.words], phones)
-    return Sounded(samples, spans, phones)
+        return sounded
+    samples, phones = read_at(sounded.samples, speed, sounded.phones)
+    return Sounded(samples, word_spans([word.text for word in sounded.words], phones), phones)
 
 
 def _widened(samples: Samples, times: float) -> Array:
-    """[N] the playing speed that makes a pitch contour `times` as wide around its median; 1 where it is unknown."""
+    """[N] the playing speed that widens a pitch contour around its median by the factor `times`; 1 if it is unknown."""
     track = pitch_track(samples, RATE)
     voiced = np.flatnonzero(track > 0)
     if len(voiced) < 5:
         return np.ones(len(samples))
-    height = np.log(track[voiced] / np.median(track[voiced]))
-    height = np.clip(height, -0.35, 0.35)
+    height = np.clip(np.log(track[voiced] / np.median(track[voiced])), -0.35, 0.35)
     frames = np.interp(np.arange(len(track)), voiced, height)
     smooth = np.convolve(np.pad(frames, 4, mode="edge"), np.hanning(11)[1:-1] / np.hanning(11).sum(), "valid")
     return np.exp((times - 1) * np.interp(np.arange(len(samples)) / 160, np.arange(len(smooth)), smooth))
@@ -220,25 +204,25 @@ def _wider(effort: float) -> float:
     return float(np.exp(WIDER * effort))
 
 
-def on_the_clock(parts: Sequence[Part], sounded: Sequence[Sounded], voice: Voice,
-                  rng: np.random.Generator) -> Synthesis:
-    """Phrases and pauses laid one after the other, at the loudness of their effort, and recorded."""
-    lengths = [len(s.samples) + round(p.pause * RATE) for s, p in zip(sounded, parts, strict=True)]
+def on_the_clock(parts: Sequence[Part], spoken: Sequence[Sounded], voice: Voice,
+                 rng: np.random.Generator) -> Synthesis:
+    """Concatenate phrases and pauses at the loudness of their effort, and record them."""
+    lengths = [len(s.samples) + round(p.pause * RATE) for s, p in zip(spoken, parts, strict=True)]
     starts = np.cumsum([round(LEAD * RATE), *lengths])
     dry = np.zeros(int(starts[-1]), dtype=np.float32)
     active = np.zeros(len(dry), dtype=bool)
     words: list[Word] = []
     phones: list[Phone] = []
     phrases: list[Phrase] = []
-    # One gain for the whole recording brings the voice to -20 dBFS, so that effort alone decides between phrases.
-    level = float(np.sqrt(np.mean(np.concatenate([s.samples for s in sounded]) ** 2))) + 1e-9
-    for part, said, start in zip(parts, sounded, starts.tolist(), strict=False):
-        offset, stop = start / RATE, start + len(said.samples)
-        tilted = with_tilt(said.samples, part.effort)
+    # One gain for the whole recording brings the voice to -20 dBFS, so that only effort differs between phrases.
+    level = float(np.sqrt(np.mean(np.concatenate([s.samples for s in spoken]) ** 2))) + 1e-9
+    for part, sounded, start in zip(parts, spoken, starts.tolist(), strict=False):
+        offset, stop = start / RATE, start + len(sounded.samples)
+        tilted = with_tilt(sounded.samples, part.effort)
         dry[start:stop] = tilted * np.float32(0.1 / level * decibels(LOUDER * part.effort))
         active[start:stop] = True
-        phones += [phone.moved(offset, len(words)) for phone in said.phones]
-        words += [replace(word, start=word.start + offset, end=word.end + offset) for word in said.words]
+        phones += [phone.moved(offset, len(words)) for phone in sounded.phones]
+        words += [replace(word, start=word.start + offset, end=word.end + offset) for word in sounded.words]
         phrases.append(Phrase(offset, stop / RATE, part.effort))
     samples = recorded(dry, active, rng)
     return Synthesis(Speech(samples, RATE, tuple(words), voice.name), tuple(phones), tuple(phrases))

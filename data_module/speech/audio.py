@@ -1,6 +1,6 @@
-"""Speech from a sound file or from samples, and back: any common format in, mono 16 kHz inside.
+"""Speech from a sound file or from samples in any common format, converted to mono 16 kHz.
 
-A recording is read piece by piece, so an hour of 48 kHz stereo never lies in memory at its own rate.
+A recording is read piece by piece, so an hour of 48 kHz stereo is never in memory at its original rate.
 """
 
 from __future__ import annotations
@@ -48,28 +48,29 @@ from data_module.types import Samples, Speech
 __all__ = ["AudioWarning", "as_speech", "load_speech", "speech_pieces"]
 
 SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any] | Mapping[str, Any]"
-"""A recording: a `Speech`, a sound file by its path or as a binary stream, samples [n] or [n, channels], or what data
-sets of Hugging Face give: {"array": samples, "sampling_rate": hertz}."""
+"""A recording: a `Speech`, a sound file by its path or as a binary stream, samples [n] or [n, channels], or an item of
+a Hugging Face data set: {"array": samples, "sampling_rate": hertz}."""
 
 SAMPLE_RATE = 16000
-"""Hertz of every `Speech` that this module returns."""
+"""Sample rate of every `Speech` that this module returns, hertz."""
 SHORTEST = 0.3
-"""Seconds: anything shorter holds no block."""
+"""Shortest recording, seconds; anything shorter has no block."""
 LONGEST = 3600.0
-"""Seconds: an hour takes 0.7 GB and some minutes to make gestures for; more is asked for by name (`any_length`)."""
+"""Longest recording without `any_length`, seconds: an hour takes 0.7 GB and some minutes."""
 SOUNDS = (".flac", ".wav", ".mp3", ".ogg", ".opus", ".m4a", ".aac", ".webm", ".mp4", ".mkv", ".mov")
-"""Endings of sound files, and of videos with sound; where a name has several, the first of these is read."""
+"""Suffixes of sound files, and of videos with sound, in order of preference."""
 LOW_LEVEL = -45.0
-"""dBFS: speech below it was recorded too low by some 20 dB, and its quiet syllables begin to drown."""
+"""Level of speech, dBFS, below which a recording is about 20 dB too low and quiet syllables get lost."""
 
 _LOWEST_RATE, _HIGHEST_RATE = 1000, 768_000
-"""Hertz: below the first no syllable can be told, and no sound card goes beyond the second."""
+"""Range of sample rates, hertz: below the first there is no intelligible speech, and no sound card exceeds the second.
+"""
 _FULL_SCALE = 16.0
-"""Times full scale (24 dB) that a sample in floating point may be above it, to be clipped; more is another unit."""
+"""Largest sample in floating point, times full scale (24 dB), that is clipped; more indicates another unit."""
 _MOST_CHANNELS = 1024
-"""More are samples and channels taken for each other."""
+"""Most channels; more indicate that samples and channels are swapped."""
 _OPEN_END = 1 << 40
-"""Samples: decoders give more than these two years for a file that does not tell its length."""
+"""Samples (two years) above which a decoder's length means that it is unknown."""
 _STREAM_PIECE = 1 << 20
 """Bytes that are read from a pipe at a time."""
 
@@ -81,12 +82,12 @@ class AudioWarning(UserWarning):
 def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = False) -> Speech:
     """Read a recording (any rate, any number of channels) as mono speech at `SAMPLE_RATE`.
 
-    source: a path, or a binary stream such as `sys.stdin.buffer` that holds a sound file: WAV, FLAC, OGG, MP3 and what
-    else libsndfile reads, and with PyAV installed M4A, MP4, WebM and other containers. any_length: take more than
+    source: a path, or a binary stream such as `sys.stdin.buffer` with a sound file: WAV, FLAC, OGG, MP3 and other
+    formats of libsndfile, and with PyAV installed M4A, MP4, WebM and other containers. any_length: accept more than
     `LONGEST` seconds. Channels are averaged.
 
-    Raises `InputError` with one line for anything that is not a whole recording of `SHORTEST` seconds or more; warns
-    with `AudioWarning` where the file does not tell how long it should be.
+    Raises `InputError` for anything that is not a complete recording of at least `SHORTEST` seconds; warns with
+    `AudioWarning` if the file does not contain its length.
     """
     with speech_pieces(source, any_length) as sound:
         return sound.whole()
@@ -94,14 +95,13 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = Fa
 
 @dataclass(frozen=True)
 class SpeechPieces:
-    """A recording that is being read. seconds: by its header, 0 where that does not say. pieces: mono samples [n] at
-    `SAMPLE_RATE`, to be gone through once; together they are those of `load_speech`, whose errors they raise."""
+    """A recording that is being read. seconds: from its header, 0 if unknown. pieces: mono samples [n] at
+    `SAMPLE_RATE`, to be iterated once; together they are those of `load_speech`, whose errors they raise."""
 
     seconds: float
     pieces: Iterator[Samples]
 
     def whole(self) -> Speech:
-        """All of it."""
         buffer = bytearray()
         for piece in self.pieces:
             buffer += piece.tobytes()
@@ -110,7 +110,7 @@ class SpeechPieces:
 
 @contextlib.contextmanager
 def speech_pieces(source: str | os.PathLike[str] | BinaryIO, any_length: bool = False) -> Iterator[SpeechPieces]:
-    """A recording as `load_speech` reads it, some seconds at a time: memory does not grow with its length."""
+    """A recording as by `load_speech`, some seconds at a time: memory does not grow with its length."""
     name = _name_of(source)
     with contextlib.ExitStack() as opened:
         try:
@@ -125,24 +125,22 @@ def speech_pieces(source: str | os.PathLike[str] | BinaryIO, any_length: bool = 
 
 
 def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
-    """A `Speech` of what was given. sample_rate: hertz, for samples alone.
-
-    Samples are [n] or [n, channels], which are averaged; floating-point ones lie in [-1, 1], whole numbers are divided
-    by their type's full scale. `InputError` for anything else, and for less than `SHORTEST` seconds of samples.
-    """
+    """Convert any `SpeechInput` to `Speech`. sample_rate: hertz, for samples only. Samples are [n] or [n, channels],
+    which are averaged; floating-point ones lie in [-1, 1], integers are divided by the full scale of their type.
+    `InputError` for anything else, and for less than `SHORTEST` seconds of samples."""
     if isinstance(given, Speech | str | os.PathLike) or hasattr(given, "read"):
         if sample_rate is not None:
-            raise InputError("sample_rate", "is given beside a recording that knows its own", "leave it out")
+            raise InputError("sample_rate", "is given with a recording that has a rate", "leave it out")
         return given if isinstance(given, Speech) else load_speech(cast("str | BinaryIO", given))
     if isinstance(given, Mapping):
         if not {"array", "sampling_rate"} <= set(given):
             raise InputError("speech", "is a mapping without array and sampling_rate",
                              'give {"array": samples, "sampling_rate": hertz}')
         if sample_rate is not None:
-            raise InputError("sample_rate", "is given beside a recording that knows its own", "leave it out")
+            raise InputError("sample_rate", "is given with a recording that has a rate", "leave it out")
         return as_speech(given["array"], given["sampling_rate"])
     if sample_rate is None:
-        raise InputError("sample_rate", "is lacking", "give it with the samples: g(samples, 16000)")
+        raise InputError("sample_rate", "is missing", "give it with the samples: g(samples, 16000)")
     _check_rate(sample_rate)
     samples = _as_mono(np.asarray(given))
     if len(samples) < SHORTEST * sample_rate:
@@ -158,11 +156,10 @@ def _check_rate(rate: float) -> None:
 
 
 class SampleFeed:
-    """Samples as they arrive, to mono at `SAMPLE_RATE`: the same as `as_speech`, `amplified` and `resample` make of all
+    """Streamed samples to mono at `SAMPLE_RATE`: the same result as of `as_speech`, `amplified` and `resample` for all
     of them, whatever the pieces."""
 
     def __init__(self, sample_rate: float, gain: float = 0.0) -> None:
-        """sample_rate: hertz of what arrives; gain: decibels. `InputError` for a rate that is none."""
         _check_rate(sample_rate)
         self.rate, self._gain = round(sample_rate), gain
         self._taken = 0
@@ -174,12 +171,11 @@ class SampleFeed:
 
     @property
     def seconds(self) -> float:
-        """That were taken."""
         return self._taken / self.rate
 
     def take(self, samples: NDArray[Any]) -> Samples:
-        """What is ready at `SAMPLE_RATE` by some more samples [n] or [n, channels]; `InputError`, and nothing taken,
-        where they are no sound."""
+        """The output at `SAMPLE_RATE` after some more samples [n] or [n, channels]; `InputError` for invalid samples,
+        which are not taken."""
         mono = _as_mono(np.asarray(samples))
         self._taken += len(mono)
         if self._gain:
@@ -187,7 +183,6 @@ class SampleFeed:
         return self._resampled(mono)
 
     def finish(self) -> Samples:
-        """The rest; nothing follows."""
         return self._resampled(np.zeros(0, np.float32), last=True)
 
     def _resampled(self, mono: Samples, last: bool = False) -> Samples:
@@ -197,7 +192,7 @@ class SampleFeed:
 
 
 def check_file(name: Path, any_length: bool = False) -> None:
-    """`InputError` where a path cannot be a recording, or its header tells of a longer one than may be; no decoding."""
+    """`InputError` if a path cannot be a recording, or its header indicates more than `LONGEST`; without decoding."""
     if not name.exists():
         raise InputError(name, "does not exist", "check the path")
     if name.is_dir():
@@ -208,12 +203,11 @@ def check_file(name: Path, any_length: bool = False) -> None:
         raise InputError(name, "is empty", "record or copy it again")
     seconds = 0.0 if any_length else header_seconds(name)
     if seconds > LONGEST:
-        raise _too_long(name, f"its header tells of {_hours(seconds)}")
+        raise _too_long(name, f"its header indicates {_hours(seconds)}")
 
 
 def header_seconds(name: Path) -> float:
-    """Seconds of a recording by its header; 0 where that does not say, or is none. MP3 takes a process to ask, so it is
-    not asked."""
+    """Length of a recording from its header, seconds; 0 if unknown, and for MP3, which needs a subprocess."""
     with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw:
         if not is_mpeg(raw.read(512)):
             with _decoder(raw, name) as (sound, promise):
@@ -222,14 +216,14 @@ def header_seconds(name: Path) -> float:
 
 
 def level_note(speech: Speech) -> str | None:
-    """What to tell the user of a recording whose level is far too low, with the gain to apply; None for others."""
+    """A note for the user on a recording whose level is far too low, with the gain to apply; None for others."""
     meter = LevelMeter(speech.sample_rate)
     meter.add(speech.samples)
     return meter.finish()
 
 
 class LevelMeter:
-    """`level_note` of sound that comes in pieces; nothing of it is kept."""
+    """Streaming `level_note`."""
 
     def __init__(self, sample_rate: int = SAMPLE_RATE) -> None:
         self._rate, self._step = sample_rate, STEP * round(FRAME * sample_rate)
@@ -238,15 +232,13 @@ class LevelMeter:
         self._loudest, self._sum, self._loud = -np.inf, 0.0, 0
 
     def add(self, samples: Samples) -> None:
-        """Some more sound [n]."""
         sound = np.concatenate([self._left, samples])
         whole = len(sound) - len(sound) % self._step
-        self._hear(sound[:whole])
+        self._measure(sound[:whole])
         self._left = sound[whole:]
 
     def finish(self) -> str | None:
-        """The note; no sound follows."""
-        self._hear(self._left)
+        self._measure(self._left)
         if self._loudest <= FAINTEST_SPEECH:
             return f"all of it is silence (its loudest 10 ms are at {self._loudest:.0f} dBFS); record it again"
         level = self._sum / self._loud if self._loud else self._loudest
@@ -255,7 +247,7 @@ class LevelMeter:
         gain = round(TYPICAL_LEVEL - level)
         return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
 
-    def _hear(self, sound: Samples) -> None:
+    def _measure(self, sound: Samples) -> None:
         levels = frame_levels(sound, self._rate)
         for start in range(0, len(levels), STEP):
             step = levels[start:start + STEP]
@@ -265,7 +257,7 @@ class LevelMeter:
 
 
 def amplified(speech: Speech, decibels: float) -> Speech:
-    """The speech louder by some decibels, clipped at full scale; itself for 0."""
+    """The speech amplified by some decibels, clipped at full scale; itself for 0."""
     if decibels == 0:
         return speech
     samples = np.clip(speech.samples * 10.0 ** (decibels / 20), -1.0, 1.0).astype(np.float32)
@@ -273,7 +265,6 @@ def amplified(speech: Speech, decibels: float) -> Speech:
 
 
 def resample(speech: Speech, sample_rate: int) -> Speech:
-    """The same speech at another sample rate."""
     import soxr
 
     if speech.sample_rate == sample_rate:
@@ -283,7 +274,7 @@ def resample(speech: Speech, sample_rate: int) -> Speech:
 
 
 def write_flac(path: str | os.PathLike[str], speech: Speech) -> None:
-    """Write speech as 16-bit FLAC, whole or not at all. Samples beyond [-1, 1] are clipped."""
+    """Write speech as 16-bit FLAC, atomically. Samples beyond [-1, 1] are clipped."""
     import soundfile
 
     memory = io.BytesIO()
@@ -313,7 +304,6 @@ def _as_mono(samples: NDArray[Any]) -> Samples:
 # ---------------------------------------------------------------------------------------------------- reading
 
 def _name_of(source: str | os.PathLike[str] | BinaryIO) -> object:
-    """What messages call a recording."""
     if isinstance(source, str | os.PathLike):
         return Path(source)
     name = getattr(source, "name", "")
@@ -322,7 +312,7 @@ def _name_of(source: str | os.PathLike[str] | BinaryIO) -> object:
 
 @contextlib.contextmanager
 def _opened(source: str | os.PathLike[str] | BinaryIO, any_length: bool) -> Iterator[BinaryIO]:
-    """The sound file as something that can be gone back in."""
+    """The sound file as a seekable stream."""
     if isinstance(source, str | os.PathLike):
         check_file(Path(source), any_length)
         with Path(source).open("rb") as raw:
@@ -330,7 +320,7 @@ def _opened(source: str | os.PathLike[str] | BinaryIO, any_length: bool) -> Iter
     elif source.seekable():
         yield source
     else:
-        # A header may say where to go on, and a pipe has no way there.
+        # Decoders seek, and a pipe cannot.
         with tempfile.TemporaryFile() as copy:
             _spool(source, copy, any_length)
             yield cast(BinaryIO, copy)
@@ -344,12 +334,12 @@ def _spool(source: BinaryIO, copy: BinaryIO, any_length: bool) -> None:
     while data := source.read(_STREAM_PIECE):
         copy.write(data)
         if copy.tell() > most:
-            raise _too_long("standard input", "its bytes are more than an hour of sound has")
+            raise _too_long("standard input", "it has more bytes than an hour of sound")
 
 
 @contextlib.contextmanager
 def _decoder(raw: BinaryIO, name: object) -> Iterator[tuple[Sound, Promise]]:
-    """The sound file being decoded by what knows its format, and what its header promises."""
+    """The sound file in the decoder of its format, and the length promised by its header."""
     size = raw.seek(0, io.SEEK_END)
     raw.seek(0)
     if size == 0:
@@ -365,37 +355,36 @@ def _decoder(raw: BinaryIO, name: object) -> Iterator[tuple[Sound, Promise]]:
     raw.seek(0)
     if is_mpeg(head):
         with mpeg(raw) as sound:
-            # Without a count of its own what the decoder tells is a guess by the first frame.
+            # Without a count in the header the decoder guesses the length from the first frame.
             yield replace(sound, frames=sound.frames if promise.known else 0), promise
         return
-    # A WAV written to a pipe may say 0 bytes of sound; the decoder would believe it.
+    # The header of a WAV written to a pipe may have a length of 0, which the decoder would trust.
     with sndfile(cast(BinaryIO, Patched(raw, promise.patch))) as sound:
         yield sound, promise
 
 
 def _claimed(sound: Sound, promise: Promise) -> int:
-    """Samples per channel by the header, 0 where it does not say."""
+    """Samples per channel from the header, 0 if unknown."""
     claimed = promise.frames or sound.frames
     return claimed if claimed < _OPEN_END else 0
 
 
 def _check_sound(sound: Sound, promise: Promise, name: object, any_length: bool) -> None:
-    """`InputError` where the header tells of what cannot be used."""
     rate = sound.rate
     if rate < _LOWEST_RATE:
         raise InputError(name, f"has {rate} samples per second, too few for speech", "record at 8 kHz or more")
     if rate > _HIGHEST_RATE:
         raise InputError(name, f"claims {rate} samples per second", "export it again")
-    told = _claimed(sound, promise)
-    if not any_length and told > LONGEST * rate:
-        raise _too_long(name, f"its header tells of {_hours(told / rate)}")
+    claimed = _claimed(sound, promise)
+    if not any_length and claimed > LONGEST * rate:
+        raise _too_long(name, f"its header indicates {_hours(claimed / rate)}")
 
 
 def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Iterator[Samples]:
-    """All samples as mono at `SAMPLE_RATE`, piece by piece; `InputError` where they are too few or too many."""
+    """All samples as mono at `SAMPLE_RATE`, piece by piece; `InputError` for too few or too many."""
     import soxr
 
-    rate, told = sound.rate, _claimed(sound, promise)
+    rate, claimed = sound.rate, _claimed(sound, promise)
     most = float("inf") if any_length else LONGEST * rate
     resampler = soxr.ResampleStream(rate, SAMPLE_RATE, 1, dtype="float32") if rate != SAMPLE_RATE else None
     frames = given = 0
@@ -403,7 +392,7 @@ def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Ite
         for piece in sound.pieces:
             frames += len(piece)
             if frames > most:
-                raise _too_long(name, "it goes on beyond that")
+                raise _too_long(name, "it continues beyond that")
             mono = _averaged(piece, name)
             mono = mono if resampler is None else resampler.resample_chunk(mono)
             given += len(mono)
@@ -419,19 +408,18 @@ def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Ite
         rest = resampler.resample_chunk(np.zeros(0, np.float32), last=True)
         given += len(rest)
         yield np.clip(rest, -1.0, 1.0)
-    if promise.known and frames < told:
-        raise InputError(name, f"is cut short: {frames / rate:.2f} s of the {told / rate:.2f} s that its header "
+    if promise.known and frames < claimed:
+        raise InputError(name, f"is cut short: {frames / rate:.2f} s of the {claimed / rate:.2f} s that its header "
                          "promises", "copy it again from its source")
     if given < round(SHORTEST * SAMPLE_RATE):
         raise InputError(name, f"lasts {given / SAMPLE_RATE:.2f} s, too short for a gesture",
                          f"give {SHORTEST} s or more")
     if not promise.known:
-        warnings.warn(AudioWarning(f"{name}: its length cannot be checked, so a cut end would go unnoticed"),
+        warnings.warn(AudioWarning(f"{name}: its length cannot be checked, so a truncated end would go unnoticed"),
                       stacklevel=2)
 
 
 def _averaged(piece: np.ndarray, name: object) -> Samples:
-    """The mean [n] of the channels of a piece [n, channels]; `InputError` where they are not sound."""
     if not np.isfinite(piece).all():
         raise InputError(name, "holds samples that are not numbers (NaN or infinite)", "export it again")
     if np.abs(piece).max() > _FULL_SCALE:

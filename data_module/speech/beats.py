@@ -1,8 +1,8 @@
-"""The beats that speech and motion are cut at (RG 4.2.1).
+"""The beats at which speech and motion are cut (RG 4.2.1).
 
-A beat is certain when sound has been heard up to d_max + d_min after the beat before it and `onsets.LOOK_AHEAD` more,
-and often earlier, so a stream gets what a file gets. The rule that the paper prints, which needs the whole recording,
-is kept as the option "paper"; "even" hears nothing and gives blocks of one fixed length.
+A beat is certain at the latest when there is sound up to d_max + d_min after the previous beat and `onsets.LOOK_AHEAD`
+more, so a stream gives the same result as a file. The rule of the paper, which needs the whole recording, is the option
+"paper"; "even" ignores the sound and gives blocks of fixed length.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ __all__ = ["BeatSettings", "BeatTracker", "find_beats"]
 
 RULES = ("bounded", "strongest", "paper", "even")
 _EPS = 1e-9
-"""Seconds: what is closer is the same time."""
+"""Tolerance of times, seconds."""
 
 
 @dataclass(frozen=True)
 class BeatSettings:
-    """How beats are placed. Seconds; every interval between beats lies in [d_min, d_max].
+    """The placement of beats. Seconds; every interval between beats lies in [d_min, d_max].
 
-    merge: onsets closer than this count as one. rule: "bounded", the first onset in reach; "strongest", the one of them
-    at which the sound rises most; "paper" (RG 4.2.1, guarded); or "even": beats d_max apart whatever the sound, for a
-    codec of a fixed rate such as RACER's. Only "even" may have d_min = d_max: no
-    remainder could be divided then, and the last two intervals share it, each d_max / 2 or longer.
+    merge: onsets closer than this count as one. rule: "bounded", the first onset in reach; "strongest", the strongest
+    onset in reach; "paper" (RG 4.2.1, with guards); or "even": beats d_max apart whatever the sound, for a codec of a
+    fixed rate such as RACER's. Only "even" may have d_min = d_max; the last two intervals then share the remainder,
+    each d_max / 2 or longer.
     """
 
     d_min: float = 0.2
@@ -41,7 +41,7 @@ class BeatSettings:
 
     def __post_init__(self) -> None:
         if not 0 < self.d_min < np.inf or not self.d_max < np.inf:
-            raise InputError("d_min", f"is {self.d_min}, which is no interval between beats", "give 0.2, for example")
+            raise InputError("d_min", f"is {self.d_min}, not a valid interval between beats", "give for example 0.2")
         one_rate = self.rule == "even" and abs(self.d_max - self.d_min) <= _EPS
         if self.d_max < 2 * self.d_min - _EPS and not one_rate:
             raise InputError("d_max", f"is {self.d_max}, less than twice d_min ({self.d_min})",
@@ -54,12 +54,11 @@ class BeatSettings:
 
 def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
               settings: BeatSettings, strengths: Array | None = None) -> tuple[float, BeatFlag]:
-    """The beat that follows `beat` by the bounded rule (or, with strengths, the strongest), and why it stands there.
+    """The beat after `beat` by the rule "bounded" (or, with strengths, "strongest"), and its flag.
 
     onsets, loud: rising seconds of the onsets and of the frames louder than the noise. end: the end of the recording,
-    None while it is not known. strengths: dB of the onsets; of those in reach the first of the strongest is taken, and
-    without strengths the first. Only what lies before beat + d_max + d_min is looked at; `end` must be told when it
-    lies there.
+    None while it is unknown. strengths: dB of the onsets. Only the time before beat + d_max + d_min matters; `end` must
+    be given if it is earlier.
     """
     low, high = beat + settings.d_min, beat + settings.d_max
     horizon = high + settings.d_min
@@ -74,7 +73,7 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
         return float(near[at]), BeatFlag.ONSET
     if end is not None and end <= high + _EPS:
         return end, BeatFlag.BOUNDARY
-    # Leave room for what comes next: an onset (even one that the end will rule out: it cannot be known yet), the end.
+    # Leave room for the next onset (even one that the unknown end may exclude) and for the end.
     ahead = [float(onset) for onset in near[near > high + _EPS][:1]] + ([end] if end is not None else [])
     latest = max(low, min([high, *(time - settings.d_min for time in ahead)]))
     first = int(np.searchsorted(loud, low - _EPS))
@@ -84,33 +83,30 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
 
 
 class BeatTracker:
-    """Beats of sound as it arrives: `place_beats`, one after the other as each becomes certain.
-
-    The rule "paper" needs the whole recording, so there all beats come at the end.
-    """
+    """Streaming `place_beats`: each beat is returned when it is certain. With the rule "paper", which needs the whole
+    recording, all beats come at the end."""
 
     def __init__(self, settings: BeatSettings, start: float = 0.0) -> None:
-        """start: seconds of the first beat."""
         self.settings = settings
         self.last = start
         self._onsets, self._strengths = list[float](), list[float]()
         self._loud: list[float] = []
-        self._kept = -np.inf  # the last onset that is no merged one
+        self._last_onset = -np.inf  # the last one that was not merged
         self._frames = self._beats = 0
 
-    def step(self, onsets: Sequence[tuple[float, float]], silent: Sequence[bool], certain: float, heard: float
+    def step(self, onsets: Sequence[tuple[float, float]], silent: Sequence[bool], certain: float, available: float
              ) -> list[tuple[float, BeatFlag]]:
-        """The beats that are certain. onsets: more of them (seconds, dB), complete before `certain` seconds; silent:
-        more frames; heard: seconds of sound so far."""
+        """The beats that are certain. onsets: new ones (seconds, dB), complete up to `certain` seconds; silent: new
+        frames; available: seconds of sound so far."""
         self._take(onsets, silent)
         out = []
-        while self._certain(certain, heard):
+        while self._certain(certain, available):
             out.append(self._next(None))
         return out
 
     def finish(self, onsets: Sequence[tuple[float, float]], silent: Sequence[bool], duration: float
                ) -> list[tuple[float, BeatFlag]]:
-        """The beats that are left, the last at the end of a recording of `duration` seconds."""
+        """The remaining beats, the last at the end of a recording of `duration` seconds."""
         self._take(onsets, silent)
         if self.settings.rule == "paper":
             beats = _paper_beats(np.array(self._onsets), np.array(self._loud), duration, self.settings)
@@ -122,28 +118,28 @@ class BeatTracker:
 
     def _take(self, onsets: Sequence[tuple[float, float]], silent: Sequence[bool]) -> None:
         for time, strength in onsets:
-            if time - self._kept >= self.settings.merge - _EPS:
+            if time - self._last_onset >= self.settings.merge - _EPS:
                 self._onsets.append(time)
                 self._strengths.append(strength)
-                self._kept = time
+                self._last_onset = time
         self._loud += [(self._frames + n) * FRAME for n, quiet in enumerate(silent) if not quiet]
         self._frames += len(silent)
 
-    def _certain(self, onsets_until: float, heard: float) -> bool:
-        """Whether nothing that is still to come can move the next beat."""
+    def _certain(self, onsets_until: float, available: float) -> bool:
+        """Whether the next beat does not depend on future sound."""
         s, low, high = self.settings, self.last + self.settings.d_min, self.last + self.settings.d_max
         if s.rule == "even":
-            return heard >= (self._beats + 1) * s.d_max + min(s.d_min, s.d_max / 2)
+            return available >= (self._beats + 1) * s.d_max + min(s.d_min, s.d_max / 2)
         if s.rule == "paper":
             return False
-        if self._frames * FRAME >= high + FRAME and min(onsets_until, heard) >= high + s.d_min:
+        if self._frames * FRAME >= high + FRAME and min(onsets_until, available) >= high + s.d_min:
             return True
         near = next((time for time in self._onsets if time >= low - _EPS), None)
         if near is None or near >= onsets_until or s.rule != "bounded":
             return False
-        if near <= high + _EPS:  # the first in reach, and the end is too far to forbid it
-            return heard >= near + s.d_min
-        # Room must be left for an onset beyond, and nothing lies before it.
+        if near <= high + _EPS:  # the first in reach, unless the end is too close
+            return available >= near + s.d_min
+        # The beat only has to leave room for this onset.
         return near < high + s.d_min and self._frames * FRAME >= high + FRAME
 
     def _next(self, end: float | None) -> tuple[float, BeatFlag]:
@@ -173,19 +169,18 @@ def _even_beat(number: int, settings: BeatSettings, end: float | None) -> tuple[
 
 def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings | None = None,
                 strengths: Array | None = None) -> Beats:
-    """Beats from onsets: a pure function of rising seconds (RG 4.2.1; `next_beat`, `_paper_beats` and `_even_beats`
-    tell the rules).
+    """Beats from onsets (RG 4.2.1) by the rules of `next_beat`, `_paper_beats` and `_even_beats`.
 
-    onsets: [n]; loud: [m] the times of the frames louder than the noise; strengths: [n] dB of the onsets, for the rule
-    "strongest". 0 and `duration` are beats. Every interval
-    lies in [d_min, d_max], unless the whole recording is shorter than d_min, or d_min = d_max (`_even_beats`).
+    onsets: [n] rising seconds; loud: [m] the times of the frames louder than the noise; strengths: [n] dB of the
+    onsets, for the rule "strongest". 0 and `duration` are beats. Every interval lies in [d_min, d_max], unless the
+    recording is shorter than d_min, or d_min = d_max (`_even_beats`).
     """
     settings = settings or BeatSettings()
     every, onsets = np.asarray(onsets, dtype=np.float64), merged(onsets, settings.merge)
     if settings.rule != "strongest":
         strengths = None
     elif strengths is None or len(strengths) != len(every):
-        raise ValueError("the strongest onset is found by the strengths of all of them")
+        raise ValueError("the rule strongest needs the strength of each onset")
     else:
         strengths = strengths[np.searchsorted(every, onsets)]
     loud = np.asarray(loud, dtype=np.float64)
@@ -201,7 +196,7 @@ def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSetti
 
 
 def _paper_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings) -> list[tuple[float, BeatFlag]]:
-    """RG 4.2.1 with its holes closed: a pseudo-beat keeps d_min to both neighbours and both sides are filled again."""
+    """RG 4.2.1 with guards: a pseudo-beat is at least d_min from both neighbours, and both sides are filled again."""
     beats = [(0.0, BeatFlag.BOUNDARY)]
     for onset in onsets:
         if onset - beats[-1][0] >= settings.d_min - _EPS and duration - onset >= settings.d_min - _EPS:
@@ -226,13 +221,9 @@ def _paper_beats(onsets: Array, loud: Array, duration: float, settings: BeatSett
 
 
 def _even_beats(duration: float, settings: BeatSettings) -> Beats:
-    """Beats d_max apart: what the bounded rule gives where nothing is heard.
-
-    When less than d_min is left at the end, the last beat but one moves forward to d_min before the end, so the
-    remainder is shared by the last two intervals. With d_min = d_max nothing shorter than d_max is allowed and nothing
-    longer fits in a block; there d_max / 2 stands for d_min, and it is the last two intervals alone that may be
-    shorter than d_max.
-    """
+    """Beats d_max apart, as the bounded rule gives in silence. If less than d_min is left at the end, the last beat but
+    one moves to d_min before the end, so that the last two intervals share the remainder. With d_min = d_max, where no
+    other interval is allowed, d_max / 2 replaces d_min for the last two intervals."""
     shortest = min(settings.d_min, settings.d_max / 2)
     count = max(1, int(np.ceil(duration / settings.d_max - _EPS)))
     # Multiples, not a running sum: an hour of steps must not drift.

@@ -1,15 +1,13 @@
-"""Front ends: sound turned into what the models hear, two levels of features per motion frame, behind one interface.
+"""Front ends: two levels of audio features per motion frame, behind one interface.
 
-A front end sees one fixed window per block (previous, current, next), stretched to normalised time, so a stream and a
-file give the same features. There are mel energies, and front ends that were learned: the levels of the speech encoder,
-or hidden layers of a model of transformers. The learned ones are blind to loudness, because networks normalise what
-they hear; so both their levels get the two columns of the mel front end that carry it, onset strength and loudness.
-They are built by name in one place, `front_end`; transformers is imported only when it is asked for.
+The input is a fixed window per block (previous, current, next), stretched to normalised time, so a stream and a file
+give the same features. There are mel energies, and learned front ends: levels of the speech encoder, or hidden layers
+of a model of transformers. Networks normalise their input, so learned features do not contain loudness; both levels
+therefore get two columns of the mel front end, onset strength and loudness. `front_end` builds them by name.
 """
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -25,6 +23,7 @@ from torch import Tensor
 from data_module.errors import InputError
 from data_module.speech.silence import TYPICAL_LEVEL
 from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
+from data_module.text.word_vectors import quiet_transformers
 from data_module.types import Array, Samples
 
 Features = NDArray[np.float32]
@@ -43,11 +42,11 @@ class AudioFeatures:
 
 
 class FrontEnd(Protocol):
-    """Anything that turns windows of sound into `AudioFeatures`."""
+    """Converts windows of sound to `AudioFeatures`."""
 
     @property
     def name(self) -> str:
-        """What bundles and commands call it."""
+        """Name in bundles and commands."""
 
     @property
     def width_low(self) -> int:
@@ -67,8 +66,8 @@ class MelFrontEnd:
 
     bands: mel bands up to half the sample rate. frames: rows per window (3K). samples_per_frame: as the blocks have
     it. Each row is pooled from `hops` spectra of 64 ms. Width: bands + 2; values are natural logarithms of power, the
-    onset strength their mean rise since the spectrum before. Levels are kept, not normalised per window: how loud a
-    phrase is carries its style. `reference` takes off what the microphone did.
+    onset strength their mean rise since the previous spectrum. Windows are not normalised, because loudness carries
+    style; `reference` removes the gain of the microphone.
     """
 
     bands: int = 32
@@ -108,7 +107,7 @@ class MelFrontEnd:
         return np.hanning(self._window + 1)[:-1].astype(np.float32)
 
     def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
-        """See `FrontEnd.encode`. Without a reference the recording is taken as it is."""
+        """See `FrontEnd.encode`. Without a reference the recording is not scaled."""
         out = np.empty((len(windows), self.frames, self.width_low), np.float32)
         for part, scaled in scaled_windows(windows, reference, self.frames * self.samples_per_frame, _BATCH):
             out[part] = self.rows(scaled)
@@ -122,7 +121,7 @@ class MelFrontEnd:
         padded = np.zeros((count, length + self._window), np.float32)
         padded[:, self._window // 2:self._window // 2 + length] = windows
         spectra = self.frames * self.hops
-        # A spectrum belongs to the middle of its hop, so that the rows of a block hold the block.
+        # A spectrum is centred on its hop, so that the rows of a block cover the block.
         at = np.lib.stride_tricks.sliding_window_view(padded, self._window, axis=1)
         at = at[:, [round((k + 0.5) * self.samples_per_frame / self.hops) for k in range(spectra)]]
         spectrum = rfft(at * self._taper, axis=-1)
@@ -152,11 +151,9 @@ def scaled_windows(windows: Samples, reference: Array | None, length: int, batch
 
 @dataclass(frozen=True)
 class LearnedFrontEnd:
-    """A network's two levels per motion frame, each followed by onset strength and loudness.
-
-    states: scaled windows [n, T] to the low and the high level, [n, frames, d]. widths: the two d. mel: gives the two
-    further columns, and the size of a window. batch: windows at a time (few, so that they stay in the cache).
-    """
+    """A network's two levels per motion frame, each followed by onset strength and loudness. states: scaled windows [n,
+    T] to the low and the high level, [n, frames, d]. widths: the two d. mel: gives the two further columns, and the
+    size of a window. batch: windows at a time (few, so that they stay in the cache)."""
 
     name: str
     widths: tuple[int, int]
@@ -173,7 +170,6 @@ class LearnedFrontEnd:
         return self.widths[1] + _LEVEL_COLUMNS
 
     def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
-        """See `FrontEnd.encode`."""
         mel, count = self.mel, len(windows)
         low, high = (np.empty((count, mel.frames, width), np.float32) for width in (self.width_low, self.width_high))
         for part, scaled in scaled_windows(windows, reference, mel.frames * mel.samples_per_frame, self.batch):
@@ -187,7 +183,6 @@ class LearnedFrontEnd:
 
 def encoder_front_end(encoder: SpeechEncoder, mel: MelFrontEnd, layers: Sequence[int] | None = None, *,
                       name: str = "vqwav2vec") -> LearnedFrontEnd:
-    """Levels 2 and 8 of a speech encoder, or the two that `layers` names (1 to 8)."""
     low, high = _two(layers or (LOW, HIGH), 1, LEVELS)
     _same_rate(16000, mel)
 
@@ -203,9 +198,9 @@ def encoder_front_end(encoder: SpeechEncoder, mel: MelFrontEnd, layers: Sequence
 def transformers_front_end(model_name: str, mel: MelFrontEnd, layers: Sequence[int] | None = None) -> LearnedFrontEnd:
     """Two hidden layers of a speech model that takes samples (wav2vec 2.0, HuBERT, WavLM and their kin).
 
-    model_name: a folder, or a name whose files transformers has on this machine; nothing is fetched. layers: 0 is what
-    enters the first layer; by default the first and one three quarters up. InputError when the model is not there or
-    does not take samples.
+    model_name: a folder, or the name of a model in the cache of transformers; nothing is downloaded. layers: 0 is the
+    input of the first layer; by default the first and one at three quarters of the depth. InputError if the model is
+    missing or does not take samples.
     """
     subject = f"hf:{model_name}"
     model, normalise, rate = _open(model_name, subject)
@@ -219,12 +214,12 @@ def transformers_front_end(model_name: str, mel: MelFrontEnd, layers: Sequence[i
 
     try:
         with torch.inference_mode():
-            found = hidden(torch.zeros(1, mel.frames * mel.samples_per_frame))
-        widths = [state.shape[2] for state in found]
+            layers_found = hidden(torch.zeros(1, mel.frames * mel.samples_per_frame))
+        widths = [state.shape[2] for state in layers_found]
     except (RuntimeError, ValueError, TypeError, IndexError, AttributeError) as error:
         raise InputError(subject, f"gives no hidden layers for samples ({type(error).__name__})",
                          "name a model like wav2vec 2.0, HuBERT or WavLM") from None
-    low, high = _two(layers or (_EARLY, max(_EARLY, round(_LATE * (len(found) - 1)))), 0, len(found) - 1)
+    low, high = _two(layers or (_EARLY, max(_EARLY, round(_LATE * (len(layers_found) - 1)))), 0, len(layers_found) - 1)
 
     def states(samples: Tensor) -> tuple[Tensor, Tensor]:
         every = hidden(samples)
@@ -251,7 +246,7 @@ def _open(name: str, subject: str) -> tuple[Any, bool, int]:
     from transformers import AutoFeatureExtractor, AutoModel
 
     advice = "give a folder that holds it, or fetch it first (hf download NAME)"
-    with _quiet():
+    with quiet_transformers():
         try:
             model = AutoModel.from_pretrained(name, local_files_only=True)
         except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:
@@ -266,21 +261,6 @@ def _open(name: str, subject: str) -> tuple[Any, bool, int]:
             return model.eval().float(), False, 16000
     return model.eval().float(), bool(getattr(extractor, "do_normalize", False)), int(extractor.sampling_rate)
 
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """No bars and no advice of transformers' on the terminal."""
-    from transformers.utils import logging
-
-    level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
-    logging.set_verbosity_error()
-    logging.disable_progress_bar()
-    try:
-        yield
-    finally:
-        logging.set_verbosity(level)
-        if bars:
-            logging.enable_progress_bar()
 
 
 # ---------------------------------------------------------------------------------------------------- by name
@@ -297,11 +277,11 @@ FRONT_ENDS: dict[str, Callable[..., FrontEnd]] = {"mel": MelFrontEnd, "vqwav2vec
 
 def front_end(name: str, *, bands: int, frames: int, samples_per_frame: int, sample_rate: int,
               encoder: SpeechEncoder | None = None, layers: Sequence[int] | None = None) -> FrontEnd:
-    """A front end by name: one of `FRONT_ENDS`, "fairseq:PATH" or "hf:NAME" (a folder, or a model transformers has).
+    """A front end by name: one of `FRONT_ENDS`, "fairseq:PATH" or "hf:NAME" (a folder or a cached model).
 
-    bands: of "mel" alone (a learned one takes just onsets and loudness from it). frames: rows per window (3K).
-    encoder: for "vqwav2vec". layers: which two are the low and the high level; None for the front end's own.
-    InputError for an unknown name or a model that is not to be had.
+    bands: of "mel" only (a learned one uses only onsets and loudness). frames: rows per window (3K). encoder: for
+    "vqwav2vec". layers: those of the low and the high level; None for the default. InputError for an unknown name or a
+    missing model.
     """
     size = {"frames": frames, "samples_per_frame": samples_per_frame, "sample_rate": sample_rate}
     if name == "mel":

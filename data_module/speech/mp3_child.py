@@ -1,12 +1,11 @@
-"""A process of its own that decodes MP3: a file as standard input to pieces of samples on standard output.
+"""Subprocess that decodes MP3 from standard input to pieces of samples on standard output.
 
-mpg123, which decodes MP3 for libsndfile, writes to the process's standard error whatever it dislikes about a file, past
-Python, and libsndfile offers no way to stop it. Pointing that descriptor elsewhere for a while would take it from every
-other thread; in a process of its own nobody else has it.
+mpg123, which decodes MP3 for libsndfile, writes warnings directly to the standard error of the process, and libsndfile
+cannot suppress them. Redirecting that descriptor would affect all other threads, so a subprocess is used.
 
-`main` takes PIECE from the command line, the samples per channel that are sent at a time. What it writes is a line of
-JSON, {"rate", "channels", "frames"}, or {"error"}; then pieces, each a count of samples (int32, little-endian) and so
-many x channels float32; then the count 0, or -1 and a line that says what is wrong.
+`main` takes PIECE from the command line, the samples per channel that are sent at a time. The output is a line of JSON,
+{"rate", "channels", "frames"} or {"error"}; then pieces, each a count of samples (int32, little-endian) and so many x
+channels float32; then the count 0, or -1 and a line with the error.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ def main() -> None:
     import soundfile
 
     class ForwardOnlyStream(soundfile.SoundFile):
-        """Only ever read forwards: a seek after each piece is slow in MP3."""
+        """Without seeks, which are slow in MP3."""
 
         def seekable(self) -> bool:
             return False

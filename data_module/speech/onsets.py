@@ -1,7 +1,6 @@
-"""Onsets of the sound: where it suddenly rises (RG 4.2.1), found as it arrives.
+"""Streaming detection of onsets, sudden rises of the sound (RG 4.2.1), with a latency of `LOOK_AHEAD` seconds.
 
-They are certain `LOOK_AHEAD` seconds later; nothing needs the loudest moment of the recording, so a stream gets what a
-file gets.
+Nothing depends on the loudest moment of the recording, so a stream gives the same result as a file.
 """
 
 from __future__ import annotations
@@ -18,29 +17,29 @@ from data_module.types import Array, Samples
 __all__ = ["OnsetTracker", "detect_onsets"]
 
 LOOK_AHEAD = 0.25
-"""Seconds of sound after an onset that `detect_onsets` needs to be sure of it."""
+"""Seconds of sound after an onset that are needed to detect it."""
 
 _HOP = 0.01
 """Seconds between spectra."""
 _WINDOW = 0.128
-"""Seconds of a spectrum, librosa's usual 2048 samples at 16 kHz."""
+"""Length of a spectrum's window, seconds: librosa's default of 2048 samples at 16 kHz."""
 _BANDS = 128
-"""Mel bands, librosa's usual number."""
+"""Mel bands, librosa's default."""
 _LAG = 3
-"""Spectra (30 ms) over which the rise is taken."""
+"""Lag of the difference of spectra (30 ms)."""
 _FAINTEST = 1e-6
-"""Mel power that counts as nothing: what white noise of -80 dBFS has."""
+"""Floor of the mel power: that of white noise at -80 dBFS."""
 _AROUND = 0.1
-"""Seconds on both sides of a peak that make its surroundings."""
+"""Seconds on both sides of a peak over which its surroundings are averaged."""
 _PEAK = 0.03
-"""Seconds on both sides in which a peak is the highest."""
+"""Seconds on both sides in which a peak must be the highest."""
 _RISE = 1.2
-"""Decibels that a peak stands above its surroundings."""
+"""Least height of a peak above its surroundings, decibels."""
 _AUDIBLE = (-0.02, 0.08)
-"""Seconds about an onset in which a frame must be louder than the noise."""
+"""Interval about an onset, seconds, in which a frame must be louder than the noise."""
 _LATE = int(_WINDOW / 2 // _HOP) - (_LAG - 1)
-"""Spectra by which an onset is later than its peak: a window sees a rise half a window early, and of the plateau that
-`_LAG` makes, the first is the peak."""
+"""Spectra by which an onset follows its peak: the rise enters a window half a window early, and the peak is the first
+value of the plateau of length `_LAG`."""
 _TILE = 5
 """Spectra (50 ms) that are computed at a time."""
 _EPS = 1e-9
@@ -50,47 +49,42 @@ _EPS = 1e-9
 def detect_onsets(samples: Samples, sample_rate: int, merge: float = 0.05) -> Array:
     """Onsets of the sound in seconds, rising, [n].
 
-    A peak of librosa's onset strength (the mean rise of the log-mel bands over 30 ms) that stands 1.2 dB above its
-    surroundings of 0.1 s on both sides and is louder than the running noise floor. Decibels make the threshold
-    independent of the gain, so nothing is scaled by the file's maximum. Of onsets closer than `merge` seconds the
-    first stays.
+    Peaks of librosa's onset strength (the mean rise of the log-mel bands over 30 ms) that are 1.2 dB above their
+    surroundings of 0.1 s on both sides and louder than the running noise floor. The threshold in decibels does not
+    depend on the gain, so nothing is scaled by the file's maximum. Of onsets closer than `merge` seconds the first
+    counts.
     """
     return merged(onsets_of(samples, sample_rate)[0], merge)
 
 
 def onsets_of(samples: Samples, sample_rate: int) -> tuple[Array, Array]:
-    """The onsets of a recording [n], before those are merged that are close, and their strengths [n] in dB."""
-    tracker, heard = OnsetTracker(sample_rate), loudness(frame_levels(samples, sample_rate))
-    found = tracker.step(samples, heard)
-    found += tracker.finish()
-    return np.array([time for time, _ in found]), np.array([strength for _, strength in found])
+    """The onsets of a recording [n], before merging, and their strengths [n] in dB."""
+    tracker, loud = OnsetTracker(sample_rate), loudness(frame_levels(samples, sample_rate))
+    onsets = tracker.step(samples, loud)
+    onsets += tracker.finish()
+    return np.array([time for time, _ in onsets]), np.array([strength for _, strength in onsets])
 
-
-def strength_at(samples: Samples, sample_rate: int, onsets: Array) -> Array:
-    """How much the sound rises at onsets of `detect_onsets` [n] seconds: dB, [n]."""
-    strength = onset_strength(samples, sample_rate)
-    return np.asarray(strength[np.clip(np.round(onsets / _HOP - _LATE).astype(int), 0, len(strength) - 1)])
 
 
 def merged(times: Array, closest: float) -> Array:
-    """Rising times with every one dropped that is closer than `closest` to the last one kept."""
-    kept: list[float] = []
+    """Rising times without those that are closer than `closest` to the last one that remains."""
+    distinct: list[float] = []
     for time in np.asarray(times, dtype=np.float64):
-        if not kept or time - kept[-1] >= closest - _EPS:
-            kept.append(float(time))
-    return np.array(kept)
+        if not distinct or time - distinct[-1] >= closest - _EPS:
+            distinct.append(float(time))
+    return np.array(distinct)
 
 
 def onset_strength(samples: Samples, sample_rate: int) -> Array:
-    """librosa's onset strength in dB every 10 ms, [F]; value f belongs to the spectrum centred on f / 100 s."""
+    """librosa's onset strength in dB every 10 ms, [F]; value f is that of the spectrum centred on f / 100 s."""
     tracker = RiseTracker(sample_rate)
     parts = tracker.step(samples, loudness(frame_levels(samples, sample_rate)).limit)
     return np.concatenate([parts, tracker.finish()])
 
 
 class RiseTracker:
-    """Onset strength of sound as it arrives, `_TILE` spectra at a time. All arithmetic is done in tiles of one size, so
-    that a value comes out alike to the last bit whatever the pieces of sound."""
+    """Streaming onset strength, `_TILE` spectra at a time. All arithmetic is done in tiles of one size, so that the
+    result does not depend on the pieces of sound, to the last bit."""
 
     def __init__(self, sample_rate: int) -> None:
         self._rate = sample_rate
@@ -101,12 +95,12 @@ class RiseTracker:
         self._sound = np.zeros(self._window // 2, np.float32)
         self._limit = np.zeros(0)
         self._samples = self._frames = 0
-        # Nothing lies before the start: the first rises are not counted.
+        # Before the start there is nothing: the first rises do not count.
         self._before = np.zeros((_BANDS, _LAG), np.float32)
         self._last_limit = QUIETEST
 
     def step(self, samples: Samples, limit: Array) -> Array:
-        """The strengths that are certain by some more sound [n], and some more of `silence.quietest` [F]."""
+        """The strengths that are certain after more sound [n] and more of `LoudnessStep.limit` [F]."""
         self._take(samples, limit)
         self._samples += len(samples)
         out = [np.zeros(0)]
@@ -115,7 +109,6 @@ class RiseTracker:
         return np.concatenate(out)
 
     def finish(self) -> Array:
-        """The strengths at the end; silence follows."""
         left = self._samples // self._hop + 1 - self._frames
         out = [np.zeros(0)]
         for start in range(0, left, _TILE):
@@ -135,47 +128,45 @@ class RiseTracker:
         power = self._bands @ (spectrum.real ** 2 + spectrum.imag ** 2)
         numbers = np.arange(self._frames, self._frames + _TILE)
         power /= self._covered[np.minimum(numbers, len(self._covered) - 1)]
-        # What counts as nothing: `_FAINTEST`, and as much less as silence begins lower.
+        # The floor of the power: `_FAINTEST`, lowered with the limit of silence.
         faintest = np.float32(_FAINTEST) * (10.0 ** ((self._limit[:_TILE] - QUIETEST) / 10.0)).astype(np.float32)
         decibels = np.concatenate([self._before, 10.0 * np.log10(np.maximum(power, faintest))], axis=1)
         rise = np.maximum(decibels[:, _LAG:] - decibels[:, :-_LAG], 0.0).mean(axis=0).astype(np.float64)
-        rise[numbers < _LAG] = 0.0  # nothing but padding lies before them
+        rise[numbers < _LAG] = 0.0  # there is only padding before them
         self._before = decibels[:, -_LAG:]
         self._sound, self._limit = self._sound[_TILE * self._hop:], self._limit[_TILE:]
         self._frames += _TILE
-        # Single precision leaves ties open; rounding closes them the same way everywhere.
+        # In single precision ties depend on the platform; rounding resolves them.
         return np.asarray(np.round(rise, 3))
 
 
 class OnsetTracker:
-    """Onsets of sound as it arrives, see `detect_onsets`; each with its strength in dB. Those that are close to each
-    other are not merged yet."""
+    """Streaming `detect_onsets` without merging; each onset with its strength in dB."""
 
     def __init__(self, sample_rate: int) -> None:
         self._rise = RiseTracker(sample_rate)
         self._around, self._reach = round(_AROUND / _HOP), round(_PEAK / _HOP)
-        self._first = self._next = 0  # the frames of the first strength that is kept, and of the next peak to judge
+        self._first = self._next = 0  # the frames of the first stored strength, and of the next candidate peak
         self._strengths: list[float] = []
-        self._totals = [0.0]  # of the strengths before each
-        self._peaks: deque[tuple[int, float]] = deque()  # that wait to be known for audible
+        self._totals = [0.0]  # cumulated strengths
+        self._peaks: deque[tuple[int, float]] = deque()  # not yet known to be audible
         self._audible, self._audible_from = list[bool](), 0
 
-    def step(self, samples: Samples, heard: LoudnessStep) -> list[tuple[float, float]]:
-        """The onsets (seconds, dB) that are certain by some more sound [n] and some more frames of its loudness."""
-        self._add(self._rise.step(samples, heard.limit))
-        self._audible += (~heard.silent).tolist()
+    def step(self, samples: Samples, loudness_step: LoudnessStep) -> list[tuple[float, float]]:
+        """The onsets (seconds, dB) that are certain after more sound [n] and its loudness."""
+        self._add(self._rise.step(samples, loudness_step.limit))
+        self._audible += (~loudness_step.silent).tolist()
         self._judge(self._first + len(self._strengths) - self._around)
-        return self._told(ended=False)
+        return self._certain(ended=False)
 
     def finish(self) -> list[tuple[float, float]]:
-        """The onsets at the end."""
         self._add(self._rise.finish())
         self._judge(self._first + len(self._strengths))
-        return self._told(ended=True)
+        return self._certain(ended=True)
 
     @property
     def known_until(self) -> float:
-        """Seconds before which all onsets are told."""
+        """Seconds before which all onsets have been returned."""
         return (self._peaks[0][0] if self._peaks else self._next) * _HOP + _LATE * _HOP
 
     def _add(self, strengths: Array) -> None:
@@ -198,7 +189,7 @@ class OnsetTracker:
             del self._strengths[:old], self._totals[:old]
             self._first += old
 
-    def _told(self, ended: bool) -> list[tuple[float, float]]:
+    def _certain(self, ended: bool) -> list[tuple[float, float]]:
         out = []
         while self._peaks:
             frame, strength = self._peaks[0]
@@ -218,7 +209,6 @@ class OnsetTracker:
 
 @lru_cache(maxsize=4)
 def _hann(window: int) -> Array:
-    """[window] one period."""
     return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, window + 1))[:-1]
 
 
@@ -232,13 +222,13 @@ def _bands(sample_rate: int, window: int) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=4)
 def _places(window: int, hop: int, count: int) -> NDArray[np.int64]:
-    """[count, window] which samples the windows hold that begin every `hop` samples."""
+    """[count, window] sample indices of the windows that begin every `hop` samples."""
     return hop * np.arange(count)[:, None] + np.arange(window)
 
 
 def _spectra(sound: Samples, window: int, hop: int) -> NDArray[np.complex64]:
-    """[window / 2 + 1, T] of the windows that begin every `hop` samples. The same numbers as of librosa's stft, whose
-    checks cost five times as much as the arithmetic for so few windows."""
+    """[window / 2 + 1, T] spectra of the windows that begin every `hop` samples, as by librosa's stft, whose checks
+    take five times as long as the arithmetic for so few windows."""
     from scipy import fft
 
     windows = sound[_places(window, hop, 1 + (len(sound) - window) // hop)]
@@ -246,8 +236,8 @@ def _spectra(sound: Samples, window: int, hop: int) -> NDArray[np.complex64]:
 
 
 def _covered(window: int, hop: int) -> Array:
-    """Share of the power of the first spectra's windows that lies in the recording, until it is 1: a recording that
-    begins in steady sound rises only because the windows fill, and that is no onset."""
+    """Share of the power of the first windows that lies in the recording, up to 1, to correct for windows that are only
+    partly filled: steady sound at the start is not an onset."""
     power = np.hanning(window + 1)[:-1] ** 2
     inside = np.cumsum(power[::-1])[::-1] / power.sum()
     return np.concatenate([inside[window // 2::-hop], [1.0]])

@@ -1,10 +1,8 @@
-"""Sound files: what their headers promise, and from their bytes to samples at their own rate, piece by piece.
+"""Sound files: the length promised by the header, and decoding to samples at the original rate, piece by piece.
 
-Decoders shorten a file silently to what is there, so its header is looked into first: which format it is, and how long
-it should be. Then there is one decoder for each family of formats.
-
-WAV, FLAC, OGG and their like are decoded by libsndfile here; MP3 by libsndfile in a process of its own (`mp3_child`
-tells why); M4A, MP4, WebM and other containers, the sound of a video among them, by FFmpeg through PyAV.
+Decoders silently accept truncated files, so format and expected length are read from the header first. WAV, FLAC, OGG
+and similar formats are decoded by libsndfile in this process; MP3 by libsndfile in a subprocess (see `mp3_child`); M4A,
+MP4, WebM and other containers, including videos, by FFmpeg through PyAV.
 """
 
 from __future__ import annotations
@@ -31,25 +29,23 @@ if TYPE_CHECKING:
     from typing_extensions import Buffer
 
 PIECE = 1 << 18
-"""Numbers that are decoded at a time, over all channels: 1 MiB."""
+"""Samples that are decoded at a time, over all channels: 1 MiB."""
 PYAV = "pip install 'gesticulator[video]'"
-"""What brings the decoder of containers."""
+"""Command that installs the decoder of containers."""
 
 _OFFSET = 0.02
-"""Seconds that the sound of a video may begin late before it is moved: half a frame of film."""
+"""Late start of a video's sound, seconds, above which it is shifted: half a frame of film."""
 _MOST_OFFSET = 60.0
-"""Seconds beyond which such a beginning is not believed."""
+"""Late start, seconds, above which it is implausible and ignored."""
 _CUT = 0.25
-"""Seconds that may be missing at the end of a container: what encoders add at both ends, and rounding."""
+"""Seconds that may be missing at the end of a container, because of encoder padding and rounding."""
 
 
 @dataclass(frozen=True)
 class Sound:
-    """A sound file that is being decoded.
-
-    rate: samples per second. frames: samples per channel by its header, 0 where it does not say. pieces: samples
-    [n, channels], to be gone through once; they raise `BrokenSoundError`. known: frames can be relied on.
-    """
+    """A sound file that is being decoded. rate: samples per second. frames: samples per channel from its header, 0 if
+    unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`. known: frames is
+    reliable."""
 
     rate: int
     frames: int
@@ -58,7 +54,7 @@ class Sound:
 
 
 class NoSoundError(Exception):
-    """The file is none that the decoder knows."""
+    """The decoder does not support the file."""
 
 
 class BrokenSoundError(Exception):
@@ -67,22 +63,22 @@ class BrokenSoundError(Exception):
 
 # ---------------------------------------------------------------------------------------------------- headers
 
-# A recorder that writes to a pipe cannot go back to fill in the length; these are what it leaves there.
+# Least placeholder of the length by a recorder that writes to a pipe and cannot fill it in later.
 _STREAMED = 0x7FFF0000
 _MOST_CHUNKS = 1000
-"""Parts of a WAV before its sound: a dozen are usual, and a million zeros would each be one."""
+"""Most chunks of a WAV before its sound; a dozen are usual."""
 _CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
     (4, b"ftyp", "mov,mp4,m4a,3gp,3g2,mj2"), (4, b"moov", "mov,mp4,m4a,3gp,3g2,mj2"),
     (4, b"mdat", "mov,mp4,m4a,3gp,3g2,mj2"), (0, b"\x1aE\xdf\xa3", "matroska,webm"), (8, b"AVI ", "avi"),
     (0, b"0&\xb2u\x8ef\xcf\x11", "asf"), (0, b"#!AMR", "amr"), (0, b"\0\0\x01\xba", "mpeg"),
 )
-"""(place, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG."""
+"""(offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG."""
 
 
 @dataclass(frozen=True)
 class Promise:
-    """What a header says. known: it tells the length; frames: samples per channel, 0 where the decoder's own count is
-    the promise; patch: where a length of 0 stands that has to be read as "to the end"."""
+    """The length in a header. known: it is reliable; frames: samples per channel, 0 to use the decoder's count; patch:
+    position of a length of 0 that means "to the end"."""
 
     known: bool
     frames: int = 0
@@ -90,11 +86,8 @@ class Promise:
 
 
 class Patched(io.RawIOBase):
-    """A binary file read as if the four bytes at `place`, if that is not 0, were 0xFF; no seek in it fails.
-
-    A damaged file sends libsndfile to places before its beginning, and what Python raises there is printed on the
-    terminal, past everybody.
-    """
+    """A binary file with the four bytes at `place`, if that is not 0, replaced by 0xFF, and seeks that never fail:
+    libsndfile seeks before the start of damaged files, and Python would print the exception on the terminal."""
 
     def __init__(self, raw: BinaryIO, place: int = 0) -> None:
         self._raw, self._place = raw, place
@@ -126,7 +119,7 @@ class Patched(io.RawIOBase):
 
 
 def container_of(head: bytes) -> str:
-    """FFmpeg's name of the format of a video, or of sound in a container, from its first bytes; "" for others."""
+    """FFmpeg's name of the format of a video or container, from its first bytes; "" for others."""
     for place, mark, kind in _CONTAINERS:
         if head[place:place + len(mark)] == mark:
             return kind
@@ -143,7 +136,7 @@ def is_mpeg(head: bytes) -> bool:
 
 
 def promised(raw: BinaryIO, size: int, name: object) -> Promise:
-    """What the header of `size` bytes of sound promises. `InputError` for a file that ends before its promise."""
+    """The length in the header of `size` bytes of sound. `InputError` for a shorter file."""
     head = raw.read(12)
     if head[:4] in (b"RIFF", b"RIFX", b"RF64") and head[8:12] == b"WAVE":
         return _promised_by_riff(raw, size, name, "big" if head[:4] == b"RIFX" else "little")
@@ -161,7 +154,7 @@ def promised(raw: BinaryIO, size: int, name: object) -> Promise:
 
 
 def _promised_by_riff(raw: BinaryIO, size: int, name: object, order: Literal["little", "big"]) -> Promise:
-    """Walk the chunks to the sound and compare its length with what is there."""
+    """Find the chunk with the sound and compare its length with the size of the file."""
     position, long_length = 12, 0
     for _ in range(_MOST_CHUNKS):
         if position + 8 > size:
@@ -191,7 +184,7 @@ def _promised_by_riff(raw: BinaryIO, size: int, name: object, order: Literal["li
 
 
 def _ogg_is_closed(raw: BinaryIO, size: int) -> bool:
-    """True when the last page is whole and says that it is the last."""
+    """Whether the last page is complete and marked as the last."""
     tail = min(size, 1 << 17)  # a page is 65,307 bytes at most
     raw.seek(size - tail)
     data = raw.read(tail)
@@ -204,7 +197,7 @@ def _ogg_is_closed(raw: BinaryIO, size: int) -> bool:
 
 
 def _promised_by_mpeg(raw: BinaryIO, head: bytes) -> Promise:
-    """Samples per channel that the encoder's own first frame ("Xing" or "Info") counts, less its padding."""
+    """Samples per channel from the encoder's info frame ("Xing" or "Info"), less its padding."""
     start = 0
     if head[:3] == b"ID3":
         start = 10 + sum((byte & 0x7F) << shift for byte, shift in zip(head[6:10], (21, 14, 7, 0), strict=True))
@@ -223,11 +216,10 @@ def _promised_by_mpeg(raw: BinaryIO, head: bytes) -> Promise:
 
 @contextlib.contextmanager
 def sndfile(raw: BinaryIO) -> Iterator[Sound]:
-    """Whatever libsndfile reads."""
     import soundfile
 
     class ForwardOnlyFile(soundfile.SoundFile):
-        """Only ever read forwards: where the length is open, a seek after each piece fails."""
+        """Without seeks, which fail after each piece if the length is unknown."""
 
         def seekable(self) -> bool:
             return False
@@ -258,13 +250,13 @@ def _of_sndfile(file: Any) -> Iterator[NDArray[np.float32]]:
 
 @contextlib.contextmanager
 def mpeg(raw: BinaryIO) -> Iterator[Sound]:
-    """MP3, by libsndfile in a process of its own; in this one where Python is frozen into a program."""
+    """Decode MP3 by libsndfile in a subprocess; in this process if Python is frozen into a program."""
     if not sys.executable or getattr(sys, "frozen", False):
         with sndfile(raw) as sound:
             yield sound
         return
     code = Path(__file__).with_name("mp3_child.py").read_text(encoding="utf-8") + "\nmain()\n"
-    # The same packages as here, and never those of the folder that the user stands in (-P).
+    # The same packages as here, but not those of the current folder (-P).
     paths = os.pathsep.join(path for path in sys.path if path)
     raw.seek(0)
     with _as_file(raw) as given, subprocess.Popen(
@@ -282,9 +274,8 @@ def mpeg(raw: BinaryIO) -> Iterator[Sound]:
 
 @contextlib.contextmanager
 def _as_file(raw: BinaryIO) -> Iterator[IO[bytes]]:
-    """The same bytes as a file that a process can be given."""
     if isinstance(getattr(raw, "raw", raw), io.FileIO):
-        # The process reads from where the system stands in the file, not from where Python's buffer does.
+        # The process reads from the position of the file descriptor, not of Python's buffer.
         os.lseek(raw.fileno(), 0, os.SEEK_SET)
         yield raw
         return
@@ -311,14 +302,12 @@ def _of_child(stream: IO[bytes], channels: int) -> Iterator[NDArray[np.float32]]
 
 @contextlib.contextmanager
 def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
-    """The first sound in a container; kind: FFmpeg's name of the format, so that it guesses nothing.
-
-    What begins late in the video begins late here. InputError where PyAV is not installed or there is no sound.
-    """
+    """Decode the first sound in a container, with silence for a late start; kind: FFmpeg's name of the format.
+    InputError if PyAV is not installed or there is no sound."""
     try:
         import av
     except ImportError:
-        raise InputError(name, "is a video, or sound in a container, and what reads those (PyAV) is not installed",
+        raise InputError(name, "is a video or container, and its decoder (PyAV) is not installed",
                          f"{PYAV}, or convert it to WAV") from None
     raw.seek(0)
     try:
@@ -329,7 +318,7 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
         if not file.streams.audio:
             raise InputError(name, "has no sound", "give a video with sound, or its sound file")
         stream = file.streams.audio[0]
-        # Of a codec that FFmpeg does not know there is no context, and then no rate either.
+        # For an unknown codec there is no context, and then no rate either.
         rate = int(stream.rate or 0) if stream.codec_context is not None else 0
         if rate <= 0:
             raise NoSoundError
@@ -349,7 +338,7 @@ def _of_container(file: Any, stream: Any, rate: int, late: float) -> Iterator[ND
     try:
         for frame in file.decode(stream):
             if planes is None:
-                # Whatever the codec's type of number, floats, one row for each channel.
+                # Convert the sample format of the codec to floats, one row per channel.
                 planes = av.AudioResampler(format="fltp", layout=frame.layout, rate=rate)
             for part in planes.resample(frame):
                 yield np.ascontiguousarray(part.to_ndarray().T, dtype=np.float32)

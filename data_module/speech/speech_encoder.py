@@ -1,7 +1,7 @@
 """The speech encoder: eight convolutions over samples, whose outputs are levels from sound to content (RG 4.1.3).
 
-Two stages train it on speech alone: `PredictiveCoding` tells what comes next from what was heard, and `TextContrast`
-draws the last level to the words and pushes the others away from them (Eq. 1). Published vq-wav2vec weights load too.
+Two stages train it on speech: `PredictiveCoding` predicts the next rows, and `TextContrast` pulls the last level
+towards the words and pushes the others away (Eq. 1). Published vq-wav2vec weights can be loaded too.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ class EncoderConfig:
     temperature: float = 0.1
     """tau of Eq. 1."""
     mask_same_word: bool = False
-    """Leave the other level-8 frames of the anchor's word out of Eq. 1's denominator; the paper has them in."""
+    """Exclude the other level-8 frames of the anchor's word from the denominator of Eq. 1; the paper includes them."""
     train_projections: bool = True
-    """Off: F_t and F_a stay as they were drawn, so that only the encoder itself can lower Eq. 1."""
+    """Train F_t and F_a; without it only the encoder can lower Eq. 1."""
     prediction_steps: int = 12
-    """How many rows of 10 ms ahead predictive coding looks."""
+    """Rows of 10 ms that predictive coding looks ahead."""
     negatives: int = 10
-    """Rows of the same crop that the right one is to be told from."""
+    """Negative rows from the same crop."""
     context_width: int = 128
-    """Width of the recurrent net that sums up what was heard; only predictive coding has it."""
+    """Width of the recurrent net of predictive coding that summarises the past."""
 
     def __post_init__(self) -> None:
         if self.activation not in ACTIVATIONS:
@@ -62,7 +62,7 @@ class EncoderConfig:
 
 
 def hop_and_reach(level: int) -> tuple[int, int]:
-    """Samples from one row of a level (1 to 8) to the next, and samples that a row is made from."""
+    """Hop and receptive field of a level (1 to 8), samples."""
     hop, reach = 1, 1
     for kernel, stride in SHAPES[:level]:
         reach += (kernel - 1) * hop
@@ -71,11 +71,9 @@ def hop_and_reach(level: int) -> tuple[int, int]:
 
 
 class SpeechEncoder(nn.Module):
-    """vq-wav2vec's feature extractor: each convolution is followed by normalisation and activation.
-
-    The normalisation takes its statistics from the whole input, so a level depends on how long the input is: every
-    caller gives it the one window of three blocks, in training as in use.
-    """
+    """vq-wav2vec's feature extractor: each convolution is followed by normalisation and activation. The normalisation
+    uses statistics of the whole input, so a level depends on the length of the input: all callers use a window of three
+    blocks, in training and inference."""
 
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
@@ -86,10 +84,8 @@ class SpeechEncoder(nn.Module):
         self.norms = nn.ModuleList(nn.GroupNorm(1, config.width) for _ in SHAPES)
 
     def forward(self, samples: Tensor) -> list[Tensor]:
-        """Samples [B, T] at 16 kHz to the eight levels, each [B, C, T_l]; the last as log(1 + |x|).
-
-        ValueError when a window is too short for a row of the last level (465 samples).
-        """
+        """Samples [B, T] at 16 kHz to the eight levels, each [B, C, T_l]; the last as log(1 + |x|). ValueError when a
+        window is too short for a row of the last level (465 samples)."""
         shortest = hop_and_reach(LEVELS)[1]
         if samples.ndim != 2 or samples.shape[1] < shortest:
             raise ValueError(f"samples {tuple(samples.shape)} are not [B, T] with {shortest} or more")
@@ -115,7 +111,7 @@ class SpeechEncoder(nn.Module):
 @lru_cache(maxsize=64)
 @torch.inference_mode(False)  # kept for later calls, which may be training
 def _pooling(level: int, samples: int, frames: int) -> Tensor:
-    """[T_l, frames] weights of a mean; a row belongs to the frame in which the middle of what it heard lies."""
+    """[T_l, frames] pooling weights; a row belongs to the frame that contains the middle of its receptive field."""
     hop, reach = hop_and_reach(level)
     middles = hop * torch.arange((samples - reach) // hop + 1, dtype=torch.float64) + (reach - 1) / 2
     owner = torch.floor(middles * frames / samples).long()
@@ -127,10 +123,8 @@ def _pooling(level: int, samples: int, frames: int) -> Tensor:
 
 
 class PredictiveCoding(nn.Module):
-    """Contrastive predictive coding: from level 8 up to now, tell which row comes 1 to 12 steps later.
-
-    A row is told from `negatives` others of the same crop by its dot product with a linear prediction per step.
-    """
+    """Contrastive predictive coding: from level 8 so far, identify the row 1 to 12 steps later among `negatives` others
+    of the same crop, by the dot product with a linear prediction per step."""
 
     def __init__(self, encoder: SpeechEncoder, config: EncoderConfig) -> None:
         super().__init__()
@@ -140,52 +134,47 @@ class PredictiveCoding(nn.Module):
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         return {"predictive": 1.0}
 
     def scores(self, samples: Tensor) -> tuple[Tensor, Tensor]:
-        """[B, T, steps, 1 + negatives] scores of each row as foreseen 1, 2, ... steps before it, the row that did come
-        first; and [T, steps] which of them exist (nothing was heard before the beginning).
-
-        The negatives come from torch's global generator, as dropout would.
-        """
+        """[B, T, steps, 1 + negatives] scores of each row by the prediction 1, 2, ... steps before it, the true row
+        first; and [T, steps] which of them exist. The negatives come from torch's global generator, as in dropout."""
         rows = self.encoder(samples)[-1].transpose(1, 2)
         batch, count, width = rows.shape
         if count < 2:
-            raise ValueError(f"crops of {samples.shape[1]} samples are too short to tell what comes next")
-        heard, _ = self.context(rows)
-        predicted = self.predict(heard).unflatten(-1, (-1, width)) / width ** 0.5
+            raise ValueError(f"crops of {samples.shape[1]} samples are too short for a prediction")
+        context, _ = self.context(rows)
+        predicted = self.predict(context).unflatten(-1, (-1, width)) / width ** 0.5
         time = torch.arange(count, device=rows.device)
         ahead = torch.arange(self.config.prediction_steps, device=rows.device)
         since = time[:, None] - 1 - ahead
         foreseen = predicted[:, since.clamp_min(0), ahead]
-        own = time[None, :, None].expand(batch, -1, 1)
+        positive = time[None, :, None].expand(batch, -1, 1)
         others = torch.randint(count - 1, (batch, count, self.config.negatives), device=rows.device)
-        picked = torch.cat([own, others + (others >= own)], dim=-1)
+        picked = torch.cat([positive, others + (others >= positive)], dim=-1)
         candidates = rows[torch.arange(batch, device=rows.device)[:, None, None], picked]
         return torch.einsum("btsc,btnc->btsn", foreseen, candidates), since >= 0
 
     def losses(self, batch: Mapping[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """Cross entropy of the right row, the mean over rows and steps. batch: "samples" [B, T], crops of speech."""
+        """Cross-entropy of the true row, averaged over rows and steps. batch: "samples" [B, T], crops of speech."""
         scores, there = self.scores(batch["samples"])
         chosen = scores[:, there].flatten(0, 1)
         return {"predictive": F.cross_entropy(chosen, chosen.new_zeros(len(chosen), dtype=torch.long))}
 
     @torch.no_grad()
     def accuracy(self, batch: Mapping[str, Tensor]) -> Tensor:
-        """[steps] share of rows told right; chance is 1 / (1 + negatives)."""
+        """[steps] share of rows classified correctly; chance is 1 / (1 + negatives)."""
         scores, there = self.scores(batch["samples"])
         right = (scores.argmax(-1) == 0) & there
         return right.float().sum(dim=(0, 1)) / (there.sum(0) * len(scores)).clamp_min(1)
 
 
 class TextContrast(nn.Module):
-    """Eq. 1 and 2: the text of a frame finds level 8 of its frame among all levels of all frames of the block.
+    """Eq. 1 and 2: the text of a frame retrieves level 8 of its frame among all levels of all frames of the block.
 
-    F_t and one F_a per level are linear without bias. Even so they can lower Eq. 1 while the encoder stays as it is:
-    each level has a projection of its own, and one that turns a level's mean away from the text pushes that level
-    away. What the loss did to the encoder is therefore measured by `retrieval` and by linear probes on frozen
-    levels (docs/results/earlier/speech_levels.md), never by the loss; `train_projections` off closes the way.
+    F_t and one F_a per level are linear without bias. They can lower Eq. 1 without a change of the encoder, because the
+    projection of a level can turn its mean away from the text. The effect on the encoder is therefore measured by
+    `retrieval` and by linear probes on frozen levels (docs/results/earlier/speech_levels.md), not by the loss.
     """
 
     def __init__(self, encoder: SpeechEncoder, config: EncoderConfig, text_width: int, frames: int) -> None:
@@ -199,7 +188,6 @@ class TextContrast(nn.Module):
 
     @property
     def weights(self) -> dict[str, float]:
-        """Loss weights, keyed like `losses`."""
         return {"contrast": 1.0}
 
     def similarities(self, batch: Mapping[str, Tensor]) -> Tensor:
@@ -211,11 +199,9 @@ class TextContrast(nn.Module):
         return torch.einsum("bkp,blip->bkli", text, F.normalize(audio, dim=-1))
 
     def losses(self, batch: Mapping[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
-        """Eq. 1, the mean over anchors; a frame without a word is no anchor.
-
-        batch: "samples" [B, 3K * samples per frame], windows of three blocks; "text" [B, K, d_t] word vectors of the
-        middle block; "word" [B, K] which word of the recording sounds, -1 for none.
-        """
+        """Eq. 1, averaged over anchors, the frames with a word. batch: "samples" [B, 3K * samples per frame], windows
+        of three blocks; "text" [B, K, d_t] word vectors of the middle block; "word" [B, K] which word of the recording
+        sounds, -1 for none."""
         from data_module.parallel import batch_ratio  # only training asks for it
 
         logits = self.similarities(batch) / self.config.temperature
@@ -225,58 +211,27 @@ class TextContrast(nn.Module):
             same = (word[:, :, None] == word[:, None]) & ~torch.eye(frames, dtype=torch.bool, device=word.device)
             last = logits[:, :, -1].masked_fill(same, -torch.inf)
             logits = torch.cat([logits[:, :, :-1], last[:, :, None]], dim=2)
-        own = torch.arange(frames, device=word.device).expand_as(word)
+        positive = torch.arange(frames, device=word.device).expand_as(word)
         spread = torch.logsumexp(logits.flatten(2), dim=-1)
-        terms = spread - logits[:, :, -1].gather(2, own[..., None])[..., 0]
+        terms = spread - logits[:, :, -1].gather(2, positive[..., None])[..., 0]
         spoken = (word >= 0).to(terms.dtype)
         return {"contrast": batch_ratio((terms * spoken).sum(), spoken.sum())}
 
     @torch.no_grad()
     def retrieval(self, batch: Mapping[str, Tensor]) -> Tensor:
-        """[8]: how often, within one level, the frame most similar to a text frame carries the same word.
-
-        Anchors are the frames with a word, in blocks that hold another word or a silence too; NaN where there are
-        none. `retrieval_chance` gives what a frame drawn at random reaches.
-        """
+        """[8]: share of text frames for which the most similar frame of a level has the same word. Anchors are the
+        frames with a word, in blocks that also have another word or silence; NaN without any."""
         best = self.similarities(batch).argmax(dim=-1)
-        word, anchors = batch["word"], _contested(batch["word"])
-        found = torch.gather(word[:, :, None].expand(-1, -1, LEVELS), 1, best)
-        return (found == word[..., None])[anchors].float().mean(dim=0)
-
-    @torch.no_grad()
-    def shares(self, batch: Mapping[str, Tensor]) -> Tensor:
-        """[8]: how often the candidate most similar to a text frame, of all levels and frames, is of each level."""
-        best = self.similarities(batch).flatten(2).argmax(dim=-1) // batch["word"].shape[1]
-        return F.one_hot(best[batch["word"] >= 0], LEVELS).float().mean(dim=0)
-
-
-def _contested(word: Tensor) -> Tensor:
-    """[B, K]: frames with a word, in blocks where some other frame has not that word."""
-    return (word >= 0) & (word[:, :, None] != word[:, None]).any(dim=-1)
-
-
-def contrast_bounds(word: Tensor) -> tuple[Tensor, Tensor]:
-    """What Eq. 1 can come down to, unmasked: with frames told apart, and by telling levels apart alone. word [B, K].
-
-    The frames of a word share their text, so of n such frames none can be told from the others: ln n. A model that
-    only turns seven levels away from every text reaches ln K; what is below that is content.
-    """
-    same = (word[:, :, None] == word[:, None]).sum(dim=-1).to(torch.float32)
-    return same[word >= 0].log().mean(), torch.tensor(float(word.shape[1]), device=word.device).log()
-
-
-def retrieval_chance(word: Tensor) -> Tensor:
-    """What `TextContrast.retrieval` gives for frames drawn at random; word [B, K]."""
-    share = (word[:, :, None] == word[:, None]).float().mean(dim=-1)
-    return share[_contested(word)].mean()
+        word = batch["word"]
+        anchors = (word >= 0) & (word[:, :, None] != word[:, None]).any(dim=-1)
+        retrieved = torch.gather(word[:, :, None].expand(-1, -1, LEVELS), 1, best)
+        return (retrieved == word[..., None])[anchors].float().mean(dim=0)
 
 
 def load_fairseq(path: str | os.PathLike[str]) -> SpeechEncoder:
-    """The feature extractor of a vq-wav2vec (or wav2vec) checkpoint as fairseq writes it, ready to use (frozen).
-
-    Only tensors and plain settings are read from the file, nothing in it is run. Width comes from the shapes,
-    activation from the settings (gelu where there are none). InputError where the file is not such a checkpoint.
-    """
+    """The feature extractor of a vq-wav2vec (or wav2vec) checkpoint as fairseq writes it, ready to use (frozen). Only
+    tensors and plain settings are read from the file, nothing in it is run. Width comes from the shapes, activation
+    from the settings (gelu where there are none). InputError where the file is not such a checkpoint."""
     stored = _read_checkpoint(path)
     weights = {str(key): value for key, value in stored["model"].items() if isinstance(value, Tensor)}
     settings = _settings_of(stored)
@@ -322,8 +277,8 @@ def _read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
 def _settings_of(stored: Mapping[str, Any]) -> dict[str, Any]:
     """The model's settings, from "args" (a Namespace) or from "cfg" (plain values) with or without its "model"."""
     for name in ("args", "cfg"):
-        told = stored.get(name)
-        plain = vars(told) if isinstance(told, argparse.Namespace) else told
+        group = stored.get(name)
+        plain = vars(group) if isinstance(group, argparse.Namespace) else group
         if isinstance(plain, Mapping):
             inner = plain.get("model", plain)
             inner = vars(inner) if isinstance(inner, argparse.Namespace) else inner

@@ -1,1 +1,1 @@
-"""What was said: transcripts, their alignment with the sound, and word vectors."""
+"""The words of the speech: transcripts, their alignment with the sound, and word vectors."""

@@ -1,10 +1,9 @@
-"""What was said, and when: a transcript brought onto the clock of its recording (RG 4.1.2).
+"""Forced alignment of a transcript with its recording (RG 4.1.2).
 
-The aligner is pocketsphinx (extra `align`). The recording is cut at pauses into pieces of ten seconds at most; each
-piece is decoded along the chain of words that are still to come, so the transcript finds its pieces by itself. Where
-that leaves words over, the whole recording is aligned with a wide beam; where even that fails, the words share out
-the loud frames by their length, and the result says so. It also says so where the words that were found leave much of
-the sound without a word: a short text finds a place in any recording.
+The aligner is pocketsphinx (extra `align`). The recording is cut at pauses into pieces of at most ten seconds; each
+piece is decoded along the chain of the remaining words. If words are left over, the whole recording is aligned with a
+wide beam; if that fails too, the words are spread over the loud frames by their length, and the result says so. It also
+says so if much of the sound has no word, because a short text fits any recording.
 """
 
 from __future__ import annotations
@@ -27,40 +26,40 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 ALIGNER_RATE = 16000
-"""Hertz that the aligner's acoustic model was trained on."""
+"""Sample rate of the aligner's acoustic model, hertz."""
 FRAME = 0.01
-"""Seconds per frame of the aligner, and of the loudness that finds the pauses."""
+"""Seconds per frame of the aligner, and of the loudness for the detection of pauses."""
 LONGEST_PIECE = 10.0
-"""Seconds of sound that are aligned at a time."""
+"""Longest piece that is aligned at a time, seconds."""
 SHORTEST_PAUSE = 0.15
-"""Seconds of a pause at which the sound is cut."""
+"""Shortest pause at which the sound is cut, seconds."""
 LONGEST_WIDE = 180.0
-"""Seconds; the wide beam costs about 0.15 s a second and grows with the length, so a longer recording goes without."""
+"""Longest recording for the wide beam, seconds: it takes about 0.15 s per second, more for longer recordings."""
 LEAST_COVERED = 0.85
-"""Share of the loud frames that lies in words where a transcript follows its recording: 0.96 and more in English
-readings with their own text, 0.8 and less with another one."""
+"""Least share of the loud frames within words for a matching transcript: at least 0.96 in English readings with their
+text, at most 0.8 with another one."""
 _WIDE_BEAM = {"beam": 1e-120, "pbeam": 1e-120, "wbeam": 1e-120}
 _WORDS_PER_SECOND = 6
 _KNOWN_LETTERS = frozenset("abcdefghijklmnopqrstuvwxyzéèêëïçàâ")
 _STRANGE_WORDS = 0.05
-# Scripts that write words without spaces, and the longest stretch of them that is taken as one word.
+# Scripts without spaces between words, and the longest stretch of them that counts as one word.
 _UNSPACED, _LONGEST_UNSPACED = re.compile(r"[\u3040-\u30ff\u3400-\u9fff\uf900-\ufaff\U00020000-\U0003ffff]"), 4
 
 
 class AlignmentWarning(UserWarning):
-    """The aligner could not follow the transcript; the times are guessed."""
+    """The transcript could not be aligned; the times are estimates."""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Words with their times, and whether the times were heard (True) or guessed, for the reason given in `doubt`."""
+    """Words with their times; aligned: they are from the aligner, else they are estimates for the reason in `doubt`."""
 
     words: tuple[Word, ...]
-    heard: bool
+    aligned: bool
     doubt: str = ""
 
 
-# Letters to ARPABET sounds, longest match first; good enough to let the aligner pass through a word it never saw.
+# Letters to ARPABET sounds, longest match first; accurate enough for words outside the dictionary.
 _SOUNDS = {
     "tion": "SH AH N", "sion": "ZH AH N", "ough": "AO", "augh": "AO", "eigh": "EY", "igh": "AY", "tch": "CH",
     "sch": "SH", "dge": "JH", "ch": "CH", "sh": "SH", "th": "TH", "ph": "F", "wh": "W", "ck": "K", "ng": "NG",
@@ -75,7 +74,7 @@ _LONG = {"a": "EY", "e": "IY", "i": "AY", "o": "OW", "u": "UW"}
 
 
 def letters_to_sounds(word: str) -> str:
-    """A plausible English pronunciation of a word, as ARPABET sounds parted by spaces; "AH" when it has no letters."""
+    """A plausible English pronunciation of a word, as ARPABET sounds separated by spaces; "AH" without letters."""
     text = re.sub("[^a-z]", "", word.lower())
     text = re.sub(r"([bcdfgklmnprstvz])\1", r"\1", text)
     sounds: list[str] = []
@@ -99,10 +98,8 @@ def letters_to_sounds(word: str) -> str:
 
 
 def spoken_words(transcript: str) -> list[tuple[str, str]]:
-    """The words of a transcript as (as written, in the plain letters and apostrophes that a dictionary has).
-
-    A hyphened word counts as its parts; marks without a letter are no words.
-    """
+    """The words of a transcript as (as written, in the letters and apostrophes of the dictionary). A hyphenated word
+    counts as its parts; tokens without a letter are not words."""
     out = []
     for written in re.sub("[-–—]", " ", re.sub("[’‘`]", "'", transcript)).split():
         plain = re.sub("[^a-z']", "", written.lower()).strip("'")
@@ -117,46 +114,42 @@ def align(speech: Speech, transcript: str) -> tuple[Word, ...]:
 
 
 def alignment(speech: Speech, transcript: str, *, warn: bool = True) -> Alignment:
-    """Align an English transcript with its recording.
-
-    Words rise in time and lie within the recording. `InputError` when the transcript has no words or the aligner is
-    not installed; an `AlignmentWarning`, if `warn`, when the times are guessed.
-    """
+    """Align an English transcript with its recording. Words rise in time and lie within the recording. `InputError` if
+    the transcript has no words or the aligner is not installed; with `warn` an `AlignmentWarning` if the times are
+    estimates."""
     words = spoken_words(transcript)
     if not words:
         raise InputError("transcript", "has no words", "give the text that is spoken")
     plain = [word for _, word in words]
     samples = _aligner_samples(speech)
-    found = _by_pieces(samples, plain)
-    if found is None and speech.duration <= LONGEST_WIDE:
-        found = _whole(samples, plain)
-    if found is None:
+    spans = _by_pieces(samples, plain)
+    if spans is None and speech.duration <= LONGEST_WIDE:
+        spans = _whole(samples, plain)
+    if spans is None:
         doubt = "the transcript does not follow the recording"
         timed = shared_out(speech, [written for written, _ in words])
     else:
         end = speech.duration
         timed = tuple(Word(written, min(a, end), min(b, end))
-                      for (written, _), (a, b) in zip(words, found, strict=True))
-        covered = _covered(samples, found)
-        doubt = "" if covered >= LEAST_COVERED else f"the transcript covers only {covered:.0%} of what is said"
+                      for (written, _), (a, b) in zip(words, spans, strict=True))
+        covered = _covered(samples, spans)
+        doubt = "" if covered >= LEAST_COVERED else f"the transcript covers only {covered:.0%} of the speech"
     if doubt and warn:
-        warnings.warn(f"{doubt} ('{transcript.strip()[:30]}...'); the times of its words are guessed",
+        warnings.warn(f"{doubt} ('{transcript.strip()[:30]}...'); the times of its words are estimates",
                       AlignmentWarning, stacklevel=3)
     return Alignment(timed, not doubt, doubt)
 
 
 def shared_out(speech: Speech, words: Sequence[str]) -> tuple[Word, ...]:
-    """Words of any language that share out the loud parts of the recording by their length; a guess."""
+    """Estimated times of words of any language: spread over the loud parts of the recording by their length."""
     end = speech.duration
     return tuple(Word(word, min(a, end), min(b, end))
                  for word, (a, b) in zip(words, _shared_out(_aligner_samples(speech), words), strict=True))
 
 
 def written_words(transcript: str) -> list[str]:
-    """The words of a transcript in any language, without the marks around them.
-
-    Where a script has no spaces, each of its characters counts as a word.
-    """
+    """The words of a transcript in any language, without punctuation. In a script without spaces each character counts
+    as a word."""
     out: list[str] = []
     for token in re.sub("[-–—]", " ", transcript).split():
         if len(_UNSPACED.findall(token)) > _LONGEST_UNSPACED:
@@ -167,14 +160,13 @@ def written_words(transcript: str) -> list[str]:
 
 
 def can_follow(transcript: str) -> bool:
-    """Whether the aligner can read a transcript: it has words, and next to none holds a letter foreign to English."""
+    """Whether the aligner supports a transcript: it has words, and few have letters that English lacks."""
     words = [word.lower() for word in written_words(transcript) if any(letter.isalpha() for letter in word)]
     strange = sum(any(letter.isalpha() and letter not in _KNOWN_LETTERS for letter in word) for word in words)
     return bool(spoken_words(transcript)) and strange <= _STRANGE_WORDS * len(words)
 
 
 def aligner_installed() -> bool:
-    """Whether pocketsphinx (extra `align`) is there."""
     return importlib.util.find_spec("pocketsphinx") is not None
 
 
@@ -189,10 +181,7 @@ def _aligner_samples(speech: Speech) -> NDArray[np.int16]:
 
 
 def _decoder(wide: bool) -> Any:
-    """The aligner in the state of a new one: what it heard before (its running cepstral mean) is forgotten.
-
-    A new one takes 0.3 s to load, this 0.1 ms.
-    """
+    """The aligner in its initial state (its running cepstral mean is reset), in 0.1 ms; a new one takes 0.3 s."""
     decoder = _loaded_decoder(wide)
     decoder.reinit_feat()
     return decoder
@@ -215,7 +204,6 @@ def _know(decoder: Any, words: Sequence[str]) -> None:
 
 
 def _loudness(samples: NDArray[np.int16]) -> NDArray[np.float64]:
-    """dB per frame of 10 ms."""
     hop = int(FRAME * ALIGNER_RATE)
     count = max(1, len(samples) // hop)
     frames = np.resize(samples, count * hop).astype(np.float64).reshape(count, hop) / 32768
@@ -223,17 +211,15 @@ def _loudness(samples: NDArray[np.int16]) -> NDArray[np.float64]:
 
 
 def _loud(samples: NDArray[np.int16]) -> NDArray[np.bool_]:
-    """Frames that stand out from the recording's own floor: above a third of the way from floor to speech, in dB."""
+    """Loud frames: above a third of the way from the recording's floor (5th percentile) to its 95th, in dB."""
     level = _loudness(samples)
     floor, top = np.percentile(level, [5, 95])
     return level > floor + (top - floor) / 3
 
 
 def pieces(samples: NDArray[np.int16]) -> list[tuple[int, int]]:
-    """Cut 16 kHz samples in the middle of pauses into pieces of `LONGEST_PIECE` at most, as sample ranges.
-
-    Where no pause lies within reach the cut falls on the quietest frame of the reach's second half.
-    """
+    """Cut 16 kHz samples in the middle of pauses into pieces of at most `LONGEST_PIECE`, as sample ranges. Without a
+    pause within reach the cut is at the quietest frame of the second half of the reach."""
     hop, reach = int(FRAME * ALIGNER_RATE), int(LONGEST_PIECE / FRAME)
     level, loud = _loudness(samples), _loud(samples)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], ~loud, [0]]).astype(int))).reshape(-1, 2)
@@ -248,24 +234,24 @@ def pieces(samples: NDArray[np.int16]) -> list[tuple[int, int]]:
 
 
 def _by_pieces(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float, float]] | None:
-    """Times for every word, piece after piece; None when words are left over or the chain breaks."""
+    """Times of all words, piece by piece; None if words are left over or the chain breaks."""
     decoder = _decoder(wide=False)
     _know(decoder, words)
-    found: list[tuple[float, float]] = []
+    spans: list[tuple[float, float]] = []
     cut = pieces(samples)
     for start, stop in cut:
-        at = len(found)
+        at = len(spans)
         ahead = words[at:at + int(_WORDS_PER_SECOND * (stop - start) / ALIGNER_RATE) + 10]
         if not ahead:
             break
         _follow(decoder, ahead, to_the_end=(start, stop) == cut[-1])
-        heard = _decode(decoder, samples[start:stop])
-        found += [(a + start / ALIGNER_RATE, b + start / ALIGNER_RATE) for _, a, b in heard]
-    return found if len(found) == len(words) else None
+        decoded = _decode(decoder, samples[start:stop])
+        spans += [(a + start / ALIGNER_RATE, b + start / ALIGNER_RATE) for _, a, b in decoded]
+    return spans if len(spans) == len(words) else None
 
 
 def _follow(decoder: Any, words: Sequence[str], *, to_the_end: bool) -> None:
-    """Let the decoder hear any beginning of the chain `words`, or only the whole of it."""
+    """Set the decoder's grammar to any beginning of the chain `words`, or only the whole of it."""
     goal = len(words) + 1
     steps: list[tuple[Any, ...]] = [(n, n + 1, 1.0, word) for n, word in enumerate(words)]
     steps += [(n, goal, 1.0) for n in range(len(words) + 1) if n == len(words) or not to_the_end]
@@ -274,7 +260,7 @@ def _follow(decoder: Any, words: Sequence[str], *, to_the_end: bool) -> None:
 
 
 def _decode(decoder: Any, samples: NDArray[np.int16]) -> list[tuple[str, float, float]]:
-    """(word, start, end) in seconds from the piece's start, without fillers and the marks of variants."""
+    """(word, start, end) in seconds from the start of the piece, without fillers and marks of variants."""
     decoder.start_utt()
     decoder.process_raw(samples.tobytes(), full_utt=True)
     decoder.end_utt()
@@ -286,16 +272,15 @@ def _decode(decoder: Any, samples: NDArray[np.int16]) -> list[tuple[str, float, 
 
 
 def _whole(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float, float]] | None:
-    """Times for every word from one pass over the whole recording with a wide beam; None when it fails."""
+    """Times of all words from one pass over the whole recording with a wide beam; None if it fails."""
     decoder = _decoder(wide=True)
     _know(decoder, words)
     decoder.set_align_text(" ".join(words))
-    heard = _decode(decoder, samples)
-    return [(a, b) for _, a, b in heard] if len(heard) == len(words) else None
+    decoded = _decode(decoder, samples)
+    return [(a, b) for _, a, b in decoded] if len(decoded) == len(words) else None
 
 
 def _covered(samples: NDArray[np.int16], spans: Sequence[tuple[float, float]]) -> float:
-    """The share of the loud frames that lies in words."""
     loud = _loud(samples)
     spoken = np.zeros(len(loud), dtype=bool)
     for start, end in spans:
@@ -304,7 +289,6 @@ def _covered(samples: NDArray[np.int16], spans: Sequence[tuple[float, float]]) -
 
 
 def _shared_out(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float, float]]:
-    """Times by the words' letters over the loud frames alone."""
     loud = np.flatnonzero(_loud(samples))
     if len(loud) == 0:
         loud = np.arange(max(1, len(samples) // int(FRAME * ALIGNER_RATE)))

@@ -1,7 +1,7 @@
-"""What was said, from the user's file, and its words on the clock of the recording.
+"""Transcripts from files, and the times of their words in the recording.
 
-A file may tell the times of the words (TextGrid, JSON), of whole cues (SRT, VTT) or none (plain text). What it does
-not tell is heard by the aligner, in English, or guessed; the result says which.
+A file may contain the times of words (TextGrid, JSON), of cues (SRT, VTT) or none (plain text). Missing times come from
+the aligner, for English, or are estimates; the result says which.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
     ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": formats.srt, ".vtt": formats.vtt,
     ".json": formats.words_json,
 }
-"""Readers by the ending of the file's name: (file, its text, speaker) to what it holds."""
+"""Readers by suffix: (file, its text, speaker) to its content."""
 
 _OVERLAP = 0.02
-"""Seconds by which words may overlap without a note: half of what an aligner's frames of 10 ms leave open."""
+"""Overlap of words, seconds, without a note: two frames of an aligner."""
 _UNTIMED = 0.3
-"""Seconds for a word without times where nothing bounds it: the mean of spoken English."""
+"""Duration of a word without times and without timed neighbours, seconds: the mean of spoken English."""
 
 How = Literal["given", "heard", "guessed"]
 
 Text: TypeAlias = "str | os.PathLike[str]"
-"""What is said: a `str` is the words themselves, a path (`pathlib.Path`) names a transcript's file."""
+"""A transcript: a `str` is the text itself, a path (`pathlib.Path`) names its file."""
 
 
 @dataclass(frozen=True)
 class Transcript:
-    """What was said.
+    """A transcript.
 
-    words: with their times, None where the file gives none. timing: "words" (the file times them), "cues" (the file
-    times cues; `words` share them out by length, until `with_transcript` listens) or "none". cues: the text of each
-    cue and its time. guessed: how many of the words the file left without a time. notes: what had to be put right.
+    words: with their times, None if the file has none. timing: "words" (the file has their times), "cues" (the file has
+    the times of cues; `words` are spread over them by length, until `with_transcript` aligns them) or "none". cues: the
+    text of each cue and its time. guessed: number of words without a time in the file. notes: corrections.
     """
 
     words: tuple[Word, ...] | None
@@ -62,8 +62,8 @@ class Transcript:
 
 
 MOST_WORDS = 8.0
-"""Words a second; fast talkers reach five or six."""
-_ENGLISH_ONLY = "the aligner reads English only"
+"""Most plausible words per second; fast talkers reach five or six."""
+_ENGLISH_ONLY = "the aligner supports English only"
 
 
 class TranscriptWarning(UserWarning):
@@ -72,11 +72,8 @@ class TranscriptWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Timing:
-    """How the words got their times.
-
-    words: how many there are, silences not counted. how: "given" by the file, "heard" by the aligner, or "guessed".
-    guessed: how many of them were. note: one line for the user.
-    """
+    """The source of the word times. words: number of words without silences. how: "given" by the file, "heard" by the
+    aligner, or "guessed". guessed: number of estimated times. note: one line for the user."""
 
     words: int
     how: How
@@ -87,14 +84,14 @@ class Timing:
 def read_transcript(path: str | os.PathLike[str], speech: Speech | None = None) -> Transcript:
     """Read .txt, .TextGrid (long or short), .srt, .vtt or .json (word times, or whisper's segments).
 
-    speech: the recording, if it is known: its speaker chooses among the tiers of several, and words beyond its end
-    are left out at once. `InputError` names the file and the line where it is broken, has no words, or lies beyond
-    the recording altogether.
+    speech: the recording, if it is known: its speaker selects among the tiers of several, and words beyond its end are
+    left out. `InputError` names the file and the line of an error, and a file without words or only with words beyond
+    the recording.
     """
     name = Path(path)
     reader = FORMATS.get(name.suffix.lower())
     if reader is None:
-        raise InputError(name, "is no transcript that can be read", f"give one of {', '.join(FORMATS)}")
+        raise InputError(name, "is not a supported transcript", f"give one of {', '.join(FORMATS)}")
     content = reader(str(name), read_text(name, "save it as text in UTF-8"), speech.speaker if speech else None)
     transcript = _transcript(str(name), content)
     if not (aligner.written_words(transcript.text) if transcript.words is None else _spoken(transcript.words)):
@@ -103,55 +100,50 @@ def read_transcript(path: str | os.PathLike[str], speech: Speech | None = None) 
 
 
 def as_transcript(text: Text, speech: Speech) -> Transcript:
-    """The transcript of a recording: of the words themselves (`str`), or of a file (a path).
-
-    `InputError` for words that are none, and for a `str` that is the name of a file.
-    """
+    """The transcript of a recording from a text (`str`) or a file (a path). `InputError` for a text without words, and
+    for a `str` that is the name of a file."""
     if not isinstance(text, str):
         return read_transcript(Path(text), speech)
     names_file = Path(text[-80:]).suffix.lower() in FORMATS and (len(text.split()) < 2 or os.path.isfile(text))  # noqa: PTH113
     if names_file:
-        raise InputError(f"text {text!r}", "is the name of a file, where a str is what is said",
+        raise InputError(f"text {text!r}", "is the name of a file, but a str must be the spoken text",
                          "give pathlib.Path(...) for a file")
     if not any(letter.isalnum() for letter in text):
-        raise InputError("text", "has no words", "give what is said, or leave it out")
+        raise InputError("text", "has no words", "give the spoken text, or leave it out")
     return Transcript(None, text, "none", "text")
 
 
 def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Timing]:
-    """The speech with the words of the transcript, and how they got their times.
-
-    Given times are kept. Words in cues are heard within their cue where the aligner can, else they share out its
-    loud parts. Plain English is aligned (`InputError` without the aligner); other languages share out the loud parts
-    of the recording.
-    """
+    """The speech with the words of the transcript, and the source of their times. Given times are used. Words of cues
+    are aligned within their cue if possible, else spread over its loud parts. Plain English is aligned (`InputError`
+    without the aligner); other languages are spread over the loud parts of the recording."""
     transcript = _within(transcript, speech.duration)
     how: How
     if transcript.timing == "words":
-        words, how, guessed, told = transcript.words or (), "given", transcript.guessed, ""
+        words, how, guessed, reason = transcript.words or (), "given", transcript.guessed, ""
     elif transcript.timing == "cues":
         words, guessed = _in_cues(speech, transcript.cues)
         how = "guessed" if 2 * guessed > len(words) else "heard"
-        told = "they share out their cues" if guessed else ""
+        reason = "they are spread over their cues" if guessed else ""
     else:
-        words, told = _without_times(speech, transcript.text)
-        guessed = len(words) if told else 0
-        how = "guessed" if told else "heard"
+        words, reason = _without_times(speech, transcript.text)
+        guessed = len(words) if reason else 0
+        how = "guessed" if reason else "heard"
     count = _spoken(words)
-    doubt = _doubt(transcript, count, told, speech.duration)
+    doubt = _doubt(transcript, count, reason, speech.duration)
     if doubt:
         _warn(transcript.source, doubt)
-    note = "; ".join([_summary(count, how, guessed, told), *transcript.notes])
+    note = "; ".join([_summary(count, how, guessed, reason), *transcript.notes])
     return replace(speech, words=words), Timing(count, how, guessed, note)
 
 
-def _doubt(transcript: Transcript, count: int, told: str, duration: float) -> str:
-    """Why a transcript may be of another recording; "" where nothing speaks for it. count: its words; told: why times
-    were guessed; duration: seconds of sound."""
-    if transcript.timing == "none" and told and told != _ENGLISH_ONLY:
-        return told
+def _doubt(transcript: Transcript, count: int, reason: str, duration: float) -> str:
+    """Why a transcript may be of another recording; "" if there is no sign of it. count: its words; reason: of
+    estimated times; duration: of the sound, seconds."""
+    if transcript.timing == "none" and reason and reason != _ENGLISH_ONLY:
+        return reason
     if count > MOST_WORDS * duration + 2:
-        return f"{count} words in {duration:.1f} s are more than anybody says"
+        return f"{count} words in {duration:.1f} s are too many for speech"
     return ""
 
 
@@ -159,13 +151,13 @@ def _warn(source: str, doubt: str) -> None:
     warnings.warn(TranscriptWarning(f"{source}: {doubt}; is it the transcript of this recording?"), stacklevel=3)
 
 
-def _summary(count: int, how: How, guessed: int, told: str) -> str:
+def _summary(count: int, how: How, guessed: int, reason: str) -> str:
     plural = "word" if count == 1 else "words"
     if guessed == 0:
-        return f"{count} {plural}, times {'given' if how == 'given' else 'heard in the recording'}"
-    some = ("word times were guessed" if guessed == count
-            else "1 word time was guessed" if guessed == 1 else f"{guessed} word times were guessed")
-    return f"{count} {plural}, {some}" + (f": {told}" if told else "")
+        return f"{count} {plural}, times {'given' if how == 'given' else 'aligned with the recording'}"
+    some = ("word times are estimates" if guessed == count
+            else "1 word time is an estimate" if guessed == 1 else f"{guessed} word times are estimates")
+    return f"{count} {plural}, {some}" + (f": {reason}" if reason else "")
 
 
 def _spoken(words: Sequence[Word]) -> int:
@@ -173,7 +165,7 @@ def _spoken(words: Sequence[Word]) -> int:
 
 
 def _transcript(source: str, content: Content) -> Transcript:
-    """What a reader found, its times checked and put in order."""
+    """A transcript from a file's content, its times checked and sorted."""
     if content.cues:
         cues, notes = _in_order(source, content.cues)
         words = tuple(word for cue in cues for word in _as_words(formats.shared_in_cue(_entry_of(cue))))
@@ -195,7 +187,6 @@ def _as_words(entries: Sequence[Entry]) -> tuple[Word, ...]:
 
 
 def _filled(entries: Sequence[Entry]) -> list[Entry]:
-    """Words without times share out the gap between their timed neighbours."""
     out: list[Entry] = []
     for timed, group in itertools.groupby(entries, lambda entry: entry.start is not None):
         run = list(group)
@@ -213,18 +204,18 @@ def _filled(entries: Sequence[Entry]) -> list[Entry]:
 
 
 def _in_order(source: str, entries: Sequence[Entry]) -> tuple[tuple[Word, ...], tuple[str, ...]]:
-    """Words that rise in time from 0 and do not overlap, and what was done to them."""
+    """The words rising in time from 0 without overlap, and notes on the corrections."""
     notes = []
     for entry in entries:
         assert entry.start is not None and entry.end is not None
         if entry.end < entry.start:
             raise InputError(source, f"{entry.where}: ends at {entry.end:g} s, before it starts at {entry.start:g} s",
-                             "put its times right")
-    kept = [e for e in entries if e.end is not None and (e.end > 0 or e.start == 0)]
+                             "correct its times")
+    inside = [e for e in entries if e.end is not None and (e.end > 0 or e.start == 0)]
     early = sum(e.start is not None and e.start < 0 for e in entries)
     if early:
         notes.append(f"{_times(early)} began before the recording")
-    words = [Word(w.text, max(0.0, w.start), w.end) for w in _as_words(kept)]
+    words = [Word(w.text, max(0.0, w.start), w.end) for w in _as_words(inside)]
     if any(a.start > b.start for a, b in itertools.pairwise(words)):
         notes.append("the times were not in order and were sorted")
         words.sort(key=lambda word: word.start)
@@ -241,7 +232,7 @@ def _times(count: int) -> str:
 
 
 def _within(transcript: Transcript, duration: float) -> Transcript:
-    """The transcript within the recording: what begins after its end is left out, the last is cut."""
+    """Cut the transcript at the end of the recording."""
     words, cues = (tuple(replace(w, end=min(w.end, duration)) for w in words if w.start < duration)
                    for words in (transcript.words or (), transcript.cues))
     lost = _spoken(transcript.words or ()) - _spoken(words)
@@ -257,7 +248,7 @@ def _within(transcript: Transcript, duration: float) -> Transcript:
 
 
 def _in_cues(speech: Speech, cues: Sequence[Word]) -> tuple[tuple[Word, ...], int]:
-    """The words of every cue, heard or shared out within it, and how many were shared out."""
+    """The words of all cues, aligned or spread within their cue, and the number of the latter."""
     out: list[Word] = []
     guessed = 0
     for cue in cues:
@@ -266,20 +257,22 @@ def _in_cues(speech: Speech, cues: Sequence[Word]) -> tuple[tuple[Word, ...], in
         if not written or len(samples) == 0:
             continue
         piece = replace(speech, samples=samples, words=None)
-        found = None
+        result = None
         if aligner.can_follow(cue.text) and aligner.aligner_installed():
-            found = aligner.alignment(piece, cue.text, warn=False)
-        heard = found is not None and found.heard
-        words = found.words if found is not None and heard else aligner.shared_out(piece, written)
-        guessed += 0 if heard else len(words)
+            result = aligner.alignment(piece, cue.text, warn=False)
+        if result is not None and result.aligned:
+            words = result.words
+        else:
+            words = aligner.shared_out(piece, written)
+            guessed += len(words)
         out += [Word(w.text, w.start + cue.start, min(w.end + cue.start, max(cue.end, w.start + cue.start)))
                 for w in words]
     return tuple(out), guessed
 
 
 def _without_times(speech: Speech, text: str) -> tuple[tuple[Word, ...], str]:
-    """The words of a plain text, and why their times are a guess ("" where they were heard)."""
+    """The words of a plain text, and why their times are estimates ("" if they are aligned)."""
     if not aligner.can_follow(text):
         return aligner.shared_out(speech, aligner.written_words(text)), _ENGLISH_ONLY
-    found = aligner.alignment(speech, text, warn=False)
-    return found.words, found.doubt
+    result = aligner.alignment(speech, text, warn=False)
+    return result.words, result.doubt

@@ -1,7 +1,7 @@
-"""The files that hold what was said and when: TextGrid, subtitles, JSON.
+"""Readers of transcript files: TextGrid, subtitles, JSON.
 
-Each reader takes the text of a file and gives its words, or whole cues where it times no words. What they cannot
-read is refused with the line, or the place in the JSON.
+Each reader takes the text of a file and returns its words, or cues if there are no word times. Errors name the line, or
+the place in the JSON.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from data_module.json_files import parse_json
 from data_module.text.alignment import written_words
 
 SILENCES = frozenset({"", "sp", "sil", "<eps>", "<sil>", "<p>", "<p:>"})
-"""What aligners write into an interval in which nobody speaks."""
+"""Labels of aligners for silent intervals."""
 
-# Possessive (++): what was matched is never given back, so that time grows with the length alone.
+# Possessive quantifiers (++) prevent backtracking, so that the time is linear in the length.
 NUMBER = r"[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?+"
-"""A number as TextGrids and label files write it; never tried twice, so linear."""
-# What counts in a TextGrid: quoted text, numbers that stand alone, and a flag; everything else is for people. The last
-# two are broken: a quote that nothing closes, and a value that is none of the three.
+"""A number in TextGrids and label files."""
+# The tokens of a TextGrid: quoted text, separate numbers, and a flag; everything else is for people. The last two are
+# errors: an unclosed quote, and a value that is none of the three.
 _TOKEN = re.compile(rf'"((?:[^"]++|"")*+)"|(?<![^\s=])({NUMBER})(?!\S)|(<exists>|<absent>)|"'
                     rf'|=[ \t]*(?!{NUMBER}(?!\S))[^\s"<]\S*')
 _CLOCK = r"(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4})(?:[.,](\d+))?"
@@ -35,7 +35,7 @@ _NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]")
 
 @dataclass(frozen=True)
 class Entry:
-    """A word or a cue with its seconds, both None where the file does not tell. where: its place, for messages."""
+    """A word or a cue with its times in seconds, both None if unknown. where: its place, for messages."""
 
     text: str
     start: float | None
@@ -46,7 +46,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Content:
-    """What a file holds: words, or cues (several words under one time), or text without any time."""
+    """The content of a file: words, or cues (several words with one time), or text without times."""
 
     words: tuple[Entry, ...] = ()
     cues: tuple[Entry, ...] = ()
@@ -54,7 +54,6 @@ class Content:
 
 
 def plain(source: str, text: str, speaker: str | None = None) -> Content:
-    """Text alone."""
     return Content(text=text)
 
 
@@ -69,7 +68,7 @@ def textgrid_tiers(source: str, text: str) -> dict[str, tuple[str, list[Entry]]]
     """By name each tier's kind and entries; a point has one time twice. Of tiers of one name the first counts."""
     tokens = _Tokens(source, text)
     if not tokens.text().startswith("ooTextFile") or tokens.text() != "TextGrid":
-        raise InputError(source, "is no TextGrid", "save it from Praat as a text file or a short text file")
+        raise InputError(source, "is not a TextGrid", "save it from Praat as a text file or a short text file")
     tokens.number(), tokens.number()
     tokens.flag()
     tiers: dict[str, tuple[str, list[Entry]]] = {}
@@ -105,8 +104,8 @@ class _Tokens:
         self._at = match.start()
         return match
 
-    def refuse(self, found: str) -> NoReturn:
-        raise InputError(self.source, f"line {self.line}: {found}", "save it again as a TextGrid")
+    def refuse(self, problem: str) -> NoReturn:
+        raise InputError(self.source, f"line {self.line}: {problem}", "save it again as a TextGrid")
 
     def text(self) -> str:
         match = self._next()
@@ -127,7 +126,7 @@ class _Tokens:
     def count(self) -> int:
         value = self.number()
         if not 0 <= value <= len(self._text) or value != int(value):
-            self.refuse(f"{value:g} is no number of entries")
+            self.refuse(f"{value:g} is not a number of entries")
         return int(value)
 
 
@@ -135,28 +134,26 @@ def _spoken_tier(source: str, tiers: Mapping[str, Sequence[Entry]], speaker: str
     """The tier of words; of several speakers' tiers that of `speaker`."""
     names = [name for name in tiers if re.fullmatch(r"(.*- ?)?words?", name.strip().lower())]
     if not names:
-        told = ", ".join(tiers) or "none"
-        raise InputError(source, f"has no tier of words (its tiers: {told[:100]})", "name the tier 'words'")
+        listed = ", ".join(tiers) or "none"
+        raise InputError(source, f"has no tier of words (its tiers: {listed[:100]})", "name the tier 'words'")
     if len(names) > 1:
-        own = [name for name in names if speaker and name.lower().startswith(speaker.lower())]
-        if len(own) != 1:
+        matching = [name for name in names if speaker and name.lower().startswith(speaker.lower())]
+        if len(matching) != 1:
             raise InputError(source, f"holds the words of several speakers ({', '.join(names)[:100]})",
                              "leave one tier of words in it")
-        names = own
+        names = matching
     return tuple(Entry("" if entry.text.lower() in SILENCES else entry.text, entry.start, entry.end, entry.where)
                  for entry in tiers[names[0]])
 
 
 def srt(source: str, text: str, speaker: str | None = None) -> Content:
-    """SubRip subtitles."""
     return Content(cues=tuple(_cues(source, text.split("\n"), 0, comments=False)))
 
 
 def vtt(source: str, text: str, speaker: str | None = None) -> Content:
-    """WebVTT subtitles."""
     lines = text.split("\n")
     if lines[0].split()[:1] != ["WEBVTT"]:
-        raise InputError(source, "line 1: is no WebVTT, which begins with the word WEBVTT", "save it again, or as .srt")
+        raise InputError(source, "line 1: is not WebVTT, which begins with WEBVTT", "save it again, or as .srt")
     # The header's own lines end at the first empty line.
     first = next((n for n, line in enumerate(lines) if not line.strip() or "-->" in line), len(lines))
     return Content(cues=tuple(_cues(source, lines, first, comments=True)))
@@ -180,11 +177,11 @@ def _cues(source: str, lines: Sequence[str], first: int, *, comments: bool) -> I
                              "write 00:00:01,000 --> 00:00:02,500 above each cue")
         match = _CUE.fullmatch(block[clock])
         if match is None:
-            raise InputError(source, f"line {begin + clock + 1}: {block[clock].strip()[:60]!r} is no pair of times",
+            raise InputError(source, f"line {begin + clock + 1}: {block[clock].strip()[:60]!r} is not a pair of times",
                              "write 00:00:01,000 --> 00:00:02,500")
-        said = html.unescape(_NOT_SPOKEN.sub(" ", " ".join(block[clock + 1:])))
+        spoken = html.unescape(_NOT_SPOKEN.sub(" ", " ".join(block[clock + 1:])))
         times = match.groups()
-        yield Entry(" ".join(said.split()), _clock(times[:4]), _clock(times[4:]), f"line {begin + clock + 1}")
+        yield Entry(" ".join(spoken.split()), _clock(times[:4]), _clock(times[4:]), f"line {begin + clock + 1}")
 
 
 def _clock(parts: Sequence[str | None]) -> float:
@@ -193,43 +190,41 @@ def _clock(parts: Sequence[str | None]) -> float:
 
 
 def words_json(source: str, text: str, speaker: str | None = None) -> Content:
-    """Words or segments with times as recognisers and aligners write them.
-
-    {"words": [{"word" or "text", "start", "end"}]}, {"segments": [{"start", "end", "text", "words"}]} (whisper), a bare
-    list of either, {"tiers": {"words": {"entries": [[start, end, word]]}}} (Montreal Forced Aligner), or {"text"}.
-    """
-    told = parse_json(text, source, "write it again")
-    if isinstance(told, Mapping):
-        if isinstance(told.get("words"), list):
-            return Content(words=tuple(_entry(source, item, f"words[{n}]") for n, item in enumerate(told["words"])))
-        if isinstance(told.get("segments"), list):
-            return _segments(source, told["segments"], "segments")
-        if isinstance(told.get("tiers"), Mapping):
-            return Content(words=_json_tier(source, told["tiers"], speaker))
-        if isinstance(told.get("text"), str):
-            return Content(text=told["text"])
-    if isinstance(told, list):
-        if any(isinstance(item, Mapping) and "words" in item for item in told):
-            return _segments(source, told, "")
-        entries = tuple(_entry(source, item, f"[{n}]") for n, item in enumerate(told))
-        # "well-known" is a word, "well known" is not, and neither is a sentence of a script without spaces.
+    """Words or segments with times in the formats of recognisers and aligners. {"words": [{"word" or "text", "start",
+    "end"}]}, {"segments": [{"start", "end", "text", "words"}]} (whisper), a bare list of either, {"tiers": {"words":
+    {"entries": [[start, end, word]]}}} (Montreal Forced Aligner), or {"text"}."""
+    content = parse_json(text, source, "write it again")
+    if isinstance(content, Mapping):
+        if isinstance(content.get("words"), list):
+            return Content(words=tuple(_entry(source, item, f"words[{n}]") for n, item in enumerate(content["words"])))
+        if isinstance(content.get("segments"), list):
+            return _segments(source, content["segments"], "segments")
+        if isinstance(content.get("tiers"), Mapping):
+            return Content(words=_json_tier(source, content["tiers"], speaker))
+        if isinstance(content.get("text"), str):
+            return Content(text=content["text"])
+    if isinstance(content, list):
+        if any(isinstance(item, Mapping) and "words" in item for item in content):
+            return _segments(source, content, "")
+        entries = tuple(_entry(source, item, f"[{n}]") for n, item in enumerate(content))
+        # "well-known" is one word, "well known" is two, and a sentence of a script without spaces has several.
         several = any(len(written_words(entry.text.replace("-", ""))) > 1 for entry in entries)
-        return _segments(source, told, "") if several else Content(words=entries)
+        return _segments(source, content, "") if several else Content(words=entries)
     raise InputError(source, "holds neither words nor segments",
                      'write {"words": [{"word": "hello", "start": 0.1, "end": 0.4}]}')
 
 
 def _entry(source: str, item: object, where: str) -> Entry:
-    """A JSON object as a word or a segment; times may both be missing (a word that was not found in the sound)."""
+    """A JSON object as a word or a segment; both times may be missing (for a word that was not aligned)."""
     if not isinstance(item, Mapping):
-        raise InputError(source, f"{where}: is no object with a word and its times", "write it again")
-    said = item.get("word", item.get("text"))
-    if not isinstance(said, str):
+        raise InputError(source, f"{where}: is not an object with a word and its times", "write it again")
+    word = item.get("word", item.get("text"))
+    if not isinstance(word, str):
         raise InputError(source, f"{where}: has no word", "give it a 'word' or a 'text'")
     start, end = item.get("start"), item.get("end")
     if start is None and end is None:
-        return Entry(" ".join(said.split()), None, None, where)
-    return Entry(" ".join(said.split()), _seconds(source, start, f"{where}.start"),
+        return Entry(" ".join(word.split()), None, None, where)
+    return Entry(" ".join(word.split()), _seconds(source, start, f"{where}.start"),
                  _seconds(source, end, f"{where}.end"), where)
 
 
@@ -239,11 +234,11 @@ def _seconds(source: str, value: object, where: str) -> float:
             return float(value)
     except OverflowError:
         pass
-    raise InputError(source, f"{where}: {shown(value, 30)!r} is no time", "give seconds")
+    raise InputError(source, f"{where}: {shown(value, 30)!r} is not a time", "give seconds")
 
 
 def _segments(source: str, items: Sequence[Any], name: str) -> Content:
-    """Segments as cues; where some have words, the words, and the other segments' words by their length."""
+    """Segments as cues; if some have words, the words, and those of the other segments spread by their length."""
     cues: list[Entry] = []
     words: list[Entry] = []
     for n, item in enumerate(items):
@@ -261,7 +256,6 @@ def _segments(source: str, items: Sequence[Any], name: str) -> Content:
 
 
 def shared_in_cue(cue: Entry) -> list[Entry]:
-    """The words of a cue, which share out its time by their length."""
     assert cue.start is not None and cue.end is not None
     words = written_words(cue.text)
     share = np.cumsum([0.0] + [len(word) + 1.0 for word in words])
@@ -270,9 +264,9 @@ def shared_in_cue(cue: Entry) -> list[Entry]:
             for word, a, b in zip(words, edges, edges[1:], strict=False)]
 
 
-def _json_tier(source: str, told: Mapping[str, Any], speaker: str | None) -> tuple[Entry, ...]:
+def _json_tier(source: str, content: Mapping[str, Any], speaker: str | None) -> tuple[Entry, ...]:
     tiers = {}
-    for name, tier in told.items():
+    for name, tier in content.items():
         rows = tier.get("entries") if isinstance(tier, Mapping) else None
         if not isinstance(rows, list) or not all(isinstance(row, list) and len(row) == 3 for row in rows):
             continue

