@@ -52,7 +52,7 @@ def results(tmp_path: Path) -> Path:
     save([one("RG Table 1 (test)", 12.5, STORE), one("RG Table 2 (test)", 13.5)],
          folder / "ablation" / "table.json", ABOUT)
     save([one("Vigour", 14.5), Table("Flags", {}, {}, facts={"flags": [
-        {"metric": "jerk", "title": "joint jerk, m/s^3", "control": "reversed", "says": "is not told"}]})],
+        {"metric": "jerk", "title": "joint jerk, m/s^3", "control": "reversed", "says": "does not differ"}]})],
         folder / "score.json", ABOUT)
     for number, (name, probe) in enumerate(report.probe_files().items()):
         if name != "languages":

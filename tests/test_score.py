@@ -98,7 +98,7 @@ def test_controls_stand_beside_and_flag_what_they_beat(result: Scores) -> None:
     assert set(result.figures) == {TRUTH, "same", "held", FLOOR, STILL, "shuffled", "reversed", "jitter", "mirrored",
                                    "bobbing"}
     said = {(flag.metric, flag.control): flag.says for flag in result.flags}
-    assert "not told from the truth" in said["jerk", "reversed"]
+    assert "does not differ from the truth" in said["jerk", "reversed"]
     assert "beats held" in said["jerk", "shuffled"], "the real speed of another clip is nearer than no speed"
     assert "no farther than half of the truth" in said["raw, 12 frames", "shuffled"]
     assert not any(metric == "maje" and "same" in says for (metric, _), says in said.items())
@@ -476,7 +476,7 @@ def test_the_table_says_whether_the_sample_suffices() -> None:
 
     assert verdict(9.0, 0.5, (200, 300)) == "yes"
     assert verdict(9.0, 0.5, (100, 300)) == "no: 100 windows, and 160 are needed"
-    assert verdict(0.4, 0.5, (200, 300)).startswith("no: not told from 0")
+    assert verdict(0.4, 0.5, (200, 300)).startswith("no: not distinguishable from 0")
     assert verdict(2.0, 0.5, (200, 300)) == "roughly: chance is 25 % of it, and a tenth from 600 windows on"
     assert verdict(float("nan"), float("nan"), (1, 300)) == "no: too little"
 

@@ -95,7 +95,7 @@ class Figure:
         if not self.enough:
             return f"no: {min(self.windows)} windows, and {self.needed} are needed"
         if self.distance <= self.bias:
-            return "no: not told from 0, as two samples of one motion of this size are as far apart"
+            return "no: not distinguishable from 0; two samples of one motion of this size are as far apart"
         if self.bias <= self.distance / 10:
             return "yes"
         mean_windows = 2.0 / sum(1.0 / count for count in self.windows)

@@ -31,10 +31,10 @@ from eval.runner.style_editing import CLIPS, SECONDS, SHOWN, excerpts, figures, 
 from eval.table import Column, Marked, Table
 from gesticulator.pipeline import Gesticulator
 
-EDITING = {"asked": Column("asked low / mid / high"), "low": Column("realised low", digits=3),
+EDITING = {"asked": Column("requested low / mid / high"), "low": Column("realised low", digits=3),
            "mid": Column("mid", digits=3), "high": Column("high", digits=3), "apart": Column("intervals apart"),
            "low_to_mid": Column("low to mid", digits=3), "mid_to_high": Column("mid to high", digits=3),
-           "share": Column("share of the asked range"), "in_order": Column("clips in order", "%", 0)}
+           "share": Column("share of the requested range"), "in_order": Column("clips in order", "%", 0)}
 
 
 def tables(result: Mapping[str, Any]) -> list[Table]:

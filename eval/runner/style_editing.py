@@ -28,7 +28,7 @@ CLIPS = 8
 SECONDS = 40.0
 SHORTEST = 5.0
 """Seconds: a shorter recording holds no more than a window and is left out."""
-FREE, REFERENCE, ACCEPTED = "nothing asked", "the store's own motion", "yes"
+FREE, REFERENCE, ACCEPTED = "no request", "the store's own motion", "yes"
 SHOWN = {"height": Column("right hand height", UNITS["height"], 3), "speed": Column("hand speed", UNITS["speed"], 3),
          "radius": Column("hand radius", UNITS["radius"], 3),
          "steady_speed": Column("hand speed without tremor", UNITS["speed"], 3)}

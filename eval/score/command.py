@@ -293,9 +293,9 @@ def flags(rows: Mapping[str, ScoreRow], figures: Figures, metrics: Mapping[str, 
     """Which control beats what, by which metric.
 
     A control beats a system when its value is the better one, by more than rounding; the truth when it is as good or
-    better by a metric where more is better; the floor when a distance between sets is no larger. It is not told from
-    the truth when the paired interval of their difference holds 0. One that is as good as a system says so too: what is
-    known to be wrong does no worse.
+    better by a metric where more is better; the floor when a distance between sets is no larger. It does not differ
+    from the truth when the paired interval of their difference holds 0. A control that is as good as a system is listed
+    too: a known fault does no worse.
     """
     found = []
     systems = [row.name for row in rows.values() if row.kind == "system"]
@@ -344,7 +344,7 @@ def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow
     apart = (stats.paired(control.values[name], truth.values[name], seed=seed) if name in control.values
              else stats.of_set(_less(control.sets[name], truth.sets[name]), len(truth.motions), seed=seed))
     near = apart.low <= 0.0 <= apart.high
-    return [f"is not told from the truth ({own:.3g}, {theirs:.3g})"] if near or own == theirs else []
+    return [f"does not differ from the truth ({own:.3g}, {theirs:.3g})"] if near or own == theirs else []
 
 
 def score(context: EvalContext, clips: ClipSet, *, with_controls: bool = True) -> Scores:

@@ -160,8 +160,8 @@ def style_table(styled: Sequence[StyledWindows]) -> Table:
                           "holds": verdict.holds, "interval": [score.low, score.high], "parts": {"style": score.mean}})
         rows[target] = row
     windows = sum(len(own.features) for own in styled)
-    note = (f"{len(styled)} recordings of part C, {windows} windows; each recording is told by a fit on the others, so "
-            "its text is unseen, its voice mostly not. The verdict uses audio alone.")
+    note = (f"{len(styled)} recordings of part C, {windows} windows; each recording is predicted by a fit on the "
+            "others, so its text is unseen, its voice mostly not. The verdict uses audio alone.")
     columns = {"bound": Column("bound"), style_from_sound.KNOWN[0]: Column("sound alone"), "holds": Column("holds"),
                **{known: Column(known) for known in style_from_sound.KNOWN[1:]}}
     return Table("Style recognised from 8 s of audio, R2", columns, rows, "style", [note], {"bounds": facts})

@@ -216,13 +216,13 @@ def obedience_clauses(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDAr
     def share(least: int) -> Interval:
         return stats.mean_interval([float((own < least).mean()) for own in ranks], sizes, groups=list(groups))
 
-    told = (f"{sum(sizes)} blocks, {len(np.unique(every))} lexemes in use; asking for the most frequent one always "
+    told = (f"{sum(sizes)} blocks, {len(np.unique(every))} lexemes in use; always requesting the most frequent one "
             f"would reach {common:.2f}")
     gestures = [~np.isin(own, silent) for own in lexemes]
     among = stats.mean_interval([float((own[gesture] < BEST).mean()) if gesture.any() else float("nan")
                                  for own, gesture in zip(ranks, gestures, strict=True)],
                                 [int(gesture.sum()) for gesture in gestures], groups=list(groups))
-    return [judged(f"a drawn block is the lexeme that was asked for, share{where}", share(1),
+    return [judged(f"a drawn block is the requested lexeme, share{where}", share(1),
                    ANY if bare else at_least(OBEYED), reason=told),
             judged(f"it is among the best {BEST}, share{where}", share(BEST), ANY if bare else at_least(AMONG)),
             judged(f"the same of blocks whose lexeme is not a silent one{where}", among, ANY,

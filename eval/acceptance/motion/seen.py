@@ -161,7 +161,7 @@ def _timing(where: str, ours: Figures, units: Figures | None) -> list[Verdict]:
     first, second = ours["eye_above_1"], ours["eye_above_2"]
     out = [judged(f"PMB above chance, %, first detector, {where}", first, at_least(40.0), digits=0),
            judged(f"PMB above chance, %, second detector, {where}", second, ANY, digits=0,
-                  reason="beside the first, which is asked for")]
+                  reason="in addition to the first, which has the bound")]
     name = f"PMB of rolled sound, %, first detector, {where}"
     rolled = ours["eye_rolled_1"]
     out.append(judged(name, rolled, at_most(0.5 * first.mean), digits=0, reason="half of the right sound's")

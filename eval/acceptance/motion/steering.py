@@ -154,5 +154,5 @@ def _cost(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Verdict
     warm = stats.mean_interval(factors[1:] or factors)
     return [judged("size of the bundle, MB", ours.megabytes, at_most(MEGABYTES), digits=1),
             judged("real-time factor of these renderings, features included", warm, ANY, digits=3,
-                   reason=f"at most {FACTOR} is asked for, by benchmarks/realtime.py on a free machine")]
+                   reason=f"at most {FACTOR} is required, by benchmarks/realtime.py on a free machine")]
 
