@@ -133,7 +133,8 @@ def test_everything_that_is_copied_is_there_and_is_sent() -> None:
         assert (ROOT / source).exists(), source
         assert any(source == one or fnmatch(source, f"{one}/*") for one in sent), f"{source} is not sent"
     wheel = told["tool"]["hatch"]["build"]["targets"]["wheel"]
-    needed = {*wheel["packages"], *wheel["force-include"], told["project"]["readme"], *told["project"]["license-files"]}
+    needed = {*wheel["packages"], *wheel["force-include"], "README.md", "hatch_build.py",
+              *told["project"]["license-files"]}
     assert needed <= set(copied)
 
 

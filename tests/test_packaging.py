@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import ast
+import json
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
+import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -40,3 +46,40 @@ def test_slow_tests_are_there() -> None:
     slow = (ROOT / "tests" / "slow.txt").read_text().split()
     assert slow == sorted(set(slow))
     assert set(slow) <= functions, sorted(set(slow) - functions)
+
+
+def metadata(url: str) -> dict[str, Any]:
+    """The project's metadata as the build makes it."""
+    pytest.importorskip("hatchling", reason="the build's own program")
+    done = subprocess.run([sys.executable, "-m", "hatchling", "metadata"], cwd=ROOT, capture_output=True, text=True,
+                          env={**os.environ, "GESTICULATOR_URL": url}, check=False)
+    if done.returncode:
+        raise ValueError(done.stderr)
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_with_an_address_the_page_has_urls_and_no_relative_link_or_picture() -> None:
+    url = "https://example.org/group/gesticulator"
+    made = metadata(f"{url}/")
+    assert set(made["urls"]) >= {"Homepage", "Source", "Issues", "Changelog", "Documentation"}
+    assert all(address.startswith(url) for address in made["urls"].values())
+    text, readme = made["readme"]["text"], (ROOT / "README.md").read_text()
+    assert made["readme"]["content-type"] == "text/markdown"
+    addresses = re.findall(r"\]\(([^)\s]+)", text)
+    assert len(addresses) == len(re.findall(r"\]\(([^)\s]+)", readme)) > 10
+    assert all(address.startswith(("https://", "#")) for address in addresses), addresses
+    assert not re.findall(r"(?:src|href)=[\"'](?!https:|#)", text), "HTML with a relative address"
+    pictures = re.findall(r"!\[[^\]]*\]\(([^)\s]+)", text)
+    assert pictures and all(address.startswith(f"{url}/raw/HEAD/docs/") for address in pictures)
+    for address in addresses:
+        if address.startswith(url):
+            assert (ROOT / address.removeprefix(url).split("HEAD/")[1].partition("#")[0]).exists(), address
+
+
+def test_without_an_address_nothing_is_invented() -> None:
+    made = metadata("")
+    assert "urls" not in made
+    assert made["readme"]["text"] == (ROOT / "README.md").read_text()
+    with pytest.raises(ValueError, match="give the address of the repository"):
+        metadata("example")
