@@ -42,7 +42,8 @@ class Requirement:
 
 @dataclass(frozen=True)
 class RegistryEntry:
-    """A plug-in. about: one line of help. where: "module:object". needs: a library of an extra, None for none."""
+    """A plug-in. about: one line of help. where: "module:object", or a module. needs: a library of an extra, None for
+    none."""
 
     about: str
     where: str
@@ -51,7 +52,12 @@ class RegistryEntry:
     def load(self) -> Any:
         """The object. Our modules only; `Registry.load` is for those of other packages."""
         module, _, name = self.where.partition(":")
-        return getattr(import_module(module), name)
+        return getattr(import_module(module), name) if name else import_module(module)
+
+
+def is_tool(found: object) -> bool:
+    """Whether an object is a module (or the like) with `arguments`, which adds its options to a parser, and `run`."""
+    return callable(getattr(found, "arguments", None)) and callable(getattr(found, "run", None))
 
 
 E = TypeVar("E", bound=RegistryEntry)

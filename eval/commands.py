@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
+from data_module.registry import Registry, RegistryEntry
 from eval.pictures import DRAWINGS
 from eval.probes import PROBES
 from gesticulator.cli import PROGRAM, Command
@@ -40,11 +41,11 @@ def verb(about: str, module: str, *examples: str) -> Command:
     return Command(about, plugin.arguments, plugin.run, examples)
 
 
-def choice(word: str, about: str, known: Mapping[str, tuple[str, str]], show: Callable[[Any, Any], None],
+def choice(word: str, about: str, known: Registry[RegistryEntry], show: Callable[[Any, Any], None],
            extra: Callable[[argparse.ArgumentParser], None], examples: Sequence[str]) -> Command:
-    """The command `word NAME ...` over a dict of (module, one line about it), with --list.
+    """The command `word NAME ...` over a table of modules with `arguments` and `run`, with --list.
 
-    show: takes what the plugin's `run` gave, and the arguments. extra: adds arguments that all of the dict have.
+    show: takes what the module's `run` gave, and the arguments. extra: adds arguments that all of the table have.
     """
     def arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--list", action="store_true", help="list the names and exit")
@@ -54,17 +55,16 @@ def choice(word: str, about: str, known: Mapping[str, tuple[str, str]], show: Ca
     def run(given: argparse.Namespace) -> int:
         if given.list:
             width = max(map(len, known))
-            print("\n".join(f"{name:<{width}}  {summary}" for name, (_, summary) in known.items()))
+            print("\n".join(f"{name:<{width}}  {entry.about}" for name, entry in known.items()))
             return 0
-        if given.name not in known:
-            wrong = f"{given.name!r} is unknown" if given.name else "is missing"
-            raise InputError(f"the name after {word}", wrong, f"choose among {', '.join(known)}")
-        plugin = Plugin(*known[given.name])
-        parser = argparse.ArgumentParser(f"{PROGRAM} {word} {given.name}", description=plugin.about)
-        plugin.arguments(parser)
+        if not given.name:
+            raise InputError(f"the name after {word}", "is missing", f"choose among {', '.join(known)}")
+        tool = known.load(given.name)
+        parser = argparse.ArgumentParser(f"{PROGRAM} {word} {given.name}", description=known.entry(given.name).about)
+        tool.arguments(parser)
         extra(parser)
         chosen = parser.parse_args(given.rest)
-        show(plugin.run(chosen), chosen)
+        show(tool.run(chosen), chosen)
         return 0
 
     return Command(about, arguments, run, examples)

@@ -259,7 +259,7 @@ def _number(value: Any) -> str:
 
 def _other_lines(results: Results) -> list[str]:
     """What the probes and the benchmarks found; and those that were not run."""
-    told = {name: (PROBES[probe][1], f"gesticulator probe {probe}") for name, probe in probe_files().items()}
+    told = {name: (PROBES[probe].about, f"gesticulator probe {probe}") for name, probe in probe_files().items()}
     told |= BENCHMARKS
     lines = []
     for name, (question, command) in told.items():

@@ -7,8 +7,9 @@ sets on samples in `test_corpora`, metrics in `test_metric_contracts`, verbs in 
 from __future__ import annotations
 
 import argparse
-import importlib
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,6 +22,9 @@ from eval.pictures import DRAWINGS
 from eval.probes import PROBES
 from gesticulator.characters.reading import READERS, read_character
 from gesticulator.export.writers import WRITERS
+from gesticulator.training.presets import preset
+from gesticulator.training.stages import ENTRIES, STAGES
+from gesticulator.training.stages.base import Node, Run, Stage
 from interpreters import INTERPRETERS
 
 TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA, STROKE_SOURCES, METRICS)  # type: ignore[assignment]
@@ -52,9 +56,25 @@ def test_a_reader_of_characters_refuses_what_is_none_in_one_line(suffix: str, tm
         assert "\n" not in str(caught.value) and f"a{suffix}" in str(caught.value)
 
 
-@pytest.mark.parametrize(("module", "about"), [*PROBES.values(), *DRAWINGS.values()])
-def test_a_probe_or_a_drawing_has_arguments_a_run_and_a_line_about_it(module: str, about: str) -> None:
-    found = importlib.import_module(module)
+@pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")
+                                             for table in (PROBES, DRAWINGS) for name in table])
+def test_a_probe_or_a_drawing_has_arguments_a_run_and_a_line_about_it(table: Registry[RegistryEntry], name: str
+                                                                      ) -> None:
+    tool = table.load(name)
     parser = argparse.ArgumentParser()
-    found.arguments(parser)
-    assert callable(found.run) and about and "\n" not in about and found.__doc__
+    tool.arguments(parser)
+    assert callable(tool.run) and tool.__doc__ and table[name].about and "\n" not in table[name].about
+    assert parser.format_help().count("--") > 1, "it takes options"
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_a_stage_is_trained_and_kept_by_what_shapes_it(name: str) -> None:
+    stage, config = ENTRIES.load(name), preset("tiny")
+    assert isinstance(stage, Stage) and stage.name == name and STAGES[name] is stage
+    assert ENTRIES[name].about and "\n" not in ENTRIES[name].about
+    assert callable(stage.build) and callable(stage.train) and isinstance(stage.wanted(config), bool)
+    assert all(isinstance(need, Node) and need is not stage for need in stage.needs(config))
+    run = Run(config, SimpleNamespace(fingerprint="f"), Path("work"))  # type: ignore[arg-type]
+    reseeded = Run(replace(config, seed=config.seed + 1), run.store, run.work)
+    assert run.key(stage) == run.key(stage) != reseeded.key(stage)
+    assert run.schedule(stage).steps >= 0

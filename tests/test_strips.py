@@ -93,4 +93,4 @@ def test_the_list_names_every_drawing_and_an_unknown_one_is_refused(capsys) -> N
     for name in ("nothing", None):
         with pytest.raises(SystemExit) as caught:
             DRAW.main("gesticulator draw", [name] if name else [])
-        assert caught.value.code == 2 and "choose among strip" in capsys.readouterr().err
+        assert caught.value.code == 2 and "strip, video, lexicon" in capsys.readouterr().err

@@ -6,9 +6,11 @@ what it takes, and `run(arguments)`, which gives the files that it wrote. A new 
 
 from __future__ import annotations
 
-DRAWINGS: dict[str, tuple[str, str]] = {
-    "strip": ("eval.pictures.strip_page", "a motion as a row of figures: one file, or several on one page"),
-    "video": ("eval.pictures.video", "a motion with its sound as a video file"),
-    "lexicon": ("eval.pictures.lexicon_map", "every lexeme: a sample gesture, its speakers and its words"),
-}
-"""By name: the module, and one line about it."""
+from data_module.registry import Registry, RegistryEntry, is_tool
+
+DRAWINGS: Registry[RegistryEntry] = Registry("drawings", "a drawing", {
+    "strip": RegistryEntry("a motion as a row of figures: one file, or several on one page",
+                           "eval.pictures.strip_page"),
+    "video": RegistryEntry("a motion with its sound as a video file", "eval.pictures.video"),
+    "lexicon": RegistryEntry("every lexeme: a sample gesture, its speakers and its words", "eval.pictures.lexicon_map"),
+}, RegistryEntry, fits=is_tool)

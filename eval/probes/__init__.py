@@ -8,19 +8,21 @@ RACER and of a corpus have a room of their own.
 
 from __future__ import annotations
 
-PROBES: dict[str, tuple[str, str]] = {
-    "eye": ("eval.probes.eye",
-            "does the motion look human, compared with a real recording, the corpus and unit selection?"),
-    "stance": ("eval.probes.stance", "are legs stable? Foot sliding, knees, weight shifts, stillness"),
-    "motion": ("eval.acceptance.motion.command",
-               "does the motion of a bundle meet the acceptance criteria? Each with bound and verdict"),
-    "quality": ("eval.probes.quality", "how good is a bundle on the test split, compared with baselines?"),
-    "corpus": ("eval.acceptance.corpus.command", "is a built data set good enough to learn from?"),
-    "languages": ("eval.probes.languages", "is a model of one language in time with another?"),
-    "racer": ("eval.acceptance.racer.command",
-              "does RACER improve the motion? Every acceptance criterion with bound and verdict"),
-    "rewards": ("eval.probes.rewards", "does RACER's reward rank motion?"),
-    "style-editing": ("eval.probes.style_editing", "does the motion follow the style controls?"),
-    "knobs": ("eval.probes.knobs", "what is the effect of the knobs? Response curves against the range of real people"),
-}
-"""By name: the module, and one line about it."""
+from data_module.registry import Registry, RegistryEntry, is_tool
+
+PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
+    "eye": RegistryEntry("does the motion look human, compared with a real recording, the corpus and unit selection?",
+                         "eval.probes.eye"),
+    "stance": RegistryEntry("are legs stable? Foot sliding, knees, weight shifts, stillness", "eval.probes.stance"),
+    "motion": RegistryEntry("does the motion of a bundle meet the acceptance criteria? Each with bound and verdict",
+                            "eval.acceptance.motion.command"),
+    "quality": RegistryEntry("how good is a bundle on the test split, compared with baselines?", "eval.probes.quality"),
+    "corpus": RegistryEntry("is a built data set good enough to learn from?", "eval.acceptance.corpus.command"),
+    "languages": RegistryEntry("is a model of one language in time with another?", "eval.probes.languages"),
+    "racer": RegistryEntry("does RACER improve the motion? Every acceptance criterion with bound and verdict",
+                           "eval.acceptance.racer.command"),
+    "rewards": RegistryEntry("does RACER's reward rank motion?", "eval.probes.rewards"),
+    "style-editing": RegistryEntry("does the motion follow the style controls?", "eval.probes.style_editing"),
+    "knobs": RegistryEntry("what is the effect of the knobs? Response curves against the range of real people",
+                           "eval.probes.knobs"),
+}, RegistryEntry, fits=is_tool)

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from data_module.errors import InputError, complain
+from data_module.registry import PROJECT, Registry, RegistryEntry
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.system import system_of
@@ -23,23 +25,46 @@ from gesticulator.training.stages.generator import GENERATOR
 from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TEXT
 from gesticulator.training.stages.labels import LABELS, Labelled
 from gesticulator.training.stages.lexicon import CODEC, LEXICON, TOKENS, Tokens
-from gesticulator.training.stages.others import other_stages
 from gesticulator.training.stages.q_network import EPISODES, Q_NETWORK
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
 from gesticulator.training.stages.speech import CONTRAST, ENCODER, SPEECH
 from gesticulator.training.stages.style import STYLE, STYLE_TEXT
 from interpreters import entries
 
-OURS: tuple[Stage[Any], ...] = (SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, REWARD,
-                                REWARD_JUDGE, Q_NETWORK, ADVANTAGE, GENERATOR, STYLE, STYLE_TEXT)
+_HERE = "gesticulator.training.stages"
+ENTRIES: Registry[RegistryEntry] = Registry("stages", "a gesticulator.training.stages.base.Stage", {
+    "speech": RegistryEntry("the speech encoder, by predictive coding of sound", f"{_HERE}.speech:SPEECH"),
+    "contrast": RegistryEntry("the speech encoder, by the contrastive loss with text", f"{_HERE}.speech:CONTRAST"),
+    "lexicon": RegistryEntry("the gesture lexicon: an autoencoder of blocks with a codebook",
+                             f"{_HERE}.lexicon:LEXICON"),
+    "codec": RegistryEntry("RACER's codec of motion", f"{_HERE}.lexicon:CODEC"),
+    "interpreter": RegistryEntry("the lexeme interpreter: from speech to lexemes", f"{_HERE}.interpreter:INTERPRETER"),
+    "interpreter_text": RegistryEntry("the lexeme interpreter with words", f"{_HERE}.interpreter:INTERPRETER_TEXT"),
+    "gate": RegistryEntry("whether to gesture at all on a block", f"{_HERE}.gate:GATE"),
+    "reward": RegistryEntry("RACER's reward model: how well motion fits speech", f"{_HERE}.reward:REWARD"),
+    "reward_judge": RegistryEntry("a second reward model, which judges", f"{_HERE}.reward:REWARD_JUDGE"),
+    "q_network": RegistryEntry("RACER's Q-network, by conservative Q-learning", f"{_HERE}.q_network:Q_NETWORK"),
+    "advantage": RegistryEntry("the critics of the advantage interpreter", f"{_HERE}.advantage:ADVANTAGE"),
+    "generator": RegistryEntry("the generator: from lexemes and styles to motion", f"{_HERE}.generator:GENERATOR"),
+    "style": RegistryEntry("the style interpreter: from speech to style codes", f"{_HERE}.style:STYLE"),
+    "style_text": RegistryEntry("the style interpreter with words", f"{_HERE}.style:STYLE_TEXT"),
+}, RegistryEntry, fits=lambda found: isinstance(found, Stage))
+"""Ours in the order in which they are trained, then those of other packages."""
 
 
 class StageTable(Mapping[str, Stage[Any]]):
-    """The stages by name: those of other packages, ours in order, then those of registered interpreters."""
+    """The stages by name: those of `ENTRIES`, then those that entries of interpreters name. Of one of another package
+    that cannot be loaded a line is printed."""
 
     def _all(self) -> dict[str, Stage[Any]]:
-        named = [entry.load_stage() for entry in entries().values() if entry.stage]
-        return {stage.name: stage for stage in (*other_stages().values(), *OURS, *named)}
+        stages: list[Stage[Any]] = []
+        for name in ENTRIES:
+            try:
+                stages.append(ENTRIES.load(name))
+            except InputError as error:
+                complain(f"{PROJECT}: {error}")
+        stages += [entry.load_stage() for entry in entries().values() if entry.stage]
+        return {stage.name: stage for stage in stages}
 
     def __getitem__(self, name: str) -> Stage[Any]:
         return self._all()[name]
