@@ -105,7 +105,7 @@ class Stream:
             raise InputError("the bundle", "cannot rest without speech",
                              "use one with a lexicon of blocks and silence.rest=life")
         self._bundle, self._cast, self._new_cutter = bundle, cast, cutter
-        self._gain, self._rate = float(options.gain), sample_rate
+        self._gain = float(options.gain)
         self._feed = SampleFeed(sample_rate, self._gain)
         self._voice = SampleFeed(sample_rate, self._gain)
         self._cutter: BlockCutter | None = cutter()

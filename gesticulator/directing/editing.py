@@ -23,7 +23,7 @@ from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.drawing.drawer import Direction, Keys
 from gesticulator.drawing.driver import BlockRequest, Driver, OnBlock, Rendering, requests
 from gesticulator.drawing.rollout import BlockMotion
-from gesticulator.plan.plan import Block, DrawnBlocks, GesturePlan, PlanKnobs, edited_blocks
+from gesticulator.plan.plan import GesturePlan, PlanKnobs, edited_blocks
 
 BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""
@@ -43,6 +43,13 @@ class Redrawer:
     frames: int
     fps: float
 
+    def blocks(self, edges: Sequence[float], flags: Sequence[str], silent: Sequence[bool]) -> Blocks:
+        """N blocks from their edges [N + 1], seconds, the names of their flags [N], and whether they are silent [N]."""
+        by_name = {flag.name.lower(): int(flag) for flag in BeatFlag}
+        # A beat that a user added counts as an onset.
+        numbers = np.array([by_name.get(name, int(BeatFlag.ONSET)) for name in flags], np.int8)
+        return Blocks(np.array(edges), numbers, np.array(silent), self.frames, self.fps)
+
 
 def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.bool_] | None:
     """[K] whether the knobs require the hands to rest, in the frames at `times` [K] of a block that begins at `start`;
@@ -51,39 +58,13 @@ def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.boo
     return np.any([(times > begin) & (times <= stop) for begin, stop in ranges], axis=0) if ranges else None
 
 
-def knob_directions(knobs: PlanKnobs, blocks: Blocks, bias: NDArray[np.float64] | None,
-                    lexemes: Sequence[int | None]) -> list[Direction]:
-    """Instructions for each block. bias: [S] of the handedness; lexemes: [N] to play, None to let the interpreter
-    choose."""
-    times = blocks.knot_times.reshape(len(blocks), -1)
-    return [Direction(lexeme, still=still_frames(knobs, knots, float(start)), bias=bias)
-            for lexeme, knots, start in zip(lexemes, times, blocks.edges, strict=False)]
-
-
-def drawn_blocks(drawn: DrawnBlocks, frames: int, fps: float) -> Blocks:
-    """The blocks of the first generation."""
-    return Blocks(np.array(drawn.edges), _flags(drawn.flags), np.array(drawn.silent), frames, fps)
-
-
-def planned_blocks(blocks: Sequence[Block], frames: int, fps: float) -> Blocks:
-    """The blocks of a plan."""
-    return Blocks(np.array([0.0, *(block.end for block in blocks)]), _flags([block.flag for block in blocks]),
-                  np.array([block.silent for block in blocks]), frames, fps)
-
-
-def _flags(names: Sequence[str]) -> NDArray[np.int8]:
-    by_name = {flag.name.lower(): int(flag) for flag in BeatFlag}
-    # A beat that a user added counts as an onset.
-    return np.array([by_name.get(name, int(BeatFlag.ONSET)) for name in names], np.int8)
-
-
 class PlanRenderer:
     """Renders plans of one first generation, which runs once; each plan then costs only its edited blocks."""
 
     def __init__(self, redrawer: Redrawer, plan: GesturePlan, on_block: OnBlock | None = None) -> None:
         """plan: any plan of this generation; its edits are ignored here. on_block: see `Driver.run`."""
         self._redrawer, self._drawn = redrawer, plan.drawn
-        self._blocks = drawn_blocks(plan.drawn, redrawer.frames, redrawer.fps)
+        self._blocks = redrawer.blocks(plan.drawn.edges, plan.drawn.flags, plan.drawn.silent)
         self._encoded = redrawer.encode(self._blocks)
         self._states, self._first = self._run(plan.drawn.knobs, plan.drawn.lexemes, len(self._blocks), on_block)
 
@@ -92,7 +73,9 @@ class PlanRenderer:
         """The state before each of the first `count` blocks, and the blocks."""
         driver = self._redrawer.drivers(knobs.share)
         driver.begin(self._encoded.text is not None)
-        directions = knob_directions(knobs, self._blocks, self._redrawer.bias(knobs.handedness), lexemes)
+        bias, times = self._redrawer.bias(knobs.handedness), self._blocks.knot_times.reshape(len(self._blocks), -1)
+        directions = [Direction(lexeme, still=still_frames(knobs, knots, float(start)), bias=bias)
+                      for lexeme, knots, start in zip(lexemes, times, self._blocks.edges, strict=False)]
         states, blocks = [], []
         for request in requests(self._encoded, self._redrawer.control(self._encoded), directions)[:count]:
             states.append(driver.fork())
@@ -106,7 +89,8 @@ class PlanRenderer:
         if plan.drawn != self._drawn:
             raise ValueError("the plan is of another generation")
         edited = edited_blocks(plan)
-        blocks = planned_blocks(plan.blocks, self._redrawer.frames, self._redrawer.fps)
+        blocks = self._redrawer.blocks([0.0, *(block.end for block in plan.blocks)],
+                                       [block.flag for block in plan.blocks], [block.silent for block in plan.blocks])
         if not any(edited):
             encoded = replace(self._encoded, blocks=blocks)
             return Rendering(encoded, self._first, self._states[0].motion(self._first))

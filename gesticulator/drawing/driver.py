@@ -135,10 +135,10 @@ class Driver:
         """[k, D_m] frames of rest; see `Rollout.idle`."""
         return [rollout.idle(start, seconds, knots) for rollout in self._rollouts][-1]
 
-    def break_off(self, shown: RestKnots, time: float) -> None:
-        """Return to the last knots that were shown and go to rest from there; see `Rollout.break_off`."""
+    def break_off(self, knots: RestKnots, time: float) -> None:
+        """Return to these knots and go to rest from there; see `Rollout.break_off`."""
         for rollout in self._rollouts:
-            rollout.break_off(shown, time)
+            rollout.break_off(knots, time)
 
     def knots(self, times: Array) -> RestKnots:
         """The last generated frames, without idle motion, as knots at `times` [M] seconds."""

@@ -178,14 +178,13 @@ class Rollout:
         """Generate the following blocks at lower cost, or at full quality again."""
         self._drawer.hurried = on
 
-    def break_off(self, shown: RestKnots, word: float) -> None:
-        """Return to the last knots that were shown (K or more), and go to rest from there at once; word: time of the
-        interruption, seconds."""
+    def break_off(self, knots: RestKnots, time: float) -> None:
+        """Return to these knots (K or more), and go to rest from there at once; time: of the interruption, seconds."""
         assert self.life is not None
         frames = self.bundle.frames
-        before = np.repeat(shown.poses[:1], max(frames - len(shown.poses), 0), axis=0)
-        self._past = self._tensor(np.concatenate([before, shown.poses[-frames:]]))[None]
-        self.life.break_off(shown, word)
+        before = np.repeat(knots.poses[:1], max(frames - len(knots.poses), 0), axis=0)
+        self._past = self._tensor(np.concatenate([before, knots.poses[-frames:]]))[None]
+        self.life.break_off(knots, time)
 
     @property
     def past(self) -> NDArray[np.float32]:
