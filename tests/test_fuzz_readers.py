@@ -111,7 +111,7 @@ NO_CASE = {
         eval/runner/renderings.py:KeptRenderings.get eval/runner/renderings.py:Rendering.unpacked
         eval/runner/judge.py:PlayedStore.read""",
     "calls a reader that has a case": """
-        data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._heard
+        data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._reading
         data_module/corpora/ted.py:Ted.read eval/runner/ablate.py:ablate eval/runner/ablate.py:redraw
         eval/runner/rg.py:RgRows.clips
         gesticulator/bundle/parts.py:StoredParts.__getitem__ gesticulator/serve/connection.py:Connection._hello
