@@ -279,7 +279,7 @@ _HEAD = "file,speaker,posture,lexeme,hand,emphasis\n"
     ((_HEAD + ",brad,Idle,Beat,left,0.5\n").encode(), "not a file in this folder"),
     ((_HEAD + "a.bvh,brad,Idle,Beat,left,soon\n").encode(), "time of its emphasis"),
     ((_HEAD + "a.bvh,brad,Idle,Beat,left,1e999\n").encode(), "time of its emphasis"),
-    ((_HEAD + "a.bvh,brad,Idle,Beat,left," + "1" * 140_000 + "\n").encode(), "no row of a table"),
+    ((_HEAD + "a.bvh,brad,Idle,Beat,left," + "1" * 140_000 + "\n").encode(), "not a row of a table"),
     ((_HEAD + "a.bvh,brad,Idle,Beat,left,0.5\n").encode(), "a.bvh.*does not exist"),
 ])
 def test_a_broken_manifest_is_one_line(data: bytes, says: str, tmp_path: Path) -> None:
