@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
 import numpy as np
 import torch
@@ -43,10 +43,15 @@ from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
 
 if TYPE_CHECKING:
+    from data_module.speech.speech_encoder import SpeechEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
+    from interpreters.advantage import Critics
     from interpreters.base import Interpreter
+    from interpreters.cql import QNetwork
+    from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
+    from interpreters.reward import RewardEnsemble
     from interpreters.statistical import StatisticalInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
@@ -127,27 +132,27 @@ class Bundle:
         """The gesture vocabulary: a lexicon of blocks, or RACER's codec."""
         return cast("Tokens", self.parts["lexicon"])
 
-    generator = _Part["Generator | FlowGenerator"]()
+    generator: ClassVar[_Part[Generator | FlowGenerator]] = _Part()
     """Generates blocks at the beat; None in a bundle of RACER's codec."""
-    interpreter = _Part["LstmInterpreter"]()
+    interpreter: ClassVar[_Part[LstmInterpreter]] = _Part()
     """The audio-only lexeme interpreter."""
-    interpreter_text = _Part["LstmInterpreter"]()
+    interpreter_text: ClassVar[_Part[LstmInterpreter]] = _Part()
     """The lexeme interpreter that also reads the words."""
-    style = _Part["StyleInterpreter"]()
+    style: ClassVar[_Part[StyleInterpreter]] = _Part()
     """The audio-only style interpreter; None if the generator takes no style codes."""
-    style_text = _Part["StyleInterpreter"]()
+    style_text: ClassVar[_Part[StyleInterpreter]] = _Part()
     """The style interpreter that also reads the words."""
-    encoder = _Part["SpeechEncoder"]()
+    encoder: ClassVar[_Part[SpeechEncoder]] = _Part()
     """The speech encoder."""
-    gate = _Part["ActivityGate"]()
+    gate: ClassVar[_Part[ActivityGate]] = _Part()
     """Decides whether a block is gestured."""
-    q_network = _Part["QNetwork"]()
+    q_network: ClassVar[_Part[QNetwork]] = _Part()
     """RACER's Q-network."""
-    advantage = _Part["Critics"]()
+    advantage: ClassVar[_Part[Critics]] = _Part()
     """The value of lexemes relative to the behaviour policy."""
-    reward = _Part["RewardEnsemble"]()
+    reward: ClassVar[_Part[RewardEnsemble]] = _Part()
     """The reward that trained the policies; None unless it was added (`JUDGES`)."""
-    reward_judge = _Part["RewardEnsemble"]()
+    reward_judge: ClassVar[_Part[RewardEnsemble]] = _Part()
     """The reward that evaluates them; None unless it was added (`JUDGES`)."""
 
     def with_parts(self, **changes: nn.Module | None) -> Bundle:
