@@ -22,8 +22,7 @@ from torch import Tensor
 
 from data_module.layers import run_lstm
 from data_module.speech.audio import SAMPLE_RATE, load_speech
-from generator.flow import FlowGenerator, FlowInputs
-from generator.flow_head import FlowTime
+from generator.flow import FlowGenerator, FlowInputs, FlowTime
 from gesticulator.pipeline import Gesticulator
 from interpreters import lstm
 

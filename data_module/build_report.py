@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
-from data_module.json_files import parse_json, read_json
+from data_module.files import parse_json, read_json
 
 if TYPE_CHECKING:
     from data_module.intervals import Intervals

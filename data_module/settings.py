@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar, cast
 
 from data_module.errors import InputError
-from data_module.json_files import parse_json
+from data_module.files import parse_json
 
 T = TypeVar("T")
 

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError, shown
-from data_module.files import rename, write_bytes, write_text
-from data_module.json_files import read_json
+from data_module.files import read_json, rename, write_bytes, write_text
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.files import write_text
-from data_module.json_files import parse_json, read_object
+from data_module.files import parse_json, read_object, write_text
 from eval.stats import Interval
 
 __all__ = ["Column", "Provenance", "Table", "load", "markdown", "publish", "save"]

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator.arguments import check_choices, check_cues, controls_from_args, performance_arguments, plan_from_args
-from gesticulator.batch.jobs import Job, is_folder, plan
-from gesticulator.batch.one import check_job, perform, retargeter_for
+from gesticulator.batch.jobs import Job, check_job, is_folder, perform, plan, retargeter_for
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.export.writers import UNITS, WRITERS, check_output, suffix_of
 

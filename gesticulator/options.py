@@ -51,7 +51,7 @@ class Range:
         if isinstance(number, bool) or not hasattr(number, "__index__" if self.whole else "__float__"):
             raise self._not_a_number(f"{name} {number!r}")
         if not self.low <= number <= self.high:  # also NaN
-            text = f"{number:g}" if not abs(number) > 1e300 or math.isinf(number) else "of that size"
+            text = f"{number:g}" if not abs(number) > 1e300 or number in (math.inf, -math.inf) else "of that size"
             raise InputError(f"{name} {text}", "is out of range", f"choose {self.advice}")
         return number
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.directing.editing import PlanRenderer
-    from gesticulator.plan.plan import LexemeName
+    from gesticulator.directing.lexeme_names import LexemeName
     from gesticulator.stream import Stream
     from interpreters.base import Interpreter, LexemeInterpreter
 

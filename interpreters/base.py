@@ -1,4 +1,5 @@
-"""The protocol of lexeme interpreters, its defaults, and the selection of a lexeme from scores.
+"""The protocol of lexeme interpreters, its defaults, their pose input, guidance by the audio, and the selection of a
+lexeme from scores.
 
 `Interpreter` is the full interface that the product uses. An object with `start` and `step` (`LexemeInterpreter`) is
 sufficient: `as_interpreter` adds the defaults. Classes in this package derive from `InterpreterDefaults`.
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -20,8 +22,20 @@ if TYPE_CHECKING:
 
     from torch import nn
 
-__all__ = ["BlockFeatures", "Explanation", "Interpreter", "InterpreterDefaults", "InterpreterParts", "InterpreterSizes",
-           "LexemeInterpreter", "Scores", "as_interpreter", "select"]
+__all__ = [
+    "BlockFeatures",
+    "Explanation",
+    "Interpreter",
+    "InterpreterByEar",
+    "InterpreterDefaults",
+    "InterpreterParts",
+    "InterpreterSizes",
+    "LexemeInterpreter",
+    "Scores",
+    "as_interpreter",
+    "pose_of",
+    "select",
+]
 
 Scores = NDArray[np.float64]
 Need = Literal["text", "pose", "control", "durations"]
@@ -235,3 +249,63 @@ def select(scores: Scores, *, allowed: NDArray[np.int64] | None = None, temperat
         masked[masked < np.sort(masked)[-top]] = -np.inf
     weights = np.exp((masked - masked.max()) / temperature)
     return int(rng.choice(len(weights), p=weights / weights.sum()))
+
+
+FRAMES = 3
+"""Frames of a block needed for an acceleration."""
+
+
+def pose_of(past: Tensor, durations: Tensor | None = None) -> Tensor:
+    """[..., 3 D_m]: the last pose of the previous block, its velocity and its acceleration, in the time of this block.
+
+    past: [..., K, D_m] normalised features of the previous block; durations: [..., 2] seconds of the previous and this
+    block, equal if None. Every block has K frames, so with the ratio r = this / previous
+
+        v = K r (x_K - x_{K-1}),    a = K r^2 (x_K - 2 x_{K-1} + x_{K-2}):
+
+    v is the displacement over this block at that speed, a the change of v per frame, both in normalised units.
+    ValueError for a block of fewer than three frames.
+    """
+    frames = past.shape[-2]
+    if frames < FRAMES:
+        raise ValueError(f"a velocity and an acceleration take {FRAMES} frames, and blocks here have {frames}")
+    earlier, before, last = past[..., -3, :], past[..., -2, :], past[..., -1, :]
+    ratio = past.new_ones(1) if durations is None else (durations[..., 1:] / durations[..., :1]).to(past)
+    velocity = frames * ratio * (last - before)
+    return torch.cat([last, velocity, frames * ratio ** 2 * (last - 2 * before + earlier)], dim=-1)
+
+
+class HearsOrNot(Interpreter, Protocol):
+    """An interpreter that was trained with audio dropout."""
+
+    def step_with_and_without_sound(self, states: tuple[Any, Any], features: BlockFeatures, previous_lexeme: int
+                                    ) -> list[tuple[Scores, Any]]:
+        """The result of `step` for the first state, and for the second with zeros as audio."""
+        ...
+
+
+@dataclass(frozen=True)
+class InterpreterByEar(InterpreterDefaults):
+    """Classifier-free guidance by the audio: s + g (s - s without audio), normalised, for scores s that are
+    log-probabilities. inner: the guided interpreter; guidance: g."""
+
+    inner: HearsOrNot
+    guidance: float
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        return self.inner.name
+
+    @property
+    def needs(self) -> frozenset[Need]:
+        return self.inner.needs
+
+    def start(self, speaker: int, first_lexeme: int) -> tuple[Any, Any]:
+        return self.inner.start(speaker, first_lexeme), self.inner.start(speaker, first_lexeme)
+
+    def step(self, state: tuple[Any, Any], features: BlockFeatures, previous_lexeme: int
+             ) -> tuple[Scores, tuple[Any, Any]]:
+        (audible, with_audio), (deaf, without) = self.inner.step_with_and_without_sound(state, features,
+                                                                                        previous_lexeme)
+        scores = audible + self.guidance * (audible - deaf)
+        return scores - np.logaddexp.reduce(scores), (with_audio, without)

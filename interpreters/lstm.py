@@ -12,12 +12,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import BlockLinear, repeat_frames, run_lstm, without_after
-from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores
-from interpreters.pose import pose_of
+from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores, pose_of
 from interpreters.settings import LstmConfig, StyleConfig
 
 if TYPE_CHECKING:
-    from interpreters.by_ear import InterpreterByEar
+    from interpreters.base import InterpreterByEar
 
 __all__ = ["LstmInterpreter", "StyleInterpreter"]
 
@@ -129,7 +128,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         return {"nll": 1.0}
 
     def guided(self, guidance: float) -> LstmInterpreter | InterpreterByEar:
-        from interpreters.by_ear import InterpreterByEar
+        from interpreters.base import InterpreterByEar
 
         return InterpreterByEar(self, guidance) if guidance and self.config.audio_dropout > 0 else self
 

@@ -543,7 +543,7 @@ def _read_plan(file: Path) -> object:
 
 def _read_sent_plan(file: Path) -> object:
     """As a page sends a plan: parsed, then read twice by one exchange, the second time from what it remembers."""
-    from data_module.json_files import read_json
+    from data_module.files import read_json
     from gesticulator.plan.exchange import PlanExchange
 
     exchange = PlanExchange()

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 _READING = re.compile(r"""
     # our own checked readers
-    data_module\.(files\.(read_bytes|read_text|read_table|decoded) | json_files\.\w+ | arrays\.read_\w+)
+    data_module\.(files\.(read_bytes|read_text|read_table|read_json|read_object|parse_json|decoded) | arrays\.read_\w+)
     # Python's
     | \?open | io\.open | os\.(fdopen|read|pread) | mmap\.mmap | (json|marshal|pickle|tomllib|plistlib)\.loads?
     | json\.decoder\.\w+ | csv\.(reader|DictReader) | struct\.(unpack\w*|iter_unpack|Struct) | \?int\.from_bytes

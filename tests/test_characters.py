@@ -16,7 +16,7 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
 from data_module.types import Motion
 from gesticulator import infer
-from gesticulator.batch.one import retargeter_for
+from gesticulator.batch.jobs import retargeter_for
 from gesticulator.characters.blender import blender, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
 from gesticulator.characters.command import COMMAND

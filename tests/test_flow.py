@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from data_module.motion.movement import MovementBasis, pasts_of
-from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, _fade, circumstances
-from generator.flow_head import FlowTime
+from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, FlowTime, _fade, circumstances
 from generator.model import GeneratorConfig, GeneratorWidths
 from gesticulator.drawing.drawer import Keys
 

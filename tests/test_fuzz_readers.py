@@ -114,7 +114,7 @@ NO_CASE = {
         data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._reading
         data_module/corpora/ted.py:Ted.read eval/runner/ablate.py:ablate eval/runner/ablate.py:redraw
         eval/runner/rg.py:RgRows.clips
-        gesticulator/bundle/parts.py:StoredParts.__getitem__ gesticulator/serve/connection.py:Connection._hello
+        gesticulator/bundle/models.py:StoredParts.__getitem__ gesticulator/serve/connection.py:Connection._hello
         gesticulator/serve/connection.py:Connection._read gesticulator/serve/edits.py:LivePlans.answer
         gesticulator/serve/session.py:Session._add_words interpreters/base.py:opened""",
     "the bytes are hashed, copied or thrown away, not parsed": """
@@ -195,7 +195,7 @@ import numpy as np
 import soundfile as sf
 
 from data_module import files
-from data_module.json_files import read_json as loaded
+from data_module.files import read_json as loaded
 
 
 class Thing:
@@ -244,7 +244,7 @@ def plain(place, value):
 
 def test_a_reader_is_found_by_what_it_does() -> None:
     assert readers_of(PLANTED) == {
-        "Thing.settings": ["data_module.json_files.read_json"], "Thing.of": ["pathlib.Path().open"],
+        "Thing.settings": ["data_module.files.read_json"], "Thing.of": ["pathlib.Path().open"],
         "Thing.of.<locals>.head": ["?stream.read", "struct.unpack"], "weights": ["numpy.load"],
         "wave": ["soundfile.read", "zipfile.ZipFile", "zipfile.ZipFile().open"],
         "table": ["data_module.files.read_table"], "seconds": ["a number of a text"], "packet": ["?socket.recv"]}

@@ -18,12 +18,12 @@ from interpreters.base import (
     EVERY_NEED,
     BlockFeatures,
     Interpreter,
+    InterpreterByEar,
     InterpreterDefaults,
     Scores,
     as_interpreter,
     select,
 )
-from interpreters.by_ear import InterpreterByEar
 from interpreters.cql import QConfig, QNetwork
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
 from interpreters.settings import CriticConfig

@@ -15,9 +15,9 @@ from counted import counted_calls
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module import json_files
+from data_module import files as json_files
 from data_module.errors import InputError
-from data_module.json_files import DEEPEST, MOST_DIGITS, MOST_VALUES, parse_json, read_json, read_object
+from data_module.files import DEEPEST, MOST_DIGITS, MOST_VALUES, parse_json, read_json, read_object
 
 _PLAIN = st.recursive(st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
                       | st.text(st.characters(exclude_categories=("Cs",))),
@@ -141,7 +141,7 @@ def test_what_python_writes_beyond_the_standard_is_read_where_it_wrote_it() -> N
 
 
 _OTHERS = {
-    "data_module/json_files.py": "the reader itself",
+    "data_module/files.py": "the reader itself",
     "data_module/performer/espeak_child.py": "runs in a process of its own, on what its parent wrote a moment ago",
     "gesticulator/plan/exchange.py": "a copy of values that it has just written as text",
     "gesticulator/plan/json_lines.py": "the parser that knows the line of each value; one number at a time",

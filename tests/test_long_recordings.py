@@ -22,7 +22,7 @@ from data_module.speech.audio import LevelMeter, load_speech, speech_pieces
 from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, loudness
 from data_module.types import Motion, Samples
 from gesticulator import infer
-from gesticulator.batch import one
+from gesticulator.batch import jobs as one
 from gesticulator.batch.long import WRITERS
 from gesticulator.export.glb import skeleton_glb
 from gesticulator.export.glb_pieces import GlbFile

@@ -7,10 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from interpreters.base import BlockFeatures
-from interpreters.by_ear import InterpreterByEar
+from interpreters.base import BlockFeatures, InterpreterByEar, pose_of
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter
-from interpreters.pose import pose_of
 
 FRAMES, AUDIO, SIZE, MOTION = 5, 4, 6, 3
 

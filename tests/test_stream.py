@@ -21,7 +21,7 @@ from data_module.errors import InputError
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
-from generator.flow_head import SamplingHead
+from generator.flow import SamplingHead
 from gesticulator import stream as stream_module
 from gesticulator.body.rest import Rest
 from gesticulator.bundle.features import representation_of

@@ -20,8 +20,7 @@ from typing import Any
 from data_module.corpora.base import DroppedError, Imported, Item, Options, needed, spread
 from data_module.corpora.takes import TEXTS, read_motion, with_text
 from data_module.errors import InputError, shown
-from data_module.files import read_text, write_text
-from data_module.json_files import read_json
+from data_module.files import read_json, read_text, write_text
 from data_module.motion.bvh import bvh_text
 from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import SPLITS, Recording, RecordingInfo, Split

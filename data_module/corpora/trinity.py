@@ -20,7 +20,7 @@ from typing import Any
 from data_module.corpora.base import DroppedError, Imported, Item, Options, needed
 from data_module.corpora.takes import find_takes, read_take
 from data_module.errors import InputError
-from data_module.json_files import read_json
+from data_module.files import read_json
 from data_module.motion.bvh import CENTIMETRES
 from data_module.store import RecordingInfo, Split
 from data_module.types import Word

@@ -23,7 +23,6 @@ from torch import Tensor
 from data_module.errors import InputError
 from data_module.speech.silence import TYPICAL_LEVEL
 from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
-from data_module.text.word_vectors import quiet_transformers
 from data_module.types import Array, Samples
 
 Features = NDArray[np.float32]
@@ -244,6 +243,8 @@ def _same_rate(rate: int, mel: MelFrontEnd) -> None:
 def _open(name: str, subject: str) -> tuple[Any, bool, int]:
     """The model in evaluation mode, whether it wants each window at mean 0 and spread 1, and its sample rate."""
     from transformers import AutoFeatureExtractor, AutoModel
+
+    from data_module.text.word_vectors import quiet_transformers
 
     advice = "give a folder that holds it, or fetch it first (hf download NAME)"
     with quiet_transformers():

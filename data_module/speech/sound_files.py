@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.json_files import parse_json
+from data_module.files import parse_json
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer

@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from data_module.errors import InputError, shown
-from data_module.json_files import parse_json
+from data_module.files import parse_json
 from data_module.text.alignment import written_words
 
 SILENCES = frozenset({"", "sp", "sil", "<eps>", "<sil>", "<p>", "<p:>"})

@@ -26,7 +26,7 @@ import numpy as np
 
 from data_module.arrays import as_floats, read_npy
 from data_module.errors import InputError, shown
-from data_module.json_files import read_json, read_object
+from data_module.files import read_json, read_object
 from data_module.motion import rotation
 from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
 from data_module.motion.representation import TED_JOINTS, rotations_from_positions, ted_positions

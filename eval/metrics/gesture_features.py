@@ -32,8 +32,7 @@ from torch import Tensor, nn
 
 from data_module.arrays import read_numbers
 from data_module.errors import InputError
-from data_module.files import write_bytes, write_text
-from data_module.json_files import read_object
+from data_module.files import read_object, write_bytes, write_text
 from data_module.layers import SLOPE, freeze
 from data_module.motion.representation import POSITIONS, TED_BONES, TED_JOINTS, bone_directions
 from data_module.store import Store

@@ -31,7 +31,7 @@ from eval.table import Provenance
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.files import INDEX
-from gesticulator.bundle.parts import JUDGES
+from gesticulator.bundle.models import JUDGES
 from gesticulator.cli import PROGRAM
 from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages import CORPUS, ENCODER, STAGES, Corpus, Run

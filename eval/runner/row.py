@@ -14,7 +14,7 @@ from eval.runner.context import EvalContext
 from eval.runner.racer import RacerRows
 from eval.runner.rg import RgRows
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.parts import JUDGES
+from gesticulator.bundle.models import JUDGES
 from gesticulator.training.stages import STAGES
 
 

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from data_module.errors import InputError, shown
-from data_module.files import read_text
-from data_module.json_files import read_json
+from data_module.files import read_json, read_text
 from data_module.types import Array
 from eval.stats import LEVEL, Interval, crossed_means, limits, mean
 from eval.table import Cell, Column, Table

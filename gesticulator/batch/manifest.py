@@ -19,8 +19,7 @@ from types import TracebackType
 from typing import IO, Any
 
 from data_module.errors import InputError, printable, shown
-from data_module.files import lock, write_bytes
-from data_module.json_files import parse_json
+from data_module.files import lock, parse_json, write_bytes
 from gesticulator.cli import Command
 
 DONE, FAILED = "done", "failed"

@@ -36,8 +36,15 @@ from gesticulator.bundle.files import (
     replace_folder,
     write_index,
 )
-from gesticulator.bundle.models import Sizes, codebook_name, codebook_shape, part_table
-from gesticulator.bundle.parts import JUDGES, ChangedParts, StoredParts
+from gesticulator.bundle.models import (
+    JUDGES,
+    ChangedParts,
+    Sizes,
+    StoredParts,
+    codebook_name,
+    codebook_shape,
+    part_table,
+)
 from gesticulator.bundle.system import System, system_of
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened

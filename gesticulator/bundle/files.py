@@ -23,7 +23,7 @@ from safetensors.torch import load as load_tensors
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.json_files import parse_json, read_object
+from data_module.files import parse_json, read_object
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Skeleton
 from gesticulator.version import __version__

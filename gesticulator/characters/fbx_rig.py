@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
-from data_module.json_files import read_json
+from data_module.files import read_json
 from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.rig import Character

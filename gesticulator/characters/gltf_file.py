@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError, shown
-from data_module.files import read_bytes
-from data_module.json_files import parse_json
+from data_module.files import parse_json, read_bytes
 
 LARGEST = 1 << 31
 """Largest size of a file, and of all its separate files together, bytes (2 GiB): film characters have some hundreds of

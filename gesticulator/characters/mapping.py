@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from data_module.errors import InputError, shown
-from data_module.files import write_text
-from data_module.json_files import read_json
+from data_module.files import read_json, write_text
 from data_module.motion.skeletons import FINGER_JOINTS, LEG_JOINTS
 from gesticulator.characters.rig import Character
 

@@ -24,6 +24,8 @@ from gesticulator.bundle.features import representation_of
 from gesticulator.plan.plan import LexemeName
 from lexicon.movement import MovementLexicon
 
+__all__ = ["HandWays", "LexemeName", "described", "hand_ways", "handed_bias", "lexeme_names"]
+
 MOVES, FAR = 0.05, 0.18
 """Path of a hand that counts as moving, and displacement that counts as far, metres."""
 BEATS = 2.2

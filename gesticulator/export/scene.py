@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from data_module.motion.skeletons import standing
 from data_module.types import Motion, Speech
-from gesticulator.export.nodes import NodeMotion, of_character, of_motion
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import CharacterMotion
+    from gesticulator.export.nodes import NodeMotion
     from gesticulator.plan.plan import GesturePlan
 
 
@@ -51,4 +51,6 @@ class Scene:
     @property
     def nodes(self) -> NodeMotion:
         """The nodes to write: the user's character if there is one, else the default skeleton."""
+        from gesticulator.export.nodes import of_character, of_motion
+
         return of_motion(self.standing) if self.character is None else of_character(self.character)

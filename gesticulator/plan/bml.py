@@ -19,8 +19,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import escape, quoteattr
 
 from data_module.errors import InputError, shown
-from data_module.files import read_bytes
-from data_module.json_files import parse_json
+from data_module.files import parse_json, read_bytes
 from gesticulator.plan.checks import check_plan
 from gesticulator.plan.json_lines import LinedJson
 from gesticulator.plan.json_lines import Path as Place

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from data_module.errors import InputError
-from data_module.json_files import read_object
+from data_module.files import read_object
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 BUCKETS = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)

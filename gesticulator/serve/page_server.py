@@ -19,7 +19,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from data_module.errors import InputError, one_line
-from data_module.json_files import parse_json
+from data_module.files import parse_json
 
 HOST = "127.0.0.1"
 TOKEN_HEADER = "X-Gesticulator-Token"

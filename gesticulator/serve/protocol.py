@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.errors import InputError, shown
-from data_module.json_files import parse_json, read_object
+from data_module.files import parse_json, read_object
 from gesticulator.serve import schema
 
 if TYPE_CHECKING:

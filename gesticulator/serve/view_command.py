@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
 from gesticulator.arguments import check_choices, controls_from_args, performance_arguments
-from gesticulator.batch.jobs import STDIN, Job
-from gesticulator.batch.one import load, performed
+from gesticulator.batch.jobs import STDIN, Job, load, performed
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from interpreters import INTERPRETERS
 

@@ -25,8 +25,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from data_module.errors import InputError
-from data_module.files import rename
-from data_module.json_files import parse_json
+from data_module.files import parse_json, rename
 from gesticulator.bundle.config import FitSettings
 from gesticulator.training import distributed
 

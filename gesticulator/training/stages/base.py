@@ -21,8 +21,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from data_module.errors import InputError
-from data_module.files import rename, write_text
-from data_module.json_files import read_object
+from data_module.files import read_object, rename, write_text
 from data_module.layers import freeze
 from data_module.settings import check
 from data_module.store import Store

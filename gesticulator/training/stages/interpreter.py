@@ -19,8 +19,8 @@ from gesticulator.training.stages.features import CORPUS
 from gesticulator.training.stages.labels import LABELS, model_sizes
 from gesticulator.training.stages.lexicon import LEXICON
 from gesticulator.training.stages.windows import Windows, sequences, validation
+from interpreters.base import pose_of
 from interpreters.lstm import LstmInterpreter
-from interpreters.pose import pose_of
 
 
 def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInterpreter], text: bool) -> Figures:

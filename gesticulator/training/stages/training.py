@@ -14,8 +14,7 @@ from typing import Any
 from torch import nn
 
 from data_module.errors import InputError
-from data_module.files import lock, write_text
-from data_module.json_files import read_object
+from data_module.files import lock, read_object, write_text
 from data_module.store import Store
 from gesticulator.bundle.bundle import Bundle, save
 from gesticulator.bundle.card import model_card
