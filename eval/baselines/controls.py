@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.motion import kinematics, rotation
+from data_module.motion.skeletons import find_table
 from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
@@ -153,6 +154,36 @@ def mirrored(clips: Clips, seed: int = 0) -> list[Motion]:
                 right = clip.rotations[:, clip.skeleton.index("Right" + name.removeprefix("Left"))]
                 turns[:, left] = right * np.array([1.0, 1.0, -1.0, -1.0])
         out.append(replace(clip, rotations=turns))
+    return out
+
+
+def splayed(clips: Clips, seed: int = 0, degrees: float = 20.0) -> list[Motion]:
+    """Both forearms turned outward by so many degrees about the vertical: the posture of a waiter with two trays, which
+    no distance between distributions of windows sees."""
+    out = []
+    for clip in clips:
+        skeleton, rotations = clip.skeleton, clip.rotations.copy()
+        joints = find_table(skeleton.names)
+        world = kinematics.global_rotations(skeleton, clip.rotations)
+        for side, sign in (("Left", 1.0), ("Right", -1.0)):
+            elbow = joints[side + "ForeArm"]
+            turn = rotation.from_exponential_map(np.array([0.0, sign * math.radians(degrees), 0.0]))
+            above = world[:, skeleton.parents[elbow]]
+            rotations[:, elbow] = rotation.multiply(
+                rotation.conjugate(above), rotation.multiply(turn, world[:, elbow]))
+        out.append(replace(clip, rotations=rotation.continuous(rotations)))
+    return out
+
+
+def frozen_in_pauses(clips: Clips, silent: Sequence[NDArray[np.bool_]]) -> list[Motion]:
+    """Each clip with its pose held through every silence; silent: of each clip, [F] at 100 Hz. A person prepares the
+    next phrase there."""
+    out = []
+    for clip, quiet in zip(clips, silent, strict=True):
+        at = np.minimum((np.arange(len(clip)) / clip.fps * 100).astype(int), len(quiet) - 1)
+        frames, held = np.arange(len(clip)), quiet[at]
+        last = np.maximum.accumulate(np.where(held, 0, frames))
+        out.append(replace(clip, rotations=clip.rotations[last], root_positions=clip.root_positions[last]))
     return out
 
 

@@ -13,7 +13,7 @@ speaker that is in the spine and not in the hips counts as movement of the chest
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -41,12 +41,16 @@ _EPS = 1e-9
 class CommonBody:
     """points: name -> [T, 3] metres of Chest, Waist, Neck, Head, and of both sides' Arm, ForeArm and Hand; chest, head:
     [T, 4] world rotations from the rest pose; finger_speed: [T - 1] degrees a second of the fastest finger joint, None
-    where there are no fingers. All at `HZ`."""
+    where there are no fingers; wrists: [T, 2] degrees between the forearm and the line to the first joint of the middle
+    finger, the right first, None without such joints; finger_bends: side and finger -> [T, n] degrees at its joints.
+    All at `HZ`."""
 
     points: dict[str, Array]
     chest: Array
     head: Array
     finger_speed: Array | None = None
+    wrists: Array | None = None
+    finger_bends: dict[tuple[str, str], Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.chest)
@@ -71,7 +75,9 @@ class CommonBody:
         """The frames start..stop-1."""
         fingers = None if self.finger_speed is None else self.finger_speed[start:max(stop - 1, start)]
         return replace(self, points={name: place[start:stop] for name, place in self.points.items()},
-                       chest=self.chest[start:stop], head=self.head[start:stop], finger_speed=fingers)
+                       chest=self.chest[start:stop], head=self.head[start:stop], finger_speed=fingers,
+                       wrists=None if self.wrists is None else self.wrists[start:stop],
+                       finger_bends={name: angles[start:stop] for name, angles in self.finger_bends.items()})
 
 
 def common_body(motion: Motion) -> CommonBody:
@@ -90,8 +96,9 @@ def common_body(motion: Motion) -> CommonBody:
     points = _trunk(motion, joints, world)
     for side, sign in zip(SIDES, (-1.0, 1.0), strict=True):
         _arm(points, side, sign, joints, skeleton.parents, world, places)
+    wrists, bends = _hand_angles(own, joints, places)
     return CommonBody(points, world[:, joints["Chest"]], world[:, joints["Head"]],
-                      _finger_speed(own, [joints[side + "Hand"] for side in SIDES]))
+                      _finger_speed(own, [joints[side + "Hand"] for side in SIDES]), wrists, bends)
 
 
 def _ancestors(parents: Sequence[int], joint: int) -> list[int]:
@@ -206,3 +213,40 @@ def _finger_speed(motion: Motion, hands: Sequence[int]) -> Array | None:
     turns = motion.rotations[:, fingers]
     speed: Array = np.degrees(rotation.angle_between(turns[:-1], turns[1:])).max(axis=1) * HZ
     return speed
+
+
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+
+
+def _hand_angles(motion: Motion, joints: dict[str, int], places: Array
+                 ) -> tuple[Array | None, dict[tuple[str, str], Array]]:
+    """[T, 2] bend of the wrists, and side and finger -> [T, n] bend of its joints, degrees, from joint places."""
+    skeleton, parents = motion.skeleton, motion.skeleton.parents
+    names = [name.rsplit(":", 1)[-1].lower().replace("pinkie", "pinky").replace("little", "pinky")
+             for name in skeleton.names]
+    wrists, bends = [], {}
+    for side in SIDES:
+        hand, elbow = joints[side + "Hand"], joints[side + "ForeArm"]
+        below = [joint for joint in range(len(parents)) if hand in _ancestors(parents, joint)[1:]
+                 and skeleton.names[joint] not in motion.absent]
+        tip = next((joint for name in ("middle", "index") for joint in below if name in names[joint]), None)
+        if tip is not None:
+            wrists.append(_angle(places[:, hand] - places[:, elbow], places[:, tip] - places[:, hand]))
+        for finger in FINGERS:
+            angles = [_angle(places[:, parents[joint]] - places[:, parents[parents[joint]]],
+                             places[:, joint] - places[:, parents[joint]])
+                      for joint in below if finger in names[joint] and finger in names[parents[joint]]]
+            known = [angle for angle in angles if angle is not None]
+            if known:
+                bends[side, finger] = np.stack(known, axis=1)
+    known = [angle for angle in wrists if angle is not None]
+    return (np.stack(known, axis=1) if len(known) == len(SIDES) else None), bends
+
+
+def _angle(first: Array, second: Array) -> Array | None:
+    """[T] degrees between vectors [T, 3]; None where one has no length."""
+    lengths = np.linalg.norm(first, axis=-1), np.linalg.norm(second, axis=-1)
+    if min(float(length.min()) for length in lengths) <= 1e-6:
+        return None
+    cosine = (first * second).sum(axis=-1) / (lengths[0] * lengths[1])
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

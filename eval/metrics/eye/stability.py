@@ -1,0 +1,95 @@
+"""Stability: is it the same take when the same sound comes again, a little quieter, resampled or compressed?
+
+Theory: an animator who has approved a clip exports the sound again. The new motion should be the old one. Of two
+motions on the common body, over the frames that both have, with d_j the distance of joint j:
+
+- distance of the joints (head, shoulders, elbows, wrists), and of the hands alone, cm, mean over frames.
+- hands apart: percentage of frames in which a wrist is more than 2 cm from its twin.
+- apart from: seconds at which they part for the first time, and for good (never again together for 0.25 s).
+- healed: of the times at which they part, the percentage after which they are together again within so many seconds.
+- correlation of the hands' mean speeds.
+
+And of two plans with the same number of blocks: percentage of blocks with another lexeme, and of voiced ones.
+
+Good: 0. What fools them: a system that ignores the sound is perfectly stable. They count only beside figures that say
+that the motion fits the sound.
+
+    >>> healed(np.array([False, True, True, False, False, False, False]), 1.0, hz=4)
+    100.0
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eval.metrics.eye.body import HZ, CommonBody
+from eval.metrics.eye.hands import correlation
+from eval.metrics.eye.together import hand_speeds
+from eval.metrics.eye.units import runs
+
+ALIKE = 0.02
+"""Metres: hands that are nearer than this are together."""
+TOGETHER = 0.25
+"""Seconds for which they must be together to have come together again."""
+UNIT = 5.0
+"""Seconds: half of the gesture units of real speakers are shorter than 3.5 to 9.6."""
+_JOINTS = ("Head", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "LeftHand", "RightHand")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far two takes are apart; see the chapter. joints, hands: mean cm; apart: % of time; first, for_good: seconds,
+    NaN for never; healed: %, NaN where they never part; speed: correlation; length: seconds in common."""
+
+    length: float
+    joints: float
+    hands: float
+    apart: float
+    first: float
+    for_good: float
+    healed: float
+    speed: float
+
+
+def healed(apart: NDArray[np.bool_], within: float, hz: float = HZ) -> float:
+    """Percentage of the partings of a mask [T] after which both are together within so many seconds, for `TOGETHER`
+    seconds or to the end. A parting that the end cuts off sooner than that does not count. NaN without any."""
+    together = np.zeros(len(apart), bool)
+    least = round(TOGETHER * hz)
+    for begin, stop in runs(~apart):
+        together[begin:stop] = stop - begin >= least or stop == len(apart)
+    counted = good = 0
+    for begin, stop in runs(~together):
+        if stop == len(apart) and stop - begin < within * hz:
+            continue
+        counted, good = counted + 1, good + int(stop - begin <= within * hz)
+    return 100.0 * good / counted if counted else math.nan
+
+
+def difference(one: CommonBody, two: CommonBody, within: float = UNIT) -> Difference:
+    """Of two takes; within: seconds in which they should come together again."""
+    frames = min(len(one), len(two))
+    one, two = one.crop(0, frames), two.crop(0, frames)
+    away = np.stack([np.linalg.norm(one.points[joint] - two.points[joint], axis=1) for joint in _JOINTS], axis=1)
+    apart = away[:, -2:].max(axis=1) > ALIKE
+    near = [stop for begin, stop in runs(~apart) if stop - begin >= round(TOGETHER * HZ)]
+    first = float(np.argmax(apart)) / HZ if apart.any() else math.nan
+    for_good = math.nan if not apart.any() or (near and near[-1] == frames) else near[-1] / HZ if near else 0.0
+    speeds = np.stack([hand_speeds(body).mean(axis=1) for body in (one, two)], axis=1)
+    return Difference(frames / HZ, 100.0 * float(away.mean()), 100.0 * float(away[:, -2:].mean()),
+                      100.0 * float(apart.mean()), first, for_good, healed(apart, within), correlation(speeds))
+
+
+def other_lexemes(one: Sequence[int], two: Sequence[int], silent: Sequence[bool] = ()) -> tuple[float, float]:
+    """Percentages of blocks, and of voiced blocks, with another lexeme; over the blocks that both have. silent: of the
+    first."""
+    count = min(len(one), len(two))
+    other = np.array(one[:count]) != np.array(two[:count])
+    voiced = ~np.array(silent[:count], bool) if len(silent) else np.ones(count, bool)
+    return (100.0 * float(other.mean()) if count else math.nan,
+            100.0 * float(other[voiced].mean()) if voiced.any() else math.nan)

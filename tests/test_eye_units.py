@@ -1,0 +1,288 @@
+"""Posture, parts together, gesture units, stability: known answers, the definition's program, and what must fail."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from data_module.motion import bvh, rotation
+from data_module.motion.skeletons import FINGERED
+from data_module.speech.audio import load_speech
+from data_module.types import Array, Motion, Speech
+from eval.baselines import controls
+from eval.metrics.eye import pitch, posture, stability, together, units
+from eval.metrics.eye.body import HZ, CommonBody, common_body
+from eval.metrics.eye.voice import VoiceActivity, hear
+from tests.test_eye import elbow, posed, wandering
+
+JUDGE = {  # our figure -> the name that the definition's own program gives it
+    "eye_splay": "splay", "eye_splay_both": "splay_both", "eye_azimuth": "azimuth", "eye_elbow": "elbow",
+    "eye_folded": "folded", "eye_hands_apart": "hands_apart", "eye_shoulder": "shoulder", "eye_wrist_50": "wrist50",
+    "eye_wrist_95": "wrist95", "eye_finger_bend": "finger_bend", "eye_finger_over_time": "finger_sd",
+    "eye_finger_between": "finger_apart", "eye_thumb_index": "thumb_index", "eye_head_with_hands": "head_hand",
+    "eye_chest_with_hands": "chest_hand", "eye_chest_side": "chest_side", "eye_head_travel": "head_travel",
+    "eye_chest_travel": "chest_travel", "eye_fast": "band3_6", "eye_variation": "cv4_all", "eye_units": "units",
+    "eye_unit_length": "unit_s", "eye_unit_length_90": "unit_s90", "eye_unit_time": "unit_time",
+    "eye_unit_strokes": "unit_strokes", "eye_unit_single": "unit_single", "eye_held": "held", "eye_holds": "held_min",
+    "eye_pause_moving": "pause_moving", "eye_pause_speed": "pause_slow", "eye_lead": "lead",
+    "eye_lead_before": "lead_before", "eye_lead_chance": "lead_chance", "eye_loud": "loud",
+    "eye_loud_speech": "loud_speech", "eye_variation_speech": "cv4"}
+
+
+def every_figure(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
+    return {**posture.figures(body), **together.figures(body), **units.figures(body),
+            **units.sound_figures(body, voice)}
+
+
+@pytest.fixture(scope="module")
+def judge(outside_data: Path) -> ModuleType:
+    file = outside_data.parent / "tools" / "judge.py"
+    if not file.is_file():
+        pytest.skip(f"{file} is not there")
+    spec = importlib.util.spec_from_file_location("judge_units", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def take(outside_data: Path) -> tuple[Path, Motion, Path]:
+    """The BEAT take, whose header has the wrong frame rate."""
+    folder = outside_data / "takes" / "beat_scott"
+    file = next(folder.glob("*.bvh"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return file, bvh.read_bvh(file, fps=15.0), next(folder.glob("*.wav"))
+
+
+def test_the_program_that_defines_them_agrees(judge: ModuleType, take: tuple[Path, Motion, Path]) -> None:
+    file, motion, sound = take
+    theirs = judge.load(str(file) + ":15")
+    told = {**judge.together_measures(theirs), **judge.together_sound(theirs, judge.read_sound(str(sound)))}
+    found = every_figure(common_body(motion), hear(load_speech(sound)))
+    assert set(found) == set(JUDGE)
+    for name, key in JUDGE.items():
+        value = math.nan if told[key] is None else told[key]
+        assert found[name] == pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True), name
+
+
+def test_two_takes_differ_as_that_program_says(judge: ModuleType, take: tuple[Path, Motion, Path],
+                                               tmp_path: Path) -> None:
+    motion = take[1]
+    other = controls.jittered([motion], 0, 0.01)[0]
+    for name, one in (("a", motion), ("b", other)):
+        bvh.write_bvh(tmp_path / f"{name}.bvh", one)
+    ours = stability.difference(*(common_body(bvh.read_bvh(tmp_path / f"{name}.bvh")) for name in "ab"))
+    theirs = judge.same(*(judge.load(str(tmp_path / f"{name}.bvh")) for name in "ab"))
+    pairs = {"joints": "joints_cm", "hands": "hands_cm", "apart": "apart", "first": "first_s", "for_good": "good_s",
+             "speed": "speed_r"}
+    for name, key in pairs.items():
+        value = math.nan if theirs[key] is None else theirs[key]
+        assert getattr(ours, name) == pytest.approx(value, rel=1e-5, abs=1e-5, nan_ok=True), name
+
+
+# -------------------------------------------------------------------------------------------------- known answers
+
+def arms_ahead(outward: float = 0.0, seconds: float = 4.0) -> Motion:
+    """Upper arms that hang, forearms level, turned outward by so many degrees from straight ahead."""
+    def move(time: Array) -> dict[str, Array]:
+        out = {}
+        for side, sign in (("Left", 1.0), ("Right", -1.0)):
+            hang = rotation.from_exponential_map(np.array([0.0, 0.0, -sign * math.pi / 2]))
+            ahead = np.array([math.sin(math.radians(outward)) * sign, 0.0, math.cos(math.radians(outward))])
+            # In the frame of the hanging arm the forearm lies along the arm's own axis at rest.
+            goal = rotation.rotate(rotation.conjugate(hang), ahead)
+            axis = np.cross([sign, 0.0, 0.0], goal)
+            angle = math.acos(float(np.clip(goal @ np.array([sign, 0.0, 0.0]), -1, 1)))
+            bent = axis / np.linalg.norm(axis) * angle
+            out[side + "Arm"] = np.tile([0.0, 0.0, -sign * math.pi / 2], (len(time), 1))
+            out[side + "ForeArm"] = np.tile(bent, (len(time), 1))
+        return out
+
+    return posed(seconds, move)
+
+
+@pytest.mark.parametrize("degrees", [-20.0, 0.0, 15.0, 40.0])
+def test_the_azimuth_of_a_level_forearm_is_its_angle(degrees: float) -> None:
+    found = posture.figures(common_body(arms_ahead(degrees)))
+    assert found["eye_azimuth"] == pytest.approx(degrees, abs=0.5)
+    assert found["eye_elbow"] == pytest.approx(90.0, abs=0.5) and found["eye_folded"] == 0.0
+    # A forearm is 25 cm long, so the wrist is 8 cm outside from asin(8 / 25) = 18.7 degrees on.
+    assert found["eye_splay"] == found["eye_splay_both"] == (100.0 if degrees > 18.7 else 0.0)
+
+
+def test_one_splayed_arm_is_half_of_the_time_and_never_both() -> None:
+    both, none = arms_ahead(30.0), arms_ahead(0.0)
+    rotations = both.rotations.copy()
+    for name in ("RightArm", "RightForeArm"):
+        rotations[:, both.skeleton.index(name)] = none.rotations[:, both.skeleton.index(name)]
+    found = posture.figures(common_body(replace(both, rotations=rotations)))
+    assert found["eye_splay"] == 50.0 and found["eye_splay_both"] == 0.0
+
+
+def test_fingers_that_bend_alike_have_no_difference_between_them() -> None:
+    rng = np.random.default_rng(0)
+    motion = posed(3.0, lambda time: {})
+    rotations = np.zeros((len(motion), len(FINGERED), 4))
+    rotations[..., 0] = 1.0
+    curl = 0.5 + 0.3 * np.sin(np.arange(len(motion)) / 20.0)
+    fingers = [joint for joint, name in enumerate(FINGERED.names)
+               if any(finger in name for finger in ("Index", "Middle", "Ring", "Pinky", "Thumb"))]
+    for joint in fingers:
+        axis = np.array([0.0, 0.0, 1.0])
+        rotations[:, joint] = rotation.from_exponential_map(curl[:, None] * axis)
+    alike = posture.figures(common_body(Motion(FINGERED, rotations, np.zeros((len(motion), 3)), 60.0)))
+    assert alike["eye_finger_between"] < 3.0 and alike["eye_thumb_index"] > 0.99
+    assert alike["eye_finger_bend"] == pytest.approx(math.degrees(curl.mean()), rel=0.05)
+    for joint in fingers:
+        axis = np.array([0.0, 0.0, 1.0]) * rng.uniform(0.2, 1.8)
+        rotations[:, joint] = rotation.from_exponential_map(curl[:, None] * axis)
+    apart = posture.figures(common_body(Motion(FINGERED, rotations, np.zeros((len(motion), 3)), 60.0)))
+    assert apart["eye_finger_between"] > 5.0
+
+
+def test_units_are_counted_from_rest_to_rest() -> None:
+    def move(time: Array) -> dict[str, Array]:
+        # Two units of two seconds, each out and back twice, a second and more of rest about them.
+        active = ((time > 2) & (time < 4)) | ((time > 7) & (time < 9))
+        swing = np.where(active, 0.7 * (1 - np.cos(2 * np.pi * (time - np.where(time < 5, 2, 7)))), 0.0)
+        return {"RightForeArm": elbow("Right", swing)}
+
+    found = units.figures(common_body(posed(12.0, move)))
+    assert found["eye_units"] == pytest.approx(2 / 2 / (12 / 60))
+    assert found["eye_unit_length"] == pytest.approx(2.0, abs=0.3)
+    assert found["eye_unit_strokes"] == 4.0 and found["eye_unit_single"] == 0.0
+
+
+def voice_of(silent: Array) -> VoiceActivity:
+    """A voice that is silent in these frames of 10 ms."""
+    return VoiceActivity(len(silent) / 100, (np.zeros(0), np.zeros(0)), np.where(silent, -60.0, -20.0), silent)
+
+
+def talk(early: float, seconds: float = 90.0) -> tuple[Motion, VoiceActivity]:
+    """Speech and silence of random lengths in turn; the hand swings for a second, from so many seconds before each
+    speech on, and rests otherwise."""
+    rng = np.random.default_rng(4)
+    begins = np.cumsum(rng.uniform(3.0, 6.0, 40))
+    begins = begins[begins < seconds - 4]
+    ends = begins + rng.uniform(1.2, 1.8, len(begins))
+
+    def move(time: Array) -> dict[str, Array]:
+        since = time[:, None] - (begins - early)
+        swings = np.where((since > 0) & (since < 1), 0.6 * (1 - np.cos(2 * np.pi * since)), 0.0).sum(axis=1)
+        return {"RightForeArm": elbow("Right", swings)}
+
+    at = np.arange(round(seconds * 100))[:, None] / 100
+    return posed(seconds, move), voice_of(~((at >= begins) & (at < ends)).any(axis=1))
+
+
+@pytest.mark.parametrize(("early", "before"), [(0.5, 100.0), (-0.3, 0.0)])
+def test_a_hand_that_starts_before_the_voice_is_early_and_one_that_follows_is_not(early: float, before: float) -> None:
+    motion, voice = talk(early)
+    found = units.sound_figures(common_body(motion), voice)
+    first = units.leads(common_body(motion), voice)
+    assert found["eye_lead_before"] == first.before == before
+    # The swing passes 0.3 m/s a little after it begins.
+    assert found["eye_lead"] == pytest.approx(-early + 0.08, abs=0.06)
+    # A small shift keeps the hand early, so one recording alone cannot reach a lower p.
+    assert (first.p < 0.1) == (before > 50)
+    pooled = units.Leads.pooled([first, first])
+    assert len(pooled.seconds) == 2 * len(first.seconds) and pooled.before == first.before
+
+
+def test_motion_that_is_frozen_in_pauses_is_seen() -> None:
+    motion, voice = wandering(60.0), voice_of(np.arange(6000) / 100 % 3.0 >= 2.0)
+    free = units.sound_figures(common_body(motion), voice)
+    frozen = units.sound_figures(common_body(controls.frozen_in_pauses([motion], [voice.silent])[0]), voice)
+    assert free["eye_pause_moving"] > 60 > 15 > frozen["eye_pause_moving"]
+    assert free["eye_pause_speed"] > 0.7 and frozen["eye_pause_speed"] < 0.3
+
+
+def test_forearms_that_are_turned_outward_are_seen() -> None:
+    motion = arms_ahead(0.0)
+    turned = posture.figures(common_body(controls.splayed([motion])[0]))
+    assert turned["eye_azimuth"] == pytest.approx(20.0, abs=0.5) and turned["eye_splay"] == 100.0
+
+
+def test_real_forearms_turned_outward_leave_the_range_of_people(take: tuple[Path, Motion, Path]) -> None:
+    real = posture.figures(common_body(take[1]))
+    turned = posture.figures(common_body(controls.splayed([take[1]])[0]))
+    assert real["eye_splay"] <= 15 and -35 <= real["eye_azimuth"] <= 5
+    assert turned["eye_splay"] > 15 and turned["eye_azimuth"] > 5
+
+
+def test_a_pose_that_is_held_has_no_life_in_any_part() -> None:
+    held = common_body(controls.mean_pose([wandering(20.0)])[0])
+    found = {**posture.figures(held), **together.figures(held), **units.figures(held)}
+    assert found["eye_shoulder"] == pytest.approx(0.0, abs=1e-6) and found["eye_units"] == 0.0
+    assert found["eye_head_travel"] == pytest.approx(0.0, abs=1e-6)
+    assert math.isnan(found["eye_head_with_hands"]) and math.isnan(found["eye_variation"])
+
+
+# ------------------------------------------------------------------------------------------------------ stability
+
+def test_a_take_equals_itself_and_one_that_parts_for_good_does_not() -> None:
+    motion = wandering(20.0)
+    body = common_body(motion)
+    same = stability.difference(body, body)
+    assert same.hands == same.apart == 0.0 and math.isnan(same.first) and math.isnan(same.for_good)
+    assert same.speed == pytest.approx(1.0) and math.isnan(same.healed)
+    points = {name: place.copy() for name, place in body.points.items()}
+    points["RightHand"][600:] += 0.1
+    apart = stability.difference(body, replace(body, points=points))
+    assert apart.first == apart.for_good == 10.0 and apart.apart == pytest.approx(50.0)
+    assert apart.hands == pytest.approx(100 * 0.1 * math.sqrt(3) / 4) and apart.healed == 0.0
+
+
+def test_partings_heal_where_the_hands_come_together_soon() -> None:
+    apart = np.zeros(1200, bool)
+    apart[60:120] = apart[600:1000] = True
+    assert stability.healed(apart, 5.0) == 50.0 and stability.healed(apart, 7.0) == 100.0
+    assert math.isnan(stability.healed(np.zeros(100, bool), 5.0))
+    assert stability.other_lexemes([1, 2, 3, 4], [1, 2, 9, 4], [True, False, False, True]) == (25.0, 50.0)
+
+
+# ---------------------------------------------------------------------------------------------------------- pitch
+
+def gliding(seconds: float, seed: int) -> tuple[Speech, Array]:
+    """A tone with a harmonic whose pitch wanders, and [T] its frequency at 100 Hz."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * 16000)) / 16000
+    turns, phases = rng.uniform(0.8, 3.0, 4), rng.uniform(0, 6.28, 4)
+    frequency = 150 * np.exp(0.1 * np.sin(turns[:, None] * time + phases[:, None]).sum(axis=0))
+    phase = 2 * np.pi * np.cumsum(frequency) / 16000
+    return Speech((0.3 * np.sin(phase) + 0.2 * np.sin(2 * phase)).astype(np.float32), 16000), frequency[::160]
+
+
+def test_pitch_is_followed_and_the_trunk_that_goes_with_it_is_found() -> None:
+    recordings = [gliding(8.0, seed) for seed in range(6)]
+    tracks = [pitch.pitch_track(speech) for speech, _ in recordings]
+    for track, (_, frequency) in zip(tracks, recordings, strict=True):
+        logs = np.log(frequency[::5][:len(track)])
+        voiced = np.isfinite(track[:len(logs)])
+        assert voiced.mean() > 0.9
+        assert np.corrcoef(track[:len(logs)][voiced], logs[voiced])[0, 1] > 0.97
+    speeds = [20 + 10 * np.nan_to_num(track) / 0.1 for track in tracks]
+    at_once = pitch.coupling(tracks, speeds)
+    assert at_once.best > 0.9 and at_once.lag == pytest.approx(0.0, abs=0.05) and at_once.p < 0.05
+    late = pitch.coupling(tracks, [np.roll(speed, 9) for speed in speeds])
+    assert late.lag == pytest.approx(0.45, abs=0.051) and late.best < 0.8
+    assert len(pitch.coupling(tracks[:1], speeds[:1]).chance) == 0
+
+
+def test_trunk_speed_is_in_degrees_a_second() -> None:
+    def move(time: Array) -> dict[str, Array]:
+        return {"Spine1": np.stack([0 * time, math.radians(30) * time, 0 * time], 1)}
+
+    speed = pitch.trunk_speed(common_body(posed(4.0, move)))
+    assert speed[10:-10] == pytest.approx(30.0, rel=1e-3) and len(speed) == pytest.approx(4 * HZ / 3, abs=2)
