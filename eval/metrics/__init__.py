@@ -104,10 +104,15 @@ _OURS: dict[str, Metric] = {
 """Without those for the eye. FGD has a column for each network, and each network has its own unit."""
 
 
+_MEASURES = {"frechet": "frechet", "phrases": "sound_figures"}
+"""Chapters of the figures for the eye whose function is not `figures`."""
+
+
 def _eye(chapter: str, about: str, unit: str, digits: int, good: Direction, fooled_by: tuple[str, ...], *,
          inputs: tuple[str, ...] = ()) -> Metric:
-    measure = "frechet" if chapter == "frechet" else "figures"
-    return Metric(about, f"eval.metrics.eye.{chapter}:{measure}", unit, digits, f"eye {chapter}", good, inputs,
+    module = "units" if chapter == "phrases" else chapter
+    measure = _MEASURES.get(chapter, "figures")
+    return Metric(about, f"eval.metrics.eye.{module}:{measure}", unit, digits, f"eye {chapter}", good, inputs,
                   fooled_by)
 
 
@@ -156,6 +161,52 @@ EYE_METRICS: dict[str, Metric] = {
     "eye_above_1": _eye("voice", "PMB above chance, 0.1 s, first detector", "%", 0, "high", _BOBS, inputs=_SPEECH),
     "eye_above_2": _eye("voice", "PMB above chance, 0.1 s, second", "%", 0, "high", (*_MIRROR_OR_NOISE, "bobbing"),
                         inputs=_SPEECH),
+    "eye_splay": _eye("posture", "forearm outward, of the time", "%", 0, "low", ("still", "reversed", "bobbing")),
+    "eye_splay_both": _eye("posture", "both forearms outward, of the time", "%", 0, "low",
+                           ("still", "reversed", "jitter", "bobbing")),
+    "eye_azimuth": _eye("posture", "azimuth of the forearm, outward", "deg", 0, "near", _STILL_TOO),
+    "eye_elbow": _eye("posture", "elbow bend", "deg", 0, "near", _STILL_TOO),
+    "eye_folded": _eye("posture", "elbow folded, of the time", "%", 1, "low", _STILL_TOO),
+    "eye_hands_apart": _eye("posture", "hands apart", "cm", 0, "near", _STILL_TOO),
+    "eye_shoulder": _eye("posture", "shoulder lift, spread", "cm", 1, "near", _SEEN_BACKWARDS),
+    "eye_wrist_50": _eye("posture", "wrist bend, median", "deg", 0, "near", ()),
+    "eye_wrist_95": _eye("posture", "wrist bend, 95 %", "deg", 0, "near", ()),
+    "eye_finger_bend": _eye("posture", "finger bend", "deg", 0, "near", ()),
+    "eye_finger_over_time": _eye("posture", "finger bend, spread over time", "deg", 1, "near", ()),
+    "eye_finger_between": _eye("posture", "finger bend, spread between joints", "deg", 1, "near", ()),
+    "eye_thumb_index": _eye("posture", "thumb with index finger, correlation", "", 2, "near", ()),
+    "eye_head_with_hands": _eye("together", "head with hands, correlation", "", 2, "near", _SEEN_BACKWARDS),
+    "eye_chest_with_hands": _eye("together", "chest with hands, correlation", "", 2, "near", _SEEN_BACKWARDS),
+    "eye_chest_side": _eye("together", "chest turn with the side of the hands", "", 2, "near",
+                           _MIRROR_OR_NOISE),
+    "eye_head_travel": _eye("together", "head travel", "cm/s", 1, "near", _SEEN_BACKWARDS),
+    "eye_chest_travel": _eye("together", "chest travel", "cm/s", 1, "near", _SEEN_BACKWARDS),
+    "eye_fast": _eye("together", "hand velocity in 3 to 6 Hz", "%", 1, "low", (*_MIRROR_OR_NOISE, "bobbing")),
+    "eye_variation": _eye("together", "variation over 4 s", "", 2, "near", _MIRROR_OR_NOISE),
+    "eye_units": _eye("units", "gesture units a minute and hand", "", 1, "near", _BOBS),
+    "eye_unit_length": _eye("units", "unit length, median", "s", 1, "near", ("reversed", "bobbing")),
+    "eye_unit_length_90": _eye("units", "unit length, 90 %", "s", 1, "near", ("bobbing",)),
+    "eye_unit_time": _eye("units", "in gesture units, of the time", "%", 0, "near", (*_MIRROR_OR_NOISE, "bobbing")),
+    "eye_unit_strokes": _eye("units", "strokes a unit, median", "", 1, "near", ("reversed", "bobbing")),
+    "eye_unit_single": _eye("units", "units of one or two strokes", "%", 0, "near", (*_MIRROR_OR_NOISE, "bobbing")),
+    "eye_held": _eye("phrases", "raised hand held, of speech", "%", 1, "near", (*_MIRROR_OR_NOISE, "bobbing"),
+                     inputs=_SPEECH),
+    "eye_holds": _eye("phrases", "holds a minute and hand", "", 1, "near", ("mirrored", "still", "reversed", "jitter"),
+                      inputs=_SPEECH),
+    "eye_pause_moving": _eye("phrases", "pauses with a moving hand", "%", 0, "near", _MIRROR_OR_NOISE,
+                             inputs=_SPEECH),
+    "eye_pause_speed": _eye("phrases", "speed in pauses over around them", "", 2, "near", (), inputs=_SPEECH),
+    "eye_lead": _eye("phrases", "first movement after a pause, from the voice", "s", 2, "near", ("jitter", "bobbing"),
+                     inputs=_SPEECH),
+    "eye_lead_before": _eye("phrases", "first movement before the voice", "%", 0, "near",
+                            (*_MIRROR_OR_NOISE, "bobbing"), inputs=_SPEECH),
+    "eye_lead_chance": _eye("phrases", "chance of that", "%", 0, "", (), inputs=_SPEECH),
+    "eye_loud": _eye("phrases", "log hand speed with loudness, correlation", "", 2, "near",
+                     (*_MIRROR_OR_NOISE, "bobbing"), inputs=_SPEECH),
+    "eye_loud_speech": _eye("phrases", "the same in speech alone", "", 2, "near", (*_MIRROR_OR_NOISE, "bobbing"),
+                            inputs=_SPEECH),
+    "eye_variation_speech": _eye("phrases", "variation over 4 s, in speech", "", 2, "near",
+                                 (*_MIRROR_OR_NOISE, "bobbing"), inputs=_SPEECH),
     "eye_frechet": _eye("frechet", "window Frechet distance to real, mean of clips", "", 1, "low", _SEEN_BACKWARDS,
                         inputs=("reference",)),
 }

@@ -130,6 +130,11 @@ def _wrists(wrists: NDArray[np.float64] | None) -> dict[str, float]:
     return {"eye_wrist_50": float(median), "eye_wrist_95": float(high)}
 
 
+FIGURES = ("eye_splay", "eye_splay_both", "eye_azimuth", "eye_elbow", "eye_folded", "eye_hands_apart", "eye_shoulder",
+           "eye_wrist_50", "eye_wrist_95", "eye_finger_bend", "eye_finger_over_time", "eye_finger_between",
+           "eye_thumb_index")
+
+
 def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
     return {**_arms(body), "eye_shoulder": _shoulders(body), **_wrists(body.wrists), **_fingers(body.finger_bends)}

@@ -29,7 +29,7 @@ _TITLES = {POOLED: "window Frechet distance to real, all clips together",
            TO_CORPUS: "window Frechet distance to the corpus, all clips together",
            "eye_rolled_1": "the same with the sound rolled by 60 blocks, %, first",
            "eye_rolled_2": "the same with the sound rolled by 60 blocks, %, second"}
-CONTROLS = ("mirrored", "still", "reversed", "jitter", "bobbing")
+CONTROLS = ("mirrored", "still", "reversed", "jitter", "bobbing", "splayed", "frozen")
 CORPUS = "corpus"
 
 
@@ -104,9 +104,11 @@ class EyeSample:
 def controls(motion: Motion, heard: VoiceActivity | None, space: ReferenceSpace | None) -> dict[str, EyeSample]:
     """Every one of `CONTROLS`, made of a real motion of the 16-joint character; bobbing needs its speech."""
     made = {"mirrored": baselines.mirrored([motion]), "still": baselines.mean_pose([motion]),
-            "reversed": baselines.reversed_in_time([motion]), "jitter": baselines.jittered([motion], 0)}
+            "reversed": baselines.reversed_in_time([motion]), "jitter": baselines.jittered([motion], 0),
+            "splayed": baselines.splayed([motion])}
     if heard is not None:
         made["bobbing"] = baselines.bobbing([motion], [heard.onsets[0]])
+        made["frozen"] = baselines.frozen_in_pauses([motion], [heard.silent])
     out = {}
     for name, clips in made.items():
         out[name] = EyeSample()

@@ -92,6 +92,10 @@ def fast_share(body: CommonBody) -> float:
     return 100.0 * float(power[(frequencies >= _BAND[0]) & (frequencies < _BAND[1])].sum()) / total
 
 
+FIGURES = ("eye_head_with_hands", "eye_chest_with_hands", "eye_chest_side", "eye_head_travel", "eye_chest_travel",
+           "eye_fast", "eye_variation")
+
+
 def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
     speed = hand_speeds(body).mean(axis=1)

@@ -96,6 +96,9 @@ def stroke_peaks(speed: Array) -> NDArray[np.int64]:
                      if speed[begin:stop].max(initial=0.0) > MOVES], np.int64)
 
 
+FIGURES = ("eye_units", "eye_unit_length", "eye_unit_length_90", "eye_unit_time", "eye_unit_strokes", "eye_unit_single")
+
+
 def figures(body: CommonBody) -> dict[str, float]:
     """The figures of this chapter that need no sound."""
     speed, lengths, strokes = hand_speeds(body), [], []
