@@ -13,6 +13,8 @@ from data_module.registry import Registry, RegistryEntry, is_tool
 PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
     "eye": RegistryEntry("does the motion look human, compared with a real recording, the corpus and unit selection?",
                          "eval.probes.eye"),
+    "stability": RegistryEntry("does the same sound give the same motion when it is exported again?",
+                               "eval.probes.stability"),
     "stance": RegistryEntry("are legs stable? Foot sliding, knees, weight shifts, stillness", "eval.probes.stance"),
     "motion": RegistryEntry("does the motion of a bundle meet the acceptance criteria? Each with bound and verdict",
                             "eval.acceptance.motion.command"),
