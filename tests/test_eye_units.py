@@ -12,6 +12,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from data_module.motion import bvh, rotation
 from data_module.motion.skeletons import FINGERED
@@ -82,7 +83,8 @@ def test_two_takes_differ_as_that_program_says(judge: ModuleType, take: tuple[Pa
     other = controls.jittered([motion], 0, 0.01)[0]
     for name, one in (("a", motion), ("b", other)):
         bvh.write_bvh(tmp_path / f"{name}.bvh", one)
-    ours = stability.difference(*(common_body(bvh.read_bvh(tmp_path / f"{name}.bvh")) for name in "ab"))
+    first, second = (common_body(bvh.read_bvh(tmp_path / f"{name}.bvh")) for name in "ab")
+    ours = stability.difference(first, second)
     theirs = judge.same(*(judge.load(str(tmp_path / f"{name}.bvh")) for name in "ab"))
     pairs = {"joints": "joints_cm", "hands": "hands_cm", "apart": "apart", "first": "first_s", "for_good": "good_s",
              "speed": "speed_r"}
@@ -164,7 +166,7 @@ def test_units_are_counted_from_rest_to_rest() -> None:
     assert found["eye_unit_strokes"] == 4.0 and found["eye_unit_single"] == 0.0
 
 
-def voice_of(silent: Array) -> VoiceActivity:
+def voice_of(silent: NDArray[np.bool_]) -> VoiceActivity:
     """A voice that is silent in these frames of 10 ms."""
     return VoiceActivity(len(silent) / 100, (np.zeros(0), np.zeros(0)), np.where(silent, -60.0, -20.0), silent)
 
@@ -183,7 +185,7 @@ def talk(early: float, seconds: float = 90.0) -> tuple[Motion, VoiceActivity]:
         return {"RightForeArm": elbow("Right", swings)}
 
     at = np.arange(round(seconds * 100))[:, None] / 100
-    return posed(seconds, move), voice_of(~((at >= begins) & (at < ends)).any(axis=1))
+    return posed(seconds, move), voice_of(np.asarray(~((at >= begins) & (at < ends)).any(axis=1)))
 
 
 @pytest.mark.parametrize(("early", "before"), [(0.5, 100.0), (-0.3, 0.0)])

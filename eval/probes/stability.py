@@ -72,7 +72,7 @@ def _as_mp3(speech: Speech) -> Speech:
         for packet in (*stream.encode(frame), *stream.encode(None)):
             output.mux(packet)
     file.seek(0)
-    with av.open(file) as source:
+    with av.open(file, "r") as source:
         decoded = np.concatenate([frame.to_ndarray()[0] for frame in source.decode(audio=0)])
     back = resample_poly(decoded.astype(np.float64), 1, _STUDIO_RATE // SAMPLE_RATE)
     return replace(speech, samples=_aligned(back, speech.samples).astype(np.float32))

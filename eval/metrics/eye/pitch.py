@@ -68,7 +68,7 @@ def lagged(pitch: Array, speed: Array) -> Array:
     """[lags] Pearson's r of voiced pitch [T] with the speed [T] so many frames later; NaN where there is too little."""
     frames = min(len(pitch), len(speed))
     pitch, speed, out = pitch[:frames], speed[:frames], np.full(len(LAGS), np.nan)
-    for at, lag in enumerate(LAGS):
+    for at, lag in enumerate(LAGS.tolist()):
         early, late = pitch[max(0, -lag):frames - max(0, lag)], speed[max(0, lag):frames + min(0, lag)]
         voiced = np.isfinite(early)
         if voiced.sum() >= _FEWEST and early[voiced].std() > 1e-9 and late[voiced].std() > 1e-9:

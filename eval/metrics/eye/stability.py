@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from eval.metrics.eye.body import HZ, CommonBody
 from eval.metrics.eye.hands import correlation
 from eval.metrics.eye.together import hand_speeds
-from eval.metrics.eye.units import runs
+from eval.stats import runs
 
 ALIKE = 0.02
 """Metres: hands that are nearer than this are together."""
@@ -61,10 +61,10 @@ def healed(apart: NDArray[np.bool_], within: float, hz: float = HZ) -> float:
     seconds or to the end. A parting that the end cuts off sooner than that does not count. NaN without any."""
     together = np.zeros(len(apart), bool)
     least = round(TOGETHER * hz)
-    for begin, stop in runs(~apart):
+    for begin, stop in runs(~apart).tolist():
         together[begin:stop] = stop - begin >= least or stop == len(apart)
     counted = good = 0
-    for begin, stop in runs(~together):
+    for begin, stop in runs(~together).tolist():
         if stop == len(apart) and stop - begin < within * hz:
             continue
         counted, good = counted + 1, good + int(stop - begin <= within * hz)
@@ -77,7 +77,7 @@ def difference(one: CommonBody, two: CommonBody, within: float = UNIT) -> Differ
     one, two = one.crop(0, frames), two.crop(0, frames)
     away = np.stack([np.linalg.norm(one.points[joint] - two.points[joint], axis=1) for joint in _JOINTS], axis=1)
     apart = away[:, -2:].max(axis=1) > ALIKE
-    near = [stop for begin, stop in runs(~apart) if stop - begin >= round(TOGETHER * HZ)]
+    near = [stop for begin, stop in runs(~apart).tolist() if stop - begin >= round(TOGETHER * HZ)]
     first = float(np.argmax(apart)) / HZ if apart.any() else math.nan
     for_good = math.nan if not apart.any() or (near and near[-1] == frames) else near[-1] / HZ if near else 0.0
     speeds = np.stack([hand_speeds(body).mean(axis=1) for body in (one, two)], axis=1)

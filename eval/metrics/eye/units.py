@@ -29,8 +29,8 @@ What fools them: hands that never stop have moving pauses, and "begin" before th
 read that share beside its chance. A motion that is frozen in pauses has none of them. Played backwards a motion keeps
 holds and pauses and loses the lead.
 
-    >>> runs(np.array([False, True, True, False, True]))
-    [(1, 3), (4, 5)]
+    >>> int(lasting(np.array([True] * 5 + [False] + [True] * 30), 0.3).sum())
+    30
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from eval.metrics.eye.body import HZ, CommonBody
 from eval.metrics.eye.hands import HANGS, MOVES, correlation
 from eval.metrics.eye.together import hand_speeds, variation
 from eval.metrics.eye.voice import TRACK_HZ, VoiceActivity
+from eval.stats import runs
 
 HELD = 0.15
 """m/s: a hand that is slower is held, or rests."""
@@ -68,16 +69,10 @@ _CLEAR, _DEPTH = 22.0, 50.0
 """dB under the loud half seconds that count as speech, and under which silence is not told apart."""
 
 
-def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """The runs of true values, each from its first index to behind its last."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))).tolist()
-    return list(zip(ends[::2], ends[1::2], strict=True))
-
-
 def lasting(mask: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
     """[T] the runs of a mask [T] that last so many seconds at least."""
     out = np.zeros(len(mask), bool)
-    for begin, stop in runs(mask):
+    for begin, stop in runs(mask).tolist():
         out[begin:stop] = stop - begin >= round(seconds * HZ)
     return out
 
@@ -86,7 +81,7 @@ def gesture_units(height: Array, speed: Array) -> list[tuple[int, int]]:
     """Frames from and to of the units of a hand with height [T] metres and speed [T] m/s."""
     slow = speed < HELD
     rests = lasting(slow & (height < np.percentile(height, 10) + _HOME), _REST_AT_HOME) | lasting(slow, _REST_ANYWHERE)
-    return [(begin, stop) for begin, stop in runs(~rests) if speed[begin:stop].max() > MOVES]
+    return [(begin, stop) for begin, stop in runs(~rests).tolist() if speed[begin:stop].max() > MOVES]
 
 
 def stroke_peaks(speed: Array) -> NDArray[np.int64]:
@@ -133,7 +128,7 @@ def _holds(body: CommonBody, speed: Array, speech: NDArray[np.bool_]) -> dict[st
         raised, still = body.hands[:len(speed), hand, 1] > HANGS, lasting(speed[:, hand] < HELD, HOLD)
         shares.append((still & raised)[speech].mean())
         count += sum(bool(raised[begin:stop].mean() > 0.5 and speech[begin:stop].mean() > 0.5)
-                     for begin, stop in runs(still))
+                     for begin, stop in runs(still).tolist())
     return {"eye_held": 100.0 * float(np.mean(shares)), "eye_holds": count / 2 / (speech.sum() / HZ / 60)}
 
 
@@ -142,7 +137,7 @@ def _pauses(speed: Array, pauses: NDArray[np.bool_]) -> dict[str, float]:
     if pauses.sum() > HZ / 2:
         out["eye_pause_moving"] = 100.0 * float((speed.max(axis=1)[pauses] > HELD).mean())
     around, ratios = round(_AROUND * HZ), []
-    for begin, stop in runs(pauses):
+    for begin, stop in runs(pauses).tolist():
         if begin > around and stop < len(mean) - around:
             beside = np.concatenate([mean[begin - around:begin], mean[stop:stop + around]]).mean()
             ratios.append(math.log((mean[begin:stop].mean() + _EASE) / (beside + _EASE)))
@@ -207,12 +202,13 @@ def leads(body: CommonBody, voice: VoiceActivity, shifts: int = _SHIFTS) -> Lead
     frames = _frames(body, voice)
     fast = hand_speeds(body)[:frames].max(axis=1)
     rate = HZ / TRACK_HZ
-    silences = [(round(begin * rate), round(stop * rate)) for begin, stop in runs(voice.silent[:round(frames / rate)])]
+    silences = [(round(begin * rate), round(stop * rate))
+                for begin, stop in runs(voice.silent[:round(frames / rate)]).tolist()]
     silences = [(begin, stop) for begin, stop in silences
                 if stop - begin >= _SILENCE * HZ and stop < frames - HZ / 2]
     counts, before = np.zeros(shifts), np.zeros(shifts)
     if frames > 10 * HZ:
-        for at, shift in enumerate(np.random.default_rng(_SEED).integers(HZ, frames - HZ, shifts)):
+        for at, shift in enumerate(np.random.default_rng(_SEED).integers(round(HZ), frames - round(HZ), shifts)):
             moved = _first_movements(np.roll(fast, shift), silences)
             counts[at], before[at] = len(moved), (moved < 0).sum()
     return Leads(_first_movements(fast, silences), before, counts)
