@@ -31,6 +31,7 @@ from data_module.performer import text, voices
 from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split
 from data_module.truth import JOIN, Mark, StyleKnot, Truth
+from data_module.types import Speech
 
 PARTS = ("motion", "talk", "style", "reading")
 SHARES = {"motion": 0.36, "talk": 0.46, "style": 0.18}
@@ -70,6 +71,18 @@ CREDITS = {
                    "The database was created with funding from NSF EIA-0196217.",
 }
 """The licences of the sources of a corpus, as they are written to its store."""
+TEST_VOICES = {language: held_out for language, (_, held_out) in voices.VOICES_OF.items()}
+"""Language -> the synthetic voices that no recording for training uses."""
+
+
+def synthetic_speech(voice: str, language: str, seconds: float, rng: np.random.Generator) -> Speech:
+    """About `seconds` of test sentences in a language, spoken by a synthetic voice."""
+    return voices.speak(voice, text.compose(rng, seconds, "test", language=language), voice, rng).speech
+
+
+def engine_of(voice: str) -> str:
+    """The synthesiser of a voice; "" for a person."""
+    return voices.VOICES[voice].engine if voice in voices.VOICES else ""
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,8 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from data_module.corpora.performer import TEST_READINGS, tail_begins
+from data_module.corpora.performer import TEST_READINGS, TEST_VOICES, engine_of, synthetic_speech, tail_begins
 from data_module.errors import InputError
-from data_module.performer import voices
-from data_module.performer.text import compose
 from data_module.speech.audio import load_speech
 from data_module.store import Store
 from data_module.types import Array, Motion, Speech
@@ -109,10 +107,10 @@ def passages(places: Sequence[Path], spoken: Sequence[str] | None, seconds: floa
 def speak(language: str, seconds: float, seed: int = 1) -> list[Passage]:
     """About `seconds` of our own sentences by each test voice of a language."""
     out = []
-    for number, voice in enumerate(voices.VOICES_OF[language][1]):
+    for number, voice in enumerate(TEST_VOICES[language]):
         rng = np.random.default_rng([seed, number])
-        said = voices.speak(voice, compose(rng, seconds, "test", language=language), voice, rng)
-        out.append(Passage(f"spoken by {voice}", language, _engine(voice), said.speech))
+        speech = synthetic_speech(voice, language, seconds, rng)
+        out.append(Passage(f"spoken by {voice}", language, _engine(voice), speech))
     return out
 
 
@@ -136,14 +134,14 @@ def _of_store(store: Store) -> list[Passage]:
     out = []
     for info in store.of_split("test"):
         recording = store.load(info.name)
-        engine = _engine(info.voice) if info.voice in voices.VOICES else ""
+        engine = _engine(info.voice)
         name = f"{store.path.name}/{info.name} by {info.voice}" if engine else info.group or info.name
         out.append(Passage(name, info.language, engine, recording.speech, recording.motion))
     return out
 
 
 def _engine(voice: str) -> str:
-    return {"espeak": "espeak-ng"}.get(voices.VOICES[voice].engine, voices.VOICES[voice].engine)
+    return {"espeak": "espeak-ng"}.get(engine_of(voice), engine_of(voice))
 
 
 # ---------------------------------------------------------------------------------------------------- players
@@ -260,7 +258,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     """Play everything; InputError for options that cannot be."""
     torch.set_num_threads(1)
     for option, names, known in (("--interpreters", arguments.interpreters, INTERPRETERS),
-                                 ("--speak", arguments.speak or (), voices.VOICES_OF)):
+                                 ("--speak", arguments.speak or (), TEST_VOICES)):
         if unknown := [name for name in names if name not in known]:
             raise InputError(f"{option} {unknown[0]}", "is not known", f"choose among {', '.join(known)}")
     if not (0 < arguments.seconds < float("inf") and arguments.takes >= 1):
