@@ -24,7 +24,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("README.md", "docs/index.md", "docs/use.md", "docs/characters.md", "docs/viewer.md", "docs/live.md",
          "docs/train.md")
-SECONDS = 900.0
+SECONDS = 1800.0
 """Seconds after which a line counts as hanging."""
 SERVERS = ("view", "live", "serve")
 """Verbs that run until they are interrupted."""
