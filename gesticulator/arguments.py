@@ -35,7 +35,7 @@ def _seconds(text: str) -> tuple[float, float]:
     except ValueError:
         mark, first, last = "", 0.0, 0.0
     if not mark or not 0 <= first < last < float("inf"):
-        raise InputError(f"--hold-still {text[:40]}", "is no range of seconds", "write it as 3.2-5.0")
+        raise InputError(f"--hold-still {text[:40]}", "is not a range of seconds", "write it as 3.2-5.0")
     return first, last
 
 
@@ -45,7 +45,7 @@ def _cue(text: str) -> GestureCue:
 
     at, mark, gesture = text.rpartition("=")
     if not mark or not at or not gesture:
-        raise InputError(f"--cue {text[:40]}", "is no cue", "write WORD=GESTURE (hello=wave) or SECONDS=GESTURE")
+        raise InputError(f"--cue {text[:40]}", "is not a cue", "write WORD=GESTURE (hello=wave) or SECONDS=GESTURE")
     try:
         return GestureCue(gesture, time=float(at))
     except ValueError:

@@ -154,7 +154,7 @@ def test_a_built_store_is_left_alone_and_other_settings_are_refused(tiny_store: 
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
-    (["nothing", "--out", "x"], "is no data set"),
+    (["nothing", "--out", "x"], "is not a data set"),
     (["folder", "--out", "x"], "--source"),
     (["folder", "--source", "missing", "--out", "x"], "does not exist"),
     (["performer", "--source", ".", "--out", "x"], "manifest.csv"),

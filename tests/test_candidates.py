@@ -109,7 +109,7 @@ def test_braking_counts_from_the_start_of_the_block_on_and_by_its_share() -> Non
     assert share[0] > 0.9 and share[0] > share[1] > 0.4 and share[2] < 1e-3
     assert float(in_time(place(0 * stops), times, 0.0, np.array([0.25]))[0]) == 0.0
     jolt = np.where(times[1:] < 0.02, 1.0, 0.0)
-    assert float(in_time(place(jolt), times, 0.0, np.array([0.0]))[0]) < 0.01, "what ends at the seam is no beat"
+    assert float(in_time(place(jolt), times, 0.0, np.array([0.0]))[0]) < 0.01, "what ends at the seam is not a beat"
 
 
 def test_an_onset_a_deviation_away_counts_as_a_gaussian_says() -> None:

@@ -93,7 +93,7 @@ def test_a_circle_through_a_type_and_a_string_is_found(tmp_path: Path) -> None:
     modules = dict.fromkeys(f"toy.{name}" for name in ("result", "record", "other"))
     imports = {name: set(named_by_strings((tmp_path / f"{name.replace('.', '/')}.py").read_text(), modules))
                for name in modules}
-    assert circles(imports) == [], "the string alone is no circle"
+    assert circles(imports) == [], "the string alone is not a circle"
     imports["toy.record"].add("toy.result")
     imports["toy.other"].add("toy.result")
     assert circles(imports) == [["toy.record", "toy.result"]]

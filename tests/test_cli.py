@@ -127,7 +127,7 @@ def test_a_recording_without_a_verb_is_inferred_whatever_its_name(tmp_path: Path
     monkeypatch.chdir(tmp_path)
     assert "speech.wav: does not exist" in stopped(["speech.wav", "-o", "o.bvh"], capfd)
     (tmp_path / "talk").write_bytes(b"no sound")
-    assert "talk: is not sound" in stopped(["talk", "-o", "o.bvh"], capfd), "a file without an ending is no verb"
+    assert "talk: is not sound" in stopped(["talk", "-o", "o.bvh"], capfd), "a file without an ending is not a verb"
     # A file that is called like a verb: the verb is meant, and ./infer is the file.
     (tmp_path / "infer").write_bytes(b"no sound")
     assert "speech: is missing" in stopped(["infer"], capfd)

@@ -259,7 +259,7 @@ def test_a_front_end_that_is_not_to_be_had_is_refused_by_name(models: Path, tmp_
             (f"fairseq:{tmp_path / 'none.pt'}", None, "none.pt: is not there"),
             (f"hf:{tmp_path / 'none'}", None, "is not on this machine"),
             ("hf:nobody/there-is-no-such-model", None, "is not on this machine"),
-            (f"hf:{tmp_path / 'empty'}", None, "is no model that transformers can load"),
+            (f"hf:{tmp_path / 'empty'}", None, "is not a model that transformers can load"),
             (f"hf:{models / 'bert'}", None, "does not take samples"),
             (f"hf:{models / 'slow'}", None, "8000 Hz"),
             (f"hf:{models / 'plain'}", (1, 5), r"layers: is \[1, 5\]; give two numbers from 0 to 4")):

@@ -57,7 +57,7 @@ def test_the_published_size_has_the_parameters_of_the_table_counted_by_hand() ->
     decoder = 786_944 + 9_446_400 + 2 * 1_049_088 + 98_352
     assert parameter_count(codec.encoder) == encoder == 12_430_336
     assert parameter_count(codec.decoder) == decoder == 12_429_872
-    assert parameter_count(codec) == 24_860_208, "a codebook that follows its latents is no parameter"
+    assert parameter_count(codec) == 24_860_208, "a codebook that follows its latents is not a parameter"
     assert codec.vectors.shape == (512, 512)
     motion = torch.empty(2, 120, 48, device="meta")
     assert codec.encode(motion).shape == (2, 15, 512)

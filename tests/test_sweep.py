@@ -167,7 +167,7 @@ sys.exit(subprocess.run(command).returncode)
 
 def _count(folder: Path) -> Ablation:
     (folder / "made").touch()
-    raise InputError(folder, "is no store")
+    raise InputError(folder, "is not a store")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Slurm is of Unix")
@@ -190,7 +190,7 @@ def test_jobs_of_slurm_are_written_for_each_row_and_seed_after_what_they_share(s
 
 
 @pytest.mark.usefixtures("slurm")
-@pytest.mark.parametrize(("given", "wrong"), [("partition", "is no option"), ("slurm_colour=red", "slurm_colour")])
+@pytest.mark.parametrize(("given", "wrong"), [("partition", "is not an option"), ("slurm_colour=red", "slurm_colour")])
 def test_options_of_slurm_that_are_none(given: str, wrong: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=wrong):
         sweep.submit(partial(_count, tmp_path), [("ours", 1)], tmp_path / "jobs", sweep.slurm_options([given]))

@@ -472,7 +472,7 @@ def test_the_speed_of_a_lexeme_is_that_of_its_training_blocks(tiny_store: Path, 
     motion[outside] += 50.0 * torch.randn(motion[outside].shape, generator=torch.Generator().manual_seed(0))
     speeds = lexeme_speeds(dataclasses.replace(corpus, motion=motion), labels, 5, run.config)
     assert speeds[1] < 1e-6 and speeds.argsort()[:4].tolist() == [1, *sorted([0, 3], key=lambda x: speeds[x]), 2]
-    assert speeds[4] == np.inf, "a lexeme that is never used is no silent one"
+    assert speeds[4] == np.inf, "a lexeme that is never used is not a silent one"
     # Lexeme 3 by hand, all of its training blocks.
     own = [b for b in corpus.select("train") if labels[b] == 3]
     by_hand = []

@@ -159,7 +159,7 @@ def spread_by(option: str, names: Sequence[str]) -> Sequence[Split]:
         if split is not None and name:
             splits[name] = split
         elif line.strip() and number > 1:  # the first line may be a head
-            raise InputError(file, f"line {number}: {shown(line)!r} is no name with train, val or test",
+            raise InputError(file, f"line {number}: {shown(line)!r} is not a name with train, val or test",
                              "write NAME,train in each line")
     lacking = [name for name in names if name not in splits]
     if lacking:
@@ -182,7 +182,7 @@ def speakers_by(option: str, names: Sequence[str], folder: Path) -> dict[str, st
     try:
         pattern = re.compile(option)
     except re.error as error:
-        raise InputError(f"--speaker {option}", f"is no regular expression ({error})", "try '^([^_]+)'") from None
+        raise InputError(f"--speaker {option}", f"is not a regular expression ({error})", "try '^([^_]+)'") from None
     for name in names:
         match = pattern.search(name)
         if match is None or not pattern.groups or not match[1]:

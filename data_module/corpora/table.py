@@ -51,7 +51,7 @@ STROKE_SOURCES: Registry[RegistryEntry] = Registry("strokes", "a source of strok
 def open_corpus(name: str, source: Path | None, options: Options) -> Reader:
     """The reader `name` on the folder `source`; `InputError` for an unknown reader or a missing folder."""
     if name not in CORPORA:
-        raise InputError(name, "is no data set that can be read",
+        raise InputError(name, "is not a data set that can be read",
                          f"take one of {', '.join((*CORPORA, *STROKE_SOURCES))}")
     _check_folder(source)
     return cast("Reader", CORPORA.load(name)(source, options))

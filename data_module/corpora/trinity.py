@@ -83,7 +83,7 @@ def read_words(path: Path) -> tuple[Word, ...]:
     place of an error."""
     content = read_json(path, "fetch it again")
     if not isinstance(content, list):
-        raise InputError(path, "is no list of words or segments", "fetch it again")
+        raise InputError(path, "is not a list of words or segments", "fetch it again")
     words: list[Word] = []
     for place, entry in enumerate(content):
         try:

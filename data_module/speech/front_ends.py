@@ -252,8 +252,9 @@ def _open(name: str, subject: str) -> tuple[Any, bool, int]:
             model = AutoModel.from_pretrained(name, local_files_only=True)
         except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:
             there = Path(name).is_dir()
-            raise InputError(subject, f"is no model that transformers can load ({type(error).__name__})" if there else
-                             "is not on this machine", advice) from error
+            wrong = f"is not a model that transformers can load ({type(error).__name__})" if there else \
+                "is not on this machine"
+            raise InputError(subject, wrong, advice) from error
         if getattr(model, "main_input_name", "") != "input_values" or model.config.is_encoder_decoder:
             raise InputError(subject, "does not take samples", "name a model like wav2vec 2.0, HuBERT or WavLM")
         try:

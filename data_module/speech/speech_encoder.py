@@ -270,7 +270,7 @@ def _read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise InputError(path, f"cannot be read as a checkpoint of PyTorch ({type(error).__name__})",
                          "fetch it again") from None
     if not isinstance(stored, dict) or not isinstance(stored.get("model"), Mapping):
-        raise InputError(path, "is no checkpoint of fairseq: it holds no 'model'", "give fairseq's vq-wav2vec.pt")
+        raise InputError(path, "is not a checkpoint of fairseq: it holds no 'model'", "give fairseq's vq-wav2vec.pt")
     return stored
 
 

@@ -146,7 +146,7 @@ def read_motion(path: Path, fps: float | None = None, fingers: bool = False) -> 
     """
     kind = path.suffix.lower()
     if kind not in MOTIONS:
-        raise InputError(path, "is no motion that is known here", f"give one of {', '.join(MOTIONS)}")
+        raise InputError(path, "is not a known motion format", f"give one of {', '.join(MOTIONS)}")
     if kind == ".npy":
         return read_positions(path, fps)
     rate = fps if fps is not None else _rate(sidecar(path), path)

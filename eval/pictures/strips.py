@@ -233,7 +233,7 @@ def save_strip(figure: Figure, path: str | Path, dpi: int = 150) -> None:
     target, out = Path(path), io.BytesIO()
     kind = target.suffix.lstrip(".").lower()
     if kind not in _UNSAID:
-        raise InputError(target, f"'{target.suffix}' is no picture format", "use .png, .svg or .pdf")
+        raise InputError(target, f"'{target.suffix}' is not a picture format", "use .png, .svg or .pdf")
     with rc_context({"svg.hashsalt": "gesticulator", "svg.fonttype": "path"}):
         figure.savefig(out, format=kind, dpi=dpi, metadata=_UNSAID[kind])
     write_bytes(target, out.getvalue())

@@ -103,7 +103,7 @@ def slurm_options(given: Sequence[str]) -> dict[str, Any]:
     for text in given:
         name, mark, value = text.partition("=")
         if not (name and mark and value):
-            raise InputError(f"--slurm {text}", "is no option", "write it as slurm_partition=cpu")
+            raise InputError(f"--slurm {text}", "is not an option", "write it as slurm_partition=cpu")
         number = whole_number(value, 2**63 - 1)
         options[name] = value if number is None else number
     if options["cluster"] == "slurm" and shutil.which("sbatch") is None:

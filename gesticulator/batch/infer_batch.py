@@ -29,7 +29,7 @@ def run_jobs(jobs: Sequence[Job], args: argparse.Namespace, make: Maker) -> tupl
     input.
     """
     if any(job.source is None for job in jobs):
-        raise InputError("standard input", "is no recording of a batch", "name files or folders")
+        raise InputError("standard input", "is not a recording of a batch", "name files or folders")
     shard = parse_shard(args.shard)
     path = Path(args.manifest) if args.manifest else jobs[0].targets[0].parent / default_name(*shard)
     check_manifest(path)

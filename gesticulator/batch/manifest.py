@@ -76,7 +76,7 @@ class ManifestRow:
 def row_of(entry: Any) -> ManifestRow:
     """The row from plain values; absent or null values get their defaults. ValueError for invalid values."""
     if not isinstance(entry, Mapping):
-        raise ValueError("a row is no object")
+        raise ValueError("a row is not an object")
     values = {one.name: entry[one.name] for one in fields(ManifestRow) if entry.get(one.name) is not None}
     for name, value in values.items():
         if not _fits(name, value):

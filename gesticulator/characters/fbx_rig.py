@@ -31,7 +31,7 @@ def read_fbx_character(path: str | os.PathLike[str]) -> Character:
     """
     source = Path(path)
     if not source.is_file():
-        raise InputError(path, "does not exist" if not source.exists() else "is no regular file", "check the path")
+        raise InputError(path, "does not exist" if not source.exists() else "is not a regular file", "check the path")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "rig.json"
         run_in_blender(source, SCRIPT, str(source.resolve()), str(target))
