@@ -51,6 +51,7 @@ class BlockSettings:
 
 
 def cut(speech: Speech, settings: BlockSettings | None = None) -> Blocks:
+    """Find the beats of a speech and cut it into blocks there."""
     settings = settings or BlockSettings()
     beats = find_beats(speech, settings.beats)
     return Blocks(beats.times, beats.flags[1:], silent_blocks(speech, beats.times), settings.frames, settings.fps)

@@ -47,12 +47,12 @@ PICTURES = {
 """Pictures that other commands leave in `pictures` beside the results: the paper's figure, a title, a caption."""
 CHAPTERS = ("metrics.joint_error", "metrics.fgd", "metrics.gesture_features", "metrics.pmb", "metrics.diversity",
             "metrics.accuracy", "metrics.smoothness", "metrics.beat_consistency", "metrics.mismatch",
-            "metrics.evaluate", "metrics.audio_clusters", "metrics.eye", "metrics.eye.body", "metrics.eye.hands",
-            "metrics.eye.trunk", "metrics.eye.strokes", "metrics.eye.posture", "metrics.eye.together",
-            "metrics.eye.units", "metrics.eye.voice", "metrics.eye.frechet", "metrics.eye.stability",
-            "metrics.eye.pitch",
-            "acceptance.corpus.bounds", "acceptance.corpus.style_from_sound", "acceptance.corpus.planned_strokes",
-            "baselines.unit_selection", "baselines.controls", "stats")
+            "metrics.evaluate", "metrics.encode", "metrics.audio_clusters", "metrics.eye", "metrics.eye.body",
+            "metrics.eye.hands", "metrics.eye.trunk", "metrics.eye.strokes", "metrics.eye.posture",
+            "metrics.eye.together", "metrics.eye.units", "metrics.eye.voice", "metrics.eye.frechet",
+            "metrics.eye.stability", "metrics.eye.pitch", "acceptance.corpus.bounds",
+            "acceptance.corpus.style_from_sound", "acceptance.corpus.planned_strokes", "baselines.unit_selection",
+            "baselines.controls", "stats")
 """The modules of `eval` whose docstrings are the chapters."""
 COMMANDS = """\
 gesticulator build performer --out STORE                   # a corpus, or see `gesticulator build --help`

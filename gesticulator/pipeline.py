@@ -24,7 +24,7 @@ from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for
 from gesticulator.bundle.files import lexicon_hash
 from gesticulator.drawing.cutter import BlockCutter, encode_speech
-from gesticulator.drawing.driver import Cast, ControlRows, Driver, OnBlock, Rendering, controls_at, requests
+from gesticulator.drawing.driver import Cast, ControlRows, Driver, GeneratedMotion, OnBlock, controls_at, requests
 from gesticulator.drawing.rollout import Sampling
 from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceArguments, InferenceOptions, interpreter_name
@@ -183,7 +183,7 @@ class Gesticulator:
         driver = Driver(self.bundle, cast)
         driver.begin(encoded.text is not None)
         blocks = driver.run(requests(encoded, self._control_rows(cast.controls, encoded), directions), on_block)
-        return self._performance(speech, options, cast, Rendering(encoded, blocks, driver.motion(blocks)))
+        return self._performance(speech, options, cast, GeneratedMotion(encoded, blocks, driver.motion(blocks)))
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
                **options: Unpack[InferenceArguments]) -> Stream:
@@ -265,7 +265,8 @@ class Gesticulator:
             lambda encoded: self._control_rows(cast.controls, encoded),
             lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block)
 
-    def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, rendering: Rendering) -> Performance:
+    def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, rendering: GeneratedMotion
+                     ) -> Performance:
         from gesticulator.directing.record import Origin, plan_of, rendered_plan
 
         encoded, blocks, shaping = rendering.encoded, rendering.blocks, None

@@ -27,7 +27,7 @@ _AT_ONCE = 25_000
 """Candidate windows that are scored at a time, which bounds the memory of `sequence_every`."""
 
 
-class Rewards:
+class CorpusRewards:
     """Rewards along a recording, from those of single windows. Windows are right-aligned: the current decision is the
     last block, and padding (valid 0) is on the left."""
 
@@ -64,7 +64,7 @@ class Rewards:
         return at.clamp_min(0), at >= 0
 
 
-class RewardTable(Rewards):
+class RewardTable(CorpusRewards):
     """The rewards of one model (RACER Eq. 8). The model is copied, so later changes to it have no effect; all tensors
     are on its device."""
 
@@ -110,8 +110,8 @@ class RewardTable(Rewards):
 
     @torch.no_grad()
     def every(self, history: Tensor, blocks: Tensor, valid: Tensor, base: Tensor | None = None) -> Tensor:
-        """See `Rewards.every`. With lexemes decoded by themselves only the last token differs between candidates; with
-        `decode` a candidate may change the whole window."""
+        """See `CorpusRewards.every`. With lexemes decoded by themselves only the last token differs between candidates;
+        with `decode` a candidate may change the whole window."""
         if self._lexemes is None:
             motion = self._every_whole(history, blocks, valid)
         else:
@@ -161,7 +161,7 @@ class RewardTable(Rewards):
         return self.model.embed_motion(tokens, valid).unflatten(0, (-1, self.size))
 
 
-class EnsembleReward(Rewards):
+class EnsembleReward(CorpusRewards):
     """The mean reward of several models less their disagreement, r = mean_k r_k - c std_k r_k, to train a policy. The
     rewards should be centred, because models differ most in their mean over all windows, which is irrelevant to a
     choice."""
@@ -194,12 +194,12 @@ class EnsembleReward(Rewards):
         return self._together([table.every(history, blocks, valid, base) for table in self.tables])
 
 
-class Centred(Rewards):
+class Centred(CorpusRewards):
     """Rewards relative to those of random lexemes on the same audio. Any two windows agree to some degree (random ones
     at 0.6 to 0.7), which depends on the audio. This part does not depend on the action and changes no choice; but
     summed over a recording it is many times the effect of a choice, and a Q-network would spend its capacity on it."""
 
-    def __init__(self, table: Rewards, recordings: Sequence[Tensor], draws: int, seed: int = 0) -> None:
+    def __init__(self, table: CorpusRewards, recordings: Sequence[Tensor], draws: int, seed: int = 0) -> None:
         """recordings: the block numbers [M] of each recording, in order; draws: random sequences for each."""
         self.table, self.window, self.size = table, table.window, table.size
         generator = torch.Generator().manual_seed(seed)

@@ -110,6 +110,7 @@ class MovementLexicon(nn.Module):
 
 
 def basis_for(config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> MovementBasis:
+    """The basis of a lexicon's settings. frames: K; parts: body part -> its dimensions."""
     return MovementBasis(frames, parts, {name: config.components_of(name) for name in parts})
 
 

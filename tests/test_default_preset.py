@@ -12,6 +12,7 @@ import torch
 from untrained import PLAIN, untrained
 
 from data_module.blocks import cut
+from data_module.controls import Controls
 from data_module.motion.skeletons import CHARACTERS
 from data_module.speech.audio import write_flac
 from data_module.store import Recording, Store
@@ -24,7 +25,8 @@ from eval.table import load
 from generator.flow import FlowGenerator
 from gesticulator.bundle import bundle as bundles
 from gesticulator.drawing.drawer import Direction
-from gesticulator.drawing.rollout import Rollout, Sampling
+from gesticulator.drawing.driver import Cast, Driver, requests
+from gesticulator.drawing.rollout import Sampling
 from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
@@ -211,8 +213,10 @@ def test_without_its_lexeme_a_block_is_drawn_the_same_whatever_the_lexeme(system
         config = dataclasses.replace(system.bundle.config, selection=dataclasses.replace(
             system.bundle.config.selection, lexeme_guidance=guidance, candidates=1))
         bundle = dataclasses.replace(system.bundle, config=config)
-        loop = Rollout(bundle, system.interpreter("lstm"), 0, Sampling(1.0, 0, 0), 1.0)
-        return loop.run(encoded, None, directions=[Direction(lexeme=lexeme)] * len(encoded)).motion
+        driver = Driver(bundle, Cast(system.interpreter("lstm"), 0, Sampling(1.0, 0, 0), 1.0, Controls.free()))
+        driver.begin(encoded.text is not None)
+        blocks = driver.run(requests(encoded, None, [Direction(lexeme=lexeme)] * len(encoded)))
+        return driver.motion(blocks)
 
     np.testing.assert_array_equal(drawn(0, -1.0), drawn(7, -1.0))
     assert np.abs(drawn(0, 0.0) - drawn(7, 0.0)).max() > 0.1

@@ -126,7 +126,7 @@ NO_CASE = {
         data_module/performer/flite.py:sound_phrase gesticulator/characters/fbx_rig.py:read_fbx_character
         gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:_frame gesticulator/export/film.py:encode
         gesticulator/export/own_fbx.py:write_animated gesticulator/export/usd.py:write_usd
-        gesticulator/serve/metrics.py:read_figures""",
+        gesticulator/serve/metrics.py:read_figures eval/probes/stability.py:_as_mp3""",
     "runs in a child process, whose parent has a case": """
         data_module/performer/espeak_child.py:main data_module/speech/mp3_child.py:main
         gesticulator/export/fbx_child.py:animate""",

@@ -12,7 +12,7 @@ from data_module.controls import Controls
 from data_module.types import Speech
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import with_settings
-from gesticulator.drawing.driver import Cast, Driver, Rendering, requests
+from gesticulator.drawing.driver import Cast, Driver, GeneratedMotion, requests
 from gesticulator.drawing.rollout import Sampling
 from gesticulator.pipeline import Gesticulator
 
@@ -25,7 +25,7 @@ def bundle() -> Bundle:
     return dataclasses.replace(made, statistics=dataclasses.replace(made.statistics, bounds=bounds))
 
 
-def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0.1) -> Rendering:
+def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0.1) -> GeneratedMotion:
     """The first blocks with guidance; the same sound each time, all of it silent where noise is 0."""
     config = with_settings(bundle.config, [f"selection.guidance={guidance}", "silence.rest_decay=0"])
     own = dataclasses.replace(bundle, config=config)
@@ -37,10 +37,10 @@ def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0
     driver = Driver(own, Cast(system.interpreter("lstm"), 0, Sampling(0.0, 0, 0), 1.0, Controls.free()))
     driver.begin()
     made = driver.run(requests(encoded, rows))
-    return Rendering(encoded, made, driver.motion(made))
+    return GeneratedMotion(encoded, made, driver.motion(made))
 
 
-def scores(made: Rendering) -> np.ndarray:
+def scores(made: GeneratedMotion) -> np.ndarray:
     """[S] scores of the first block, by lexeme."""
     first = made.blocks[0].block.alternatives
     out = np.full(max(SILENT) + 1, np.nan)

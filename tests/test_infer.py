@@ -380,7 +380,7 @@ def as_plain(path: Path) -> Path:
 
 @pytest.mark.parametrize(("name", "as_file", "said"), [
     ("t.json", as_json, "4 words, times given"), ("t.TextGrid", as_textgrid, "4 words, times given"),
-    ("t.srt", as_subtitles, "4 words"), ("t.vtt", as_subtitles, "4 words"), ("t.txt", as_plain, "guessed"),
+    ("t.srt", as_subtitles, "4 words"), ("t.vtt", as_subtitles, "4 words"), ("t.txt", as_plain, "estimates"),
 ])
 def test_every_kind_of_transcript_is_read_and_the_summary_says_how(
         name: str, as_file: Callable[[Path], Path], said: str, recording: Path, tiny_bundle: Path, tmp_path: Path,
@@ -418,7 +418,7 @@ def test_a_folder_of_transcripts_serves_recordings_by_name(recording: Path, tiny
     as_plain(texts / "other.txt")
     assert run(both, tiny_bundle) == 0
     out = capfd.readouterr().out.splitlines()
-    assert "times given" in out[1] and "guessed" in out[3] and out[4] == "2 recordings done"
+    assert "times given" in out[1] and "estimates" in out[3] and out[4] == "2 recordings done"
     with pytest.raises(SystemExit):
         run([*both[:-1], str(texts / "speech.json")], tiny_bundle)
     assert "several recordings" in capfd.readouterr().err

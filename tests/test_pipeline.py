@@ -128,7 +128,7 @@ def test_a_transcript_is_read_like_words_that_the_speech_carries(system: Gesticu
         made = system(SPEECH, text=files[kind])
         assert not np.array_equal(made.scores, heard.scores), kind
         assert "4 words" in made.notes[0]
-    assert "guessed" in made.notes[0], "the plain text has no times"
+    assert "estimates" in made.notes[0], "the plain text has no times"
 
 
 def test_a_bundle_that_cannot_read_refuses_a_transcript_and_takes_spoken_words_in_its_stride(

@@ -158,7 +158,8 @@ def test_two_takes_of_one_recording_make_one_page(tmp_path: Path) -> None:
     takes = _data(page)["takes"]
     assert [take["name"] for take in takes] == ["lstm", "advantage"] and _data(page)["together"]
     assert [take["plan"]["blocks"][0]["lexeme"] for take in takes] == [int(first.lexemes[0]), int(second.lexemes[0])]
-    for takes, wrong in (({"a": first}, "beside none"), ({"a": first, "b": perform(seconds=3.0)}, "different length"),
+    for takes, wrong in (({"a": first}, "cannot be compared"),
+                         ({"a": first, "b": perform(seconds=3.0)}, "different length"),
                          ({"a": first, "b": second, "c": first}, "too many")):
         with pytest.raises(InputError, match=wrong):
             html.write_comparison(tmp_path / "none.html", takes)

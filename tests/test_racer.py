@@ -181,7 +181,7 @@ def test_racers_own_form_decodes_its_codes_together(native: Path) -> None:
 
 @pytest.mark.parametrize(("arguments", "said"), [
     (["--interpreter", "lstm"], r"interpreter lstm: is not in the bundle.*cql, statistical"),
-    (["--hand-height", "high"], "not heard by this bundle")])
+    (["--hand-height", "high"], "not supported by this bundle")])
 def test_what_racer_has_not_is_said(arguments: list[str], said: str, native: Path, tmp_path: Path,
                                     capfd: pytest.CaptureFixture[str]) -> None:
     import re

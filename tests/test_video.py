@@ -180,7 +180,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     DRAW.main("gesticulator draw", ["video", *take, "--start", "0.2", "--seconds", "0.5"])
     assert capsys.readouterr().out.strip() == str(tmp_path / "take.mp4")
     assert len(_decode(tmp_path / "take.mp4")[1]) == 15
-    for told, says in ((["--out", "clip.gif"], "no video format"), (["--start", "7"], "holds no frame")):
+    for told, says in ((["--out", "clip.gif"], "not a supported video format"), (["--start", "7"], "holds no frame")):
         with pytest.raises(SystemExit) as left:
             DRAW.main("gesticulator draw", ["video", *take, *told])
         line = capsys.readouterr().err

@@ -90,7 +90,7 @@ _OURS: dict[str, Metric] = {
     "acceleration": Metric("joint acceleration", _VIGOUR, "m/s^2", 2, "vigour", "near", (), _SHAPE),
     "jerk_hands": Metric("hand jerk", _VIGOUR, "m/s^3", 1, "vigour", "near", (), _SHAPE),
     "jerk": Metric("joint jerk", _VIGOUR, "m/s^3", 1, "vigour", "near", (), _SHAPE),
-    "reward": Metric("reward of the judging model", "eval.metrics.evaluate:lexeme_values", "cosine", 3, "lexemes",
+    "reward": Metric("reward of the judging model", "eval.metrics.encode:judged_reward", "cosine", 3, "lexemes",
                      "high", _BUNDLE, ("still",)),
     "lexeme_accuracy": Metric("lexemes like the speaker's own", "eval.metrics.accuracy:lexeme_accuracy", "%", 1,
                               "lexemes", "high", (*_TRUTH, *_BUNDLE), ("jitter",)),

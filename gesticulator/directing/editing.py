@@ -1,4 +1,4 @@
-"""Rendering of edited plans: unchanged blocks are replayed, edited ones are generated again.
+"""GeneratedMotion of edited plans: unchanged blocks are replayed, edited ones are generated again.
 
 First every block is generated as before, from the seed and the decisions in the plan. Then each run of edited blocks is
 generated again, from the pose and the state before the run. After the run the first motion x(t) continues, with the
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from data_module.types import Array, BeatFlag, Blocks
 from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.drawing.drawer import Direction, Keys
-from gesticulator.drawing.driver import BlockRequest, Driver, OnBlock, Rendering, requests
+from gesticulator.drawing.driver import BlockRequest, Driver, GeneratedMotion, OnBlock, requests
 from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.plan import GesturePlan, PlanKnobs, edited_blocks
 
@@ -84,7 +84,7 @@ class PlanRenderer:
                 on_block(len(blocks), count)
         return states, blocks
 
-    def render(self, plan: GesturePlan) -> Rendering:
+    def render(self, plan: GesturePlan) -> GeneratedMotion:
         """The plan's motion. `plan.drawn` must be that of this renderer."""
         if plan.drawn != self._drawn:
             raise ValueError("the plan is of another generation")
@@ -93,7 +93,7 @@ class PlanRenderer:
                                        [block.flag for block in plan.blocks], [block.silent for block in plan.blocks])
         if not any(edited):
             encoded = replace(self._encoded, blocks=blocks)
-            return Rendering(encoded, self._first, self._states[0].motion(self._first))
+            return GeneratedMotion(encoded, self._first, self._states[0].motion(self._first))
         encoded = self._edited_speech(blocks)
         index = {float(edge): at for at, edge in enumerate(self._blocks.edges)}
         # Edited blocks get a placeholder until their run is generated.
@@ -107,7 +107,7 @@ class PlanRenderer:
             if stop < len(generated):
                 end = index[plan.blocks[stop].start]
                 fades.append((float(blocks.edges[stop]), *self._difference(generated[stop - 1], blocks, stop, end)))
-        return Rendering(encoded, generated, _faded(self._states[0].motion(generated), blocks, fades))
+        return GeneratedMotion(encoded, generated, _faded(self._states[0].motion(generated), blocks, fades))
 
     def _edited_speech(self, blocks: Blocks) -> SpeechFeatures:
         """The features of the speech in the plan's blocks, encoded again if beats were moved. Frames of a silence that

@@ -53,7 +53,7 @@ class BlockRequest:
 
 
 @dataclass(frozen=True)
-class Rendering:
+class GeneratedMotion:
     """A recording's N generated blocks and their normalised motion [N, K, D_m], K frames per block."""
 
     encoded: SpeechFeatures

@@ -210,8 +210,7 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     figures: dict[str, float] = {}
     saved_at = time.monotonic()
     bar = tqdm(total=settings.steps, initial=first, desc=stage, leave=True,
-
-               mininterval=1.0)
+               disable=not (options.progress and distributed.leads()), mininterval=1.0)
     try:
         for step in range(first, settings.steps):
             if options.stop_after is not None and step >= options.stop_after:

@@ -104,10 +104,11 @@ class EyeSample:
 def controls(motion: Motion, heard: VoiceActivity | None, space: ReferenceSpace | None) -> dict[str, EyeSample]:
     """Every one of `CONTROLS`, made of a real motion of the 16-joint character; bobbing needs its speech."""
     made = {"mirrored": baselines.mirrored([motion]), "still": baselines.mean_pose([motion]),
-            "reversed": baselines.reversed_in_time([motion]), "jitter": baselines.jittered([motion], 0),
-            "splayed": baselines.splayed([motion])}
+            "reversed": baselines.reversed_in_time([motion]), "jitter": baselines.jittered([motion], 0)}
     if heard is not None:
         made["bobbing"] = baselines.bobbing([motion], [heard.onsets[0]])
+    made["splayed"] = baselines.splayed([motion])
+    if heard is not None:
         made["frozen"] = baselines.frozen_in_pauses([motion], [heard.silent])
     out = {}
     for name, clips in made.items():
