@@ -231,7 +231,7 @@ def test_splits_and_speakers_of_a_folder_as_the_user_says(tmp_path: Path) -> Non
 @pytest.mark.parametrize(("split", "speaker", "says"), [
     ("80/10", "", "neither three shares nor a file"), ("0/0/0", "", "neither"), ("a/b/c", "", "neither"),
     ("-80/10/10", "", "neither"), ("FILE", "", "does not name s1-b"), ("BROKEN", "", "line 2"),
-    ("", "(", "no regular expression"), ("", "^(x)", "matches no speaker in s1-a"),
+    ("", "(", "not a regular expression"), ("", "^(x)", "matches no speaker in s1-a"),
     ("", "^(?:s1)", "matches no speaker"),
 ])
 def test_splits_and_speakers_that_cannot_be(split: str, speaker: str, says: str, tmp_path: Path) -> None:
