@@ -222,7 +222,7 @@ def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False, sha
     try:
         yield
     finally:
-        if os.name == "posix":  # removed while it is locked, so that nobody loses a lock; see `_locked`
+        if os.name == "posix":  # removed while it is locked, so that no process loses its lock; see `_locked`
             if not shared or _take(handle):  # the last one to share it
                 file.unlink(missing_ok=True)
             os.close(handle)

@@ -9,6 +9,7 @@ all lexemes at a block cost little more than that of one.
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 
 import torch
@@ -27,7 +28,7 @@ _AT_ONCE = 25_000
 """Candidate windows that are scored at a time, which bounds the memory of `sequence_every`."""
 
 
-class CorpusRewards:
+class CorpusRewards(ABC):
     """Rewards along a recording, from those of single windows. Windows are right-aligned: the current decision is the
     last block, and padding (valid 0) is on the left."""
 
@@ -36,14 +37,14 @@ class CorpusRewards:
     size: int
     """S, the number of lexemes."""
 
+    @abstractmethod
     def rewards(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
         """The rewards [B] of lexemes [B, W] on the corpus' blocks [B, W]; valid: [B, W]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
         """The reward [B, S] of each lexeme at the end of the window. history: [B, W - 1] the lexemes before; blocks,
         valid: [B, W]."""
-        raise NotImplementedError
 
     def sequence(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
         """Rewards [M] of the trailing windows along one recording, lexemes [M] on blocks [M]. The reward of block i

@@ -117,7 +117,7 @@ def test_weights_that_the_listing_leaves_out_are_refused(whole: Path, tmp_path: 
     with pytest.raises(InputError, match=r"gate\.safetensors: is not in the list"):
         bundles.load(copy)
     (copy / "gate.safetensors").unlink()
-    (copy / "notes.txt").write_text("what is not weights is nobody's business")
+    (copy / "notes.txt").write_text("other files are ignored")
     assert bundles.load(copy).gate is None
 
 

@@ -47,7 +47,7 @@ def every_figure(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
 def judge(outside_data: Path) -> ModuleType:
     file = outside_data.parent / "tools" / "judge.py"
     if not file.is_file():
-        pytest.skip(f"{file} is not there")
+        pytest.skip(f"needs {file.name}, the program that defines the figures, beside the outside data")
     spec = importlib.util.spec_from_file_location("judge_units", file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.signal import resample_poly
 
 from data_module.errors import InputError
-from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
+from data_module.speech.audio import SAMPLE_RATE, amplified, load_speech, resample
 from data_module.types import Speech
 from eval import stats
 from eval.clip.measure import real_take
@@ -42,7 +42,7 @@ COLUMNS = {
 
 
 def _quieter(decibels: float) -> Callable[[Speech], Speech]:
-    return lambda speech: replace(speech, samples=(speech.samples * 10.0 ** (-decibels / 20.0)).astype(np.float32))
+    return lambda speech: amplified(speech, -decibels)
 
 
 def _resampled(speech: Speech) -> Speech:

@@ -28,6 +28,7 @@ from data_module.motion import rotation
 from data_module.speech.audio import SAMPLE_RATE, resample
 from data_module.types import Array, Speech
 from eval.metrics.eye.body import HZ, CommonBody
+from eval.metrics.eye.hands import correlation
 
 RATE = 20
 """Frames a second of both tracks."""
@@ -71,8 +72,8 @@ def lagged(pitch: Array, speed: Array) -> Array:
     for at, lag in enumerate(LAGS.tolist()):
         early, late = pitch[max(0, -lag):frames - max(0, lag)], speed[max(0, lag):frames + min(0, lag)]
         voiced = np.isfinite(early)
-        if voiced.sum() >= _FEWEST and early[voiced].std() > 1e-9 and late[voiced].std() > 1e-9:
-            out[at] = np.corrcoef(early[voiced], late[voiced])[0, 1]
+        if voiced.sum() >= _FEWEST:
+            out[at] = correlation(np.stack([early[voiced], late[voiced]], axis=1))
     return out
 
 

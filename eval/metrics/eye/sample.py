@@ -127,7 +127,7 @@ def passing(name: str, of_controls: Mapping[str, Mapping[str, Interval]]) -> lis
 
 def eye_tables(samples: Mapping[str, EyeSample], of_controls: Mapping[str, EyeSample], space: ReferenceSpace | None,
                title: str, notes: Sequence[str] = (), facts: Mapping[str, Any] | None = None) -> list[Table]:
-    """The table of the systems, and that of the controls; rows that nobody has are left out."""
+    """The table of the systems, and that of the controls; rows without any value are left out."""
     corpus = samples.get(CORPUS)
     figures = {name: sample.figures(space, corpus) for name, sample in samples.items()}
     wrong = {name: sample.figures(space, corpus) for name, sample in of_controls.items()}
