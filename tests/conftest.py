@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import torch
@@ -107,3 +110,22 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
     assert main(["--data", str(tiny_store), "--out", str(out), "--preset", "default", "--threads", "1", "--quiet",
                  *given]) == 0
     return out
+
+
+@pytest.fixture(scope="session")
+def judge(outside_data: Path) -> ModuleType:
+    """The program that defines the figures, where it lies beside the data."""
+    file = outside_data.parent / "tools" / "judge.py"
+    if not file.is_file():
+        pytest.skip("the program that defines the figures for the eye (tools/judge.py) is not beside the outside data")
+    spec = importlib.util.spec_from_file_location("judge_of_motion", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    # Its dataclasses look their own module up.
+    sys.modules[spec.name] = module
+    written, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.dont_write_bytecode = written
+    return module

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -105,25 +103,6 @@ def space(outside_data: Path) -> frechet.ReferenceSpace:
     if not (outside_data / frechet.REFERENCE).is_file():
         pytest.skip(f"{frechet.REFERENCE} is not in the outside data")
     return frechet.ReferenceSpace.load(outside_data / frechet.REFERENCE)
-
-
-@pytest.fixture(scope="module")
-def judge(outside_data: Path) -> ModuleType:
-    """The program that defines the figures, where it lies beside the data."""
-    file = outside_data.parent / "tools" / "judge.py"
-    if not file.is_file():
-        pytest.skip("the program that defines the figures is not beside the data")
-    spec = importlib.util.spec_from_file_location("judge_of_motion", file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    # Its dataclasses look their own module up.
-    sys.modules[spec.name] = module
-    written, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        sys.dont_write_bytecode = written
-    return module
 
 
 # ------------------------------------------------------------------------------------------------------ known answers

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -41,19 +39,6 @@ JUDGE = {  # our figure -> the name that the definition's own program gives it
 def every_figure(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
     return {**posture.figures(body), **together.figures(body), **units.figures(body),
             **units.sound_figures(body, voice)}
-
-
-@pytest.fixture(scope="module")
-def judge(outside_data: Path) -> ModuleType:
-    file = outside_data.parent / "tools" / "judge.py"
-    if not file.is_file():
-        pytest.skip(f"needs {file.name}, the program that defines the figures, beside the outside data")
-    spec = importlib.util.spec_from_file_location("judge_units", file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")

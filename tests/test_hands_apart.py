@@ -95,7 +95,7 @@ def test_two_hands_are_neither_together_nor_alike() -> None:
     assert np.allclose(np.prod(gain, axis=1), 1.0) and np.log(gain[:, 0]).std() == pytest.approx(0.13, abs=0.02)
 
 
-def test_hands_act_apart_and_nobody_freezes(played: Played, spoken: Spoken, strokes: StrokeSet) -> None:
+def test_hands_act_apart_and_no_hand_freezes(played: Played, spoken: Spoken, strokes: StrokeSet) -> None:
     plain = perform(spoken, "puppet", strokes, np.random.default_rng(1))
     together, apart = (np.corrcoef(_hands(p)[..., 1].T)[0, 1] for p in (plain, played))
     assert apart < together - 0.1

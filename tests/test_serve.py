@@ -514,7 +514,7 @@ def test_no_more_streams_than_the_limit() -> None:
     run(test)
 
 
-def test_a_stalled_client_costs_its_bound_and_nobody_else_anything() -> None:
+def test_a_stalled_client_costs_its_bound_and_other_clients_nothing() -> None:
     """A client that sends and never reads: its queue stays under the limit, others are served, and it is cut off."""
     limits = replace(LIMITS, unread_bytes=2**17, waiting_seconds=60.0, unread_seconds=1.5)
 

@@ -76,13 +76,9 @@ class PlanRenderer:
         bias, times = self._redrawer.bias(knobs.handedness), self._blocks.knot_times.reshape(len(self._blocks), -1)
         directions = [Direction(lexeme, still=still_frames(knobs, knots, float(start)), bias=bias)
                       for lexeme, knots, start in zip(lexemes, times, self._blocks.edges, strict=False)]
-        states, blocks = [], []
-        for request in requests(self._encoded, self._redrawer.control(self._encoded), directions)[:count]:
-            states.append(driver.fork())
-            blocks.append(driver.draw(request))
-            if on_block is not None:
-                on_block(len(blocks), count)
-        return states, blocks
+        states: list[Driver] = []
+        following = requests(self._encoded, self._redrawer.control(self._encoded), directions)[:count]
+        return states, driver.run(following, on_block, states)
 
     def render(self, plan: GesturePlan) -> GeneratedMotion:
         """The plan's motion. `plan.drawn` must be that of this renderer."""

@@ -102,10 +102,13 @@ class Driver:
             block = rollout.step(request.speech, request.control, replace(request.direction, lexeme=block.lexeme))
         return block
 
-    def run(self, blocks: Sequence[BlockRequest], on_block: OnBlock | None = None) -> list[BlockMotion]:
-        """The next blocks, one after the other."""
+    def run(self, blocks: Sequence[BlockRequest], on_block: OnBlock | None = None,
+            states: list[Driver] | None = None) -> list[BlockMotion]:
+        """The next blocks, one after the other. states: receives a copy of the state before each of them."""
         generated = []
         for count, request in enumerate(blocks, 1):
+            if states is not None:
+                states.append(self.fork())
             generated.append(self.draw(request))
             if on_block is not None:
                 on_block(count, len(blocks))
