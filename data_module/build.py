@@ -317,6 +317,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="STORE", help="output folder")
     parser.add_argument("--seed", type=int, default=1, help="performer: random seed of the corpus (default 1)")
     parser.add_argument("--hours", type=float, default=4.2, help="performer: hours of synthetic speech (default 4.2)")
+    parser.add_argument("--links", type=float, default=1.0, metavar="SHARE",
+                        help="performer: strength of the links between speech and motion that it plants by rule "
+                        "(stroke size and trunk by vocal effort, chest by pitch, gestures by meaning, styles), from 0 "
+                        "to 1 (default 1)")
     parser.add_argument("--preset", choices=("default", "tiny"), default="default",
                         help="performer: tiny is three minutes, which need no data and no other program")
     parser.add_argument("--languages", default="", metavar="de,es",
@@ -360,6 +364,8 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
         value = getattr(arguments, name)
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"--{name}", f"is {value:g}", "give a number above 0")
+    if not 0 <= arguments.links <= 1:
+        raise InputError("--links", f"is {arguments.links:g}", "give a number from 0 to 1")
     if arguments.seed < 0:
         raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
     source = arguments.source
@@ -373,7 +379,7 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
         _check_histogram(arguments.histogram)
     languages = tuple(filter(None, arguments.languages.split(",")))
     options = Options(arguments.seed, arguments.hours, arguments.preset, arguments.fps, arguments.unit, languages,
-                      arguments.split, arguments.speaker)
+                      arguments.split, arguments.speaker, arguments.links)
     return BuildRequest(arguments.corpus, source, arguments.out, options, not arguments.no_dataset)
 
 

@@ -28,7 +28,7 @@ from data_module.files import read_json, rename, write_bytes, write_text
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
-from data_module.truth import LATER, TABLES, PlayedStroke, Truth, record
+from data_module.truth import LATER, TABLES, PlayedStroke, Truth, known_fields, record
 from data_module.types import Motion, Speech, Word
 
 __all__ = ["SPLITS", "Recording", "RecordingInfo", "Store", "StoreWriter"]
@@ -354,7 +354,8 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
         words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
         truth = None
         if f"strokes_{fields(PlayedStroke)[0].name}" in arrays:
-            truth = Truth(**{name: _rows(arrays, name, kind, [field.name for field in fields(kind)])
+            stored = {name: [key.removeprefix(f"{name}_") for key in arrays] for name in TABLES}
+            truth = Truth(**{name: _rows(arrays, name, kind, [field.name for field in known_fields(kind, stored[name])])
                              for name, kind in TABLES.items()
                              if name not in LATER or f"{name}_{fields(kind)[0].name}" in arrays})
     except (ValueError, KeyError, TypeError, IndexError):

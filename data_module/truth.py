@@ -3,8 +3,8 @@ so that a store can keep them as columns."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, Field, asdict, dataclass, fields
 from typing import Any, TypeVar
 
 _Record = TypeVar("_Record")
@@ -46,7 +46,9 @@ class PlayedStroke:
     lexeme: the clip's lexeme name ("BeatMid"); clip: the clip's file stem; hand: "left", "right" or "both".
     beat: the planned motion beat (the syllable plus a random deviation); syllable: its vowel onset. start, hold_end,
     end: start of the movement, end of the hold, end of the retraction as played. gain: factor on the clip's excursion.
-    held_out: the clip is one of the strokes for test.
+    held_out: the clip is one of the strokes for test. meaning: label of the gesture that a word asked for and the clip
+    shows ("point_there"), "" for a beat; word: index of the word that it falls on, -1 if unknown. Corpora that were
+    built before these two fields existed lack them.
     """
 
     lexeme: str
@@ -59,6 +61,8 @@ class PlayedStroke:
     syllable: float
     gain: float
     held_out: bool
+    meaning: str = ""
+    word: int = -1
 
 
 JOIN, REST = "join", "rest"
@@ -84,14 +88,33 @@ class StyleKnot:
 
 
 @dataclass(frozen=True)
+class PhaseSpan:
+    """A phase of a gesture unit of one hand, seconds, measured on the finished motion (`motion.phases`).
+
+    hand: "left" or "right"; phase: "preparation", "stroke", "hold" or "retraction"; unit: the number of its unit among
+    those of the hand. apex: hardest deceleration of a stroke (its end in other phases). size: metres that the hand goes
+    in a stroke, 0 elsewhere. Between units the hand rests.
+    """
+
+    hand: str
+    phase: str
+    unit: int
+    start: float
+    end: float
+    apex: float
+    size: float
+
+
+@dataclass(frozen=True)
 class Truth:
-    """The strokes, syllables, phrases, marks and style of one recording, each in order of time."""
+    """The strokes, syllables, phrases, marks, style and phases of one recording, each in order of time."""
 
     strokes: tuple[PlayedStroke, ...] = ()
     syllables: tuple[Syllable, ...] = ()
     phrases: tuple[Phrase, ...] = ()
     marks: tuple[Mark, ...] = ()
     style: tuple[StyleKnot, ...] = ()
+    phases: tuple[PhaseSpan, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         return {name: [asdict(row) for row in getattr(self, name)] for name in TABLES}
@@ -103,15 +126,21 @@ class Truth:
 
 
 TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phrases": Phrase, "marks": Mark,
-                           "style": StyleKnot}
+                           "style": StyleKnot, "phases": PhaseSpan}
 """Field of `Truth` -> type of its records."""
-LATER = ("marks", "style")
+LATER = ("marks", "style", "phases")
 """Tables that older corpora lack."""
 
 
+def known_fields(kind: type, row: Collection[str]) -> list[Field[Any]]:
+    """The fields of a record that a row must have, and those with a default that it has."""
+    return [field for field in fields(kind) if field.default is MISSING or field.name in row]
+
+
 def record(kind: type[_Record], row: Mapping[str, Any]) -> _Record:
-    """A record of `TABLES` from its fields. ValueError for another type of value, TypeError for other fields."""
-    for name, wanted in ((field.name, str(field.type)) for field in fields(kind)):  # type: ignore[arg-type]
+    """A record of `TABLES` from its fields; one with a default may be missing. ValueError for another type of value,
+    TypeError for other fields, KeyError for a missing one."""
+    for name, wanted in ((field.name, str(field.type)) for field in known_fields(kind, row)):
         value = row[name]
         if wanted == "float":
             # Compared, not converted, because JSON's integers are unbounded.

@@ -126,21 +126,24 @@ class FlowGenerator(nn.Module):
         self.control_width = widths.control if c.use_control else 0
         self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
         self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)
+        # Beside the code, unless it is the only way, audio and lexeme go straight to the LSTM and the head. The lexeme
+        # does so as its coefficients, too, so that its meaning need not be learned.
+        self.bypassed = c.hears_through == "both"
         self.hear = nn.Sequential(nn.Linear(frames * c.audio_features, c.lexeme_width), nn.GELU(),
-                                  nn.Dropout(c.dropout))
+                                  nn.Dropout(c.dropout)) if self.bypassed else nn.Identity()
         self.unheard = nn.Parameter(torch.zeros(frames, c.audio_features))
         self.name = nn.Embedding(widths.lexemes + 1, c.lexeme_width)
         nn.init.normal_(self.name.weight, std=0.1)
         rows = c.motion_features + c.audio_features + c.lexeme_width + c.position_width + self.control_width
         self.mlp = nn.Sequential(nn.Linear(rows, c.hidden), nn.LeakyReLU(SLOPE))
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
-        known = 2 * c.lexeme_width + c.groups * c.group_width + 3 * widths.motion + basis.width
+        beside, centre = (c.lexeme_width, basis.width) if self.bypassed else (0, 0)
+        known = 2 * beside + c.groups * c.group_width + 3 * widths.motion + basis.width
         known += CIRCUMSTANCES + widths.speakers + self.control_width
-        # The coefficients of the lexeme go straight to the head, so that its meaning need not be learned.
-        head_width = c.context + basis.width
+        head_width = c.context + centre
         self.gather = nn.Sequential(nn.Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
         self.lstm = nn.LSTM(c.context, c.context, c.lstm_layers, batch_first=True)
-        self.to_context = nn.Sequential(nn.Linear(2 * c.context + c.lexeme_width, c.context), nn.GELU(),
+        self.to_context = nn.Sequential(nn.Linear(2 * c.context + beside, c.context), nn.GELU(),
                                         nn.Dropout(c.dropout))
         self.head = FlowHead(basis.width, head_width, c.flow_width, c.flow_layers)
 
@@ -171,7 +174,8 @@ class FlowGenerator(nn.Module):
 
     def contexts(self, given: FlowInputs, added: Tensor, state: State | None = None, temperature: float = 1.0
                  ) -> tuple[Tensor, State]:
-        """h [B, N, C + n] of N blocks and the LSTM's state after them; added: [B, N, n] u of the previous blocks."""
+        """h [B, N, C + n] of N blocks (C, if audio and lexeme have no way past the code) and the LSTM's state after
+        them; added: [B, N, n] u of the previous blocks."""
         batch, blocks = given.lexeme.shape
         audio = self.encode_audio(given.audio)
         if given.deaf is not None:
@@ -184,7 +188,8 @@ class FlowGenerator(nn.Module):
             moved, added = moved * remembers[..., None], added * remembers
         rows = [moved, audio, repeat_frames(name, self.frames), self.position.expand(1, blocks, -1, -1)]
         pose, velocity, acceleration = given.past.state()
-        known = [self.hear(audio.flatten(-2)), name, pose, 4.0 * velocity, 6.0 * acceleration, added,
+        beside = [self.hear(audio.flatten(-2)), name] if self.bypassed else []
+        known = [*beside, pose, 4.0 * velocity, 6.0 * acceleration, added,
                  given.circumstances, given.speaker[:, None].expand(-1, blocks, -1)]
         if self.control_width:
             free = audio.new_zeros(1, blocks, self.frames, self.control_width)
@@ -194,8 +199,8 @@ class FlowGenerator(nn.Module):
         code = self.codes(hidden, temperature)[0] if self.training else self.codes.best(hidden)
         gathered = self.gather(_side_by_side([*known, code.mean(-2)], batch))
         out, state = run_lstm(self.lstm, gathered, state)
-        context = self.to_context(torch.cat([out, gathered, name], -1))
-        return torch.cat([context, self.centres[given.lexeme]], -1), state
+        context = self.to_context(_side_by_side([out, gathered, *beside[1:]], batch))
+        return (torch.cat([context, self.centres[given.lexeme]], -1) if self.bypassed else context), state
 
     # ------------------------------------------------------------------------------------------------- training
 

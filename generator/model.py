@@ -102,6 +102,9 @@ class GeneratorConfig:
     """Units of the LSTM over blocks, and width of the context of the head."""
     lexeme_width: Width = 64
     """Width of the embeddings of the lexeme and of a block's audio that bypass the bottleneck."""
+    hears_through: Annotated[str, SettingChoice(("both", "code"))] = "both"
+    """How audio and lexeme reach the flow head: "both": by the Gumbel code and beside it; "code": by the code alone,
+    which must then tell them apart. What is known of the past stands beside the code in either case."""
     flow_width: Width = 384
     """Units of the head."""
     flow_layers: Depth = 3

@@ -47,6 +47,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays the motion in a browser")
     out.add_argument("--plan-out", "--explain", metavar="FILE.json",
                      help="the gesture plan: every decision, to read, edit and render again with --plan")
+    out.add_argument("--retime-report", metavar="FILE.json", help="with --retime: what was kept, moved, decided anew "
+                     "and lost")
     many = p.add_argument_group("many recordings", "A manifest records what was done; a second run processes only "
                                                    "what is missing or changed.")
     many.add_argument("--manifest", metavar="FILE",
@@ -130,10 +132,14 @@ def _plan(args: argparse.Namespace) -> list[Job]:
     if not args.speech:
         raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
     jobs = plan(args.speech, _output_files(args), args.text)
+    if args.retime_report is not None:
+        if not args.retime:
+            raise InputError("--retime-report", "is for --retime alone", "add --retime, or leave it out")
+        check_output(args.retime_report)
     if args.plan is not None:
         if len(jobs) > 1:
             raise InputError("--plan", f"is for one recording, and {len(jobs)} are given", "give one")
-        if args.text is not None:
+        if args.text is not None and not args.retime:
             raise InputError("--text", "is already in the plan", "leave it out")
         plan_from_args(args)  # report errors in the plan before any work
     return jobs
@@ -194,6 +200,7 @@ COMMAND = Command(
         "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
         "infer speech.wav -o gesture.bvh --plan-out plan.json --energy calm",
         "infer speech.wav -o again.bvh --plan plan.json --intensity 1.3",
+        "infer speech2.wav -o gesture.bvh --plan plan.json --retime --plan-out plan2.json",
         "infer speech.wav -o gesture.bvh --text speech.txt --cue bread=wave --hold-still 3.2-5.0",
         "infer recordings/ -o out/ --preview out/ --text texts/",
         "infer recordings/ -o out/ --manifest out/manifest.parquet",

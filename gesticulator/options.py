@@ -160,6 +160,12 @@ class InferenceOptions:
                                        "edited ones are generated again; --seed has no effect", "FILE")
     """Render this plan: unchanged blocks are replayed, edited ones are generated again. Seed, variation, speaker,
     interpreter and controls are taken from the plan."""
+    retime: bool = _option(False, "with --plan: move the plan onto this new export of its sound first, and report what "
+                           "changed")
+    """With a plan of another export of this sound: move the plan onto it first (`Gesticulator.retimed`)."""
+    retime_from: str | os.PathLike[str] | None = _option(
+        None, "with --retime: the old sound, for a plan of an earlier version, without a fingerprint of it", "FILE")
+    """With `retime`: the sound that the plan was made for, if the plan has no fingerprint of it."""
     legs: bool = _option(False, "add legs (54 joints): the weight shifts, the feet stay planted")
     """Add legs (54 joints): the weight shifts, the feet stay planted (`gesticulator.body.stance`)."""
     seated: bool = _option(False, "seat the character, with still legs and hips (54 joints)")
@@ -177,6 +183,9 @@ class InferenceOptions:
             raise InputError(f"energy {self.energy}", "is unknown", f"choose among {', '.join(ENERGIES)}")
         if self.handedness not in (None, *HANDS):
             raise InputError(f"handedness {self.handedness}", "is unknown", f"choose among {', '.join(HANDS)}")
+        if (self.retime and self.plan is None) or (self.retime_from is not None and not self.retime):
+            raise InputError(*(("retime", "moves a plan, and none is given", "give the plan, too") if self.retime else
+                               ("retime_from", "is for retime alone", "add retime, or leave it out")))
         for begin, stop in self.hold_still:
             if not 0 <= begin < stop < math.inf:
                 raise InputError(f"hold_still {begin:g}-{stop:g}", "is not a range of seconds", "write it as 3.2-5.0")
@@ -257,5 +266,7 @@ class InferenceArguments(TypedDict, total=False):
     hold_still: tuple[tuple[float, float], ...]
     cues: tuple[GestureCue, ...]
     plan: GesturePlan | None
+    retime: bool
+    retime_from: str | os.PathLike[str] | None
     legs: bool
     seated: bool

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from data_module.types import Array, Blocks, Motion, Speech
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.rig import Character, CharacterMotion
+    from gesticulator.directing.retiming_report import RetimingReport
     from gesticulator.export.scene import Scene
     from gesticulator.options import InferenceOptions
     from gesticulator.plan.plan import GesturePlan, LexemeName
@@ -50,6 +51,8 @@ class Performance:
     """The options of the performance, with the bundle's defaults filled in."""
     names: Callable[[], tuple[LexemeName, ...]] | None = None
     """Returns the names of the lexemes."""
+    retiming: RetimingReport | None = None
+    """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
     character: CharacterMotion | None = None
     """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
 
@@ -190,9 +193,9 @@ class Performance:
 
     def plan(self) -> GesturePlan:
         """The plan with the names of lexemes. It can be edited and rendered again (`InferenceOptions.plan`)."""
-        from gesticulator.directing.record import named
+        from gesticulator.directing.record import fingerprinted, named
 
-        return named(self.decided, () if self.names is None else self.names())
+        return named(fingerprinted(self.decided, self.speech), () if self.names is None else self.names())
 
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture: `plan` in plain values, ready for JSON (docs/plan.md)."""

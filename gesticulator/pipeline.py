@@ -29,6 +29,7 @@ from gesticulator.drawing.rollout import Sampling
 from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceArguments, InferenceOptions, interpreter_name
 from gesticulator.performance import Performance
+from gesticulator.plan.plan import sound_hash
 from gesticulator.version import __version__
 from interpreters.base import as_interpreter
 
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.directing.editing import PlanRenderer
     from gesticulator.directing.lexeme_names import LexemeName
+    from gesticulator.directing.retiming import Retimed
+    from gesticulator.directing.retiming_report import RetimingReport
+    from gesticulator.plan.plan import GesturePlan
     from gesticulator.stream import Stream
     from interpreters.base import Interpreter, LexemeInterpreter
 
@@ -265,6 +269,34 @@ class Gesticulator:
             lambda encoded: self._control_rows(cast.controls, encoded),
             lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block)
 
+    def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
+                text: Text | None = None, before: SpeechInput | None = None, on_block: OnBlock | None = None
+                ) -> Retimed:
+        """A plan on another export of its sound, and a report of what was kept, moved, decided anew and lost
+        (`gesticulator.directing.retiming`).
+
+        speech, sample_rate: the new sound, as in `__call__`; text: its text or transcript, if its words are others;
+        before: the old sound, for a plan without a fingerprint. `InputError` for a sound that has too little of the old
+        speech, and for a plan of another bundle.
+        """
+        from gesticulator.directing import directions as directing
+        from gesticulator.directing import retiming
+        from gesticulator.directing.record import named, words_of
+
+        directing.check_bundle_of(self.bundle, plan)
+        gain = directing.planned(InferenceOptions(plan=plan))
+        recording = replace(_prepared(as_speech(speech, sample_rate), gain), words=None)
+        words = None if text is None else words_of(self.read(recording, text)[0])
+        if words is None and sound_hash(recording) == plan.sound.sha256:
+            return retiming.unchanged(plan)
+        draft = retiming.drafted(plan, recording, self.encode_speech(recording), words,
+                                 None if before is None else _prepared(as_speech(before), gain))
+        if None not in draft.plan.drawn.lexemes:
+            return draft
+        renderer = self.plan_renderer(directing.with_planned_words(recording, draft.plan),
+                                      directing.planned(InferenceOptions(plan=draft.plan)), on_block)
+        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.first), self.lexeme_names()))
+
     def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, rendering: GeneratedMotion
                      ) -> Performance:
         from gesticulator.directing.record import Origin, plan_of, rendered_plan
@@ -288,12 +320,16 @@ class Gesticulator:
 
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:
+        recording, report = as_speech(speech, sample_rate), None
+        notes: tuple[str, ...] = ()
         if options.plan is not None:
             from gesticulator.directing import directions as directing
 
+            if options.retime:
+                moved, report = self._moved(options, recording, text)
+                options, notes = replace(options, plan=moved, retime=False, retime_from=None), report.lines()[:1]
             options = directing.planned(options)
-        recording = _prepared(as_speech(speech, sample_rate), options)
-        notes: tuple[str, ...] = ()
+        recording = _prepared(recording, options)
         if options.plan is not None:
             recording = directing.with_planned_words(recording, options.plan)
         elif text is not None:
@@ -305,7 +341,21 @@ class Gesticulator:
             options = without_mismatches(options, recording.words or (), recording.duration)
         performance = self._perform(recording, options, encoded, on_block)
         name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
-        return performance.labelled(name, performance.notes if options.plan is not None else notes)
+        if report is not None:
+            performance = replace(performance, retiming=report)
+        elif options.plan is not None:
+            notes = performance.notes
+        return performance.labelled(name, notes)
+
+    def _moved(self, options: InferenceOptions, speech: Speech, text: Text | None
+               ) -> tuple[GesturePlan, RetimingReport]:
+        """The plan of the options on this sound, with a warning for each thing that was lost."""
+        from gesticulator.directing.mismatches import warn_of_losses
+
+        assert options.plan is not None
+        moved = self.retimed(options.plan, speech, text=text, before=options.retime_from)
+        warn_of_losses(moved.report.losses)
+        return moved.plan, moved.report
 
     def encode_speech(self, speech: Speech, blocks: Blocks | None = None) -> SpeechFeatures:
         """Cut a speech at 16 kHz into blocks, or into the given ones, and encode it, with its words if the bundle reads

@@ -233,9 +233,10 @@ class InterpreterParts:
 
 
 def select(scores: Scores, *, allowed: NDArray[np.int64] | None = None, temperature: float = 0.0,
-           top: int | None = None, rng: np.random.Generator | None = None) -> int:
+           top: int | None = None, rng: np.random.Generator | None = None, noise: Scores | None = None) -> int:
     """One lexeme from scores [S]: the best (temperature 0), or a sample of softmax(scores / temperature). allowed:
-    indices to choose from (the silent mask); None or empty allows all. top: sample from the best `top` only."""
+    indices to choose from (the silent mask); None or empty allows all. top: sample from the best `top` only. noise: [S]
+    standard Gumbel numbers, in place of a generator: the sample is the arg max of scores / temperature + noise."""
     if temperature < 0 or (top is not None and top < 1):
         raise ValueError("temperature must not be negative and top must be positive")
     masked = np.array(scores, dtype=np.float64)
@@ -243,10 +244,13 @@ def select(scores: Scores, *, allowed: NDArray[np.int64] | None = None, temperat
         blocked = np.ones(len(masked), dtype=bool)
         blocked[allowed] = False
         masked[blocked] = -np.inf
-    if temperature == 0 or rng is None:
+    if temperature == 0 or (rng is None and noise is None):
         return int(np.argmax(masked))
     if top is not None and top < len(masked):
         masked[masked < np.sort(masked)[-top]] = -np.inf
+    if noise is not None:
+        return int(np.argmax(masked / temperature + noise))
+    assert rng is not None
     weights = np.exp((masked - masked.max()) / temperature)
     return int(rng.choice(len(weights), p=weights / weights.sum()))
 

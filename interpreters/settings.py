@@ -137,6 +137,25 @@ class GateConfig:
 
 
 @dataclass(frozen=True)
+class PlannerConfig:
+    """Sizes of the planner of gesture units, and how strongly it is obeyed."""
+
+    audio_features: Width = 8
+    """Width of each frame's row from three blocks of low-level audio."""
+    audio_bottleneck: WidthOrNone = 24
+    """Width of a projection of each row of audio before that; 0 for none."""
+    embedding: Width = 12
+    """Width of the embedding of each decision."""
+    width: Width = 96
+    """Width of the GRU."""
+    dropout: Dropout = 0.2
+    past_dropout: Dropout = 0.2
+    """Share of the blocks in training whose past decision is left out, so that the sound counts."""
+    strength: NotNegative = 1.0
+    """Factor on log p(phase, hand | lexeme) in the scores of the lexemes; 0: the phase does not matter to them."""
+
+
+@dataclass(frozen=True)
 class StatisticalConfig:
     """The statistical interpreter (RG Eq. 24)."""
 

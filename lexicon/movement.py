@@ -3,7 +3,7 @@
 Blocks are represented by `data_module.motion.movement`: coefficients y of the motion that a block adds to its past. A
 latent is y with every part of the body scaled to the same variance (an arm moves ten times as far as a torso), and a
 lexeme is the nearest of S codewords. Residual codebooks for each part (`LexiconConfig.levels`) encode the remainder.
-All codebooks are fitted by k-means.
+All codebooks are fitted by k-means. `lexicon.movement_vqvae` learns the latents and the lexemes instead.
 """
 
 from __future__ import annotations
@@ -18,14 +18,18 @@ from data_module.motion.movement import PAST, MovementBasis, Pasts
 from data_module.types import Array
 from lexicon.settings import LexiconConfig
 
-__all__ = ["MovementLexicon", "basis_for"]
+__all__ = ["MovementLexicon", "basis_for", "code_width"]
 
 _TOGETHER = 8192
 """Blocks that are compared with the codebook at a time, which bounds the memory."""
 
 
 class MovementLexicon(nn.Module):
-    """Basis and codebooks over blocks [B, K, D_m] with their pasts."""
+    """Basis and codebooks over blocks [B, K, D_m] with their pasts.
+
+    vectors: [S, D_s] the lexemes, in the space of the latents; examples: [S, 3, D_m] the past of the training block
+    nearest to each.
+    """
 
     vectors: Tensor
     examples: Tensor
@@ -38,16 +42,24 @@ class MovementLexicon(nn.Module):
         for part, width in enumerate(self.basis.widths):
             for level, size in enumerate(config.levels):
                 self.register_buffer(f"level_{part}_{level}", torch.zeros(size, width))
-        self.register_buffer("vectors", torch.zeros(config.size, self.basis.width))
+        self.register_buffer("vectors", torch.zeros(config.size, code_width(config, self.basis.width)))
         self.register_buffer("examples", torch.zeros(config.size, PAST, self.basis.motion_width))
 
     @property
     def size(self) -> int:
         return len(self.vectors)
 
+    def latents(self, coefficients: Tensor) -> Tensor:
+        """[B, D_s] where coefficients [B, n] are compared with the lexemes."""
+        return coefficients * self.basis.weight
+
     def distances(self, coefficients: Tensor) -> Tensor:
         """Squared distances [B, S] of the latents of coefficients [B, n] from the lexemes."""
-        latents, codes = coefficients * self.basis.weight, self.vectors
+        return self.code_distances(self.latents(coefficients))
+
+    def code_distances(self, latents: Tensor) -> Tensor:
+        """Squared distances [B, S] of latents [B, D_s] from the lexemes."""
+        codes = self.vectors
         return (latents.pow(2).sum(-1, keepdim=True) - 2 * latents @ codes.T + codes.pow(2).sum(-1)).clamp_min(0)
 
     def nearest(self, coefficients: Tensor) -> Tensor:
@@ -95,9 +107,13 @@ class MovementLexicon(nn.Module):
     def fit(self, motion: Tensor, past: Pasts, mask: Tensor, seed: int) -> None:
         """Fit basis and codebooks to blocks [N, K, D_m] with their pasts; mask: [N, D_m] 1 for present dimensions."""
         coefficients = self.basis.fit(motion, past, mask)
-        weight = self.basis.weight.double().numpy()
-        points = coefficients.double().numpy()
-        self.vectors.copy_(torch.as_tensor(_means(points * weight, self.size, seed)))
+        points = coefficients.double().numpy() * self.basis.weight.double().numpy()
+        self.vectors.copy_(torch.as_tensor(_means(points, self.size, seed)))
+        self.fit_levels(coefficients, past, seed)
+
+    @torch.no_grad()
+    def fit_levels(self, coefficients: Tensor, past: Pasts, seed: int) -> None:
+        """Fit the residual codebooks to coefficients [N, n] and choose the examples, once there are lexemes."""
         rest = coefficients - self.added(self.nearest(coefficients))
         for part, at in enumerate(self.basis.slices()):
             for level, size in enumerate(self.config.levels):
@@ -112,6 +128,11 @@ class MovementLexicon(nn.Module):
 def basis_for(config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> MovementBasis:
     """The basis of a lexicon's settings. frames: K; parts: body part -> its dimensions."""
     return MovementBasis(frames, parts, {name: config.components_of(name) for name in parts})
+
+
+def code_width(config: LexiconConfig, width: int) -> int:
+    """D_s, width of a lexeme, of a lexicon over movements of `width` coefficients."""
+    return config.code_width if config.quantizer == "vq-vae" else width
 
 
 def _means(points: Array, size: int, seed: int) -> Array:

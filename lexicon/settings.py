@@ -22,8 +22,10 @@ class LexiconConfig:
     """Sizes and weights of the lexicon; the defaults are the paper's if it gives them."""
 
     kind: Annotated[str, SettingChoice(("pose", "movement"))] = "pose"
-    """"pose": the VQ-VAE over blocks (RG 5.1); "movement": the movement relative to the past (`lexicon.movement`),
-    which uses the settings down to `levels`."""
+    """"pose": the VQ-VAE over blocks (RG 5.1); "movement": the movement relative to the past (`lexicon.movement`)."""
+    quantizer: Annotated[str, SettingChoice(("k-means", "vq-vae"))] = "k-means"
+    """Of the lexicon of movements: "k-means" over the coefficients of a movement, without steps or the settings below
+    `levels`; "vq-vae": a learned encoder, codebook and decoder (`lexicon.movement_vqvae`)."""
     size: Width = 50
     """N_s, lexemes in the lexicon (50 Trinity and Chinese, 100 TED)."""
     trunk_components: Width = 24
@@ -40,6 +42,8 @@ class LexiconConfig:
     """Channels of the four convolutions."""
     kernel: Width = 3
     """Kernel size of a convolution, frames."""
+    hidden: Width = 256
+    """Units of the hidden layers of the VQ-VAE over movements, which has no convolutions."""
     codebook: Codebook = "ema"
     """"ema", or "gradient" for the literal third term of Eq. 3."""
     decay: Share = 0.99

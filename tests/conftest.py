@@ -63,6 +63,24 @@ def outside_data() -> Path:
     return folder
 
 
+def _part_of(folder: Path, name: str, needed: str) -> Path:
+    if not (folder / name / needed).is_file():
+        pytest.skip(f"{folder} lacks {name}/{needed}, which this test measures: get the whole of the outside data")
+    return folder / name
+
+
+@pytest.fixture(scope="session")
+def free_motion(outside_data: Path) -> Path:
+    """The folder of real takes in the outside data."""
+    return _part_of(outside_data, "free_motion", "manifest.csv")
+
+
+@pytest.fixture(scope="session")
+def meaning_data(outside_data: Path) -> Path:
+    """The folder of gestures with a meaning in the outside data."""
+    return _part_of(outside_data, "meaning", "meanings.csv")
+
+
 @pytest.fixture(scope="session")
 def tiny_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store of about three minutes by the procedural performer and the numpy speaker, made once for all tests."""
@@ -89,11 +107,13 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
     from gesticulator.training.command import main
 
     out = tmp_path_factory.mktemp("moving") / "bundle"
-    short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "reward": 10, "cql": 10,
-             "advantage": 10}
+    short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "planner": 20, "reward": 10,
+             "cql": 10, "advantage": 10}
     settings = [*(f"schedules.{stage}.steps={steps}" for stage, steps in short.items()),
                 *(f"schedules.{stage}.batch=8" for stage in short), "schedules.interpreter.validations=2", *(
         "text.encoder=", "interpreter.text_head=0", "front_end.bands=16", "lexicon.size=24", "lexicon.levels=[8]",
+        "lexicon.code_width=16", "lexicon.hidden=24",
+        "schedules.lexicon.steps=200", "schedules.lexicon.batch=128",
         "lexicon.trunk_components=6", "lexicon.arm_components=10", "lexicon.finger_components=3",
         "generator.motion_features=12", "generator.audio_features=8", "generator.audio_bottleneck=8",
         "generator.hidden=32", "generator.groups=4", "generator.classes=8", "generator.blocks=8",

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from data_module.motion.movement import PAST, Pasts
 from data_module.parallel import own_rows
 from data_module.store import Store
 from gesticulator.bundle import bundle as bundles
@@ -24,6 +25,7 @@ from gesticulator.training.stages import Run, Stage, closure, wanted
 from gesticulator.training.stages.base import Figures
 from gesticulator.training.stages.caches import weights_hash
 from lexicon.autoencoder import Lexicon
+from lexicon.movement_vqvae import MovementLearner, MovementVqVae
 from lexicon.racer import RacerCodec
 from lexicon.settings import LexiconConfig, RacerConfig
 
@@ -77,13 +79,18 @@ def note(folder: Path, model: nn.Module) -> None:
 
 
 def codebooks(out: Path, steps: int) -> None:
-    """Train both codebook models on made-up motion, quantised from the first step."""
+    """Train the codebook models on made-up motion, quantised from the first step."""
     generator = torch.Generator().manual_seed(0)
     motion = torch.randn(200, 16, 6, generator=generator).cumsum(1) / 4
     torch.manual_seed(1)
     models: dict[str, Any] = {
         "lexicon": Lexicon(LexiconConfig(size=16, code_width=8, widths=(8, 8), warm_up=0.0), 16, 6),
         "codec": RacerCodec(RacerConfig(size=16, width=8, dilations=(1, 3)), 6)}
+    movements = MovementVqVae(LexiconConfig(kind="movement", quantizer="vq-vae", size=16, arm_components=12, levels=(),
+                                            code_width=8, hidden=8, warm_up=0.0), 16, {"body": tuple(range(6))})
+    still = Pasts(motion[:, :1].expand(-1, PAST, -1), torch.ones(len(motion)))
+    coefficients = movements.basis.fit(motion, still, torch.ones(len(motion), 6))
+    models["movements"] = MovementLearner(movements)
     for name, model in models.items():
         folder = out / name
         folder.mkdir(parents=True, exist_ok=True)
@@ -92,11 +99,14 @@ def codebooks(out: Path, steps: int) -> None:
             rows = torch.as_tensor(rng.integers(len(motion), size=16)[own_rows(16)])
             mask = torch.ones(len(rows), 6)
             mask[rows % 3 == 0, 4:] = 0.0  # as many numbers in every row, or a wrong mean would go unseen
-            return {"motion": motion[rows], "mask": mask}
+            known = torch.ones(len(rows), coefficients.shape[1])
+            known[rows % 3 == 0, 4:] = 0.0
+            return {"motion": motion[rows], "mask": mask, "coefficients": coefficients[rows], "known": known}
 
-        def before_step(step: int, model: Any = model) -> None:
+        def before_step(step: int, model: Any = model, name: str = name) -> None:
             if step == 0:
-                distributed.lead_model(model, lambda: model.start_codebook(motion, 3))
+                points = coefficients if name == "movements" else motion
+                distributed.lead_model(model, lambda: model.start_codebook(points, 3))
 
         fitting.fit(name, model, fitting.Task(make_batch, before_step=before_step),
                     FitSettings(steps=steps, batch=16, rate=1e-3), folder,

@@ -35,9 +35,11 @@ from data_module.motion.bvh import bvh_text, read_bvh, read_hierarchy, write_bvh
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
 from data_module.performer.borrowed import load_borrowed
+from data_module.performer.cues import CLIPS, MEANINGS, read_cues
 from data_module.performer.strokes import load_strokes, read_manifest
 from data_module.performer.takes import load_takes
 from data_module.speech.audio import load_speech
+from data_module.speech.fingerprint import fingerprint_frames, fingerprint_text
 from data_module.speech.speech_encoder import load_fairseq
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fingerprint, _sha256
 from data_module.text.transcript import read_transcript
@@ -49,6 +51,7 @@ from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encode
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
+from eval.probes import stance
 
 RATE = 16000
 
@@ -337,6 +340,33 @@ def _clips(mutated: str) -> Callable[[Path], Path]:
 
 def _read_clips(file: Path) -> object:
     return load_takes(file.parent), load_borrowed(file.parent)
+
+
+def _standing(folder: Path) -> Path:
+    """A manifest of clips of people who stand, one of a kind that is measured."""
+    _strokes("manifest.csv")(folder)
+    (folder / "manifest.csv").write_text("file,person,kind\nann_Left.bvh,ann,other\nann_Right.bvh,bob,walk\n")
+    return folder / "manifest.csv"
+
+
+def _meanings(mutated: str) -> Callable[[Path], Path]:
+    """The tables of gestures with a meaning: two labels, and a clip of each."""
+    def write(folder: Path) -> Path:
+        (folder / MEANINGS).write_text(
+            "label,category,cues_en,cues_de,cues_es,offensive,talk\n"
+            "point_left,deictic,on the left; turn left,links,izquierda,no,yes\n"
+            "wave_hello,emblem;greeting,hello,hallo,hola,no,yes\n")
+        (folder / CLIPS).write_text(
+            "file,person,label,ready,strokeStart,emphasis,stroke,relax\n"
+            "strokes/ann/left.bvh,ann,point_left,0.4,0.5,0.8,0.9,1.2\n"
+            "free_motion/wave.bvh,bob,wave_hello,,,,,\n")
+        return folder / mutated
+
+    return write
+
+
+def _read_meanings(file: Path) -> object:
+    return read_cues(file.parent)
 
 
 def _pairs(folder: Path) -> Path:
@@ -770,7 +800,10 @@ READERS: dict[str, Case] = {
                               _with_hashes(_with_member(f"{name}.npy")))
        for name in ("rotations", "fps", "joints", "word_text", "strokes_beat", "strokes_held_out")},
     "strokes, manifest": Case(_strokes("manifest.csv"), _read_strokes),
+    "gestures with a meaning": Case(_meanings(MEANINGS), _read_meanings),
+    "clips with a meaning": Case(_meanings(CLIPS), _read_meanings),
     "clips, manifest": Case(_clips("manifest.csv"), _read_clips, examples=0.5),
+    "clips of people who stand": Case(_standing, lambda file: stance._people(file.parent)),
     "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, examples=0.5),
     "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes),
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion),
@@ -800,6 +833,8 @@ READERS: dict[str, Case] = {
     "bvh character": Case(_bvh, _read_character),
     "mapping": Case(_mapping, _read_mapping),
     "plan": Case(_plan("a.json"), _read_plan),
+    "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
+        0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
     "plan sent by a page": Case(_plan("a.json"), _read_sent_plan, examples=2.0),
     "plan in BML": Case(_plan("a.bml"), _read_plan, examples=2.0),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),

@@ -244,7 +244,7 @@ def test_the_words_in_the_data_set_are_those_of_the_store(tiny_store: Path) -> N
     assert [w["text"] for w in told["words"]] == [w.text for w in recording.speech.words]
     assert set(told) >= {"words", "performer", "voice", "language", "split", "phrases", "syllables", "strokes"}
     assert set(told["strokes"][0]) == {"lexeme", "clip", "hand", "start", "beat", "hold_end", "end", "syllable", "gain",
-                                       "held_out"}
+                                       "held_out", "meaning", "word"}
 
 
 def test_the_report_counts_what_is_in_the_store(tiny_store: Path) -> None:

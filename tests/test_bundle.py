@@ -26,8 +26,8 @@ from gesticulator.bundle.files import CARD, read_index
 from gesticulator.bundle.models import Sizes, part_table
 from gesticulator.pipeline import Gesticulator
 
-PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "interpreter_text", "style_text",
-         "q_network", "advantage")
+PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "planner", "interpreter_text",
+         "style_text", "q_network", "advantage")
 
 
 @pytest.fixture(scope="module")
@@ -121,10 +121,11 @@ def test_weights_that_the_listing_leaves_out_are_refused(whole: Path, tmp_path: 
     assert bundles.load(copy).gate is None
 
 
-NEW = {"encoder", "text", "control", "gate", "reward", "judge", "episodes", "cql", "advantage", "tokens", "racer"}
+NEW = {"encoder", "text", "control", "gate", "planner", "reward", "judge", "episodes", "cql", "advantage", "tokens",
+       "racer"}
 NEW_INSIDE = {"front_end": {"layers"}, "motion": {"representation"}, "silence": {"lexemes", "rest_decay"},
               "selection": {"activity", "beta", "guidance", "q_temperature"},
-              "schedules": {"speech", "contrast", "gate", "interpreter_text", "reward", "cql", "advantage"},
+              "schedules": {"speech", "contrast", "gate", "planner", "interpreter_text", "reward", "cql", "advantage"},
               "generator": {"audio_bottleneck", "use_control", "style_dropout"},
               "interpreter": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck", "text_head",
                               "text_head_dropout", "use_control"},

@@ -48,12 +48,12 @@ def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(b
     stops = (0.3, 0.5, 0.8)
     past = swing(bundle, 0.3)[0]
     blocks = np.stack([swing(bundle, stop)[1] for stop in stops])
-    shown = np.zeros(3, np.int64)
+    shown = np.ones(3)
     for best, stop in enumerate(stops):
         assert chooser.choose(block_of(np.array([2.0 + 0.5 * stop])), past, blocks, shown) == best
-    assert chooser.choose(block_of(np.array([2.4])), past, blocks, np.array([0, 0, 1])) != 2, "the lexeme goes before"
-    assert chooser.choose(block_of(np.zeros(0)), past, blocks, np.array([3, 1, 1])) == 1, "no onset, no opinion"
-    assert chooser.choose(block_of(np.array([2.4])), past, blocks[:1], np.array([7])) == 0
+    assert chooser.choose(block_of(np.array([2.4])), past, blocks, np.array([1.0, 1.0, 3.0])) != 2
+    assert chooser.choose(block_of(np.zeros(0)), past, blocks, np.array([2.0, 1.0, 1.2])) == 1, "no onset, no opinion"
+    assert chooser.choose(block_of(np.array([2.4])), past, blocks[:1], np.array([7.0])) == 0
 
 
 def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(bundle: Bundle) -> None:
@@ -68,9 +68,9 @@ def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(bu
         given = np.array([False, True, False])
         return np.repeat(control_rows(levels, np.array([0.0, speed, 0.0]), given)[None], FRAMES, axis=0)
 
-    assert chooser.choose(speech, past, blocks, np.array([3, 0]), asked(0.0)) == 0
-    assert chooser.choose(speech, past, blocks, np.array([0, 3]), asked(1.5)) == 1
-    assert chooser.choose(speech, past, blocks, np.array([5, 0]), asked(0.0)) == 1, "it is not among the best five"
+    assert chooser.choose(speech, past, blocks, np.array([1.2, 1.0]), asked(0.0)) == 0
+    assert chooser.choose(speech, past, blocks, np.array([1.0, 1.2]), asked(1.5)) == 1
+    assert chooser.choose(speech, past, blocks, np.array([99.0, 1.0]), asked(0.0)) == 1, "it shows another lexeme"
 
 
 def test_a_hand_that_is_thrown_counts_only_where_all_are() -> None:

@@ -20,10 +20,11 @@ from data_module.store import Recording, RecordingInfo, Split, Store, StoreWrite
 from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
 from eval.acceptance.corpus import bounds as corpus_bounds
+from eval.acceptance.corpus import by_source, style_from_sound
 from eval.acceptance.corpus import command as corpus
-from eval.acceptance.corpus import style_from_sound
 from eval.acceptance.corpus.bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTalk, TalkClaim
 from eval.acceptance.corpus.style_from_sound import StyledWindows
+from eval.acceptance.motion.bounds import BOUNDS, title
 from eval.baselines import controls as baselines
 from eval.claim import Verdict
 from eval.commands import PROBE
@@ -31,7 +32,7 @@ from eval.metrics.eye import common_body
 from eval.table import load
 
 GOOD = {"eye_hand_height_correlation": 0.4, "eye_one_handed": 30.0, "eye_one_hanging": 25.0, "eye_head": 13.0,
-        "eye_chest": 7.0, "eye_stroke_amplitude": 26.0, "eye_above_1": 35.0, "eye_above_2": 35.0, "eye_loudness": 0.2,
+        "eye_chest": 7.0, "eye_stroke_amplitude": 26.0,
         SEAM: 1.1, "eye_hand_in_torso": 0.1, "eye_elbow_in_torso": 0.2, "eye_head_yaw": 20.0, FREEZE: 0.3}
 
 
@@ -90,6 +91,58 @@ def test_a_part_that_misses_alone_is_marked() -> None:
 
 class _Named:
     fingerprint = "none"
+
+
+# --- By source
+
+def _source(name: str, **changed: float) -> list[MeasuredTalk]:
+    """Two talks of a source whose figures lie in the middle of their bounds but for these."""
+    middle = {figure: (max(bound.low, -99.0) + min(bound.high, 99.0)) / 2 for figure, bound in BOUNDS.items()}
+    return [MeasuredTalk(f"{name}{k}", "talk", 60.0, middle | changed, name) for k in range(2)]
+
+
+def _refused(talks: list[MeasuredTalk]) -> set[str]:
+    return {verdict.figure for verdict in by_source.verdicts(talks) if verdict.holds is False}
+
+
+@pytest.mark.parametrize(("figure", "value"), [
+    ("eye_splay", 30.0), ("eye_azimuth", 21.0), ("eye_azimuth", -40.0), ("eye_elbow", 44.0), ("eye_elbow", 101.0)])
+def test_a_source_is_refused_though_all_together_are_not(figure: str, value: float) -> None:
+    good = [talk for k in range(9) for talk in _source(f"good{k}")]
+    assert _refused(good) == set()
+    talks = good + _source("bad", **{figure: value})
+    assert _refused(talks) == {f"{title(figure)}, bad"}
+    shown = by_source.table(talks).rows[title(figure)]
+    assert str(shown["bad"]).endswith(" NO") and not str(shown["good0"]).endswith("!") and shown["holds"] == "yes"
+
+
+def test_a_bound_of_all_marks_a_source_and_does_not_refuse_it() -> None:
+    talks = _source("calm") + _source("other", eye_head_travel=12.5)
+    assert _refused(talks) == set()
+    row = by_source.table(talks).rows[title("eye_head_travel")]
+    assert str(row["other"]).endswith("!") and row["holds"] == "yes"
+    assert _refused(_source("calm", eye_head_travel=2.0)) == {f"{title('eye_head_travel')}, all"}
+    assert _refused([replace(talk, part="style") for talk in _source("a", eye_splay=90.0)]) == set()
+
+
+def test_forearms_that_were_turned_outward_are_refused_as_a_source() -> None:
+    talks = [replace(_measured(motion), source=name, part="talk")
+             for name, make in (("right", list), ("turned", lambda clips: baselines.splayed(clips, degrees=60.0)))
+             for motion in make([_ahead(seed) for seed in range(2)])]
+    refused = _refused(talks)
+    assert f"{title('eye_splay')}, turned" in refused and f"{title('eye_splay')}, right" not in refused
+    first = by_source.of(talks)
+    assert first["first_before"].n == first["first_p"].n, "pooled over the silences of all"
+
+
+def _ahead(seed: int) -> Motion:
+    """Arms that hang, forearms that swing about straight ahead."""
+    time = np.arange(1200) / 60
+    maps = np.zeros((1200, len(CHARACTER), 3))
+    for side, sign in (("Left", -1.0), ("Right", 1.0)):
+        maps[:, CHARACTER.index(side + "Arm"), 2] = 1.3 * sign
+        maps[:, CHARACTER.index(side + "ForeArm"), 1] = sign * (1.4 + 0.1 * np.sin((2 + seed) * time))
+    return Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((1200, 3)), 60.0)
 
 
 # --- From motion
@@ -315,7 +368,10 @@ def test_a_store_is_measured_and_judged(tmp_path: Path) -> None:
     writer.finish(names)
     out = tmp_path / "corpus.json"
     assert PROBE.main("gesticulator probe", ["corpus", "--data", str(tmp_path / "s"), "--out", str(out)]) == 0
-    bounds, styles = load(out)
+    bounds, sources, styles = load(out)
+    assert list(sources.columns) == ["bound", "all", "holds", "ann"]
+    assert sources.rows["L/R hand height correlation"]["holds"] == "NO"
+    assert len(sources.facts["clauses"]) == len(by_source.EVERY) + len(by_source.FIGURES)
     assert bounds.rows["L/R hand height correlation"]["holds"] == "NO"
     assert "L/R hand height correlation" in bounds.notes[1] and "acceleration at seams" in bounds.notes[1]
     # Every sound is the same here, so it can say nothing of how fast the hands of others go.
@@ -328,7 +384,7 @@ def test_a_performed_store_hits_its_plan(tiny_store: Path, tmp_path: Path) -> No
     out = tmp_path / "corpus.json"
     assert PROBE.main("gesticulator probe", ["corpus", "--data", str(tiny_store), "--talks", "5", "--out",
                                              str(out)]) == 0
-    bounds, plan = load(out)
+    bounds, _, plan = load(out)
     assert plan.rows["motion beats within 20 ms of plan"]["value"].mean >= 0.95  # type: ignore[union-attr]
     assert plan.rows["the same by chance"]["value"].mean < 0.2  # type: ignore[union-attr]
     assert plan.rows["longest run of one clip"]["value"] == 1

@@ -28,7 +28,7 @@ from gesticulator.training.distributed import BatchDraws, joined, lead, lead_fir
 from tests import ranks
 
 STEPS = 4
-TINY = ("speech", "contrast", "lexicon", "interpreter", "interpreter_text", "gate", "reward", "reward_judge",
+TINY = ("speech", "contrast", "lexicon", "interpreter", "interpreter_text", "gate", "planner", "reward", "reward_judge",
         "q_network", "advantage", "generator", "style", "style_text")
 MOVING = ("reward", "generator")
 """Of the movements' stages those whose losses are others."""
@@ -111,7 +111,7 @@ def test_every_stage_has_the_losses_of_one_process(two: Path, tiny_bundle: Path,
     assert (two / of / stage / "weights-0").read_text() == (two / of / stage / "weights-1").read_text()
 
 
-@pytest.mark.parametrize("name", ["lexicon", "codec"])
+@pytest.mark.parametrize("name", ["lexicon", "codec", "movements"])
 def test_codebooks_follow_the_whole_batch_for_a_hundred_steps(two: Path, tmp_path: Path, name: str) -> None:
     ranks.codebooks(tmp_path, 100)
     ours, alone = rows(two / "codebooks" / name, name), rows(tmp_path / name, name)

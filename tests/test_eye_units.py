@@ -252,7 +252,7 @@ def gliding(seconds: float, seed: int) -> tuple[Speech, Array]:
 
 
 def test_pitch_is_followed_and_the_trunk_that_goes_with_it_is_found() -> None:
-    recordings = [gliding(8.0, seed) for seed in range(6)]
+    recordings = [gliding(5.0, seed) for seed in range(6)]
     tracks = [pitch.pitch_track(speech) for speech, _ in recordings]
     for track, (_, frequency) in zip(tracks, recordings, strict=True):
         logs = np.log(frequency[::5][:len(track)])

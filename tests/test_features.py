@@ -281,11 +281,10 @@ def voice(gains: Array, block: float = 0.4) -> Samples:
 def test_the_reference_finds_the_gain_and_leaves_the_effort() -> None:
     edges = np.arange(301) * 0.4
     flat = reference_level(voice(np.zeros(300)), RATE, edges)
-    assert np.abs(flat - TYPICAL_LEVEL).max() < 1.0
+    # It is expected 6 dB under the loudest until the voice is known; a buzz is as loud as its loudest.
+    assert np.abs(flat - TYPICAL_LEVEL).max() < 6.5 and np.abs(flat[60:] - TYPICAL_LEVEL).max() < 1.0
     quiet = reference_level(voice(np.full(300, -15.0)), RATE, edges)
-    assert quiet[0] > TYPICAL_LEVEL - 2
-    assert quiet[15] < TYPICAL_LEVEL - 4
-    assert np.abs(quiet[120:] - (TYPICAL_LEVEL - 15)).max() < 2
+    np.testing.assert_allclose(quiet, flat - 15.0, atol=1e-4)
     effort = np.repeat(np.tile([9.0, -9.0], 15), 10)  # phrases of 4 s, 18 dB apart
     level = reference_level(voice(effort), RATE, edges)
     assert np.ptp(level[150:]) < 4

@@ -11,7 +11,7 @@ import torch
 from data_module.motion.movement import MovementBasis, pasts_of
 from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, FlowTime, _fade, circumstances
 from generator.model import GeneratorConfig, GeneratorWidths
-from gesticulator.drawing.drawer import Keys
+from gesticulator.drawing.keys import Keys
 
 FRAMES, WIDTH, AUDIO = 4, 3, 5
 CONFIG = GeneratorConfig(head="flow", motion_features=8, audio_features=4, style_width=0, position_width=4, hidden=16,
@@ -20,14 +20,14 @@ CONFIG = GeneratorConfig(head="flow", motion_features=8, audio_features=4, style
 TWO = 2
 
 
-def made(motion: torch.Tensor) -> FlowGenerator:
+def made(motion: torch.Tensor, config: GeneratorConfig = CONFIG) -> FlowGenerator:
     """An untrained generator whose basis is fitted on blocks [N, K, D]."""
     torch.manual_seed(0)
     basis = MovementBasis(FRAMES, {"body": tuple(range(WIDTH))}, {"body": 6})
     durations = torch.full((len(motion),), 0.3, dtype=torch.float64)
     past = pasts_of(motion, durations, motion[0, 0])
     y = basis.fit(motion, past, torch.ones(len(motion), WIDTH))
-    generator = FlowGenerator(CONFIG, GeneratorWidths(FRAMES, WIDTH, AUDIO, 6, 0, TWO, 1),
+    generator = FlowGenerator(config, GeneratorWidths(FRAMES, WIDTH, AUDIO, 6, 0, TWO, 1),
                               MovementBasis(FRAMES, basis.parts, {"body": 6}))
     generator.adopt(basis, y, torch.zeros(TWO, basis.width))
     return generator
@@ -53,9 +53,9 @@ def swings(count: int, heard: bool, seed: int = 0) -> dict[str, torch.Tensor]:
             "side": side}
 
 
-def trained(heard: bool, named: bool, steps: int = 250) -> FlowGenerator:
+def trained(heard: bool, named: bool, steps: int = 250, config: GeneratorConfig = CONFIG) -> FlowGenerator:
     """named: lexeme 0 is one side and lexeme 1 the other; else lexemes are drawn at random."""
-    generator = made(swings(100, heard)["motion"].flatten(0, 1))
+    generator = made(swings(100, heard)["motion"].flatten(0, 1), config)
     rest = torch.zeros(2, FRAMES, WIDTH)
     shape = torch.sin(torch.pi * torch.arange(1, FRAMES + 1) / FRAMES)
     sides = torch.tensor([-1.0, 1.0])[:, None, None] * shape[:, None] * torch.tensor([1.0, 0.5, -0.3])
@@ -88,7 +88,7 @@ def drawn(generator: FlowGenerator, lexeme: int, side: float, gains: tuple[float
     with torch.no_grad():
         context, _ = generator.contexts(given, torch.zeros(3, 1, generator.basis.width))
         pull = torch.tensor(gains)[:, None].expand(-1, generator.basis.width)
-        y = generator.draw(context[:, 0], pull, Keys(1).noise(0, (count, generator.basis.width)), 6)
+        y = generator.draw(context[:, 0], pull, torch.as_tensor(Keys(1).noise(0, (count, generator.basis.width))), 6)
         block = generator.basis.compose(y, given.past[:1, 0][torch.zeros(count, dtype=torch.long)])
     found: np.ndarray = block[:, FRAMES // 2 - 1, 0].numpy()
     return found
@@ -162,6 +162,33 @@ def test_it_hears_the_side_and_guidance_goes_beyond() -> None:
     assert faint[1] > faint[0]
 
 
+class Zero(torch.nn.Module):
+    """Codes that tell nothing."""
+
+    def best(self, hidden: torch.Tensor) -> torch.Tensor:
+        return hidden.new_zeros(*hidden.shape[:-1], CONFIG.groups * CONFIG.group_width)
+
+
+@pytest.mark.parametrize(("heard", "named"), [(True, False), (False, True)])
+def test_where_the_code_is_the_only_way_it_tells_what_was_heard_and_asked_for(heard: bool, named: bool) -> None:
+    generator = trained(heard, named, 400, dataclasses.replace(CONFIG, hears_through="code"))
+
+    def right() -> tuple[float, float]:
+        left, other = (drawn(generator, int(named and side > 0), side if heard else 0.0) for side in (-1.0, 1.0))
+        return float((left < -0.5).mean()), float((other > 0.5).mean())
+
+    assert min(right()) > 0.85
+    generator.codes = Zero()  # type: ignore[assignment]
+    assert min(right()) < 0.7, "no other way tells them apart"
+    assert np.array_equal(drawn(generator, 0, 1.0), drawn(generator, 1, -1.0))
+
+
+def test_beside_the_code_audio_and_lexeme_reach_the_head() -> None:
+    generator = trained(heard=True, named=False)
+    generator.codes = Zero()  # type: ignore[assignment]
+    assert (drawn(generator, 0, 1.0) > 0.5).mean() > 0.9 and (drawn(generator, 0, -1.0) < -0.5).mean() > 0.9
+
+
 def test_what_no_source_has_weighs_nothing() -> None:
     batch = swings(8, False)
     generator = made(batch["motion"].flatten(0, 1))
@@ -186,13 +213,6 @@ def test_blocks_that_fill_a_short_window_up_weigh_nothing() -> None:
     assert loss() == pytest.approx(before)
     batch["valid"][:, -1] = 1
     assert loss() > 1.5 * before
-
-
-def test_noise_is_a_blocks_own() -> None:
-    first = Keys(3).noise(7, (4, 5))
-    assert torch.equal(first, Keys(3).noise(7, (4, 5)))
-    for other in (Keys(4).noise(7, (4, 5)), Keys(3, 1).noise(7, (4, 5)), Keys(3).noise(8, (4, 5))):
-        assert not torch.equal(first, other)
 
 
 def test_circumstances_tell_tempo_silence_and_how_long() -> None:
@@ -228,7 +248,7 @@ def test_who_knows_nothing_draws_as_widely_as_what_was_met() -> None:
     """For unit Gaussian data the field leads every noise to itself: u(t) = sqrt(t^2 + (1 - t)^2) u(0)."""
     motion = swings(50, False)["motion"].flatten(0, 1)
     generator = made(motion).eval()
-    noise = Keys(2).noise(0, (300, generator.basis.width)).clamp(-1.5, 1.5)
+    noise = torch.as_tensor(Keys(2).noise(0, (300, generator.basis.width))).clamp(-1.5, 1.5)
     context = torch.randn(1, CONFIG.context + generator.basis.width)
     with torch.no_grad():
         y = generator.draw(context, torch.zeros(0, generator.basis.width), noise, 12)

@@ -124,12 +124,15 @@ NO_CASE = {
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:_holder data_module/performer/espeak.py:sound_phrases
         data_module/performer/flite.py:sound_phrase gesticulator/characters/fbx_rig.py:read_fbx_character
-        gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:_frame gesticulator/export/film.py:encode
+        gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:_frame
+        gesticulator/export/film.py:encode_pictures
         gesticulator/export/own_fbx.py:write_animated gesticulator/export/usd.py:write_usd
         gesticulator/serve/metrics.py:read_figures eval/probes/stability.py:_as_mp3""",
     "runs in a child process, whose parent has a case": """
         data_module/performer/espeak_child.py:main data_module/speech/mp3_child.py:main
         gesticulator/export/fbx_child.py:animate""",
+    "Gesticulator.read, whose transcripts have a case": """
+        eval/probes/stability.py:_words_changed""",
     "a file of the installation": """
         gesticulator/batch/ray_pool.py:_runs_here gesticulator/serve/page.py:pages gesticulator/version.py:_is_ours""",
     "a model that another library reads": """

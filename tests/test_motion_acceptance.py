@@ -26,7 +26,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.store import StoreWriter
 from data_module.types import Array, Motion, Speech, Word
 from eval.acceptance.motion import command as probe
-from eval.acceptance.motion import movements, rest, seen, steering
+from eval.acceptance.motion import movements, rest, seen, sounds, steering
 from eval.acceptance.motion.movements import ALL, ALONE, HeldOut
 from eval.acceptance.motion.rest import Rested
 from eval.baselines import controls as baselines
@@ -87,8 +87,7 @@ def free(count: int = 3) -> list[Motion]:
 
 def verdicts(motions: list[Motion], space: ReferenceSpace, corpus: list[Motion] | None = None) -> list[Verdict]:
     beside = sampled(corpus or free(), space)
-    return seen.clauses("x", sampled(motions, space).figures(space, beside),
-                        beside.figures(space), beside.figures(space))
+    return seen.clauses("x", sampled(motions, space).figures(space, beside), beside.figures(space), True)
 
 
 def test_mirrored_arms_break_the_clauses_of_two_hands_and_free_ones_keep_them(space: ReferenceSpace) -> None:
@@ -98,19 +97,18 @@ def test_mirrored_arms_break_the_clauses_of_two_hands_and_free_ones_keep_them(sp
     mirrored, own = verdicts(baselines.mirrored(still_trunk), space), verdicts(still_trunk, space)
     for begin in ("L/R hand height", "L/R hand speed"):
         assert named(mirrored, begin).holds is False and named(mirrored, begin).value.mean == pytest.approx(1.0)
-        assert named(own, begin).holds is True
+    assert named(own, "L/R hand speed").holds is True
+    assert named(own, "L/R hand height").value.mean < 0.6
     assert named(mirrored, "one-handed").holds is False and named(mirrored, "one-handed").value.mean == 0.0
 
 
 def test_what_is_the_corpus_itself_is_as_the_corpus(space: ReferenceSpace) -> None:
     own = verdicts(free(), space)
-    for percent in (5, 25, 50, 75, 95, 99):
-        clause = named(own, f"hand speed, {percent} % over")
-        assert clause.holds is True and clause.value.mean == pytest.approx(1.0)
-    assert named(own, "nearest other 2 s window over spread over").value.mean == pytest.approx(1.0)
-    assert named(own, "window Frechet to the corpus").value.mean == pytest.approx(0.0, abs=1e-6)
-    assert named(own, "window Frechet to the reference").holds is True, "at most 1.25 times its own"
-    assert named(own, "PMB of rolled sound").holds is not True, "rolled is as good as the right sound"
+    repeats = named(own, "nearest other 2 s window over spread over")
+    assert repeats.holds is True and repeats.value.mean == pytest.approx(1.0)
+    distance = named(own, "window Frechet to the corpus")
+    assert distance.holds is None and distance.value.mean == pytest.approx(0.0, abs=1e-6)
+    assert named(own, "window Frechet to the reference").holds is False, "far from the noise of that space"
     assert named(own, "fingers moving").holds is None
 
 
@@ -132,18 +130,21 @@ def test_halves_of_one_kind_are_near_and_of_two_kinds_far(space: ReferenceSpace)
 
 
 def test_slow_and_frozen_motion_is_refused(space: ReferenceSpace) -> None:
-    slow = verdicts([moved(20.0, 0.5 * np.ones(1200), seed) for seed in range(3)], space)
-    assert all(named(slow, f"hand speed, {percent} % over").holds is False for percent in (25, 50, 75, 95, 99))
-    assert named(slow, "hand speed, 50 % over").value.mean == pytest.approx(0.5, abs=0.05)
+    whole, slow = (verdicts([moved(20.0, size * np.ones(1200), seed) for seed in range(3)], space)
+                   for size in (1.0, 0.2))
+    for percent in (25, 50, 75, 95):
+        fast, half = (named(each, f"hand speed, {percent} %").value.mean for each in (whole, slow))
+        assert half == pytest.approx(0.2 * fast, rel=0.1)
+    assert sum(named(slow, f"hand speed, {percent} %").holds is False for percent in (50, 75, 95)) == 3
     frozen = verdicts(baselines.mean_pose(free()), space)
     for begin in ("head on chest", "chest, spread", "stroke amplitude, median", "one-handed", "L/R hand height",
-                  "PMB above chance, %, first", "window Frechet to the corpus"):
+                  "hand speed, 50 %", "head travel", "chest travel", "head with hands", "shoulder lift"):
         assert named(frozen, begin).holds is False, begin
 
 
 def test_without_a_store_what_is_asked_against_it_is_not_measured(space: ReferenceSpace) -> None:
-    alone = seen.clauses("x", sampled(free(), space).figures(space, None), None, None)
-    for begin in ("hand speed, 50 %", "window Frechet to the corpus", "seams beside", "PMB beside", "mean wrist"):
+    alone = seen.clauses("x", sampled(free(), space).figures(space, None), None, True)
+    for begin in ("nearest other 2 s", "window Frechet to the corpus", "mean wrist"):
         assert named(alone, begin).holds is None
     assert named(alone, "L/R hand height").holds is not None
 
@@ -152,10 +153,10 @@ def test_mismatch_prefers_who_beats_to_its_own_sound() -> None:
     heard = [hear(recording("one", seed, 21.0).speech) for seed in range(9)]
     still = moved(21.0, np.zeros(1260))
     right = [baselines.bobbing([still], [own.onsets[0]])[0] for own in heard]
-    assert seen.mismatch_clause(list(zip(right, heard, strict=True))).holds is True
+    clause = seen.mismatch_clause(list(zip(right, heard, strict=True)))
+    assert clause.holds is None and clause.value.mean < 0.001
     wrong = list(zip(right, [*heard[1:], heard[0]], strict=True))
-    clause = seen.mismatch_clause(wrong)
-    assert clause.holds is False and clause.value.mean > 0.05
+    assert seen.mismatch_clause(wrong).value.mean > 0.05
     first, second = seen.mismatches(list(zip(right, heard, strict=True)))
     assert first.difference.n == second.difference.n == 9 and first.right > first.wrong
 
@@ -172,32 +173,32 @@ def spoken(seconds: float = 40.0) -> Speech:
 
 def test_pauses_are_set_in_with_the_lengths_that_were_told() -> None:
     speech = spoken()
-    assert len(rest.pauses_in(speech)) == 0
+    assert len(sounds.pauses_in(speech)) == 0
     lengths = (1.2, 2.0, 5.0)
-    paused = rest.with_pauses(speech, lengths)
+    paused = sounds.with_pauses(speech, lengths)
     assert paused.duration == pytest.approx(speech.duration + sum(lengths), abs=1e-3)
-    found = rest.pauses_in(paused)
+    found = sounds.pauses_in(paused)
     assert len(found) == 3
     # A gap between two syllables belongs to the pause that is set into it.
     np.testing.assert_allclose(found[:, 1] - found[:, 0], lengths, atol=0.3)
-    np.testing.assert_array_equal(paused.samples, rest.with_pauses(speech, lengths).samples)
+    np.testing.assert_array_equal(paused.samples, sounds.with_pauses(speech, lengths).samples)
 
 
 def test_faint_is_46_db_lower_and_noise_has_its_level() -> None:
-    level = 20 * np.log10(np.sqrt((rest.noise(5.0, -40.0, RATE) ** 2).mean()))
+    level = 20 * np.log10(np.sqrt((sounds.noise(5.0, -40.0, RATE) ** 2).mean()))
     assert level == pytest.approx(-40.0, abs=0.1)
     speech = spoken(5.0)
-    low = rest.faint(speech)
-    hiss = rest.noise(5.0, rest.HISS, RATE)
+    low = sounds.faint(speech)
+    hiss = sounds.noise(5.0, sounds.HISS, RATE)
     np.testing.assert_allclose(low.samples, speech.samples * 10 ** (-46 / 20) + hiss, atol=1e-7)
 
 
 def resting(settle: float, life: float) -> tuple[Motion, Speech]:
     """Arms that swing in speech and come to rest `settle` seconds into each pause, where `life` of it is left."""
-    speech = rest.with_pauses(spoken(), (2.0, 5.0, 4.0))
+    speech = sounds.with_pauses(spoken(), (2.0, 5.0, 4.0))
     frames = round(speech.duration * HZ)
     size = np.ones(frames)
-    for start, stop in rest.pauses_in(speech):
+    for start, stop in sounds.pauses_in(speech):
         last = round(stop * HZ)
         size[round((start + settle) * HZ):last] = life
         size[last:last + 72] = np.linspace(life, 1.0, 72)
@@ -209,12 +210,13 @@ def resting(settle: float, life: float) -> tuple[Motion, Speech]:
 def test_who_comes_to_rest_at_once_is_accepted_and_who_goes_on_or_comes_late_is_not() -> None:
     calm = Rested.of(*resting(0.2, 0.03))
     good = rest.pause_clauses([calm, calm], ["a", "b"])
-    assert named(good, "hands from .5 to 2.5 s").holds is True
+    settled = named(good, "hands from .5 to 2.5 s")
+    assert settled.holds is None, "short pauses belong to the next preparation"
     assert named(good, "hands from 2.5 s").holds is True
     assert len(calm.settled()) == 3 and calm.in_speech() > 0.3
     for settle, life in ((0.0, 1.0), (1.8, 0.03)):
         bad = rest.pause_clauses([Rested.of(*resting(settle, life))] * 2, ["a", "b"])
-        assert named(bad, "hands from .5 to 2.5 s").holds is False
+        assert named(bad, "hands from .5 to 2.5 s").value.mean > settled.value.mean + 0.1
         assert named(bad, "hands from 2.5 s").holds is (life < 1.0)
 
 
@@ -235,7 +237,7 @@ def test_a_jump_at_waking_is_refused() -> None:
     calm = rest.waking_clauses(Rested.of(motion, speech).wakes(), usual)
     assert [clause.holds for clause in calm] == [True, True]
     turns = motion.rotations.copy()
-    for _, stop in rest.pauses_in(speech):
+    for _, stop in sounds.pauses_in(speech):
         at = round(stop * HZ)
         turn = rotation.from_exponential_map(np.array([0.0, 0.0, 0.6]))
         turns[at:, CHARACTER.index("RightArm")] = rotation.multiply(turns[at:, CHARACTER.index("RightArm")], turn)
@@ -540,7 +542,7 @@ def test_every_group_is_judged_and_a_second_run_says_the_same(standing: tuple[Pa
     assert probed(standing, *told, "--only", "motion", "lexicon") == 0
     some = load(out)
     assert list(some[0].rows) == [probe.TITLES["motion"], probe.TITLES["lexicon"]]
-    assert probed(standing, *told, "--only", "rest", "controls", "--write", str(tmp_path / "made")) == 0
+    assert probed(standing, *told, "--only", "rest", "effort", "controls", "--write", str(tmp_path / "made")) == 0
     every = load(out)
     assert list(every[0].rows) == list(probe.TITLES.values()), "what was run before is shown beside"
     entries = every[0].facts["clauses"]
@@ -554,7 +556,8 @@ def test_every_group_is_judged_and_a_second_run_says_the_same(standing: tuple[Pa
         "interpreter cql runs"]["reason"]
     assert by_name["faults of the plan (--explain)"]["holds"] is True
     assert by_name["hand controls are heard"]["holds"] is False
-    assert list(every[2].columns) == ["ours", "unit selection", "corpus"]
+    assert list(every[2].columns) == ["bound", "ours", "statistical", "unit selection", "corpus"]
+    assert list(every[3].columns) == ["ours", "statistical", "unit selection"]
     before = {file.name: file.stat().st_mtime_ns for file in (work / "renderings").iterdir()}
     first = out.read_bytes()
     assert probed(standing, *told, "--only", "motion", "lexicon", "rest") == 0
@@ -576,14 +579,15 @@ def test_a_bundle_can_stand_beside_another(standing: tuple[Path, Path], tmp_path
     assert probed(standing, "--work", str(tmp_path / "work"), "--only", "motion", "--renderings", "1", "--limit", "1",
                   "--system", f"regressing={tmp_path / 'other'}", "--out", str(tmp_path / "motion.json")) == 0
     table = load(tmp_path / "motion.json")[2]
-    assert list(table.columns) == ["ours", "regressing", "unit selection", "corpus"]
+    assert list(table.columns) == ["bound", "ours", "statistical", "regressing", "unit selection", "corpus"]
     assert table.facts["figures"]["ours"]["eye_speed_50"] != table.facts["figures"]["regressing"]["eye_speed_50"]
 
 
 @pytest.mark.parametrize(("more", "told"), [
     (["--renderings", "0"], "give 1 or more"), (["--limit", "0"], "give 1 or more"),
-    (["--system", "ours=x"], "column of its own"), (["--system", "nothing"], "NAME=VALUE"),
-    (["--system", "x=/nowhere"], "is not a folder"), (["--only", "everything"], "invalid choice")])
+    (["--system", "ours=x"], "column of its own"), (["--speaker", "nobody"], "nobody"),
+    (["--system", "nothing"], "NAME=VALUE"), (["--system", "x=/nowhere"], "is not a folder"),
+    (["--only", "everything"], "invalid choice")])
 def test_wrong_input_is_refused(standing: tuple[Path, Path], more: list[str], told: str,
                                 capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.performer import grammar
-from data_module.performer.grammar import TEST_TEMPLATES, TEST_TOPICS, TRAIN_TEMPLATES, TRAIN_TOPICS
+from data_module.performer.grammar import (
+    MEANING_KINDS,
+    TEST_MEANINGS,
+    TEST_TEMPLATES,
+    TEST_TOPICS,
+    TRAIN_MEANINGS,
+    TRAIN_TEMPLATES,
+    TRAIN_TOPICS,
+)
 from data_module.performer.other_grammars import PHRASEBOOKS, Phrasebook
 from data_module.performer.text import Utterance, compose, plural, sentence_key, with_article
 
@@ -52,7 +60,8 @@ def test_the_splits_share_no_topic_word_and_no_template() -> None:
         table = str.maketrans("", "", string.punctuation.replace("{", "").replace("}", ""))
         return {" ".join(line.translate(table).split()) for group in templates.values() for line in group}
 
-    assert not lines(TRAIN_TEMPLATES) & lines(TEST_TEMPLATES)
+    train = lines(TRAIN_TEMPLATES) | lines(TRAIN_MEANINGS)
+    assert not train & (lines(TEST_TEMPLATES) | lines(TEST_MEANINGS))
     train_things = {thing for topic in TRAIN_TOPICS for thing in topic.things + topic.people + topic.places}
     test_things = {thing for topic in TEST_TOPICS for thing in topic.things + topic.people + topic.places}
     assert not train_things & test_things
@@ -60,7 +69,8 @@ def test_the_splits_share_no_topic_word_and_no_template() -> None:
 
 def test_both_splits_speak_of_every_kind() -> None:
     assert TRAIN_TEMPLATES.keys() == TEST_TEMPLATES.keys()
-    for templates in (TRAIN_TEMPLATES, TEST_TEMPLATES):
+    assert TRAIN_MEANINGS.keys() == TEST_MEANINGS.keys() == set(MEANING_KINDS)
+    for templates in (TRAIN_TEMPLATES, TEST_TEMPLATES, TRAIN_MEANINGS, TEST_MEANINGS):
         assert min(len(group) for group in templates.values()) >= 2
 
 

@@ -395,6 +395,8 @@ def test_sections_stand_in_the_file_only_where_there_are_any_and_come_back_as_th
     ("curves", (KnobCurve("intensity", (1.0,), (1.0,)),) * 2, "one curve per knob"),
     ("alignment", SoundAlignment("ff", 2.0, (0.0, 1.0), (1.0, 1.0)), "there do not rise"),
     ("alignment", SoundAlignment("ff", 0.0, (0.0,), (0.0,)), "duration"),
+    ("fingerprint", "AAAAAAA=", "is not that of the sound"),
+    ("fingerprint", "AAAAAAAA" * 500, "is not that of the sound"),
 ])
 def test_sections_that_make_no_sense_are_refused_with_their_place(section: str, wrong: Any, told: str) -> None:
     text = replace(a_plan(), **{section: wrong}).to_json()
@@ -413,6 +415,15 @@ def test_a_plan_of_version_1_is_read_as_one_of_this_version() -> None:
     assert plan.blocks[2].locked and plan.cues[0].gesture == "nod" and plan.knobs.intensity == 1.2
     old = bml_of(plan).replace(f'"version": {VERSION}', '"version": 1')
     assert parse_bml(old.encode()) == plan
+
+
+@pytest.mark.parametrize("numbers", [(0, 1, 2), (0, 1, 2, 2), (0, 1, 2, -1)])
+def test_numbers_of_the_first_generation_are_one_for_each_block(numbers: tuple[int, ...]) -> None:
+    plan = a_plan()
+    with pytest.raises(InputError, match=r"drawn\.numbers"):
+        parse_plan(replace(plan, drawn=replace(plan.drawn, numbers=numbers)).to_json())
+    other = replace(plan, drawn=replace(plan.drawn, numbers=(0, 1, 9, 3)))
+    assert parse_plan(other.to_json()) == other and edited_blocks(other) == (False, False, True, False)
 
 
 def test_every_version_up_to_this_one_can_be_upgraded() -> None:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from data_module.layers import freeze
-from eval.baselines.controls import Random, ReplayInterpreter
+from eval.baselines.interpreters import Random, ReplayInterpreter
 from eval.runner import policy
 from eval.runner.policy import Decisions, Policy, PolicyJudge
 from interpreters.episodes import Demonstration

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from data_module.store import Store
-from eval.baselines.controls import Bigram
+from eval.baselines.interpreters import Bigram
 from eval.commands import PROBE
 from eval.probes import quality
 from eval.runner.context import EvalContext

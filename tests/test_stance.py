@@ -15,8 +15,10 @@ from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
 from data_module.types import Array, Motion, Skeleton
+from gesticulator.body.feet import SIDES
 from gesticulator.body.life import noise, weight_shifts
-from gesticulator.body.stance import SIDES, Stance, seated, with_legs
+from gesticulator.body.stance import Stance, seated, with_legs
+from gesticulator.body.weight import CROSSES
 from tests.performances import perform
 
 SEEDS = range(4)
@@ -164,23 +166,69 @@ def test_the_upper_body_turns_as_it_was_drawn_and_travels_with_the_hips() -> Non
     before = kinematics.global_rotations(FINGERED, motion.rotations)[:, 1:]
     after = kinematics.global_rotations(WHOLE_BODY, out.rotations)[:, 1:46]
     assert np.degrees(rotation.angle_between(before, after)).max() < 1e-5
-    assert np.degrees(rotation.angle_between(motion.rotations[:, 0], out.rotations[:, 0])).max() < 10.0
+    assert np.degrees(rotation.angle_between(motion.rotations[:, 0], out.rotations[:, 0])).max() < 20.0
     for name in ("Head", "LeftHand"):
         moved = (at(out, name) - at(motion, name)) - out.root_positions
         assert np.linalg.norm(moved, axis=-1).max() < 0.015, "but for the turn of the hips under the spine"
 
 
-def test_the_weight_is_that_of_the_idle_life() -> None:
+def test_the_weight_follows_the_marked_shifts_of_the_idle_motion() -> None:
+    changes = 0
     for seed in SEEDS:
-        out = with_legs(still(seconds=120.0), seed)
-        weight = weight_shifts(seed).at(np.arange(len(out)) / out.fps)[:, 0]
+        out, shifts = with_legs(still(seconds=120.0), seed), weight_shifts(seed)
         across = at(out, "Hips")[:, 0] - (at(out, "LeftFoot") + at(out, "RightFoot"))[:, 0] / 2.0
-        assert np.corrcoef(across, weight)[0, 1] > 0.7
+        side, n = 0.0, 0
+        while (end := float(shifts.begins(np.array([n + 1]))[0])) < 120.0:
+            roll = float(shifts.posture(n)[0])
+            changes += bool(side) and side * roll < 0 and abs(roll) > CROSSES
+            side = float(np.sign(roll)) if abs(roll) > CROSSES else side
+            if side and planted(out, "Left")[round(30 * end)] and planted(out, "Right")[round(30 * end)]:
+                assert side * across[round(30 * end) - 1] > 0.005, "at the end of each shift over that leg"
+            n += 1
         rise = (at(out, "LeftUpLeg") - at(out, "RightUpLeg"))[:, 1]
-        assert np.corrcoef(across, rise)[0, 1] > 0.8, "the pelvis is higher over the leg that bears"
         bent = knee_angles(out, "Right") - knee_angles(out, "Left")
-        assert np.corrcoef(across, bent)[0, 1] > 0.5, "and the other knee is bent"
-        assert across.min() < -0.02 and across.max() > 0.02, "on one leg and on the other"
+        assert np.corrcoef(rise, bent)[0, 1] > 0.8, "the knee under the lower side of the pelvis is bent"
+        assert np.corrcoef(across, rise)[0, 1] > 0.6, "which is the side that the hips are not over"
+        assert np.abs(bent).mean() > 6.0, "people do not stand on two straight legs"
+    assert 12 <= changes <= 48, "one to six a minute"
+
+
+def test_hips_turn_with_the_chest_which_keeps_its_place() -> None:
+    motion, times = still(seconds=20.0), np.arange(600) / 30.0
+    yaw = np.radians(15.0) * np.sin(2.0 * np.pi * 0.3 * times)
+    motion.rotations[:, FINGERED.index("Spine1")] = np.stack(
+        [np.cos(yaw / 2.0), np.zeros(600), np.sin(yaw / 2.0), np.zeros(600)], axis=-1)
+    out = with_legs(motion, 2)
+    line = at(out, "LeftUpLeg") - at(out, "RightUpLeg")
+    hips = np.arctan2(-line[:, 2], line[:, 0])
+    wave = np.exp(-2.0j * np.pi * 0.3 * times[100:500])  # four periods
+    response = 2.0 * np.mean(hips[100:500] * wave) / (2.0 * np.mean(yaw[100:500] * wave))
+    assert abs(response) == pytest.approx(0.5, abs=0.08), "a share of what people do"
+    assert -0.5 < np.angle(response) < 0.0, "a little later"
+
+
+def test_knees_give_under_strokes() -> None:
+    motion, times = still(seconds=30.0), np.arange(900) / 30.0
+    shakes = np.radians(35.0) * np.sin(2.0 * np.pi * 1.2 * times) * (times > 10.0) * (times < 20.0)
+    for joint in ("LeftArm", "RightArm"):
+        maps = np.zeros((900, 3))
+        maps[:, 2] = shakes
+        motion.rotations[:, FINGERED.index(joint)] = rotation.from_exponential_map(maps)
+    sunk = at(with_legs(still(seconds=30.0), 3), "Hips")[:, 1] - at(with_legs(motion, 3), "Hips")[:, 1]
+    assert np.abs(sunk[:300]).max() < 1e-12, "not before"
+    assert 0.001 < sunk[330:600].mean() < 0.006
+    assert np.abs(sunk[-150:]).max() < 1e-3, "and not long after"
+
+
+def test_a_small_change_of_the_motion_is_forgotten() -> None:
+    motion = drawn(4, seconds=60.0)
+    changed = replace(motion, rotations=motion.rotations.copy())
+    turn = np.radians(8.0) * np.exp(-((np.arange(len(motion)) / motion.fps - 15.0) / 0.5) ** 2)
+    changed.rotations[:, FINGERED.index("Spine2")] = rotation.multiply(
+        np.stack([np.cos(turn / 2.0), 0.0 * turn, 0.0 * turn, np.sin(turn / 2.0)], axis=-1),
+        changed.rotations[:, FINGERED.index("Spine2")])
+    apart = np.linalg.norm(at(with_legs(motion, 4), "Hips") - at(with_legs(changed, 4), "Hips"), axis=-1)
+    assert apart.max() < 0.03 and apart[-600:].max() < 2e-4
 
 
 def test_weight_goes_to_where_the_drawn_hips_are_high() -> None:
@@ -198,7 +246,7 @@ def test_weight_goes_to_where_the_drawn_hips_are_high() -> None:
 def test_who_does_nothing_is_never_quite_still() -> None:
     hips = at(with_legs(still(seconds=30.0), 5), "Hips")
     speed = np.linalg.norm(np.diff(hips, axis=0), axis=-1) * 30.0
-    assert np.median(speed) > 0.003 and max(b - a for a, b in runs(speed < 1e-3)) < 30
+    assert np.median(speed) > 0.003 and max((b - a for a, b in runs(speed < 1e-3)), default=0) < 30
     assert np.ptp(hips[:, 1]) < 0.03
 
 
@@ -290,6 +338,22 @@ def test_pictures_draw_the_legs_that_are_there() -> None:
     assert len(seen(now, VIEWS["front"])) == len(seen(figure_points(motion, np.zeros(1)), VIEWS["front"])) + 1
     with pytest.raises(InputError, match="legs"):
         figure_points(still(seconds=1.0), np.zeros(1), legs=True)
+
+
+def test_legs_that_are_only_drawn_stand_as_ours_do() -> None:
+    from gesticulator.export.figure import legs
+
+    (part,) = legs()
+    left, right = part.limbs[:4], part.limbs[4:]
+    bends = []
+    for sign, (thigh, shin, sole, toes) in ((1.0, left), (-1.0, right)):
+        assert np.array_equal(thigh.end, shin.start) and np.array_equal(sole.end, toes.start)
+        bones = [limb.end[0] - limb.start[0] for limb in (thigh, shin)]
+        assert [np.linalg.norm(bone) for bone in bones] == pytest.approx([0.420, 0.405], abs=0.01)
+        bends.append(np.degrees(np.arccos(bones[0] @ bones[1] / np.linalg.norm(bones[0]) / np.linalg.norm(bones[1]))))
+        assert bones[0][2] > bones[1][2], "bent forward"
+        assert sign * (toes.end - toes.start)[0, 0] > 0.0 and toes.end[0, 1] == pytest.approx(BALL)
+    assert 15.0 < bends[0] < 24.0 and 3.0 < bends[1] < 15.0, "on the right leg"
 
 
 def test_the_probe_finds_what_it_should() -> None:

@@ -12,7 +12,8 @@ from data_module.errors import InputError
 from data_module.motion import bvh
 from eval.commands import DRAW
 from eval.pictures import strip_page
-from eval.pictures.strip_page import BEAT_CREDIT, page_times
+from eval.pictures.sources import BEAT_CREDIT
+from eval.pictures.strip_page import page_times
 from eval.pictures.strips import PAGE, Source, draw_page
 
 matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed")

@@ -71,12 +71,33 @@ def test_a_calmed_pantomime_stays_within_its_limits() -> None:
     lib = library(1)
     wild = RealTake("wild", "ann", "story", "none", 6.0 * moving(4.0, 1))
     out = takes.calmed(lib, wild, 0.5, 1.0)
-    for joints, degrees in ((HIPS, 6.0), (SPINE, 18.0), (SKULL, 34.0)):
+    for joints, degrees, least in ((HIPS, 7.0, 0.0), (SPINE, 16.0, 0.0), (SKULL, 30.0, 0.8)):
         bend = np.degrees(np.linalg.norm(out[:, list(joints)].sum(axis=1), axis=-1))
-        assert bend.max() <= degrees + 1e-6 and bend.max() > 0.8 * degrees
-    assert np.allclose(out[:, LEFT_ARM], 0.5 * wild.logs[:, LEFT_ARM])
+        assert bend.max() <= degrees + 1e-6 and bend.max() > least * degrees
+    chest = takes.facing_positions(lib.rotations(out))[:, SPINE[-1]]
+    assert 4.5 < 100 * FPS * np.linalg.norm(np.diff(chest, axis=0), axis=1).mean() < 6.5, "no one's chest rocks faster"
     # The elbow keeps nearly all of its bend: scaling it would straighten the arm.
     assert np.allclose(out[:, LEFT_ARM + 1], 0.925 * wild.logs[:, LEFT_ARM + 1])
+
+
+def test_a_calm_trunk_keeps_its_travel() -> None:
+    lib = library(1)
+    calm = RealTake("calm", "ann", "story", "none", 0.1 * moving(4.0, 1))
+    out = takes.calmed(lib, calm, 1.0, 1.0)
+    bends = [logs[:, list(SPINE), 0].sum(axis=1) for logs in (out, calm.logs)]
+    assert np.allclose(*bends, atol=0.02 * np.abs(bends[1]).max())
+    assert np.allclose(takes.calmed(lib, calm, 1.0, 0.5)[:, SPINE[0]], 0.5 * out[:, SPINE[0]])
+
+
+def test_a_calmed_upper_arm_swings_less_and_keeps_its_turn() -> None:
+    lib, swing, turn = library(1), np.array([0.0, -0.8, 0.3]), 0.6
+    logs = np.zeros((3, 16, 3))
+    whole = rotation.multiply(rotation.from_exponential_map(swing), rotation.from_exponential_map(np.eye(3)[0] * turn))
+    logs[:, LEFT_ARM] = rotation.to_exponential_map(whole)
+    out = takes.calmed(lib, RealTake("one", "ann", "story", "none", logs), 0.5, 1.0)[0, LEFT_ARM]
+    kept = rotation.from_exponential_map(np.eye(3)[0] * 0.925 * turn)
+    assert np.allclose(rotation.from_exponential_map(out),
+                       rotation.multiply(rotation.from_exponential_map(0.5 * swing), kept))
 
 
 def test_idling_and_hands_too_high_are_cut_out() -> None:

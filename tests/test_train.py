@@ -35,7 +35,8 @@ from gesticulator.training.stages.training import TrainOptions
 from gesticulator.training.stages.windows import Windows, sequences, with_silence
 
 SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter": 10, "interpreter_text": 10, "gate": 6,
-         "reward": 6, "reward_judge": 6, "q_network": 14, "advantage": 8, "generator": 12, "style": 8, "style_text": 8}
+         "planner": 6, "reward": 6, "reward_judge": 6, "q_network": 14, "advantage": 8, "generator": 12, "style": 8,
+         "style_text": 8}
 """Steps of every stage of a short run, in the order in which the stages are trained."""
 SCHEDULES = [STAGES[stage].schedule for stage in SIZES if not stage.endswith(("_text", "_judge"))]
 SHORT = [f"schedules.{STAGES[stage].schedule}.steps={steps}" for stage, steps in SIZES.items()
@@ -60,8 +61,8 @@ def test_every_stage_learned(work: Path) -> None:
     for stage, term in (("speech", "predictive"), ("contrast", "contrast"), ("lexicon", "reconstruction"),
                         ("generator", "val_reconstruction"), ("interpreter", "nll"),
                         ("interpreter_text", "nll"), ("style", "code"), ("style_text", "code"),
-                        ("gate", "activity"), ("reward", "contrast"), ("reward_judge", "contrast"),
-                        ("q_network", "conservative")):
+                        ("gate", "activity"), ("planner", "phase"), ("reward", "contrast"),
+                        ("reward_judge", "contrast"), ("q_network", "conservative")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
         rows = [json.loads(line) for line in log.read_text().splitlines()]
         values = [row[term] for row in rows if term in row]
@@ -119,7 +120,7 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
     monkeypatch.setattr(fitting._Learner, "step", one_step)
     training.train(short(), store, tmp_path / "broken", broken, QUIET)
     names = sorted(file.name for file in (tmp_path / "whole").glob("*.safetensors"))
-    assert len(names) == 11 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
+    assert len(names) == 12 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
     for name in names:
         a, b = (load_file(tmp_path / run / name) for run in ("whole", "broken"))
         assert a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a), name
@@ -127,7 +128,7 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
     assert set(whole) == set(SIZES) and whole == again
 
 
-HEARD = {"contrast", "interpreter", "interpreter_text", "gate", "generator", "style", "style_text", "reward",
+HEARD = {"contrast", "interpreter", "interpreter_text", "gate", "planner", "generator", "style", "style_text", "reward",
          "reward_judge", "q_network", "advantage"}
 """What follows the first stage of the speech encoder."""
 MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_text"}
@@ -151,7 +152,7 @@ def keys(store: Store, work: Path, *settings: str, speech: tuple[Path, ...] = ()
     ("selection.beta=2.0", set()),
     ("episodes.replace=0.3", {"q_network", "advantage"}),
     ("cql.width=18", {"q_network"}), ("schedules.cql.steps=31", {"q_network"}), ("selection.q_temperature=1.0", set()),
-    ("gate.width=17", {"gate"}),
+    ("gate.width=17", {"gate"}), ("planner.width=17", {"planner"}),
     ("interpreter.text_features=9", {"interpreter_text"}),
     ("style.text_features=9", {"style_text"}),
     ("schedules.contrast.steps=21", HEARD),
@@ -372,7 +373,7 @@ def test_where_a_run_stands_is_said_and_what_is_not_measured_is_not_guessed(
     (tmp_path / "times.json").write_text(json.dumps({"lexicon": 3.0, "gate": 0.5, "style": "soon", "cql": -1}))
     assert run.position(0) == "stage 1 of 3: lexicon, 200 steps, about 10 min; after it about 20 s, 1 stage not " \
                               "measured yet"
-    assert run.position(2) == "stage 3 of 3: style, 60 steps"
+    assert run.position(2) == "stage 3 of 3: style, 160 steps"
     # What is measured is the time that steps took, by a clock that is told.
     clock = iter(range(0, 1000, 8))
     monkeypatch.setattr(training, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))

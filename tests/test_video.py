@@ -18,6 +18,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion, Speech
 from eval.commands import DRAW
 from eval.pictures import video
+from eval.pictures.strips import Source
 from gesticulator.export import film
 from gesticulator.export.figure import figure_points
 
@@ -183,5 +184,52 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for told, says in ((["--out", "clip.gif"], "not a supported video format"), (["--start", "7"], "holds no frame")):
         with pytest.raises(SystemExit) as left:
             DRAW.main("gesticulator draw", ["video", *take, *told])
+        line = capsys.readouterr().err
+        assert left.value.code == 2 and line.count("\n") == 1 and says in line
+
+
+# ---------------------------------------------------------------- several side by side
+
+def _pane(pictures: Array, number: int) -> Array:
+    """[K, H, W, 3] one motion of a page, without the name above and the credits below."""
+    return pictures[:, video._NAME:video._NAME + SMALL[1], number * SMALL[0]:(number + 1) * SMALL[0]]
+
+
+def test_several_motions_stand_side_by_side_at_the_same_time(tmp_path: Path) -> None:
+    path = tmp_path / "page.mp4"
+    shown = [Source("still", _motion(2.0)), Source("raised", _motion(1.6, fps=15.0, raised={"Right": 0.9}), "by X")]
+    video.write_page(path, shown, _speech(3.0, click=1.1), start=0.4, pane=SMALL)
+    pictures, times, samples, _ = _decode(path)
+    # As long as the shortest lasts: from 0.4 to 1.6 s.
+    assert len(times) == 36 and pictures.shape[1:3] == (SMALL[1] + video._NAME + video._CREDIT, 2 * SMALL[0])
+    raised = _raised(_pane(pictures, 1), left_half=True)
+    assert raised[16:].all() and not raised[:13].any(), "from 0.9 s on, half a second into the film"
+    assert not _raised(_pane(pictures, 0), left_half=True).any()
+    assert np.abs(samples).argmax() / 48_000 == pytest.approx(1.1 - 0.4, abs=0.005)
+    # Each pane is what the motion alone would show; names and the credit are written beside them.
+    alone = next(film.pictures(figure_points(shown[0].motion, np.array([0.4]), fingers=True), SMALL))
+    assert np.abs(_pane(pictures, 0)[0] - np.array(alone).astype(int)).mean() < 2.5
+    paper = np.array(film.rgb(film.PAPER))
+    for band in (pictures[0, :video._NAME, :SMALL[0]], pictures[0, :video._NAME, SMALL[0]:],
+                 pictures[0, -video._CREDIT:]):
+        assert (np.abs(band - paper).max(-1) > 60).sum() > 20
+    with pytest.raises(InputError, match="holds no frame"):
+        video.write_page(path, shown, _speech(3.0), start=1.6)
+
+
+def test_the_command_films_several_systems(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("one", "two"):
+        bvh.write_bvh(tmp_path / f"{name}.bvh", _motion(1.0))
+    soundfile.write(tmp_path / "talk.wav", _speech(1.0).samples, RATE)
+    sound, out = ["--sound", str(tmp_path / "talk.wav")], ["--out", str(tmp_path / "film.webm")]
+    systems = [f"--system={name}={tmp_path / f'{name}.bvh'}" for name in ("one", "two")]
+    DRAW.main("gesticulator draw", ["video", *systems, *sound, *out, "--seconds", "0.2"])
+    assert capsys.readouterr().out.strip() == out[1]
+    assert _decode(tmp_path / "film.webm")[0].shape[1:3] == (video.PANE[1] + video._NAME, 2 * video.PANE[0])
+    for told, says in (([*systems, *sound], "--out: is missing"), ([*out, *sound], "has no motion"),
+                       ([*systems, *out], "has no sound"), ([str(tmp_path / "one.bvh")], "--sound: is missing"),
+                       ([str(tmp_path / "one.bvh"), *systems, *sound], "name it, too")):
+        with pytest.raises(SystemExit) as left:
+            DRAW.main("gesticulator draw", ["video", *told])
         line = capsys.readouterr().err
         assert left.value.code == 2 and line.count("\n") == 1 and says in line

@@ -30,7 +30,8 @@ from lexicon.movement import MovementLexicon
 SPEAKERS = ("ann", "bob")
 SILENT = (2, 5)
 PLAIN = ("front_end.name=mel", "text.encoder=", "interpreter.text_features=0", "interpreter.use_control=false",
-         "style.text_features=0", "generator.use_control=false", "schedules.gate.steps=0", "schedules.cql.steps=0")
+         "style.text_features=0", "generator.use_control=false", "schedules.gate.steps=0", "schedules.planner.steps=0",
+         "schedules.cql.steps=0")
 """Settings of a bundle without text, learned speech levels, gate, style editing and Q-network."""
 
 

@@ -26,7 +26,8 @@ class Options:
 
     seed, hours, preset, languages (empty: the default of the reader): for synthetic corpora. fps: frames per second of
     the motion files, if their header is wrong. unit: metres per unit of the motion files, if it cannot be guessed.
-    split, speaker: of a folder's recordings, see `data_module.corpora.folder`; empty for the default.
+    split, speaker: of a folder's recordings, see `data_module.corpora.folder`; empty for the default. links:
+    strength of the links between speech and motion that the performer plants by rule, 0 to 1.
     """
 
     seed: int = 1
@@ -37,6 +38,7 @@ class Options:
     languages: tuple[str, ...] = ()
     split: str = ""
     speaker: str = ""
+    links: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ import numpy as np
 from data_module.corpora.base import Item, Options, split_of
 from data_module.errors import InputError
 from data_module.files import read_text
+from data_module.motion.phases import truth_of_phases
 from data_module.performer import text, voices
 from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split
@@ -54,11 +55,20 @@ TEST_TAIL = 30.0
 """Seconds at the end of every other reading without word times (German) that are held out for test."""
 PERFORMERS_PER_READING = 3
 """Performances of each reading for training; with more, the 5 minutes of real voices would be memorised."""
+ADDED: dict[Split, dict[str, int]] = {"val": {"motion": 6, "talk": 8, "style": 3},
+                                      "test": {"motion": 18, "talk": 27, "style": 8}}
+"""Short recordings of each part for validation and test, added to those of the ordinary turns: with the readings, over
+60 test recordings of unseen texts, voices and takes. Corpora of less than `ADDED_HOURS` hours have fewer."""
+ADDED_HOURS = 4.0
+ADDED_LENGTH = (38.0, 48.0)
+"""Their length, seconds."""
 _TINY_SECONDS = 20.0
 _TINY_SPLITS: tuple[Split, ...] = ("train", "train", "train", "train", "val", "train", "train", "test", "test")
 _TINY_VOICES: dict[Split, tuple[str, ...]] = {"train": ("numpy_low",), "val": ("numpy_low",), "test": ("numpy_high",)}
 _FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
 """The index of the first recording of each part."""
+_ADDED = 10_000
+"""Five and six times this is added to that index for the recordings of `ADDED`."""
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
 _TEXT, _VOICE, _PLAY, _STYLE, _POOL = 0, 1, 2, 3, 4
 CREDITS = {
@@ -136,7 +146,8 @@ class Performer:
         if unknown:
             raise InputError(f"--languages {','.join(options.languages)}", f"no voice speaks {', '.join(unknown)}",
                              f"choose among {', '.join(voices.VOICES_OF)}")
-        used = {"speech": True, "readings": bool(self._stems), "strokes": True, "free_motion": self._moved,
+        used = {"speech": True, "readings": bool(self._stems), "strokes": True,
+                "free_motion": self._moved or (self._meant and (source / "free_motion" / "manifest.csv").is_file()),
                 "austen": any(stem.startswith("en_austen") for stem in self._stems)}
         self.licence = "; ".join(line for name, line in CREDITS.items() if used[name])
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
@@ -148,9 +159,11 @@ class Performer:
         code = _hash_of([*sorted(room.glob("*.py")), Path(__file__)], room.parent)
         settings: dict[str, Any] = {"preset": self._options.preset, "code": code}
         if self._source is not None:
-            files = [file for folder in ("strokes", "speech", "free_motion")
+            files = [file for folder in ("strokes", "speech", "free_motion", "meaning")
                      for file in sorted((self._source / folder).rglob("*"))]
             settings |= {"hours": self._options.hours, "source": _hash_of(files, self._source)}
+            if self._options.links != 1.0:
+                settings["links"] = self._options.links
         if self._options.languages:
             settings["languages"] = sorted(set(self._options.languages))
         return settings
@@ -181,29 +194,31 @@ class Performer:
         else:
             spoken = self._reading(item)
         manner = STEADY if item.info.part == "style" else draw_manner(rng)
-        staging = None if self._tiny else play.Staging(manner, self._segments(item.info.split), style)
+        staging = None
+        if not self._tiny:
+            staging = play.Staging(manner, self._segments(item.info.split), style, self._options.links)
         played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
                               staging)
         knots = zip(style.times.tolist(), style.values.tolist(), strict=True) if style is not styles.NEUTRAL else ()
         truth = Truth(played.strokes, spoken.syllables, spoken.phrases,
                       rests_of(spoken.phrases, spoken.speech.duration),
-                      tuple(StyleKnot(time, *values) for time, values in knots))
+                      tuple(StyleKnot(time, *values) for time, values in knots), truth_of_phases(played.motion))
         info = replace(item.info, language=spoken.language,
                        sources=tuple(sorted({stroke.clip.removesuffix("-mirrored") for stroke in played.strokes})))
         return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, truth, stands=True)
 
     def _speech_for_motion(self, item: Item) -> Recording:
-        from data_module.performer.talks import talk_for_motion
+        from data_module.performer.talks import TalkRequest, talk_for_motion
 
         script: MotionScript = item.content
         takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
         pool = self._pool(item.info.voice, item.info.split)
-        talk = talk_for_motion(item.info.name, self._library, takes, script.group, pool, script.seconds,
-                               self._rng(item.index, _PLAY))
+        request = TalkRequest(item.info.name, script.group, script.seconds, self._options.links)
+        talk = talk_for_motion(request, self._library, takes, pool, self._rng(item.index, _PLAY))
         spoken = talk.fitted.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
         joins = tuple(Mark(JOIN, time, time) for time in talk.edges[1:-1].tolist())
-        truth = Truth((), spoken.syllables, spoken.phrases, joins)
+        truth = Truth((), spoken.syllables, spoken.phrases, joins, phases=truth_of_phases(talk.motion))
         return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, truth, stands=True)
 
     def notes(self) -> Sequence[str]:
@@ -229,6 +244,11 @@ class Performer:
         there = self._source is not None and (self._source / "free_motion" / "manifest.csv").is_file()
         return there and (not self._options.languages or "en" in self._options.languages)
 
+    @property
+    def _meant(self) -> bool:
+        """Whether there are tables of gestures with a meaning."""
+        return self._source is not None and (self._source / "meaning").is_dir()
+
     def _rng(self, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self._options.seed, index, purpose])
 
@@ -239,10 +259,13 @@ class Performer:
 
             return procedural_strokes()
         from data_module.performer.borrowed import load_borrowed, with_borrowed
+        from data_module.performer.meant_strokes import with_meanings
         from data_module.performer.strokes import load_strokes
 
         strokes = load_strokes(self._source / "strokes")
-        return with_borrowed(strokes, *load_borrowed(self._source / "free_motion")) if self._moved else strokes
+        if self._moved:
+            strokes = with_borrowed(strokes, *load_borrowed(self._source / "free_motion"))
+        return with_meanings(strokes, self._source) if self._meant else strokes
 
     @functools.cached_property
     def _library(self) -> Any:
@@ -326,29 +349,38 @@ class Performer:
         mean = (SHORTEST_MOTION + LONGEST_MOTION) / 2
         items = []
         turns = dict.fromkeys(POOL, 0)
-        for place in range(max(1, round(self._options.hours * SHARES["motion"] * 3600 / mean))):
-            split = split_of(place)
+        count = max(1, round(self._options.hours * SHARES["motion"] * 3600 / mean))
+        for place, split, lengths in self._places("motion", count, (SHORTEST_MOTION, LONGEST_MOTION)):
             able = {take.group for take in self._takes if self._take_splits[take.name] == split}
             groups = [group for group in MOTION_GROUPS if group in able]
             group = groups[turns[split] % len(groups)]
             voice = MOTION_VOICES[split][turns[split] % len(MOTION_VOICES[split])]
             turns[split] += 1
             index = _FIRST["motion"] + place
-            seconds = float(self._rng(index, _TEXT).uniform(SHORTEST_MOTION, LONGEST_MOTION))
+            seconds = float(self._rng(index, _TEXT).uniform(*lengths))
             name = f"motion_{place:04d}_{group}"
             info = RecordingInfo(name, split, group, voice, "en", group=name, part="motion")
             items.append(Item(info, index, MotionScript(group, seconds), seconds))
         return items
 
+    def _places(self, part: str, count: int, lengths: tuple[float, float]
+                ) -> list[tuple[int, Split, tuple[float, float]]]:
+        """(place, split, range of the length in seconds) of `count` recordings of a part and of those of `ADDED`."""
+        places: list[tuple[int, Split, tuple[float, float]]] = [(k, split_of(k), lengths) for k in range(count)]
+        for number, (split, counts) in enumerate(ADDED.items()):
+            added = round(counts[part] * min(1.0, self._options.hours / ADDED_HOURS))
+            places += [((5 + number) * _ADDED + k, split, ADDED_LENGTH) for k in range(added)]
+        return places
+
     def _talks(self, part: str, used: dict[str, set[str]]) -> list[Item]:
         """Parts B and C with their texts; no sentence of `used` (by grammar, updated) is repeated."""
         mean = (SHORTEST + LONGEST) / 2
         wanted = self._options.hours * (SHARES[part] if self._moved else SHARES[part] / (1.0 - SHARES["motion"]))
-        count = len(_TINY_SPLITS) if self._tiny else max(1, round(wanted * 3600 / mean))
+        count = max(1, round(wanted * 3600 / mean))
         turns = dict.fromkeys(("train", "val", "test"), 0)
+        places = [(k, split, (_TINY_SECONDS, _TINY_SECONDS)) for k, split in enumerate(_TINY_SPLITS)]
         items = []
-        for place in range(count):
-            split = _TINY_SPLITS[place] if self._tiny else split_of(place)
+        for place, split, lengths in places if self._tiny else self._places(part, count, (SHORTEST, LONGEST)):
             turn = turns[split]
             turns[split] += 1
             performer = self._performers[turn % len(self._performers)]
@@ -357,7 +389,7 @@ class Performer:
             voice = choice[(turn + turn // len(self._performers)) % len(choice)]
             index = _FIRST[part] + place
             rng = self._rng(index, _TEXT)
-            seconds = _TINY_SECONDS if self._tiny else float(rng.uniform(SHORTEST, LONGEST))
+            seconds = _TINY_SECONDS if self._tiny else float(rng.uniform(*lengths))
             source = "test" if split == "test" else "train"
             language = voices.VOICES[voice].language
             script = Script(tuple(text.compose(rng, seconds, source, used[source], language)), part == "style")

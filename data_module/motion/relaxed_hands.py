@@ -1,8 +1,8 @@
-"""Synthetic fingers for motion recorded without: a relaxed hand that opens and closes with the motion of the arm.
+"""Synthetic fingers for motion recorded without: hand shapes that go with what the arm does.
 
-A hanging hand is half closed; a raised hand opens, more while it moves fast, and closes again as it comes to rest. The
-fingers follow one after the other, the little finger last and farthest. The result is a function of the arm's motion
-alone, so the same motion always gets the same fingers.
+Which shape is `hand_shapes`' to say. A fast hand opens, the fingers follow one after the other, the little finger last,
+and none is ever quite still. The result is a function of the arm's motion alone, so the same motion always gets the
+same fingers.
 """
 
 from __future__ import annotations
@@ -12,14 +12,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from data_module.motion import kinematics, rotation, skeletons
+from data_module.motion import hand_shapes, kinematics, rotation, skeletons
+from data_module.motion.hand_shapes import HandMotion
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERS
 from data_module.types import Array, Motion, Skeleton
 
-_CLOSED = {"Thumb": (10.0, 16.0, 18.0), "Index": (22.0, 30.0, 18.0), "Middle": (28.0, 36.0, 22.0),
-           "Ring": (29.0, 37.0, 22.0), "Pinky": (30.0, 35.0, 22.0)}
-"""Bend of the three joints of each finger of a hanging hand, from the palm on, degrees."""
-_LIFT_OPENS, _SPEED_OPENS = 0.45, 0.35
+_LIFT_OPENS, _SPEED_OPENS = 0.45, 0.22
 """Shares by which the bend is reduced in a raised hand and in a fast hand."""
 _LIFTED, _LIFT_WIDTH = 0.12, 0.05
 """Height over the hips at which a hand counts as half raised, and the scale of the transition, metres; a hanging hand
@@ -32,8 +30,10 @@ _LAG = 0.035
 """Lag of each finger behind the previous one, from the index finger on, seconds."""
 _SPREAD = {"Thumb": 0.0, "Index": 5.0, "Middle": 1.0, "Ring": -3.5, "Pinky": -8.0}
 """Sideways angle of the fingers of an open hand, towards the thumb, degrees."""
-_FIDGET, _FIDGET_SECONDS = 0.06, 5.3
-"""Amplitude of the fidget of a resting hand, as a share of the bend, and its period in seconds."""
+_FIDGET, _FIDGET_SECONDS = 1.6, 5.3
+"""Amplitude of the fidget of a resting hand's joints in degrees, and its period in seconds."""
+_ARM = 0.53
+"""Length of the character's arm to the wrist, metres."""
 _THUMB_GOAL = np.array([0.75, -0.55, -0.35])
 """Direction of the closed left thumb: along the palm and under it."""
 _UP = np.array([0.0, 1.0, 0.0])
@@ -49,9 +49,9 @@ def with_relaxed_hands(motion: Motion) -> Motion:
         names = [name for name in FINGER_JOINTS if name.startswith(side)]
         if all(name in motion.absent for name in names):
             out = out.copy() if not filled else out
-            opened = openness(motion, side)
+            shaped = _shaped(motion, side)
             for name in names:
-                out[:, motion.skeleton.index(name)] = _bent(motion.skeleton, name, opened, motion.fps)
+                out[:, motion.skeleton.index(name)] = _bent(motion.skeleton, name, shaped, motion.fps)
             filled += names
     if not filled:
         return motion
@@ -63,34 +63,52 @@ def with_relaxed_hands(motion: Motion) -> Motion:
 
 def openness(motion: Motion, side: str) -> Array:
     """[T] from 0 (a hanging hand) to `_LIFT_OPENS` + `_SPEED_OPENS` (a raised, fast hand)."""
-    arm = skeletons.resized(motion, skeletons.CHARACTER)
-    places = kinematics.positions_of(skeletons.facing(arm))
-    hand = places[:, arm.skeleton.index(side + "Hand")]
-    if len(hand) < 2:
-        speed = np.zeros(len(hand))
-    else:
-        speed = np.linalg.norm(np.gradient(hand, 1.0 / motion.fps, axis=0), axis=-1)
-    width = _SMOOTH * motion.fps
-    speed = gaussian_filter1d(speed, width, mode="nearest")
-    height = gaussian_filter1d(hand[:, 1], width, mode="nearest")
-    lifted = 1.0 / (1.0 + np.exp(-(height - _LIFTED) / _LIFT_WIDTH))
-    return _LIFT_OPENS * lifted + _SPEED_OPENS * np.tanh(speed / _FAST)
+    hand = hand_motion(motion, side)
+    return _LIFT_OPENS * hand.lifted + _SPEED_OPENS * np.tanh(hand.speed / _FAST)
 
 
-def _bent(skeleton: Skeleton, name: str, opened: Array, fps: float) -> Array:
-    """[T, 4] the local rotations of a finger joint for the openness [T]."""
+def hand_motion(motion: Motion, side: str) -> HandMotion:
+    """What a hand of a motion of the character does, smoothed."""
+    arm = skeletons.facing(skeletons.resized(motion, skeletons.CHARACTER))
+    places = kinematics.positions_of(arm)
+    hand, shoulder = (places[:, arm.skeleton.index(side + name)] for name in ("Hand", "Arm"))
+    world = kinematics.global_rotations(arm.skeleton, arm.rotations)[:, arm.skeleton.index(side + "Hand")]
+    velocity = np.gradient(hand, 1.0 / motion.fps, axis=0) if len(hand) > 1 else np.zeros_like(hand)
+
+    def smooth(values: Array) -> Array:
+        return gaussian_filter1d(values, _SMOOTH * motion.fps, mode="nearest")
+
+    lifted = 1.0 / (1.0 + np.exp(-(smooth(hand[:, 1]) - _LIFTED) / _LIFT_WIDTH))
+    stretched = np.linalg.norm(hand - shoulder, axis=-1) / _ARM
+    return HandMotion(lifted, smooth(np.linalg.norm(velocity, axis=-1)), smooth(-velocity[:, 1]),
+                      smooth(-rotation.rotate(world, _UP)[:, 1]), smooth(stretched),
+                      smooth(hand[:, 0] * (1.0 if side == "Left" else -1.0)))
+
+
+def _shaped(motion: Motion, side: str) -> Array:
+    """[T, 5, 4] of each finger the bend of its joints in degrees, and how far it is spread (1 in an open hand)."""
+    hand = hand_motion(motion, side)
+    weights = hand_shapes.mixture(hand, np.arange(len(motion)) / motion.fps, side)
+    bends = np.einsum("tk,kfj->tfj", weights, np.stack(list(hand_shapes.SHAPES.values())))
+    spread = weights @ np.array(list(hand_shapes.SPREAD.values()))
+    bends[:, 1:] *= (1.0 - _SPEED_OPENS * np.tanh(hand.speed / _FAST))[:, None, None]
+    return np.concatenate([bends, np.repeat(spread[:, None, None], len(FINGERS), axis=1)], axis=2)
+
+
+def _bent(skeleton: Skeleton, name: str, shaped: Array, fps: float) -> Array:
+    """[T, 4] the local rotations of a finger joint of a hand whose fingers are shaped [T, 5, 4]."""
     side, finger, place = name[:name.index("Hand")], name[name.index("Hand") + 4:-1], int(name[-1]) - 1
     rank = FINGERS.index(finger)
-    times = np.arange(len(opened)) / fps
-    late = np.interp(times - _LAG * max(rank - 1, 0), times, opened)
+    times = np.arange(len(shaped)) / fps
+    own, spread = (np.interp(times - _LAG * max(rank - 1, 0), times, shaped[:, rank, k]) for k in (place, 3))
     # The periods of the fingers have no common multiple within minutes, and the hands are out of phase.
     phase = 2.0 * np.pi * (times / (_FIDGET_SECONDS * (1.0 + 0.13 * rank)) + 0.21 * rank + 0.37 * (side == "Left"))
-    bend = np.radians(_CLOSED[finger][place]) * (1.0 - late + _FIDGET * np.sin(phase))
+    bend = np.radians(own + _FIDGET * np.sin(phase))
     turn = bend[:, None] * _axis(skeleton, side, finger)
     if place == 0:
         # About the upward axis the fingers of the left hand turn towards the thumb by a negative angle.
         way = -1.0 if side == "Left" else 1.0
-        turn = turn + (way * np.radians(_SPREAD[finger]) * (0.3 + late))[:, None] * _UP
+        turn = turn + (way * np.radians(_SPREAD[finger]) * spread)[:, None] * _UP
     return rotation.from_exponential_map(turn)
 
 

@@ -98,16 +98,16 @@ def _under(limit: Array, fps: float) -> Array:
     return gaussian_filter1d(least, _DIP_WIDTH * fps, mode="nearest", radius=half)
 
 
-def bent_leg(way: Array, toes: Array, lengths: tuple[float, float]) -> tuple[Array, Array]:
-    """World rotations [T, 4] of thigh and shin, for bones that hang at rest (-Y): inverse kinematics of two bones.
+def bent_leg(way: Array, toes: Array, lengths: tuple[float | Array, float | Array]) -> tuple[Array, Array]:
+    """World rotations [..., 4] of thigh and shin, for bones that hang at rest (-Y): inverse kinematics of two bones.
 
     By the law of cosines the knee lies (a^2 + d^2 - b^2) / 2d along the line of length d from hip to ankle, offset in
-    the direction of the toes. way: [T, 3] from the hip socket to the ankle; toes: [3] or [T, 3] the direction of the
-    knee, not parallel to the way; lengths: a and b, metres of thigh and shin. A way longer than both bones stretches
-    the leg.
+    the direction of the toes. way: [..., 3] from the hip socket to the ankle; toes: [3] or [..., 3] the direction of
+    the knee, not parallel to the way; lengths: a and b, metres of thigh and shin, each one number or [..., 1]. A way
+    longer than both bones stretches the leg.
     """
     thigh, shin = lengths
-    length = np.clip(np.linalg.norm(way, axis=-1, keepdims=True), abs(thigh - shin) + 1e-6, thigh + shin - 1e-6)
+    length = np.clip(np.linalg.norm(way, axis=-1, keepdims=True), np.abs(thigh - shin) + 1e-6, thigh + shin - 1e-6)
     along = way / np.linalg.norm(way, axis=-1, keepdims=True)
     ahead = toes - np.sum(along * toes, axis=-1, keepdims=True) * along
     ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
@@ -118,7 +118,7 @@ def bent_leg(way: Array, toes: Array, lengths: tuple[float, float]) -> tuple[Arr
 
 
 def _hung(bone: Array, hinge: Array) -> Array:
-    """[T, 4] the rotations of a bone that hangs at rest (-Y) with knee axis X, from its direction and the knee axis."""
+    """[..., 4] the rotations of a bone that hangs at rest (-Y) with knee axis X, from its direction and that axis."""
     up = -bone / np.linalg.norm(bone, axis=-1, keepdims=True)
     frames = np.stack([hinge, up, np.cross(hinge, up)], axis=-1)
-    return Rotation.from_matrix(frames).as_quat(scalar_first=True)
+    return Rotation.from_matrix(frames.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(*frames.shape[:-2], 4)

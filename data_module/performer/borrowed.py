@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from data_module.errors import InputError
 from data_module.performer.clips import read_clips
+from data_module.performer.lending import lent
 from data_module.performer.strokes import PerformerBody, Stroke, StrokeSet, held_out_keys, speaker_strokes
 
 LENDER = "pn"
@@ -41,24 +40,16 @@ def load_borrowed(folder: str | Path) -> tuple[PerformerBody, tuple[Stroke, ...]
     return figure, tuple(replace(stroke, held_out=(LENDER, stroke.base) in held_out) for stroke in strokes)
 
 
-def with_borrowed(strokes: StrokeSet, lender: PerformerBody, lent: Sequence[Stroke]) -> StrokeSet:
-    """Add a lender's strokes for every performer: the arms' log rotations on joints of the same name. Joints that the
-    lender lacks and the trunk stay at rest. A lexeme takes the first of its names that the performer knows."""
-    lent_names = [lender.skeleton.names[j] for j in lender.arms[0]]
+def with_borrowed(strokes: StrokeSet, lender: PerformerBody, borrowed: Sequence[Stroke]) -> StrokeSet:
+    """Add a lender's strokes for every performer, as `lending.lent`. A lexeme takes the first of its names that the
+    performer knows."""
     out = list(strokes.strokes)
     for performer in strokes.performers:
-        figure = strokes.figures[performer]
-        names = [figure.skeleton.names[j] for j in figure.arms[0]]
         known = {stroke.lexeme for stroke in strokes.of(performer, "test")}
-        for stroke in lent:
-            arms = np.zeros((2, stroke.arms.shape[1], len(names), 3))
-            for place, name in enumerate(names):
-                if name in lent_names:
-                    arms[:, :, place] = stroke.arms[:, :, lent_names.index(name)]
+        for stroke in borrowed:
             # A mirror image has its own lexeme already ("YouLeft" becomes "YouRight").
             wanted = [stroke.lexeme, *lexemes_of_clip(stroke.base)[1:]]
             usual = "BeatMid" if "BeatMid" in known else stroke.lexeme
             lexeme = next((name for name in wanted if name in known), usual)
-            trunk = np.zeros((stroke.trunk.shape[0], len(figure.trunk), 3))
-            out.append(replace(stroke, speaker=performer, arms=arms, trunk=trunk, lexeme=lexeme, _splines={}))
+            out.append(replace(lent(stroke, lender, strokes.figures[performer]), lexeme=lexeme))
     return StrokeSet(tuple(out), strokes.figures)

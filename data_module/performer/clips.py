@@ -17,37 +17,46 @@ def read_clips(folder: str | Path, columns: Set[str]) -> list[tuple[str, dict[st
     """The rows of `manifest.csv` in a folder, each with its place ("FILE, line N") and at least these columns. The
     column "file" names a clip in the folder; "emphasis", if requested, holds seconds or nothing. InputError names the
     line of a short row, of a clip outside the folder, or of an emphasis that is not a time."""
-    manifest = Path(folder) / "manifest.csv"
-    if not manifest.is_file():
-        raise InputError(manifest, "does not exist", "give the folder that holds manifest.csv")
-    rows = read_table(manifest, _ADVICE)
+    rows = complete_rows(Path(folder) / "manifest.csv", columns)
+    for where, row in rows:
+        check_file(where, row["file"])
+        if "emphasis" in columns:
+            check_time(where, row["emphasis"], "emphasis")
+    return rows
+
+
+def complete_rows(file: Path, columns: Set[str]) -> list[tuple[str, dict[str, str]]]:
+    """The rows of a CSV file, each with its place ("FILE, line N") and at least these columns. InputError for a file
+    that is missing or lacks a column, and for a short row."""
+    if not file.is_file():
+        raise InputError(file, "does not exist", f"give the folder that holds {file.name}")
+    rows = read_table(file, _ADVICE)
     lacking = sorted(columns - set(rows[0][1] if rows else ()))
     if lacking:
-        raise InputError(manifest, f"lacks columns {', '.join(lacking)}", _ADVICE)
+        raise InputError(file, f"lacks columns {', '.join(lacking)}", _ADVICE)
     checked = []
     for line, cells in rows:
-        where = f"{manifest}, line {line}"
+        where = f"{file}, line {line}"
         row = {name: cell for name, cell in cells.items() if isinstance(cell, str)}
         if not set(row) >= columns:
             raise InputError(where, "has too few columns", _ADVICE)
-        _check_file(where, row["file"])
-        if "emphasis" in columns:
-            _check_emphasis(where, row["emphasis"])
         checked.append((where, row))
     return checked
 
 
-def _check_file(where: str, name: str) -> None:
+def check_file(where: str, name: str) -> None:
+    """InputError if a name is not that of a file in a folder or below it."""
     file = PurePosixPath(name.replace("\\", "/"))
     if file.is_absolute() or ".." in file.parts or not file.name or ":" in file.parts[0] \
             or not str(file).isprintable():
         raise InputError(where, f"names {shown(name)!r}, which is not a file in this folder", _ADVICE)
 
 
-def _check_emphasis(where: str, cell: str) -> None:
+def check_time(where: str, cell: str, what: str) -> None:
+    """InputError if a cell, the time of `what`, is neither empty nor a number of seconds."""
     try:
         seconds = float(cell or "nan")
     except ValueError:
         seconds = -1.0
     if cell and not 0 <= seconds <= _LONGEST:
-        raise InputError(where, f"has {shown(cell)!r} as the time of its emphasis, seconds", _ADVICE)
+        raise InputError(where, f"has {shown(cell)!r} as the time of its {what}, seconds", _ADVICE)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from data_module.performer.meaning_sentences import MEANING_SENTENCES
+
 
 @dataclass(frozen=True)
 class Topic:
@@ -356,10 +358,10 @@ OPENERS = ("well,", "um ...", "so,", "now,", "you know,", "well ...", "and", "um
 TEST_OPENERS = ("hm ...", "right,", "see,", "er ...", "then,")
 
 
-def _templates(held_out: bool) -> dict[str, tuple[str, ...]]:
+def _templates(lines: str, held_out: bool) -> dict[str, tuple[str, ...]]:
     kinds: dict[str, list[str]] = {}
     kind = ""
-    for line in _KINDS.strip().splitlines():
+    for line in lines.strip().splitlines():
         if not line.startswith(" "):
             kind = line
             kinds[kind] = []
@@ -368,5 +370,16 @@ def _templates(held_out: bool) -> dict[str, tuple[str, ...]]:
     return {kind: tuple(lines) for kind, lines in kinds.items()}
 
 
-TRAIN_TEMPLATES = _templates(held_out=False)
-TEST_TEMPLATES = _templates(held_out=True)
+TRAIN_TEMPLATES = _templates(_KINDS, held_out=False)
+TEST_TEMPLATES = _templates(_KINDS, held_out=True)
+TRAIN_MEANINGS = _templates(MEANING_SENTENCES, held_out=False)
+TEST_MEANINGS = _templates(MEANING_SENTENCES, held_out=True)
+"""Templates whose words call for a gesture with a meaning, by its label."""
+_COMMON = frozenset({"point_self", "point_you", "we_all", "point_there"})
+"""Labels whose cues occur in the other sentences, too."""
+_RARE = frozenset({"add_beside", "box_frame", "cheer_arms", "chin_think", "clap", "nod", "palms_question", "receive",
+                   "throw_away", "usher", "wave_hello"})
+"""Labels whose cues hardly occur elsewhere, or weigh little."""
+MEANING_KINDS = tuple(label for label in TRAIN_MEANINGS
+                      for _ in range(2 if label in _COMMON else 9 if label in _RARE else 5))
+"""The labels to draw a sentence's from, each as often as it needs to be."""

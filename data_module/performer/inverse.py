@@ -52,10 +52,11 @@ _LEAST_WINDOW = 0.6
 _MOVED_SHARE, _MOVED = 0.28, (0.35, 0.9)
 """Share of the pauses that are moved off their rest, because real speakers pause while moving too, and the seconds by
 which they are moved."""
-_EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.65, 0.45
-"""Effort = .65 tanh(.55 (local + global energy)) + .45 noise; energy is the z-score of the phrase's mean log speed."""
-_BESIDE = 0.5
-"""dB of loudness per unit of local log speed."""
+_EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.3, 0.6
+"""Effort = .3 links tanh(.55 (local + global energy)) + .6 noise; energy is the z-score of the phrase's mean log speed.
+Size goes with effort mildly: two of three real speakers show no correlation of loudness with hand speed."""
+_BESIDE = 0.25
+"""dB of loudness per unit of local log speed, at full strength of the links."""
 
 
 @dataclass(frozen=True)
@@ -111,10 +112,12 @@ class FittedSpeech:
 
 @dataclass(frozen=True)
 class Energy:
-    """Mean and standard deviation of mean log speed over the takes, for the global part of effort."""
+    """Mean and standard deviation of mean log speed over the takes, for the global part of effort; links: how strongly
+    energy is heard in the voice (0 not at all, 1 fully)."""
 
     mean: float
     spread: float
+    links: float = 1.0
 
 
 def log_speed(speed: Array) -> Array:
@@ -149,7 +152,7 @@ def speech_for(name: str, places: Array, pool: Pool, energy: Energy, movements: 
         match, sounded = _spoken_again(pool, best, effort, wanted, rng)
         laid.append((match, sounded, effort))
         matched += match.beats
-    spoken = _laid_out(name, pool, laid, log_speed(speed), rng)
+    spoken = _laid_out(name, pool, laid, (log_speed(speed), energy.links), rng)
     rates = np.concatenate([_rates(match) for match, _, _ in laid]) if laid else np.zeros((0, 2))
     return FittedSpeech(spoken, matched, len(beats), empty, rates)
 
@@ -216,7 +219,8 @@ def _efforts(level: Array, windows: Sequence[Window], energy: Energy, rng: np.ra
                       for w in windows])
     local = (means - means.mean()) / (means.std() + 1e-6)
     whole = (means - energy.mean) / energy.spread
-    effort = _EFFORT_OF_ENERGY * np.tanh(0.55 * (local + whole)) + rng.normal(0.0, _EFFORT_NOISE, len(means))
+    effort = energy.links * _EFFORT_OF_ENERGY * np.tanh(0.55 * (local + whole))
+    effort = effort + rng.normal(0.0, _EFFORT_NOISE, len(means))
     return np.clip(effort, -1.0, 1.0).tolist()
 
 
@@ -356,9 +360,11 @@ def _rates(match: Match) -> Array:
     return np.stack([steps[:, 0] / steps[:, 1], steps[:, 1]], axis=1)
 
 
-def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]], level: Array,
+def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]], heard: tuple[Array, float],
               rng: np.random.Generator) -> Spoken:
-    """Place the phrases in time at the loudness of their effort, record them and measure the syllables."""
+    """Place the phrases in time at the loudness of their effort, record them and measure the syllables. heard: log
+    speed [T] of the motion, and how strongly it is heard beside the effort."""
+    level, links = heard
     count = round(len(level) / FPS * RATE)
     dry, active = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=bool)
     near = (level - level.mean()) / (level.std() + 1e-6)
@@ -374,7 +380,7 @@ def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]
         if not len(samples):
             continue
         times = (first + np.arange(len(samples))) / RATE
-        local = _BESIDE * np.tanh(np.interp(times, np.arange(len(near)) / FPS, near))
+        local = links * _BESIDE * np.tanh(np.interp(times, np.arange(len(near)) / FPS, near))
         gain = 0.1 / pool.level * decibels(voices.LOUDER * effort) * 10.0 ** (local / 20.0)
         dry[first:first + len(samples)] += samples * gain.astype(np.float32)
         active[first:first + len(samples)] = True

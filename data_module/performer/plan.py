@@ -6,12 +6,13 @@ follow the loudness of the syllable and the effort of its phrase, so that they a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from data_module.performer import meaning
+from data_module.performer.cues import Asked
 from data_module.performer.hands import Manner, PhraseHands, hands_of_phrases, unevenness, weights_at
 from data_module.performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
 from data_module.performer.styles import NEUTRAL, StyleTrack
@@ -25,7 +26,7 @@ BRAKE = 0.789
 """Share of the length of a minimum-jerk movement at which it decelerates hardest."""
 _MIN_GAP = 0.5
 """Least seconds between the beats of two strokes."""
-_MIN_PREPARATION = 0.3
+_MIN_PREPARATION = 0.42
 """Least seconds from the start of a stroke to its beat; with less room the stroke is not played."""
 _AFTER_BEAT = 0.12
 """Seconds after a beat in which its arm takes no new stroke, because it is still decelerating."""
@@ -52,7 +53,8 @@ class Habits:
     meaning: probability that a meaningful word takes its stroke; eagerness: offset on the prominence at which a
     syllable takes a beat; hands: weights of left, right, both; looseness: standard deviation of the beat about the
     syllable, seconds; speed and gain: relative to the recorded clips; sway: yaw of the torso, degrees; nod: size of a
-    nod, degrees; hanging: probability that one arm hangs through a phrase.
+    nod, degrees; hanging: probability that one arm hangs through a phrase; links: strength of what ties the motion to
+    the sound beyond the times of the strokes (0 none, 1 full): size to effort, chest to pitch.
     """
 
     meaning: float = 0.65
@@ -64,20 +66,21 @@ class Habits:
     sway: float = 7.0
     nod: float = 3.0
     hanging: float = 0.25
+    links: float = 1.0
 
 
 HABITS: dict[str, Habits] = {
-    "brad": Habits(0.60, 0.7, (1.1, 0.7, 1.2), 0.050, 1.26, 1.05, 7.5, 2.6, 0.20),
-    "brad2": Habits(0.70, 0.6, (1.2, 0.6, 1.4), 0.047, 1.30, 1.05, 8.5, 3.2, 0.12),
-    "connor": Habits(0.65, 0.3, (0.6, 1.2, 1.2), 0.053, 1.26, 1.02, 7.0, 2.2, 0.20),
-    "garza": Habits(0.75, 0.5, (0.7, 1.1, 1.5), 0.049, 1.32, 1.04, 9.0, 3.8, 0.15),
+    "brad": Habits(0.60, 0.7, (1.1, 0.7, 1.2), 0.050, 1.02, 1.05, 7.5, 2.6, 0.20),
+    "brad2": Habits(0.70, 0.6, (1.2, 0.6, 1.4), 0.047, 1.05, 1.05, 8.5, 3.2, 0.12),
+    "connor": Habits(0.65, 0.3, (0.6, 1.2, 1.2), 0.053, 1.02, 1.02, 7.0, 2.2, 0.20),
+    "garza": Habits(0.75, 0.5, (0.7, 1.1, 1.5), 0.049, 1.06, 1.04, 9.0, 3.8, 0.15),
 }
 
 
 @dataclass(frozen=True)
 class Planned:
     """A stroke placed in time, seconds of the performance. gain: factor on the excursion; lag, uneven: delay in seconds
-    and factor on the gain of the left and the right hand."""
+    and factor on the gain of the left and the right hand. meaning, word: as in `PlayedStroke`."""
 
     stroke: Stroke
     start: float
@@ -88,16 +91,20 @@ class Planned:
     gain: float
     lag: tuple[float, float] = (0.0, 0.0)
     uneven: tuple[float, float] = (1.0, 1.0)
+    meaning: str = ""
+    word: int = -1
 
 
 @dataclass(frozen=True)
 class _Wish:
-    """A syllable that should have a stroke: its candidate lexemes, the time of the beat, and the vigour."""
+    """A syllable that should have a stroke: its candidate lexemes, the time of the beat, the vigour, and the label of
+    the meaning that its word asks for ("" for none)."""
 
     at: Syllable
     beat: float
     lexemes: tuple[str, ...]
     drive: float
+    label: str = ""
 
 
 def habits_of(performer: str) -> Habits:
@@ -122,9 +129,9 @@ def rests_of(phrases: Sequence[Phrase], duration: float) -> tuple[Mark, ...]:
     return tuple(Mark(REST, end, start) for end, start in zip(ends, starts, strict=True) if start - end >= REST_PAUSE)
 
 
-def drives(spoken: Spoken) -> Array:
-    """The vigour of each syllable, [syllables], -1 to 1: half the effort of its phrase, half its loudness (averaged
-    with the phrase's; 6 dB give about 0.75), so that it can be predicted from the sound."""
+def drives(spoken: Spoken, links: float = 1.0) -> Array:
+    """The vigour of each syllable, [syllables], -1 to 1, times `links` (`Habits`): half the effort of its phrase, half
+    its loudness (averaged with the phrase's; 6 dB give about 0.75), so that it can be predicted from the sound."""
     loud = np.array([s.loudness for s in spoken.syllables])
     starts = np.array([s.vowel for s in spoken.syllables])
     out = np.zeros(len(loud))
@@ -133,22 +140,31 @@ def drives(spoken: Spoken) -> Array:
         if inside.any():
             level = 0.5 * loud[inside] + 0.5 * loud[inside].mean()
             out[inside] = 0.5 * np.clip(phrase.effort, -1.0, 1.0) + 0.5 * np.tanh(level / 6.0)
-    return np.clip(out, -1.0, 1.0)
+    return links * np.clip(out, -1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Casting:
-    """The manner of a talk, the hands that play each of its phrases, and its style."""
+    """The manner of a talk, the hands that play each of its phrases, its style, and the strength of its links to the
+    sound (`Habits.links`)."""
 
     manner: Manner
     hands: tuple[PhraseHands, ...]
     style: StyleTrack = NEUTRAL
+    links: float = 1.0
+
+    def habits_of(self, performer: str) -> Habits:
+        habits = habits_of(performer)
+        return replace(habits, eagerness=habits.eagerness + self.manner.eagerness, links=self.links,
+                       meaning=habits.meaning * self.links)
 
 
-def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng: np.random.Generator) -> Casting:
+def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng: np.random.Generator,
+         links: float = 1.0) -> Casting:
     habits = habits_of(performer)
     preferred = RIGHT if habits.hands[RIGHT] >= habits.hands[LEFT] else LEFT
-    return Casting(manner, hands_of_phrases(spoken.phrases, manner, preferred, rng), style)
+    hands = hands_of_phrases(spoken.phrases, manner, preferred, rng)
+    return Casting(manner, hands, StyleTrack(style.times, links * style.values), links)
 
 
 def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator, split: str = "train",
@@ -156,11 +172,12 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Gene
     """The strokes that `performer` plays on `spoken`, in order of their beats, without overlap on one arm. Held-out
     strokes are used in the split "test" only. InputError for an unknown performer."""
     usable = strokes.of(performer, split)
-    habits = habits_of(performer)
-    if casting is not None:
-        habits = replace(habits, eagerness=habits.eagerness + casting.manner.eagerness)
+    habits = casting.habits_of(performer) if casting else habits_of(performer)
     style = casting.style if casting else NEUTRAL
-    wishes = _wishes(spoken, habits, {stroke.lexeme for stroke in usable}, style, rng)
+    known = {stroke.lexeme for stroke in usable}
+    asked = strokes.cues.asked(_texts(spoken), spoken.language) if strokes.cues else {}
+    labels = _labels(spoken, habits, asked, {stroke.meaning for stroke in usable}, rng)
+    wishes = _wishes(spoken, habits, known, (style, labels, set(asked)), rng)
     chosen: list[Planned] = []
     recent: list[str] = []
     last_hand = ""
@@ -172,7 +189,8 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Gene
         placed = _place(stroke, wish, habits, busy, casting, rng) if stroke else None
         if stroke is None or placed is None:
             continue
-        chosen.append(placed)
+        chosen.append(replace(placed, meaning=stroke.meaning if stroke.meaning == wish.label else "",
+                              word=wish.at.word, gain=1.0 if stroke.faithful else placed.gain))
         recent = [*recent, stroke.base][-_RECENT:]
         last_hand = stroke.hand
         for side in stroke.sides:
@@ -186,16 +204,18 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Gene
     return _held_through(uneven, spoken.phrases)
 
 
-def _wishes(spoken: Spoken, habits: Habits, known: set[str], style: StyleTrack,
-            rng: np.random.Generator) -> list[_Wish]:
+def _wishes(spoken: Spoken, habits: Habits, known: set[str],
+            given: tuple[StyleTrack, Mapping[int, str], set[int]], rng: np.random.Generator) -> list[_Wish]:
+    """The syllables with strokes. given: the style, the labels of meanings by syllable, and the words with a cue."""
+    style, labels, cued = given
     syllables = spoken.syllables
     if not syllables:
         return []
-    strength = drives(spoken)
+    strength = drives(spoken, habits.links)
     loose = np.clip(rng.normal(-0.010, habits.looseness, len(syllables)), -0.13, 0.11)
-    taken: dict[int, tuple[str, ...]] = {}
+    taken: dict[int, tuple[str, ...]] = dict.fromkeys(labels, ())
     if spoken.language == "en":
-        taken = _meaningful(spoken, habits, known, rng)
+        taken |= _meaningful(spoken, habits, known, (set(taken), cued), rng)
     times = np.array([s.vowel for s in syllables])
     tempo = style.at(times)[:, 1]
     eager = habits.eagerness + _EAGER_OF_TEMPO * tempo
@@ -208,38 +228,67 @@ def _wishes(spoken: Spoken, habits: Habits, known: set[str], style: StyleTrack,
             level = meaning.beat_level(syllable.prominence + 0.5 * strength[i] + moods[i])
             taken[i] = tuple(name for name in meaning.BEATS[level] if name in known) or tuple(
                 name for names in meaning.BEATS.values() for name in names if name in known)
-    wishes = [_Wish(syllables[i], float(times[i] + loose[i]), taken[i], float(strength[i])) for i in sorted(taken)]
+    wishes = [_Wish(syllables[i], float(times[i] + loose[i]), taken[i], float(strength[i]), labels.get(i, ""))
+              for i in sorted(taken)]
     return [wish for before, wish in zip([None, *wishes], wishes, strict=False)
             if before is None or wish.at.vowel - before.at.vowel >= _MIN_GAP - 1e-9]
 
 
-def _meaningful(spoken: Spoken, habits: Habits, known: set[str],
-                rng: np.random.Generator) -> dict[int, tuple[str, ...]]:
-    texts = [word.text for word in spoken.speech.words or ()]
+def _texts(spoken: Spoken) -> list[str]:
+    return [word.text for word in spoken.speech.words or ()]
+
+
+def _strongest(spoken: Spoken) -> dict[int, int]:
+    """Index of each word that is known -> index of its most prominent syllable."""
     strongest: dict[int, int] = {}
     for i, syllable in enumerate(spoken.syllables):
         best = strongest.get(syllable.word)
-        if 0 <= syllable.word < len(texts) and (
+        if 0 <= syllable.word < len(spoken.speech.words or ()) and (
                 best is None or syllable.prominence > spoken.syllables[best].prominence):
             strongest[syllable.word] = i
-    out: dict[int, tuple[str, ...]] = {}
-    last = -np.inf
-    for word in sorted(strongest):
-        lexemes, strength = meaning.lexemes_of(texts, word)
-        lexemes = tuple(name for name in lexemes if name in known)
+    return strongest
+
+
+def _labels(spoken: Spoken, habits: Habits, asked: Mapping[int, Asked], known: set[str],
+            rng: np.random.Generator) -> dict[int, str]:
+    """The syllables that play a meaning, with its label. Of cues too near to each other the weightiest is played."""
+    strongest = _strongest(spoken)
+    out: dict[int, str] = {}
+    for word in sorted(set(asked) & set(strongest), key=lambda word: (-asked[word].weight, word)):
+        chances = {label: chance for label, chance in asked[word].labels.items() if label in known}
         i = strongest[word]
-        if lexemes and rng.random() < habits.meaning * strength and spoken.syllables[i].vowel - last >= _MIN_GAP + 0.1:
+        near = min((abs(spoken.syllables[i].vowel - spoken.syllables[j].vowel) for j in out), default=np.inf)
+        if chances and rng.random() < habits.meaning * asked[word].weight and near >= _MIN_GAP + 0.1:
+            weights = np.array(list(chances.values()))
+            out[i] = list(chances)[int(rng.choice(len(chances), p=weights / weights.sum()))]
+    return out
+
+
+def _meaningful(spoken: Spoken, habits: Habits, known: set[str], settled: tuple[set[int], set[int]],
+                rng: np.random.Generator) -> dict[int, tuple[str, ...]]:
+    """The lexemes that other words ask for. settled: the syllables that have a stroke, and the words with a cue."""
+    texts, (taken, cued) = _texts(spoken), settled
+    out: dict[int, tuple[str, ...]] = {}
+    times = [spoken.syllables[i].vowel for i in taken]
+    for word, i in sorted(_strongest(spoken).items()):
+        lexemes, strength = meaning.lexemes_of(texts, word)
+        lexemes = tuple(name for name in lexemes if name in known and word not in cued)
+        at = spoken.syllables[i].vowel
+        near = min((abs(at - time) for time in times), default=np.inf)
+        if lexemes and rng.random() < habits.meaning * strength and near >= _MIN_GAP + 0.1:
             out[i] = lexemes
-            last = spoken.syllables[i].vowel
+            times.append(at)
     return out
 
 
 def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Sequence[str], last_hand: str,
             rng: np.random.Generator) -> Stroke | None:
     """Draw a stroke of the wanted lexemes; earlier names, preferred and alternating hands, and clips not recently used
-    weigh more."""
+    weigh more. A stroke of the wanted meaning comes before all others."""
     order = {name: 0.5 ** place for place, name in enumerate(wish.lexemes)}
-    candidates = [s for s in usable if s.lexeme in order and s.base not in recent[-1:]]
+    candidates = [s for s in usable if wish.label and s.meaning == wish.label and s.base not in recent[-1:]]
+    if not candidates:
+        candidates = [s for s in usable if s.lexeme in order and s.base not in recent[-1:]]
     if not candidates:
         candidates = [s for s in usable if s.lexeme.startswith("Beat") and s.base not in recent[-1:]]
     if not candidates:
@@ -260,7 +309,7 @@ def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], 
         size, pace = _SIZE_OF_DRIVE * wish.drive + _SIZE_OF_STYLE * amplitude, pace + _PACE_OF_STYLE * tempo
         loose, largest, holding, vary = casting.manner.gain, _LARGEST, casting.manner.hold, 0.06
     gain = float(np.clip(habits.gain * loose * np.exp(size + vary * rng.normal()), 0.6, largest))
-    speed = float(np.clip(habits.speed * np.exp(pace + 0.05 * rng.normal()), 0.8, 1.4))
+    speed = float(np.clip(habits.speed * np.exp(pace + 0.05 * rng.normal()), 0.7, 1.15))
     if stroke.steady:
         speed = min(speed, 1.0)
     free = max(0.0, *(busy[side] for side in stroke.sides))

@@ -26,7 +26,17 @@ from data_module.performer.plan import BRAKE, Casting, Habits, Planned
 from data_module.performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
 from data_module.performer.styles import NEUTRAL, StyleTrack
 from data_module.performer.takes import MIRROR, TORSO_RADIUS, capsule_depth
-from data_module.performer.trunk import Segment, idle_arms, postures, spread, sway, trunk_track, yaw_scale
+from data_module.performer.trunk import (
+    Segment,
+    idle_arms,
+    pitch_accents,
+    postures,
+    spread,
+    sway,
+    trunk_track,
+    with_activity,
+    yaw_scale,
+)
 from data_module.performer.types import Played, Spoken
 from data_module.truth import Phrase, PlayedStroke
 from data_module.types import Array, Motion
@@ -75,16 +85,22 @@ _SYMPATHY = 0.4
 # Small beats between strokes.
 _MICRO = 0.42
 """Share by which the excursion of an arm is raised for a small beat on an ordinary syllable."""
-_FALL = 0.22
+_FALL = 0.32
 """Seconds in which a raised arm falls; its beat is at the share `BRAKE` of them."""
-_BEFORE_SMALL = 0.18
+_BEFORE_SMALL = 0.3
 """Seconds in which it rises before."""
-_SMALL_GAP = 0.36
+_SMALL_GAP = 0.62
 """Least seconds between small beats: about a rise and a fall."""
 _LEAST_SMALL = -0.3
 """Least prominence of a syllable that gets a small beat, without a `Manner`."""
 _SMALL_OF_STYLE = np.array([0.5, 0.3])
 """Log of the size of small movements, by amplitude and tempo."""
+_WITH_STROKE = np.radians([[1.6, 1.2, 0.8], [2.2, 2.6, 1.0]])
+"""Bends of spine and head with a stroke of gain 1: forward, turned and tilted to the side of the hand, radians."""
+_QUIETER = 0.5
+"""Factor on the drift of raised arms in pauses."""
+_WRISTS = 0.7
+"""Factor on the wrists' bends of the clips, which are larger than those of people who talk."""
 _NOD_GAIN = 1.3
 """Factor on the nods over a real person's trunk, whose own head motion is not tied to this speech."""
 
@@ -161,11 +177,13 @@ class _Score:
 
 @dataclass(frozen=True)
 class Staging:
-    """The manner of a talk, the trunks of real people to perform it with, and its style."""
+    """The manner of a talk, the trunks of real people to perform it with, its style, and the strength of its links to
+    the sound (`plan.Habits.links`)."""
 
     manner: Manner
     segments: tuple[Segment, ...]
     style: StyleTrack = NEUTRAL
+    links: float = 1.0
 
 
 def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator,
@@ -176,10 +194,13 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.G
     and the trunk sways by formula. The result depends on the arguments and the state of `rng` alone. Held-out strokes
     are played in the split "test" only. InputError for an unknown performer.
     """
-    casting = planning.cast(spoken, performer, staging.manner, staging.style, rng) if staging else None
+    casting = None
+    if staging:
+        casting = planning.cast(spoken, performer, staging.manner, staging.style, rng, staging.links)
+    habits = casting.habits_of(performer) if casting else planning.habits_of(performer)
     planned = planning.plan(spoken, performer, strokes, rng, split, casting)
     segments = staging.segments if staging else ()
-    score = _score(strokes.figures[performer], planned, spoken, planning.habits_of(performer), (casting, segments), rng)
+    score = _score(strokes.figures[performer], planned, spoken, habits, (casting, segments), rng)
     tuning = _first_tuning(planned)
     for _ in range(_DETOURS):
         score, tuning, arms = _rehearse(score, tuning)
@@ -273,7 +294,8 @@ def _tuned(tuning: _Tuning, missing: Array, faint: NDArray[np.bool_], answer: Ar
 
 def _truth(p: Planned) -> PlayedStroke:
     s = p.stroke
-    return PlayedStroke(s.lexeme, s.clip, s.hand, p.start, p.beat, p.hold_end, p.end, p.syllable, p.gain, s.held_out)
+    return PlayedStroke(s.lexeme, s.clip, s.hand, p.start, p.beat, p.hold_end, p.end, p.syllable, p.gain, s.held_out,
+                        p.meaning, p.word)
 
 
 # --- The score: constant from pass to pass
@@ -292,7 +314,8 @@ def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, 
                        for arm in events])
     speaking = lively.max(axis=0)
     wander = manner.drift if manner else 1.0
-    drift = np.stack([_drift(figure, lively[side], wander, frames, rng) for side in (LEFT, RIGHT)])
+    moving = lively * _in_speech(spoken, frames)
+    drift = np.stack([_drift(figure, moving[side], wander, frames, rng) for side in (LEFT, RIGHT)])
     if manner and segments:
         joints = min(drift.shape[-1], 12)
         fidgets = idle_arms(segments, frames, rng)
@@ -300,7 +323,8 @@ def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, 
     size = _style_of(casting, frames)
     drift *= size[:, None]
     least = manner.small_beats if manner else _LEAST_SMALL
-    micro = size * np.stack([_micro(side, spoken, planned, least, frames, rng) for side in (LEFT, RIGHT)])
+    vigour = planning.drives(spoken, habits.links)
+    micro = size * np.stack([_micro(side, spoken, planned, (least, vigour), frames, rng) for side in (LEFT, RIGHT)])
     if manner and segments:
         trunk = _living_trunk(figure, planned, spoken, segments, (speaking, manner.trunk, habits), rng)
     else:
@@ -311,6 +335,14 @@ def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, 
                   _carried(figure, trunk), runs, levels, drop, frames)
 
 
+def _in_speech(spoken: Spoken, frames: int) -> Array:
+    """[T] 1 in phrases, `_QUIETER` in pauses, with soft edges."""
+    out = np.full(frames, _QUIETER)
+    for phrase in spoken.phrases:
+        out[_frame(phrase.start - 0.15):_frame(phrase.end)] = 1.0
+    return gaussian_filter1d(out, 0.15 * FPS, mode="nearest")
+
+
 def _style_of(casting: Casting | None, frames: int) -> Array:
     """[T] factor of the style on the drift and the small beats of the arms."""
     if casting is None:
@@ -318,8 +350,8 @@ def _style_of(casting: Casting | None, frames: int) -> Array:
     return np.exp(casting.style.at(np.arange(frames) / FPS) @ _SMALL_OF_STYLE)
 
 
-def _mean_drives(spoken: Spoken, phrases: Sequence[Phrase | PhraseHands]) -> list[float]:
-    vigour = planning.drives(spoken)
+def _mean_drives(spoken: Spoken, phrases: Sequence[Phrase | PhraseHands], links: float) -> list[float]:
+    vigour = planning.drives(spoken, links)
     starts = np.array([s.vowel for s in spoken.syllables])
     inside = [(starts >= phrase.start) & (starts < phrase.end) for phrase in phrases]
     return [float(vigour[rows].mean()) if rows.any() else 0.0 for rows in inside]
@@ -327,7 +359,7 @@ def _mean_drives(spoken: Spoken, phrases: Sequence[Phrase | PhraseHands]) -> lis
 
 def _independent_levels(spoken: Spoken, runs: list[tuple[float, float]], casting: Casting,
                         rng: np.random.Generator) -> Levels:
-    drives = _mean_drives(spoken, casting.hands)
+    drives = _mean_drives(spoken, casting.hands, casting.links)
     return waiting_levels(casting.hands, drives, [start for start, _ in runs], _RAISE, casting.manner, rng)
 
 
@@ -338,7 +370,7 @@ def _levels(spoken: Spoken, runs: list[tuple[float, float]], habits: Habits,
     weak = LEFT if habits.hands[RIGHT] > habits.hands[LEFT] else RIGHT
     for start, end in runs:
         phrases = [p for p in spoken.phrases if start <= p.start < end]
-        for k, (phrase, drive) in enumerate(zip(phrases, _mean_drives(spoken, phrases), strict=True)):
+        for k, (phrase, drive) in enumerate(zip(phrases, _mean_drives(spoken, phrases, habits.links), strict=True)):
             hanging = rng.random() < habits.hanging
             side_hanging = weak if rng.random() < 0.7 else 1 - weak
             draws = rng.uniform(0.8, 1.1, 2) * np.exp(0.15 * drive)
@@ -432,13 +464,14 @@ def _add_bump(track: Array, peak: float, stop: float, size: float, before: float
     track[first:last] += size * (_pulse(times, peak - before, peak) - _pulse(times, peak, stop))
 
 
-def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], least: float, frames: int,
+def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], wanted: tuple[float, Array], frames: int,
            rng: np.random.Generator) -> Array:
-    """[T] small beats on syllables without a stroke of this arm: the arm is raised before them and falls on them."""
+    """[T] small beats on syllables without a stroke of this arm: the arm is raised before them and falls on them.
+    wanted: the least prominence of a syllable that gets one, and the vigour of each syllable."""
+    least, strength = wanted
     track = np.zeros(frames)
     # A small beat takes _BEFORE_SMALL seconds to rise: none of it may touch a stroke's beat.
     spans = [(p.start - 0.05, p.beat + 0.15 + _FALL + _BEFORE_SMALL) for p in planned if side in p.stroke.sides]
-    strength = planning.drives(spoken)
     draws = rng.normal(0.0, 1.0, (2, len(spoken.syllables)))
     last = -1.0
     for i, syllable in enumerate(spoken.syllables):
@@ -484,7 +517,9 @@ def _living_trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: S
     speaking, gain, habits = life
     frames = len(speaking)
     spines, skull = _spine_and_skull(figure)
-    hips, spine, head = spread(trunk_track(segments, spoken, speaking, gain, rng), (1, len(spines), len(skull)))
+    track = trunk_track(segments, spoken, speaking, (gain, habits.links), rng)
+    track = with_activity(track, _activity(planned, frames))
+    hips, spine, head = spread(track, (1, len(spines), len(skull)))
     posture = postures(frames, rng)
     out = np.zeros((frames, len(figure.trunk), 3))
     out[:, 0] = hips
@@ -493,6 +528,8 @@ def _living_trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: S
     out[:, skull, 0] += (_NOD_GAIN * _nods(spoken, habits, frames, rng) / len(skull))[:, None]
     out[:, spines[-1], 0] += _breath(frames)
     out[:, spines] += (sway(frames, rng) * (1.0 - 0.7 * speaking)[:, None] / len(spines))[:, None]
+    out[:, spines] += (pitch_accents(spoken.syllables, frames, habits.links, rng) / len(spines))[:, None]
+    _add_bends_with_strokes(out, planned, (spines, skull), rng)
     _add_clips(out, planned)
     out[..., 1] *= yaw_scale(out[..., 1].sum(axis=1))
     return out
@@ -518,6 +555,30 @@ def _nods(spoken: Spoken, habits: Habits, frames: int, rng: np.random.Generator)
             size = np.radians(habits.nod) * (0.6 + 0.9 * draws[1, i])
             _add_bump(track, syllable.vowel + 0.03, syllable.vowel + 0.4, float(size), before=0.24)
     return track
+
+
+def _activity(planned: tuple[Planned, ...], frames: int) -> Array:
+    """[T] 1 while a hand moves in a stroke, 0 elsewhere, with soft edges."""
+    out = np.zeros(frames)
+    for p in planned:
+        out[_frame(p.start):_frame(p.beat + 0.15)] = 1.0
+        out[_frame(p.hold_end):_frame(p.end)] = 0.7
+    return gaussian_filter1d(out, 0.12 * FPS, mode="nearest")
+
+
+def _add_bends_with_strokes(trunk: Array, planned: tuple[Planned, ...], parts: tuple[list[int], list[int]],
+                            rng: np.random.Generator) -> None:
+    """The chest leans into each stroke and the head goes with it, to the side of the acting hand."""
+    draws = np.exp(rng.normal(0.0, 0.35, (len(planned), 2)))
+    sides = rng.choice([-1.0, 1.0], len(planned))
+    for p, draw, other in zip(planned, draws, sides, strict=True):
+        side = other if len(p.stroke.sides) == 2 else 1.0 if p.stroke.sides == (LEFT,) else -1.0
+        first, last = _frame(p.start), min(len(trunk), _frame(p.end))
+        times = np.arange(first, last) / FPS
+        window = p.gain * (_pulse(times, p.start, p.beat + 0.08) - _pulse(times, min(p.hold_end, p.end - 0.2), p.end))
+        for joints, bend, size in zip(parts, _WITH_STROKE, draw, strict=True):
+            turn = size * bend * np.array([1.0, side, -side]) / len(joints)
+            trunk[first:last, joints] += (window[:, None] * turn)[:, None]
 
 
 def _add_clips(trunk: Array, planned: tuple[Planned, ...]) -> None:
@@ -618,9 +679,10 @@ def _followed(p: Planned, side: int, beat: float, accent: float, times: Array, h
     reach = home[:held.size]
     up = float(held @ reach) / max(float(reach @ reach), 1e-9)
     # Fingers keep their size: a fist scaled up would not be a hand.
+    path[:, held.size - 3:held.size] *= _WRISTS
     path[:, :held.size] = p.gain * p.uneven[side] * (path + max(0.0, 0.6 - up) * home)[:, :held.size]
     peak, stop = beat - BRAKE * _FALL, beat + (1.0 - BRAKE) * _FALL
-    raised = _pulse(times, peak - 0.26, peak) - _pulse(times, peak, stop)
+    raised = _pulse(times, peak - 0.36, peak) - _pulse(times, peak, stop)
     path[:, :held.size] *= 1.0 + accent * raised[:, None]
     return path
 

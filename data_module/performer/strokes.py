@@ -21,6 +21,8 @@ from data_module.errors import InputError, shown
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.performer.clips import read_clips
+from data_module.performer.cues import Cues, mirrored
+from data_module.performer.shoulders import with_rhythm
 from data_module.types import Array, Motion, Skeleton
 
 LEFT, RIGHT = 0, 1
@@ -45,6 +47,8 @@ _NO_STROKE = frozenset({
 })
 _NOT_FASTER = frozenset({"brad2_Idle01_YouLf02", "brad2_Idle01_Shrug02", "brad2_Idle01_BeatFistMidLf02",
                          "connor_IdleStand01_NegateRightMidBt01"})
+_RIGID = {"connor": 0.8, "garza": 0.8}
+"""Speakers whose clavicles hardly move -> the share of the shoulders' rhythm that is added."""
 _COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
 _MIN_REACH = 0.05
 """Least travel of a hand in a stroke, metres; anything smaller is a fidget."""
@@ -88,7 +92,8 @@ class Stroke:
     clip: name of the recording; base: the same for a clip and its mirror image. arms: [2, T, A, 3] log rotations of
     the left and the right arm against the rest pose; trunk: [T, B, 3] likewise, B joints of `PerformerBody.trunk`.
     start, beat, hold_end, end: seconds in the clip. reach: metres that the acting hand travels. held_out: for the test
-    split only. steady: must not be played faster than recorded.
+    split only. steady: must not be played faster than recorded. meaning: label of the gesture ("point_there"), "" for
+    none. faithful: a hand touches the head or the other hand, so the stroke is played at its recorded size.
     """
 
     clip: str
@@ -107,6 +112,8 @@ class Stroke:
     reach: float
     held_out: bool = False
     steady: bool = False
+    meaning: str = ""
+    faithful: bool = False
     _splines: dict[tuple[int, int | None], CubicSpline] = field(default_factory=dict, compare=False, repr=False)
 
     @property
@@ -131,10 +138,11 @@ class Stroke:
 
 @dataclass(frozen=True)
 class StrokeSet:
-    """Strokes, and the bodies of the performers by name."""
+    """Strokes, the bodies of the performers by name, and the cues that call for the strokes that have a meaning."""
 
     strokes: tuple[Stroke, ...]
     figures: Mapping[str, PerformerBody]
+    cues: Cues | None = None
 
     @property
     def performers(self) -> tuple[str, ...]:
@@ -242,8 +250,8 @@ def logs_against(rest: Array, rotations: Array, joints: tuple[int, ...]) -> Arra
 
 
 def mirror(stroke: Stroke) -> Stroke:
-    """The mirror image of a stroke: left and right are swapped, in its hand and in the name of its lexeme too. A
-    reflection in x = 0 keeps the x of a log rotation and negates y and z."""
+    """The mirror image of a stroke: left and right are swapped, in its hand, its meaning and the name of its lexeme
+    too. A reflection in x = 0 keeps the x of a log rotation and negates y and z."""
     flip = np.array([1.0, -1.0, -1.0])
     other = {"left": "right", "right": "left", "both": "both"}
     lexeme = stroke.lexeme
@@ -251,7 +259,8 @@ def mirror(stroke: Stroke) -> Stroke:
         if a in stroke.lexeme:
             lexeme = stroke.lexeme.replace(a, b)
     return replace(stroke, clip=stroke.base + "-mirrored", lexeme=lexeme, hand=other[stroke.hand],
-                   arms=stroke.arms[::-1] * flip, trunk=stroke.trunk * flip, _splines={})
+                   meaning=mirrored(stroke.meaning), arms=stroke.arms[::-1] * flip, trunk=stroke.trunk * flip,
+                   _splines={})
 
 
 def home_pose(strokes: Iterable[Stroke], share: float = 0.9) -> Array:
@@ -313,6 +322,9 @@ def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> t
             raise InputError(folder / row["file"], f"has other joints than {rows[0]['file']}",
                              "take the clips that came with the manifest")
     try:
+        if speaker in _RIGID:
+            motions = [replace(motion, rotations=with_rhythm(skeleton, motion.rotations, motion.fps, _RIGID[speaker]))
+                       for motion in motions]
         return _figure_and_strokes(speaker, rows, motions)
     except (KeyError, ValueError) as error:
         raise InputError(folder / rows[0]["file"],
@@ -322,14 +334,8 @@ def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> t
 
 def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Sequence[Motion]
                         ) -> tuple[PerformerBody, list[Stroke]]:
-    skeleton = motions[0].skeleton
     standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _POSTURE.get(speaker, "")]
-    first = np.stack([m.rotations[0] for m in standing or motions])
-    signs = np.where(np.sum(first * first[:1], axis=-1, keepdims=True) < 0, -1.0, 1.0)
-    rest = rotation.normalise(np.median(first * signs, axis=0))
-    root = np.array([0.0, np.median([m.root_positions[0, 1] for m in standing or motions]), 0.0])
-    arms, trunk = arm_joints(skeleton), trunk_joints(skeleton)
-    figure = PerformerBody(speaker, skeleton, rest, root, arms, trunk, np.zeros((2, len(arms[0]), 3)))
+    figure = standing_body(speaker, standing or motions)
     strokes = []
     for row, motion in zip(rows, motions, strict=True):
         stroke = measured_stroke(figure, row, motion.rotations, motion.fps)
@@ -338,9 +344,21 @@ def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Seque
     return replace(figure, home=home_pose(strokes)), strokes
 
 
-def measured_stroke(figure: PerformerBody, row: Mapping[str, str], rotations: Array, fps: float) -> Stroke | None:
+def standing_body(speaker: str, motions: Sequence[Motion]) -> PerformerBody:
+    """The body of a speaker, at rest as in the first frames of clips on one skeleton, without a home pose yet."""
+    skeleton = motions[0].skeleton
+    first = np.stack([m.rotations[0] for m in motions])
+    signs = np.where(np.sum(first * first[:1], axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    rest = rotation.normalise(np.median(first * signs, axis=0))
+    root = np.array([0.0, np.median([m.root_positions[0, 1] for m in motions]), 0.0])
+    arms = arm_joints(skeleton)
+    return PerformerBody(speaker, skeleton, rest, root, arms, trunk_joints(skeleton), np.zeros((2, len(arms[0]), 3)))
+
+
+def measured_stroke(figure: PerformerBody, row: Mapping[str, str], rotations: Array, fps: float,
+                    listed: tuple[float, float, float, float] | None = None) -> Stroke | None:
     """The stroke of one clip (its row of the manifest, and its rotations [T, J, 4]); None if no hand leaves its place.
-    """
+    listed: its times, used where they cannot be measured."""
     positions = kinematics.joint_positions(figure.skeleton, rotations)
     hands = positions[:, [figure.skeleton.index(side + "Hand") for side in SIDES]]
     hand, reach = acting_hands(hands)
@@ -349,7 +367,9 @@ def measured_stroke(figure: PerformerBody, row: Mapping[str, str], rotations: Ar
     try:
         start, beat, hold_end, end = stroke_times(hands, ACTING_SIDES[hand], fps, float(row["emphasis"]))
     except ValueError:
-        return None
+        if listed is None:
+            return None
+        start, beat, hold_end, end = listed
     stem = Path(row["file"]).stem
     logs = np.stack([logs_against(figure.rest, rotations, joints) for joints in figure.arms])
     return Stroke(stem, stem, row["speaker"], row["posture"], row["lexeme"], hand, fps, logs,

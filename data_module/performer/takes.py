@@ -21,14 +21,22 @@ from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.bvh import read_bvh
 from data_module.motion.motion_beats import ACTING, acting_speed
+from data_module.motion.phases import runs
 from data_module.motion.relaxed_hands import with_relaxed_hands
 from data_module.motion.skeletons import CHARACTER, FINGERED
+from data_module.performer import mended_arms
 from data_module.performer.clips import read_clips
+from data_module.performer.shoulders import with_rhythm
 from data_module.performer.strokes import arm_joints
+from data_module.performer.torso import FPS as FPS
+from data_module.performer.torso import TORSO_RADIUS as TORSO_RADIUS
+from data_module.performer.torso import capsule_depth as capsule_depth
+from data_module.performer.torso import facing_positions as facing_positions
+from data_module.performer.torso import torso_depth as torso_depth
+from data_module.performer.wrists import with_loose_wrists
 from data_module.store import Split
-from data_module.types import Array
+from data_module.types import Array, Motion
 
-FPS = 60.0
 GROUPS: dict[str, tuple[str, ...]] = {
     "conversation": ("cmu_18_", "cmu_19_"),
     "story": ("cmu_138_",),
@@ -59,9 +67,12 @@ MIRROR = np.array([1.0, -1.0, -1.0])
 
 _SLOW_YAW = 0.8
 """Standard deviation, seconds, of the low pass of the hips' yaw, which is subtracted."""
-_LIMITS = ((HIPS, 6.0, 0.5, (1.0, 0.6, 0.4)), (SPINE, 18.0, 0.7, (1.0, 0.6, 0.6)), (SKULL, 34.0, 0.8, (1.0, 0.6, 0.75)))
-"""Joints that bend together, the soft limit of their bend in degrees, its gain, and gains of lean, yaw and roll: some
-takes are pantomime, with leans of 40 degrees."""
+_LIMITS = ((HIPS, 7.0, (1.0, 0.75, 0.75)), (SPINE, 16.0, (1.0, 0.85, 0.85)), (SKULL, 30.0, (1.0, 0.75, 0.9)))
+"""Joints that bend together, the soft limit of their bend in degrees, and gains of lean, yaw and roll: some takes are
+pantomime, with leans of 40 degrees."""
+_CHEST_TRAVEL = 5.5
+"""cm/s of the chest, in the mean of a take, over which the trunk's motion is scaled down: real speakers have 4.5 to 5.
+"""
 _ELBOW_SHARE = 0.15
 """Share of the shoulder's reduction that is applied to elbow and wrist: scaling a log rotation at the elbow straightens
 the arm, so nearly all of it stays."""
@@ -74,9 +85,11 @@ _IDLE_SPEED, _IDLE_SECONDS, _IDLE_MARGIN = 0.25, 1.2, 0.5
 """Speed of both arms together, m/s, below which they idle; seconds for which they may; seconds left at either end."""
 _LEAST_STRETCH = 2.2
 """Shortest stretch that is used, seconds."""
-TORSO_RADIUS, ELBOW_RADIUS = 0.115, 0.13
-"""Radius of the capsule from hips to chest that a hand (half the depth of an adult's chest) or an elbow may not enter,
-metres."""
+_WIDE_SHARE, _WIDE_STAY = 0.10, 0.5
+"""Share of a take's frames in which arms may be wide before its arms are scaled down, and the share of a second of wide
+arms that is cut out."""
+_RHYTHM = (0.7, 1.0)
+"""Share of the shoulders' rhythm that is added to a take: Rocketbox has some of it, CMU's clavicles are rigid."""
 _GRAZE = 0.01
 """Depth inside the torso, metres, beyond which a frame is cut out."""
 
@@ -116,6 +129,10 @@ class Library:
     def rotations(self, logs: Array) -> Array:
         turned = rotation.multiply(self.rest[None], rotation.from_exponential_map(logs))
         return rotation.continuous(rotation.normalise(turned))
+
+    def logs(self, rotations: Array) -> Array:
+        """The inverse of `rotations`."""
+        return unrolled(rotation.multiply(rotation.conjugate(self.rest)[None], rotations))
 
 
 @dataclass(frozen=True)
@@ -158,8 +175,7 @@ def library_of(read: Sequence[tuple[RealTake, Array]]) -> Library:
     """A library of takes with their rotations [T, 46, 4]; the rest pose is the mean of people who stand and wait."""
     standing = [q[::10] for take, q in read if any(part in take.name for part in _HANGING)] or [q for _, q in read]
     rest = _mean_rotation(np.concatenate(standing))
-    logs = [rotation.unroll(rotation.to_exponential_map(rotation.multiply(rotation.conjugate(rest)[None], q)))
-            for _, q in read]
+    logs = [unrolled(rotation.multiply(rotation.conjugate(rest)[None], q)) for _, q in read]
     trunk = [j for j in range(len(CHARACTER)) if j not in ARMS]
     means: dict[str, list[Array]] = defaultdict(list)
     for (take, _), rotations in zip(read, logs, strict=True):
@@ -173,8 +189,15 @@ def library_of(read: Sequence[tuple[RealTake, Array]]) -> Library:
     return Library(tuple(takes), rest, centre)
 
 
+def on_character(file: Path) -> Motion:
+    """A clip (BVH, metres) on the character with fingers, at 60 fps."""
+    return kinematics.resample(skeletons.to_character(read_bvh(file, unit=1.0), skeleton=FINGERED), FPS)
+
+
 def _read(take: RealTake, file: Path) -> tuple[RealTake, Array]:
-    motion = kinematics.resample(skeletons.to_character(read_bvh(file, unit=1.0), skeleton=FINGERED), FPS)
+    motion = on_character(file)
+    if mended_arms.subject_of(take.name):
+        motion = replace(motion, rotations=with_loose_wrists(mended_arms.mended(take.name, motion.rotations)))
     motion = with_relaxed_hands(motion)
     rotations = rotation.continuous(rotation.normalise(motion.rotations))
     yaw = rotation.continuous(rotation.yaw_of(rotations[:, 0])[:, None])[:, 0]
@@ -215,37 +238,74 @@ def soft_limit(vectors: Array, limit: float) -> Array:
     return vectors * limit * np.tanh(length / limit) / np.maximum(length, 1e-9)
 
 
+def unrolled(rotations: Array) -> Array:
+    """Log rotations [T, ..., 3] of [T, ..., 4] without jumps by 2 pi; fast where there are none."""
+    logs = rotation.to_exponential_map(rotations)
+    jumps = np.abs(np.diff(logs, axis=0)).max(initial=0.0) > 1.5
+    return rotation.unroll(logs) if jumps else logs
+
+
 def calmed(library: Library, take: RealTake, gain: float, trunk: float) -> Array:
-    """Logs [T, 46, 3] of a take with the shoulders' excursion times `gain`, and the trunk's within its limits."""
+    """Logs [T, 46, 3] of a take with the shoulders' excursion times `gain`, and the trunk's within its limits times
+    `trunk`. What an upper arm turns about its length is kept with the elbow's bend: without, forearms open outward."""
     out = take.logs.copy()
-    for joints, degrees, part_gain, axes in _LIMITS:
-        bend = take.logs[:, list(joints)].sum(axis=1) * part_gain * trunk * np.array(axes)
-        out[:, list(joints)] = (soft_limit(bend, np.radians(degrees)) / len(joints))[:, None]
-    centre = _CENTRE_SHARE * library.centre
-    shares = np.array([1.0 - _ELBOW_SHARE * (1.0 - gain) if CHARACTER.names[j].endswith(("ForeArm", "Hand")) else gain
-                       for j in ARMS])
-    out[:, list(ARMS)] = centre + shares[:, None] * (take.logs[:, list(ARMS)] - centre)
+    for joints, degrees, axes in _LIMITS:
+        bend = soft_limit(take.logs[:, list(joints)].sum(axis=1) * np.array(axes), np.radians(degrees))
+        out[:, list(joints)] = (bend / len(joints))[:, None]
+    factor = trunk * min(1.0, _CHEST_TRAVEL / max(_chest_travel(library, out), 1e-9))
+    out[:, [*HIPS, *SPINE]] *= factor
+    centre, kept = _CENTRE_SHARE * library.centre, 1.0 - _ELBOW_SHARE * (1.0 - gain)
+    for place, j in enumerate(ARMS):
+        name, own = CHARACTER.names[j], take.logs[:, j]
+        if name.endswith(("ForeArm", "Hand")):
+            out[:, j] = centre[place] + kept * (own - centre[place])
+        elif name.endswith("Shoulder"):
+            out[:, j] = centre[place] + gain * (own - centre[place])
+        else:
+            out[:, j] = _scaled_swing(own, centre[place], gain, kept)
     return out
+
+
+def _scaled_swing(logs: Array, centre: Array, gain: float, kept: float) -> Array:
+    """Logs [T, 3] of an upper arm with its swing about that of `centre` times `gain`, and its turn about its length (x)
+    about that of `centre` times `kept`."""
+    (swing, twist), (swing_at, twist_at) = (_swing_twist(v) for v in (logs, centre[None]))
+    swing = swing_at + gain * (swing - swing_at)
+    twist = twist_at + kept * (twist - twist_at)
+    about = np.stack([twist, 0.0 * twist, 0.0 * twist], axis=-1)
+    joined = rotation.multiply(rotation.from_exponential_map(swing), rotation.from_exponential_map(about))
+    return unrolled(joined)
+
+
+def _swing_twist(logs: Array) -> tuple[Array, Array]:
+    """Log rotations [T, 3] as a swing [T, 3] and the turn about x before it, [T] radians."""
+    whole = rotation.continuous(rotation.from_exponential_map(logs))
+    twist = rotation.continuous(rotation.yaw_of(whole, axis=0))
+    angle = np.unwrap(2.0 * np.arctan2(twist[:, 1], twist[:, 0]))
+    return unrolled(rotation.multiply(whole, rotation.conjugate(twist))), angle
+
+
+def _chest_travel(library: Library, logs: Array) -> float:
+    """Mean speed of the chest over the hips, cm/s."""
+    chest = facing_positions(library.rotations(logs))[:, SPINE[-1]]
+    return 100.0 * float(np.linalg.norm(np.diff(chest, axis=0), axis=1).mean()) * FPS if len(chest) > 1 else 0.0
 
 
 def stretches(library: Library, take: RealTake, limits: MotionRange) -> list[Array]:
     """The usable stretches [T, 46, 3] of a take: hands in range and outside the torso, without long idling."""
     for gain in _GAINS:
-        logs = calmed(library, take, gain, limits.trunk)
-        places = facing_positions(library.rotations(logs))
+        rotations = mended_arms.narrowed(library.rotations(calmed(library, take, gain, limits.trunk)))
+        places, wide = facing_positions(rotations), mended_arms.wide(rotations)
         high = places[:, list(WRISTS), 1].max(axis=1)
-        if np.percentile(high, _HIGH_PERCENTILE) <= limits.height:
+        if np.percentile(high, _HIGH_PERCENTILE) <= limits.height and wide.mean() <= _WIDE_SHARE:
             break
     bad = (high > limits.height + _TOO_HIGH) | (torso_depth(places) > _GRAZE) | idling(places)
+    bad |= gaussian_filter1d(wide.astype(float), 0.5 * FPS) > _WIDE_STAY
     bad = gaussian_filter1d(bad.astype(float), 0.1 * FPS) > 0.35
+    share = _RHYTHM[bool(mended_arms.subject_of(take.name))]
+    logs = library.logs(with_rhythm(FINGERED if rotations.shape[1] > len(CHARACTER) else CHARACTER, rotations, FPS,
+                                    share))
     return [logs[a:b] for a, b in runs(~bad) if b - a >= _LEAST_STRETCH * FPS]
-
-
-def facing_positions(rotations: Array) -> Array:
-    """Joint positions [T, 16, 3] in metres from the hips, in the facing frame, of rotations [T, 16 or more, 4]."""
-    faced = rotations[:, :len(CHARACTER)].copy()
-    faced[:, 0] = rotation.remove_yaw(faced[:, 0])
-    return kinematics.joint_positions(CHARACTER, faced)
 
 
 def arms_speed(places: Array) -> Array:
@@ -261,24 +321,3 @@ def idling(places: Array) -> NDArray[np.bool_]:
         if last - first > _IDLE_SECONDS * FPS:
             out[first + margin:last - margin] = True
     return out
-
-
-def torso_depth(places: Array) -> Array:
-    """[T] depth of the deepest wrist or elbow inside the torso (a capsule from hips to chest), metres, 0 outside."""
-    chest = places[:, CHARACTER.index("Spine3")]
-    hips = np.zeros_like(chest)
-    return np.maximum.reduce([
-        capsule_depth(places[:, CHARACTER.index(side + name)], hips, chest, radius)
-        for name, radius in (("Hand", TORSO_RADIUS), ("ForeArm", ELBOW_RADIUS)) for side in ("Left", "Right")])
-
-
-def capsule_depth(point: Array, low: Array, high: Array, radius: float) -> Array:
-    """[T] depth in metres of points [T, 3] inside a capsule between two points [T, 3], 0 outside."""
-    axis = high - low
-    share = np.clip(np.sum((point - low) * axis, axis=-1) / np.sum(axis * axis, axis=-1), 0.0, 1.0)
-    return np.maximum(0.0, radius - np.linalg.norm(point - low - share[:, None] * axis, axis=-1))
-
-
-def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
 
 from data_module.motion import rotation
-from data_module.motion.skeletons import CHARACTER, CHARACTERS, FINGERED, HIP_HEIGHT
+from data_module.motion.skeletons import CHARACTERS, FINGERED, HIP_HEIGHT
 from data_module.performer import inverse, movements
 from data_module.performer.chaining import Chain, chain, seam_ratio
 from data_module.performer.inertialisation import minimum_jerk
@@ -27,7 +28,7 @@ from data_module.performer.takes import (
     mirrored,
     stretches,
 )
-from data_module.performer.trunk import calm, postures, sway, yaw_scale
+from data_module.performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
 from data_module.performer.types import Spoken
 from data_module.types import Array, Motion
 
@@ -45,9 +46,11 @@ _DIP_SHARE, _DIPS = 0.6, (2.0, 5.0)
 _DIP_RISE, _DIP_FALL, _DIP_LATE = 0.24, 0.4, 0.03
 """Seconds from the start to the deepest point of a dip, from there to its end, and from the vowel to the deepest point.
 """
-_WRIST_DRAG, _MOST_WRIST = 0.16, 20.0
-"""A wrist lags behind the turning of the forearm by this many seconds, up to this many degrees; half of the sources
-have stiff wrists."""
+_HOLD_SHARE, _HOLD_SECONDS, _HOLD_OF = 0.55, (0.5, 0.9), 0.24
+"""Share of the moments in which a raised hand is slow that become holds; seconds that a hold takes with its edges; and
+the seconds of motion that are shown in them."""
+_HOLDS_APART, _HELD_FROM, _RAISED = 0.9, 0.45, 0.06
+"""Seconds between such moments at least; the speed below which a hand may be held, m/s; metres over the hips."""
 ENERGY = inverse.Energy(0.41, 0.66)
 """Mean and spread of the mean log speed (`inverse.log_speed`) of the stretches of all takes, as measured; 0.2 is added
 to the spread so that the variation within a talk counts more."""
@@ -63,9 +66,21 @@ class MadeTalk:
     takes: tuple[str, ...]
 
 
-def talk_for_motion(name: str, library: Library, takes: Sequence[RealTake], group: str, pool: Pool, seconds: float,
+@dataclass(frozen=True)
+class TalkRequest:
+    """What a talk should be. group: its manner, a key of `takes.GROUPS`; seconds: its length; links: strength of what
+    ties the sound to the motion beyond the times of beats and phrases (0 none, 1 full)."""
+
+    name: str
+    group: str
+    seconds: float
+    links: float = 1.0
+
+
+def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[RealTake], pool: Pool,
                     rng: np.random.Generator) -> MadeTalk:
-    """A talk of `seconds` in the manner of `group`, from the given takes alone, with speech for it from `pool`."""
+    """A talk from the given takes alone, with speech for it from `pool`."""
+    group, seconds, links = request.group, request.seconds, request.links
     limits = MotionRange(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
     slower = 1.0 if group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
     named = _named_stretches(library, takes, group, limits, rng)
@@ -75,8 +90,10 @@ def talk_for_motion(name: str, library: Library, takes: Sequence[RealTake], grou
         turned = bool(rng.random() < 0.5) if mixed else flip
         pieces.append(_slowed(mirrored(logs) if turned else logs, slower))
     joined, places = _smoothest(library, pieces, seconds, rng)
-    synthesis = inverse.speech_for(name, places, pool, ENERGY, movements.features_of(places), rng)
-    logs = with_wrists(with_life(joined.logs, synthesis.spoken, rng))
+    joined, places = _held(library, joined, places, rng)
+    synthesis = inverse.speech_for(request.name, places, pool, replace(ENERGY, links=links),
+                                   movements.features_of(places), rng)
+    logs = with_life(joined.logs, synthesis.spoken, rng, links)
     rotations = library.rotations(logs)
     root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
     used = tuple(sorted({named[k][0] for k in joined.used}))
@@ -102,6 +119,42 @@ def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,
     return best[1:]
 
 
+def _held(library: Library, joined: Chain, places: Array, rng: np.random.Generator) -> tuple[Chain, Array]:
+    """A chain of the same length with holds: at some of the moments at which a raised hand is slowest, time stands."""
+    source = hold_times(places, rng)[:len(joined.logs)]
+    logs = rotation.unroll(rotation.to_exponential_map(
+        rotation.interpolate(rotation.from_exponential_map(joined.logs), source)))
+    edges = np.interp(joined.edges * FPS, source, np.arange(len(source))) / FPS
+    edges = np.append(np.unique(edges[edges < (len(source) - 1) / FPS]), len(source) / FPS)
+    return Chain(logs, edges, joined.used), facing_positions(library.rotations(logs))
+
+
+def hold_times(places: Array, rng: np.random.Generator) -> Array:
+    """[T'] the frame of a motion with joint positions [T, 16, 3] that is shown in each frame when holds are inserted.
+
+    A hold begins where the speed of a raised hand has a minimum. For D seconds the pace is 1 - c h(u) at the share u
+    of them, with h rising and falling as sin^2 over a quarter each and c such that D seconds show `_HOLD_OF`.
+    """
+    hands = gaussian_filter1d(places[:, list(WRISTS)], 0.05 * FPS, axis=0, mode="nearest")
+    speed = np.linalg.norm(np.gradient(hands, 1.0 / FPS, axis=0), axis=-1).max(axis=1)
+    minima = find_peaks(-speed, distance=round(_HOLDS_APART * FPS), prominence=0.1)[0]
+    raised = hands[minima, :, 1].max(axis=1) >= _RAISED
+    chosen = minima[raised & (speed[minima] < _HELD_FROM) & (rng.random(len(minima)) < _HOLD_SHARE)]
+    pieces, now, half = [], 0.0, 0.5 * _HOLD_OF * FPS
+    for frame, seconds in zip(chosen.tolist(), rng.uniform(*_HOLD_SECONDS, len(chosen)), strict=True):
+        if frame - half <= now or frame + half >= len(places) - 1:
+            continue
+        pieces.append(np.arange(now, frame - half))
+        u = np.linspace(0.0, 1.0, max(2, round(seconds * FPS)), endpoint=False)
+        dip = np.sin(0.5 * np.pi * np.clip(4.0 * np.minimum(u, 1.0 - u), 0.0, 1.0)) ** 2
+        pace = 1.0 - (1.0 - _HOLD_OF / seconds) / dip.mean() * dip
+        start = pieces[-1][-1] + 1.0
+        pieces.append(start + np.concatenate([[0.0], np.cumsum(pace)[:-1]]))
+        now = float(pieces[-1][-1] + pace[-1])
+    pieces.append(np.arange(now, len(places) - 1))
+    return np.concatenate(pieces)
+
+
 def _named_stretches(library: Library, takes: Sequence[RealTake], group: str, limits: MotionRange,
                      rng: np.random.Generator) -> list[tuple[str, Array]]:
     """(take, stretch) of takes of the group in random order, filled up with other takes."""
@@ -119,7 +172,7 @@ def _slowed(logs: Array, times: float) -> Array:
     return rotation.unroll(rotation.to_exponential_map(rotation.interpolate(rotation.from_exponential_map(logs), at)))
 
 
-def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
+def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator, links: float = 1.0) -> Array:
     """Add life to logs [T, J, 3]: the head dips on stresses, the trunk calms in pauses, and postures change. The
     recorded head motion is not tied to the new speech, real heads are. The yaw of the head stays within 20 degrees in
     95 % of the frames. The body sways, so that held poses do not freeze."""
@@ -130,7 +183,7 @@ def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
     out[:, list(SKULL)] = calm(out[:, list(SKULL)], speaking)
     out[:, list(SKULL), 0] += (_dips(spoken, frames, rng) / len(SKULL))[:, None]
     posture = postures(frames, rng)
-    weight = sway(frames, rng)
+    weight = sway(frames, rng) + pitch_accents(spoken.syllables, frames, links, rng)
     for joints, bends in ((SPINE, posture[:, 0] + weight), (SKULL, posture[:, 1])):
         out[:, list(joints)] += (bends / len(joints))[:, None]
     trunk = [*HIPS, *SPINE, *SKULL]
@@ -148,16 +201,3 @@ def _dips(spoken: Spoken, frames: int, rng: np.random.Generator) -> Array:
             falling = np.clip((times - peak) / _DIP_FALL, 0.0, 1.0)
             track += size * (minimum_jerk(rising) - minimum_jerk(falling))
     return track
-
-
-def with_wrists(logs: Array) -> Array:
-    """Logs [T, J, 3] with hands that lag behind the bending of the forearms, which many takes lack."""
-    out = logs.copy()
-    for side in ("Left", "Right"):
-        fore, hand = CHARACTER.index(side + "ForeArm"), CHARACTER.index(side + "Hand")
-        velocity = np.gradient(gaussian_filter1d(logs[:, fore], 0.06 * FPS, axis=0), 1.0 / FPS, axis=0)
-        # About the axis of the forearm (x) the hand follows it without a lag.
-        drag = -_WRIST_DRAG * velocity * np.array([0.0, 1.0, 1.0])
-        limit = np.radians(_MOST_WRIST)
-        out[:, hand] += limit * np.tanh(drag / limit)
-    return out

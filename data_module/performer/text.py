@@ -20,6 +20,9 @@ CHARACTERS_PER_SECOND = {"cmn": 7.5}
 _LETTERS_PER_SECOND = 17.0
 # The longest pause in seconds, and the share of sentence ends with a pause of a second or more.
 LONG_PAUSE, LONG_SHARE = 6.0, 0.21
+MEANING_SHARE = 0.75
+"""Share of the English sentences that are written for a gesture with a meaning: with it each of the 32 gestures is
+played at least 30 times in the training split of 4.4 hours."""
 _VOWELS = "aeiou"
 _PARTICIPLES = {"threw": "thrown", "drew": "drawn", "stole": "stolen", "hid": "hidden"}
 _T = TypeVar("_T")
@@ -83,6 +86,7 @@ class _English:
         train = split == "train"
         self.topics = grammar.TRAIN_TOPICS if train else grammar.TEST_TOPICS
         self.templates = grammar.TRAIN_TEMPLATES if train else grammar.TEST_TEMPLATES
+        self.meanings = grammar.TRAIN_MEANINGS if train else grammar.TEST_MEANINGS
         self.openers: Sequence[str] = grammar.OPENERS if train else grammar.TEST_OPENERS
         self._topic, self._left = self.topics[0], 0
 
@@ -90,6 +94,9 @@ class _English:
         if self._left == 0:
             self._topic, self._left = _one(rng, self.topics), int(rng.integers(3, 9))
         self._left -= 1
+        if rng.random() < MEANING_SHARE:
+            kind = _one(rng, grammar.MEANING_KINDS)
+            return kind, _fill(rng, self._topic, _one(rng, self.meanings[kind]))
         kind = _one(rng, tuple(self.templates))
         return kind, _fill(rng, self._topic, _one(rng, self.templates[kind]))
 

@@ -7,16 +7,17 @@ calmed in pauses; postures that change about every ten seconds are added.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from data_module.performer.inertialisation import quintic_offset
+from data_module.performer.inertialisation import minimum_jerk, quintic_offset
 from data_module.performer.takes import ARM_SIDES, FPS, GROUPS, HIPS, MIRROR, SKULL, SPINE, Library, soft_limit
 from data_module.performer.types import Spoken
+from data_module.truth import Syllable
 from data_module.types import Array
 
 _PARTS = (HIPS, SPINE, SKULL)
@@ -35,6 +36,8 @@ _STRESSED = 0.4
 _FADE = 0.7
 _CALM, _CALMER_SPAN = 0.7, 1.5
 """Share of the trunk's fast motion that remains in a pause, and the low pass that separates it, seconds."""
+_WITHOUT_HANDS, _WITH_HANDS = 0.45, 1.35
+"""Factors on the fast part of the trunk's motion while the hands are still and while they move."""
 _POSTURE = (9.0, 16.0)
 _SHIFT = 1.6
 """Seconds that a posture lasts, and seconds of the transition to the next one."""
@@ -42,6 +45,12 @@ _FIDGET, _IDLE_FADE = np.radians(12.0), 1.0
 """Soft limit of the fidgets of a hanging arm's joints, radians, and seconds of the transition between takes."""
 _SWAY, _SWAY_SECONDS = np.radians(1.3), 3.2
 """Lean of a standing body as its weight circles, radians, and the period of the circle, seconds."""
+_ACCENT, _ACCENT_MOST = np.radians(0.5), 6.0
+"""Turn of the chest per semitone of an accent's pitch above the voice's middle, radians, and the semitones that count
+most."""
+_ACCENT_RISE, _ACCENT_FALL = 0.22, 0.5
+"""Seconds before the middle of an accented vowel in which the chest turns, and after it in which it comes back: its
+speed follows the pitch at once."""
 _MOST_YAW = np.radians(20.0)
 """Yaw of the head in the room (the sum of its joints' yaws), radians, that 95 % of the frames stay within."""
 
@@ -74,10 +83,11 @@ def trunk_segments(library: Library, splits: Mapping[str, str], split: str) -> t
     return tuple(out)
 
 
-def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array, gain: float,
-                rng: np.random.Generator) -> Array:
-    """Bends [T, 3, 3] for a talk. speaking: [T] 0 in pauses, 1 in speech, with soft edges; gain: factor on the motion.
-    """
+def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array,
+                strength: tuple[float, float], rng: np.random.Generator) -> Array:
+    """Bends [T, 3, 3] for a talk. speaking: [T] 0 in pauses, 1 in speech, with soft edges; strength: a factor on the
+    motion, and how strongly it follows the effort of the phrases (0 to 1)."""
+    gain, links = strength
     frames = len(speaking)
     stressed = np.array([s.vowel * FPS for s in spoken.syllables if s.prominence > _STRESSED])
     out = np.zeros((frames, 3, 3))
@@ -91,7 +101,7 @@ def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array, 
     effort = np.zeros(frames)
     for phrase in spoken.phrases:
         effort[round(phrase.start * FPS):round(phrase.end * FPS)] = phrase.effort
-    vigour = np.exp(0.35 * gaussian_filter1d(effort, 0.4 * FPS))
+    vigour = np.exp(0.35 * links * gaussian_filter1d(effort, 0.4 * FPS))
     return gain * _GAINS[:, None] * calm(out, speaking, vigour)
 
 
@@ -116,6 +126,24 @@ def sway(frames: int, rng: np.random.Generator) -> Array:
     turned = np.interp(np.arange(frames) / (2 * FPS), np.arange(len(pace)), pace)
     angle = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(turned) / FPS * (1.0 if rng.random() < 0.5 else -1.0)
     return _SWAY * np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=-1)
+
+
+def pitch_accents(syllables: Sequence[Syllable], frames: int, strength: float, rng: np.random.Generator) -> Array:
+    """[T, 3] log rotations of the spine that go with the pitch: the higher an accented syllable, the farther the chest
+    leans or turns with it. strength: 0 for none, 1 for `_ACCENT`."""
+    out, times = np.zeros((frames, 3)), np.arange(frames) / FPS
+    turns = rng.normal(0.0, 1.0, (len(syllables), 3)) * [1.0, 1.2, 0.6]
+    for syllable, turn in zip(syllables, turns, strict=True):
+        height = min(syllable.pitch, _ACCENT_MOST)
+        if strength <= 0.0 or height <= 0.0 or syllable.prominence <= 0.0:
+            continue
+        top = 0.5 * (syllable.vowel + syllable.end)
+        first, last = (int(np.clip(np.ceil(at * FPS), 0, frames)) for at in (top - _ACCENT_RISE, top + _ACCENT_FALL))
+        near = times[first:last] - top
+        rises = minimum_jerk(np.clip(near / _ACCENT_RISE + 1.0, 0.0, 1.0))
+        falls = minimum_jerk(np.clip(near / _ACCENT_FALL, 0.0, 1.0))
+        out[first:last] += (strength * _ACCENT * height * (rises - falls))[:, None] * turn
+    return out
 
 
 def yaw_scale(yaws: Array) -> float:
@@ -181,6 +209,14 @@ def calm(bends: Array, speaking: Array, vigour: Array | float = 1.0) -> Array:
     """Scale the fast part of bends [T, ...]: smaller in pauses, larger in vigorous phrases."""
     slow = gaussian_filter1d(bends, _CALMER_SPAN * FPS, axis=0, mode="nearest")
     share = (_CALM + (1.0 - _CALM) * gaussian_filter1d(speaking, 0.35 * FPS, mode="nearest")) * vigour
+    return slow + (bends - slow) * share.reshape(-1, *[1] * (bends.ndim - 1))
+
+
+def with_activity(bends: Array, activity: Array) -> Array:
+    """Bends [T, ...] whose fast part is larger where the hands are active ([T], 0 to 1): trunk and head move with them.
+    """
+    slow = gaussian_filter1d(bends, _CALMER_SPAN * FPS, axis=0, mode="nearest")
+    share = _WITHOUT_HANDS + (_WITH_HANDS - _WITHOUT_HANDS) * activity
     return slow + (bends - slow) * share.reshape(-1, *[1] * (bends.ndim - 1))
 
 

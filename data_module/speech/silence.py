@@ -1,7 +1,9 @@
 """Levels of a recording: silence relative to a running noise floor, pauses, and the typical level of the voice.
 
-The look-ahead is at most `LOOK_AHEAD` seconds, and nothing depends on the loudest part of the recording, so a stream
-gives the same result as a file.
+The look-ahead is at most `LOOK_AHEAD` seconds, and nothing depends on what is loudest later in the recording, so a
+stream gives the same result as a file. All limits are relative to the loudest 0.1 s so far, so the same recording at
+another level gives the same result; the absolute ones, `QUIETEST` and below, only matter before the first word and in
+a recording that is about 20 dB too low.
 """
 
 from __future__ import annotations
@@ -23,16 +25,16 @@ MEMORY = 10.0
 """Seconds of the past from which the noise floor is estimated."""
 MARGIN = 6.0
 """Decibels above the floor at which sound begins: steady noise stays below, quiet speech rises above."""
-QUIETEST = -60.0
+QUIETEST = -70.0
 """dBFS below which everything is silent whatever the floor, unless all of the recording so far was faint."""
 BELOW_LOUDEST = 35.0
-"""Silence limit in a faint recording, decibels under the loudest 0.1 s so far. Speech usually reaches -25 dBFS (the
-lowest of eleven recordings reached -22), and then the limit stays at `QUIETEST`."""
+"""Silence limit, decibels under the loudest 0.1 s so far. Speech usually reaches -25 dBFS (the lowest of eleven
+recordings reached -23), so that its limit is about -60."""
 FAINTEST_SPEECH = -90.0
 """Least level of speech, dBFS. 16 bits end at -98, and the last bit is noise."""
 FAINT_EVIDENCE = 1.5
-"""Seconds of sound above the noise and below `QUIETEST` after which a recording counts as faint: breaths and handling
-before the first word are shorter (at most 0.7 s in eleven recordings)."""
+"""Seconds of sound above the noise after which the limit may be below `QUIETEST`: breaths and handling before the first
+word are shorter (at most 0.7 s in eleven recordings)."""
 SHORTEST_PAUSE = 0.35
 """Least length of a pause, seconds; a shorter gap is part of the speech (the closure of a stop lasts up to 0.2 s)."""
 LOOK_AHEAD = SHORTEST_PAUSE + 0.05
@@ -45,13 +47,19 @@ STEP = 10
 """Frames that are averaged and classified at a time: 0.1 s."""
 
 _PERCENTILE = 0.1
-_START, _START_CAP = 1.0, -45.0
+_START, _START_CAP = 1.0, 20.0  # seconds, and decibels under the loudest 0.1 s so far
+_NOISE_RANGE = 8.0  # decibels between the loudest and the faintest 0.1 s of a room's noise: 1 to 5 in ten recordings
 _STEADY = 2.0  # decibels between the loudest and the faintest 0.1 s; white noise of a second has 0.5
 _BLIP = 2
 _NEARLY_ALL = 0.9
 _PIECE = 10_000  # frames
 _FAINTEST = -120.0
 _VOICE_PRIOR, _VOICE_MEMORY = 5.0, 30.0  # seconds of speech
+_VOICE_BELOW = 6.0
+"""Decibels by which the mean of the loud frames is below the loudest 0.1 s of the first second of speech (-1 to 10,
+mean 5, in eleven recordings)."""
+_VOICE_ABOVE = 20.0
+"""Decibels by which a voice is expected above the noise before the first word."""
 
 
 def frame_levels(samples: Samples, sample_rate: int) -> Array:
@@ -71,37 +79,43 @@ def frame_levels(samples: Samples, sample_rate: int) -> Array:
 @dataclass(frozen=True)
 class LoudnessStep:
     """Some frames [F] of sound: their levels in dBFS, the noise floor, the level below which everything is silent
-    (`QUIETEST`, or `BELOW_LOUDEST` in a faint recording), and the silent frames."""
+    (`BELOW_LOUDEST`), the silent frames, and the level that the voice should have, judging by the loudest 0.1 s so far.
+    """
 
     levels: Array
     floor: Array
     limit: Array
     silent: NDArray[np.bool_]
+    expected: Array
 
 
 class LoudnessTracker:
     """Noise floor and silence of streamed sound, in steps of 0.1 s (10 frames); the last may be shorter. The floor is a
     low percentile of the past `MEMORY` seconds of levels averaged over a step, which reduces the variance of steady
-    noise. In the first second, with little past, the floor is limited to that of an ordinary room."""
+    noise. In the first second, with little past, the floor is that of an ordinary room, 20 dB under the loudest 0.1 s,
+    as soon as the level varies more than that of noise."""
 
     def __init__(self) -> None:
         self._means: deque[float] = deque(maxlen=round(MEMORY / (FRAME * STEP)))
-        self._steps = self._faint = 0
-        self._loudest = -math.inf
+        self._steps = self._heard = 0
+        self._loudest, self._faintest = -math.inf, math.inf
 
     def step(self, levels: Array) -> LoudnessStep:
         mean = _step_mean(levels)
         self._means.append(mean)
         floor = sorted(self._means)[int(_PERCENTILE * (len(self._means) - 1))]
-        if self._steps * STEP * FRAME < _START:
-            floor = min(floor, _START_CAP)
+        self._loudest, self._faintest = max(self._loudest, mean), min(self._faintest, max(mean, QUIETEST))
+        spoken = self._loudest > self._faintest + _NOISE_RANGE
+        if spoken and self._steps * STEP * FRAME < _START:
+            floor = min(floor, self._loudest - _START_CAP)
         self._steps += 1
-        self._loudest = max(self._loudest, mean)
-        count = self._faint + np.cumsum((levels > floor + MARGIN) & (levels <= QUIETEST))
-        self._faint = int(count[-1])
-        under = min(max(self._loudest - BELOW_LOUDEST, FAINTEST_SPEECH), QUIETEST)
-        limit = np.where(count * FRAME >= FAINT_EVIDENCE, under, QUIETEST)
-        return LoudnessStep(levels, np.full(len(levels), floor), limit, levels <= np.maximum(floor + MARGIN, limit))
+        count = self._heard + np.cumsum(levels > floor + MARGIN)
+        self._heard = int(count[-1])
+        under = max(self._loudest - BELOW_LOUDEST, FAINTEST_SPEECH)
+        limit = np.where(count * FRAME >= FAINT_EVIDENCE, under, max(under, QUIETEST))
+        expected = self._loudest + (-_VOICE_BELOW if spoken else _VOICE_ABOVE)
+        return LoudnessStep(levels, np.full(len(levels), floor), limit, levels <= np.maximum(floor + MARGIN, limit),
+                            np.full(len(levels), expected))
 
 
 def _step_mean(levels: Array) -> float:
@@ -113,7 +127,7 @@ def loudness(levels: Array) -> LoudnessStep:
     tracker = LoudnessTracker()
     steps = [tracker.step(levels[start:start + STEP]) for start in range(0, len(levels), STEP)]
     return LoudnessStep(levels, *(np.concatenate(part) for part in zip(
-        *((step.floor, step.limit, step.silent) for step in steps), strict=True)))
+        *((step.floor, step.limit, step.silent, step.expected) for step in steps), strict=True)))
 
 
 
@@ -230,8 +244,8 @@ class SteadyStart:
 
 def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:
     """The typical level of the voice in dBFS at the end of each block [N]. The mean level of the non-silent frames,
-    averaged over 30 s of speech, starting at `TYPICAL_LEVEL` with the weight of 5 s. Subtracting it removes the gain of
-    the microphone, while the effort of a phrase, which changes every few seconds, stays in the features."""
+    averaged over 30 s of speech, starting at `LoudnessStep.expected` with the weight of 5 s. Subtracting it removes the
+    gain of the recording, while the effort of a phrase, which changes every few seconds, stays in the features."""
     frames, voice = loudness(frame_levels(samples, sample_rate)), VoiceLevel()
     voice.feed(frames)
     return np.array([voice.block(stop) for stop in edges[1:]])
@@ -242,19 +256,24 @@ class VoiceLevel:
 
     def __init__(self) -> None:
         self._total, self._count, self._first = [0.0], [0], 0  # of the frames up to each, from frame `_first` on
-        self._level, self._weight = TYPICAL_LEVEL, _VOICE_PRIOR
+        self._expected = [TYPICAL_LEVEL]
+        self._level = self._weight = 0.0
 
     def feed(self, frames: LoudnessStep) -> None:
         for level, silent in zip(frames.levels.tolist(), frames.silent.tolist(), strict=True):
             self._total.append(self._total[-1] + (0.0 if silent else level))
             self._count.append(self._count[-1] + (not silent))
+        self._expected += frames.expected.tolist()
 
     def block(self, edge: float) -> float:
         """The level at the end of the next block, at `edge` seconds, whose frames have been fed."""
         last = min(max(round(edge / FRAME) - self._first, 0), len(self._total) - 1)
         summed, seconds = self._total[last] - self._total[0], (self._count[last] - self._count[0]) * FRAME
-        del self._total[:last], self._count[:last]
+        expected = self._expected[last]
+        del self._total[:last], self._count[:last], self._expected[:last]
         self._first += last
-        self._level = (self._level * self._weight + summed * FRAME) / (self._weight + seconds)
-        self._weight = min(self._weight + seconds, _VOICE_MEMORY)
-        return self._level
+        if seconds:
+            self._level = (self._level * self._weight + summed * FRAME) / (self._weight + seconds)
+            self._weight = min(self._weight + seconds, _VOICE_MEMORY)
+        prior = _VOICE_PRIOR * (1.0 - self._weight / _VOICE_MEMORY)
+        return (prior * expected + self._weight * self._level) / (prior + self._weight)

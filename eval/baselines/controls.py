@@ -1,6 +1,4 @@
-"""Baselines: motion and policies that know nothing, to see what a metric says of them.
-
-Negative controls are motion that is known to be wrong, or right.
+"""Negative controls: motion that is known to be wrong, or right, to see what a metric says of it.
 
 A metric is worth what it makes of these (mir_eval's rule that perfect input gives a perfect score, turned round):
 
@@ -18,34 +16,30 @@ A metric is worth what it makes of these (mir_eval's rule that perfect input giv
   both, cannot see it; to the eye it is the first sign of a machine.
 - `bobbing`: the mean pose whose forearms go up and down in turn and stop at each onset of the sound. What rewards
   timing alone takes it for the best gesturer of all.
+- `splayed`, `one_curl`, `rigid_wrists`: forearms turned outward, fingers as one paddle, hands as planks. Distances
+  between windows of joint positions do not move.
+- `frozen_in_pauses`: speech is untouched, and each silence is a photograph.
 
 Each takes clips and gives clips; the same seed gives the same clips. ValueError where there is nothing to choose from.
-
-Interpreters that do not listen are what one that listens must beat: `Random`, `Majority`, `Bigram`; `RandomStyle` draws
-style codes. `ReplayInterpreter` gives lexemes that are known beforehand, so that they can be played.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import find_table
 from data_module.types import Array, Motion, Skeleton
 
 if TYPE_CHECKING:
-    from gesticulator.bundle.bundle import Bundle
     from gesticulator.bundle.features import SpeechFeatures
-    from gesticulator.training.stages import Corpus
-    from interpreters.base import BlockFeatures
 
 JITTER = 0.02
 """Metres: the standard deviation along each axis."""
@@ -172,6 +166,32 @@ def splayed(clips: Clips, seed: int = 0, degrees: float = 20.0) -> list[Motion]:
             rotations[:, elbow] = rotation.multiply(
                 rotation.conjugate(above), rotation.multiply(turn, world[:, elbow]))
         out.append(replace(clip, rotations=rotation.continuous(rotations)))
+    return out
+
+
+def one_curl(clips: Clips, seed: int = 0) -> list[Motion]:
+    """Every finger joint of a hand, the thumb's too, turned as the first joint of its index finger: a paddle that
+    curls. Clips without fingers stay as they are."""
+    out = []
+    for clip in clips:
+        rotations = clip.rotations.copy()
+        for side in ("Left", "Right"):
+            fingers = [joint for joint, name in enumerate(clip.skeleton.names)
+                       if re.fullmatch(rf"{side}Hand(Thumb|Index|Middle|Ring|Pinky)\d", name)]
+            if fingers:
+                rotations[:, fingers] = rotations[:, clip.skeleton.index(f"{side}HandIndex1")][:, None]
+        out.append(replace(clip, rotations=rotations))
+    return out
+
+
+def rigid_wrists(clips: Clips, seed: int = 0) -> list[Motion]:
+    """Each clip whose hands keep in line with their forearms, and only follow them."""
+    out = []
+    for clip in clips:
+        rotations = clip.rotations.copy()
+        hands = find_table(clip.skeleton.names)
+        rotations[:, [hands["LeftHand"], hands["RightHand"]]] = (1.0, 0.0, 0.0, 0.0)
+        out.append(replace(clip, rotations=rotations))
     return out
 
 
@@ -302,104 +322,3 @@ def _onsets_late(encoded: SpeechFeatures, by: int) -> tuple[Array, ...] | None:
         share = (encoded.onsets[heard] - edges[heard]) / (edges[heard + 1] - edges[heard])
         out.append(edges[own] + share * (edges[own + 1] - edges[own]))
     return tuple(out)
-
-
-# -------------------------------------------------------------------------------------------------------- interpreters
-
-IMPROBABLE = -1e3
-"""A score so low that no temperature in use draws the lexeme."""
-Lexemes = NDArray[np.int64]
-
-
-def _only(lexeme: int, size: int) -> Array:
-    """Scores [S] that leave one choice."""
-    scores = np.full(size, IMPROBABLE)
-    scores[lexeme] = 0.0
-    return scores
-
-
-class Random:
-    """All lexemes alike, whatever is said: drawn from at temperature 1, the policy that knows nothing."""
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-
-    def start(self, speaker: int, first_lexeme: int) -> None:
-        """There is no state."""
-        return
-
-    def step(self, state: None, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, None]:
-        """Zeros [S]."""
-        return np.zeros(self._size), None
-
-
-class Majority:
-    """Always the lexeme that the speaker uses most: the floor of every table."""
-
-    def __init__(self, bundle: Bundle) -> None:
-        self._best = [int(own.argmax()) for own in bundle.frequencies]
-        self._size = len(bundle.vectors)
-
-    def start(self, speaker: int, first_lexeme: int) -> int:
-        """The state is the speaker."""
-        return speaker
-
-    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, int]:
-        """The same scores [S] for every block."""
-        return _only(self._best[state], self._size), state
-
-
-class Bigram:
-    """The most frequent successor of the previous lexeme for this speaker: what accuracy needs no sound for."""
-
-    def __init__(self, successors: Lexemes) -> None:
-        """successors: [speakers, S]."""
-        self._successors = successors
-
-    @classmethod
-    def fitted(cls, corpus: Corpus, labels: Lexemes, size: int) -> Bigram:
-        """Counted on the training split; labels: [N], size: S."""
-        counts = np.zeros((len(corpus.statistics.speakers), size, size))
-        for recording in corpus.recordings("train"):
-            sequence = labels[corpus.blocks_of(recording)]
-            np.add.at(counts[corpus.speaker_of[recording]], (sequence[:-1], sequence[1:]), 1)
-        return cls(counts.argmax(-1))
-
-    def start(self, speaker: int, first_lexeme: int) -> int:
-        """The state is the speaker."""
-        return speaker
-
-    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, int]:
-        """One lexeme, by the table."""
-        return _only(int(self._successors[state, previous_lexeme]), self._successors.shape[1]), state
-
-
-class ReplayInterpreter:
-    """Lexemes that are known beforehand, one sequence after the other: each `start` begins the next."""
-
-    def __init__(self, sequences: Iterable[Lexemes], size: int) -> None:
-        self._coming, self._size = iter(sequences), size
-
-    def start(self, speaker: int, first_lexeme: int) -> Iterator[int]:
-        """The state is what is yet to come."""
-        return iter(next(self._coming).tolist())
-
-    def step(self, state: Iterator[int], features: BlockFeatures, previous_lexeme: int) -> tuple[Array, Iterator[int]]:
-        """Scores [S] that leave one choice."""
-        return _only(next(state), self._size), state
-
-
-class RandomStyle:
-    """Style codes that know nothing: z from N(0, I) anew on each block, as L_z would have the learned (RG Table 2)."""
-
-    def __init__(self, code_width: int, seed: int) -> None:
-        self.code_width, self._seed = code_width, seed
-
-    def start(self, speaker: int) -> np.random.Generator:
-        """The state is the random generator, the same in each recording."""
-        return np.random.default_rng([self._seed, speaker])
-
-    def step(self, state: np.random.Generator, features: BlockFeatures, lexeme: int
-             ) -> tuple[Tensor, np.random.Generator]:
-        """A code [1, d_z]."""
-        return torch.as_tensor(state.standard_normal((1, self.code_width)), dtype=torch.float32), state

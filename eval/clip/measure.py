@@ -143,8 +143,9 @@ def motion_values(clip: ClipMeasurement, motion: Motion, truth: Motion, seed: in
             "silence_speed": clip.silence_speed, "maje": error.maje, "mad": error.mad}
 
 
-def real_take(fps: float) -> tuple[Motion, Speech] | None:
-    """The real take that lies in GESTICULATOR_DATA, on our character at this frame rate; None without it."""
+def real_take(fps: float, own_rig: bool = False) -> tuple[Motion, Speech] | None:
+    """The real take that lies in GESTICULATOR_DATA at this frame rate; None without it. It is on our character, or on
+    its own rig with its fingers."""
     place = os.environ.get("GESTICULATOR_DATA")
     folder = Path(place) / TAKE if place else None
     if folder is None or not folder.is_dir():
@@ -152,4 +153,5 @@ def real_take(fps: float) -> tuple[Motion, Speech] | None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", bvh.BvhWarning)
         motion = bvh.read_bvh(next(iter(sorted(folder.glob("*.bvh")))), fps=TAKE_FPS)
-    return resample(skeletons.to_character(motion), fps), load_speech(next(iter(sorted(folder.glob("*.wav")))))
+    motion = motion if own_rig else skeletons.to_character(motion)
+    return resample(motion, fps), load_speech(next(iter(sorted(folder.glob("*.wav")))))

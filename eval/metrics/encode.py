@@ -99,7 +99,7 @@ def latents_of(lexicon: BlockLexicon, motion: Tensor, past: Pasts) -> Tensor:
     """[N, D_s] blocks [N, K, D_m] where the lexicon compares them with its codebook: E(M) of the paper's lexicon (RG
     Eq. 4), the weighted coefficients of movements."""
     if isinstance(lexicon, MovementLexicon):
-        return lexicon.basis.coefficients(motion, past) * lexicon.basis.weight
+        return lexicon.latents(lexicon.basis.coefficients(motion, past))
     return lexicon.latents(motion)
 
 
@@ -107,7 +107,7 @@ def latents_of(lexicon: BlockLexicon, motion: Tensor, past: Pasts) -> Tensor:
 def labels_of(lexicon: BlockLexicon, latents: Tensor) -> NDArray[np.int64]:
     """[N] the lexeme nearest to each of the latents [N, D_s]."""
     if isinstance(lexicon, MovementLexicon):
-        return np.asarray(lexicon.nearest(latents / lexicon.basis.weight).numpy())
+        return np.asarray(lexicon.code_distances(latents).argmin(-1).numpy())
     return np.asarray(lexicon.quantizer.labels(latents).numpy())
 
 

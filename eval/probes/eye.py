@@ -80,7 +80,9 @@ def run(arguments: argparse.Namespace) -> Sequence[Table]:
     samples: dict[str, EyeSample] = {}
     wrong: dict[str, EyeSample] = {}
     if take is not None:
-        real = AcceptanceVoice(TAKE, take[1], TAKE, take[0])
+        # On its own rig, which has fingers; the controls are made on the character.
+        whole = real_take(HZ, own_rig=True) or take
+        real = AcceptanceVoice(TAKE, take[1], TAKE, whole[0])
         samples[REAL] = own_motion([real], space)
         wrong = controls(take[0], real.heard, space)
     if tested:

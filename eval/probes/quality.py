@@ -22,7 +22,7 @@ from data_module.motion.movement import Pasts
 from data_module.store import Recording
 from data_module.types import Array, Motion, Speech
 from eval import stats
-from eval.baselines.controls import Bigram, Majority
+from eval.baselines.interpreters import Bigram, Majority
 from eval.clip.measure import ClipMeasurement, measure, real_take
 from eval.metrics.encode import normalised_blocks
 from eval.runner.context import EvalContext

@@ -1,17 +1,23 @@
 """Does the same sound give the same take? Exports, levels, noise and a changed word against the first rendering.
 
-    gesticulator probe stability [--speech FILE ...] [--bundle DIR] [--seeds 2] [--out FILE.json]
+    gesticulator probe stability [--speech FILE ... [--text FILE ...]] [--bundle DIR] [--seeds 2] [--out FILE.json]
 
 Each sound is rendered as it is, then as a tool might export it again: quieter by 0.1, 1 and 6 dB, resampled from
 48 kHz, as MP3 at 192 kbit/s, with white noise at -60 dB of full scale. `eval.metrics.eye.stability` tells how far the
-take moved. Another seed shows how far two takes of one sound are apart, and a system that ignores the sound (the same
-rendering for every sound) would have 0 everywhere, so these figures count only beside those of synchrony and meaning.
+take moved, and what is asked of it: a change of level moves nothing, and after any other change the take comes back
+within a gesture unit. Another seed shows how far two takes of one sound are apart, and a system that ignores the sound
+(the same rendering for every sound) would have 0 everywhere, so these figures count only beside those of synchrony and
+meaning.
+
+With transcripts one word in the middle is changed, too: nothing may move before the gesture unit (of either hand) in
+which the word falls, and from the second unit after it on the lexemes must be the old ones again.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -23,10 +29,14 @@ from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, amplified, load_speech, resample
 from data_module.types import Speech
 from eval import stats
+from eval.claim import Verdict, at_least, at_most, judged, skipped, verdict_table
 from eval.clip.measure import real_take
 from eval.metrics.eye import stability
-from eval.metrics.eye.body import HZ, common_body
-from eval.table import Column, Table
+from eval.metrics.eye.body import HZ, CommonBody, common_body
+from eval.metrics.eye.together import hand_speeds
+from eval.metrics.eye.units import gesture_units
+from eval.stats import Interval
+from eval.table import Cell, Column, Table
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 
@@ -93,10 +103,32 @@ VARIANTS: Mapping[str, Callable[[Speech], Speech]] = {
     "resampled from 48 kHz": _resampled, "MP3, 192 kbit/s": _as_mp3, "noise at -60 dB": _noisy}
 
 
+LEVELS = ("0.1 dB quieter", "1 dB quieter", "6 dB quieter")
+"""The variants in which nothing but the level changes."""
+APART, OTHER, HEALED = (2.0, 5.0), (2.0, 10.0), 90.0
+"""Centimetres between the hands and percentage of other lexemes, of levels and of other exports; percentage of the
+partings after which the hands are together again."""
+
+
+def verdicts(name: str, figures: Mapping[str, Interval]) -> list[Verdict]:
+    """What is asked of a variant, held against its row of the table."""
+    other = int(name not in LEVELS)
+    out = [judged(f"hands apart, {name}, cm", figures["hands"], at_most(APART[other])),
+           judged(f"other lexemes, {name}, %", figures["lexemes"], at_most(OTHER[other]), digits=1)]
+    if other:
+        told = f"together again within a unit, {name}, % of partings"
+        # Takes that never part have nothing to come back from.
+        out.append(skipped(told, "they never part") if math.isnan(figures["healed"].mean) else
+                   judged(told, figures["healed"], at_least(HEALED), digits=0))
+    return out
+
+
 def arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the probe."""
     parser.add_argument("--speech", nargs="+", type=Path, default=[], metavar="FILE",
                         help="audio files (default: the voice of the real recording in GESTICULATOR_DATA)")
+    parser.add_argument("--text", nargs="+", type=Path, default=[], metavar="FILE",
+                        help="their transcripts in the same order; then one word is changed, too")
     parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
     parser.add_argument("--speaker", metavar="NAME", help="speaker (default: that of the bundle)")
     parser.add_argument("--seeds", type=int, default=2, metavar="N", help="renderings of each sound (default 2)")
@@ -106,6 +138,9 @@ def run(arguments: argparse.Namespace) -> Sequence[Table]:
     """The table of how far each variant of a sound moves the take."""
     if arguments.seeds < 1:
         raise InputError("--seeds", f"is {arguments.seeds}", "give 1 or more")
+    if len(arguments.text) not in (0, len(arguments.speech)):
+        raise InputError("--text", f"names {len(arguments.text)} transcripts of {len(arguments.speech)} sounds",
+                         "give one for each sound of --speech")
     system = Gesticulator.from_pretrained(arguments.bundle)
     system.speaker_index(arguments.speaker)
     sounds = _sounds(arguments.speech)
@@ -119,11 +154,16 @@ def run(arguments: argparse.Namespace) -> Sequence[Table]:
             values["another seed"].append(moved(first, other))
     rows = {name: {key: stats.mean_interval([row[key] for row in found]) for key in COLUMNS}
             for name, found in values.items()}
+    found = [verdict for name in VARIANTS for verdict in verdicts(name, rows[name])]
+    words = _words_changed(system, arguments, sounds)
+    found += words[0]
     note = (f"{len(sounds)} sounds, {arguments.seeds} seeds each, speaker "
             f"{system.speakers[system.speaker_index(arguments.speaker)]}. A first parting is left out where there is "
             "none.")
     return [Table("The same sound exported again, against its first rendering", COLUMNS, rows, head="sound",
-                  notes=[note], facts={"sounds": list(sounds), "seeds": arguments.seeds})]
+                  notes=[note], facts={"sounds": list(sounds), "seeds": arguments.seeds}),
+            verdict_table("Stability: what is asked of it", found, ["It counts only for weights that pass the "
+                          "acceptance of the motion: a constant choice is stable, too."]), *words[1]]
 
 
 def moved(first: Performance, again: Performance) -> dict[str, float]:
@@ -132,6 +172,76 @@ def moved(first: Performance, again: Performance) -> dict[str, float]:
     figures = asdict(found)
     other, _ = stability.other_lexemes(first.lexemes.tolist(), again.lexemes.tolist())
     return {key: other if key == "lexemes" else figures[key] for key in COLUMNS}
+
+
+# -------------------------------------------------------------------------------------------------------- one word
+
+def word_changed(speech: Speech) -> tuple[Speech, float]:
+    """The longest word in the middle third becomes the longest other word of the transcript, at its time; and when it
+    begins, seconds. InputError where there are not two words."""
+    words = [word for word in speech.words or () if word.text.strip()]
+    middle = words[len(words) // 3:max(2 * len(words) // 3, len(words) // 3 + 1)]
+    chosen = max(middle, key=lambda word: len(word.text), default=None)
+    others = [word.text for word in words if chosen is not None and word.text.lower() != chosen.text.lower()]
+    if chosen is None or not others:
+        raise InputError("--text", "holds fewer than two words", "give the transcript of what is said")
+    longest = max(others, key=len)
+    changed = tuple(replace(word, text=longest) if word is chosen else word for word in speech.words or ())
+    return replace(speech, words=changed), chosen.start
+
+
+def units_of(body: CommonBody) -> list[tuple[float, float]]:
+    """Seconds from and to of the gesture units of a motion; those of both hands that overlap are one."""
+    speed, active = hand_speeds(body), np.zeros(len(body), bool)
+    for hand in (0, 1):
+        for begin, stop in gesture_units(body.hands[:, hand, 1], speed[:, hand]):
+            active[begin:stop] = True
+    return [(begin / HZ, stop / HZ) for begin, stop in stats.runs(active).tolist()]
+
+
+def moved_by_word(first: Performance, again: Performance, time: float) -> dict[str, float]:
+    """The figures of `WORD_COLUMNS` after a change of the word at a time. NaN for what the motion is too short for."""
+    one, two = common_body(first.motion), common_body(again.motion)
+    units = units_of(one)
+    at = next((k for k, (_, stop) in enumerate(units) if stop > time), len(units))
+    begin = min(time, units[at][0]) if at < len(units) else time
+    before = stability.difference(one.crop(0, round(begin * HZ)), two.crop(0, round(begin * HZ))).hands \
+        if begin > 1.0 else math.nan
+    if at + 2 >= len(units):
+        return {"before": before, "after": math.nan}
+    late = first.blocks.edges[:-1] >= units[at + 2][0]
+    other, _ = stability.other_lexemes(first.lexemes[late].tolist(), again.lexemes[late].tolist())
+    return {"before": before, "after": other}
+
+
+WORD_COLUMNS = {"before": Column("hands apart before its unit", "cm", 2, "low"),
+                "after": Column("other lexemes from the second unit after it", "%", 1, "low")}
+_NOTHING, _AFTER = 0.01, 5.0
+"""Centimetres that count as nothing, and percentage of other lexemes."""
+
+
+def _words_changed(system: Gesticulator, arguments: argparse.Namespace, sounds: Mapping[str, Speech]
+                   ) -> tuple[list[Verdict], list[Table]]:
+    """What one changed word does to every sound with a transcript."""
+    if not arguments.text:
+        return [], []
+    rows: dict[str, dict[str, Cell]] = {}
+    values: dict[str, list[float]] = {key: [] for key in WORD_COLUMNS}
+    for (name, speech), text in zip(sounds.items(), arguments.text, strict=True):
+        said, _ = system.read(speech, text)
+        changed, time = word_changed(said)
+        found = [moved_by_word(system(said, seed=seed, speaker=arguments.speaker),
+                               system(changed, seed=seed, speaker=arguments.speaker), time)
+                 for seed in range(arguments.seeds)]
+        for key in WORD_COLUMNS:
+            values[key] += [own[key] for own in found]
+        rows[name] = {key: stats.mean_interval([own[key] for own in found]) for key in WORD_COLUMNS}
+    means = {key: stats.mean_interval(own) for key, own in values.items()}
+    titles = "hands apart before the unit of a changed word, cm", "other lexemes from the second unit after it, %"
+    out = [judged(title, means[key], at_most(bound)) if math.isfinite(means[key].mean) else
+           skipped(title, "the sounds are too short")
+           for title, key, bound in zip(titles, WORD_COLUMNS, (_NOTHING, _AFTER), strict=True)]
+    return out, [Table("One word changed", WORD_COLUMNS, rows, "sound")]
 
 
 def _sounds(files: Sequence[Path]) -> dict[str, Speech]:

@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from data_module.store import Recording
 from data_module.types import Array, Motion
-from eval.baselines.controls import ReplayInterpreter
+from eval.baselines.interpreters import ReplayInterpreter
 from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bigrams
 from eval.rows.row import EPISODE

@@ -38,6 +38,7 @@ from eval.clip.excerpts import excerpt
 from eval.clip.foreign import edges_of_plan, find_motions, read_motion
 from eval.metrics.eye import VoiceActivity, hear
 from eval.metrics.eye.body import HZ
+from eval.metrics.eye.pitch import pitch_track
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechFeatures
@@ -70,6 +71,11 @@ class AcceptanceVoice:
     def heard(self) -> VoiceActivity:
         """What the figures need of the sound."""
         return hear(self.speech)
+
+    @cached_property
+    def pitch(self) -> Array:
+        """Its track for `eval.metrics.eye.pitch`."""
+        return pitch_track(self.speech)
 
     @cached_property
     def key(self) -> str:
@@ -199,6 +205,7 @@ class BundleSystem:
         self.gesticulator = ListeningGesticulator(bundle or bundles.load(folder))
         self.key = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
         self._encoded: dict[str, tuple[SpeechFeatures, float]] = {}
+        self._asked: dict[str, Any] = {}
 
     @property
     def bundle(self) -> bundles.Bundle:
@@ -211,6 +218,12 @@ class BundleSystem:
         config = with_settings(self.bundle.config, ["silence.rest=decay", "silence.rest_decay=0"])
         other.gesticulator = ListeningGesticulator(replace(self.bundle, config=config))
         other.key, other._encoded = f"{self.key} bare", {}
+        return other
+
+    def asking(self, name: str, **asked: Any) -> BundleSystem:
+        """The same under another name, with these options in every rendering."""
+        other = copy.copy(self)
+        other.name, other._asked = name, self._asked | asked
         return other
 
     @property
@@ -226,6 +239,7 @@ class BundleSystem:
                ) -> Rendering:
         """A voice with a seed. asked: options beside speaker and seed; named: plain values that stand for them, where
         they are none."""
+        asked = self._asked | asked
         found, file = self._kept.get(("bundle", self.key, program_key(), voice.key, self.speaker(voice), seed, rolled,
                                       named or sorted(asked.items())))
         if found is not None:
@@ -237,6 +251,7 @@ class BundleSystem:
     def perform(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **asked: Any
                 ) -> tuple[Performance, float]:
         """The same as a performance that is not kept, and the seconds that it took, features included."""
+        asked = self._asked | asked
         speech = audio.resample(voice.speech, audio.SAMPLE_RATE)
         begin = time.perf_counter()
         if voice.key not in self._encoded:

@@ -36,6 +36,7 @@ from data_module.speech.audio import resample as resample_speech
 from data_module.store import Recording
 from data_module.types import Array, Motion
 from eval.baselines import controls as baselines
+from eval.baselines.interpreters import RandomStyle
 from eval.clip.foreign import find_motions, read_folder
 from eval.clip.measure import real_take
 from eval.metrics import fgd
@@ -263,7 +264,7 @@ class RgRows:
         row = ROWS[name]
         over_judge = self.runs(name, seed)[0].key(LEXICON) == self.first.key(LEXICON)
         if row.style == "random":
-            style = baselines.RandomStyle(bundle.config.generator.style_width, seed)
+            style = RandomStyle(bundle.config.generator.style_width, seed)
             bundle = bundle.with_parts(style=cast(Any, style), style_text=None)
         system, out = Gesticulator(bundle), []
         for k, recording in enumerate(tqdm(self.recordings(row.split), desc=f"{name}, seed {seed}",

@@ -18,7 +18,7 @@ from gesticulator.bundle.files import INDEX, read_index
 from gesticulator.version import __version__
 
 _NOT_SETTINGS = {"speech", "output", "preview", "plan_out", "text", "bundle", "list", "quiet", "manifest", "shard",
-                 "ray"}
+                 "ray", "retime_report"}
 """Arguments that do not affect the output bytes, or that have their own column in the manifest."""
 
 

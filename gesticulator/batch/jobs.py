@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import glob
+import json
 import os
 import sys
 import time
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError, complain, printable
+from data_module.files import write_text
 from gesticulator.arguments import options_from_args
 from gesticulator.cli import PROGRAM
 from gesticulator.export.writers import suffix_of
@@ -225,8 +227,13 @@ def perform(job: Job, system: Gesticulator, args: argparse.Namespace, controls: 
     spent = time.perf_counter() - begin
     written = [performance.save(target, unit=args.unit if target.suffix.lower() == ".bvh" else "cm")
                for target in job.targets]
+    notes, retiming = performance.notes, performance.retiming
+    if retiming is not None:
+        notes += retiming.lines()[1:]
+        if args.retime_report is not None:
+            write_text(Path(args.retime_report), json.dumps(retiming.to_dict(), indent=1) + "\n")
     _print_summary(job, args, _Done(speech.duration, performance.lexemes.tolist(), len(system.bundle.vectors),
-                                spent / speech.duration), written, performance.notes)
+                                spent / speech.duration), written, notes)
     return speech.duration
 
 

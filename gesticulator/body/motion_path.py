@@ -5,7 +5,6 @@ File and stream both go through `MotionPath` block by block, so both get the sam
 
 from __future__ import annotations
 
-import copy
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -94,7 +93,7 @@ class MotionPath:
             while len(self._stances) > 1 and self._stances[-1][0] > first:
                 self._stances.pop()
             number, self._stance = self._stances[-1]
-            self._stances[-1] = number, copy.deepcopy(self._stance)
+            self._stances[-1] = number, self._stance.fork()
             if number < first:
                 self._stance.step(self._representation.motion(self._knots.frames(number, first), self._knots.fps))
 
@@ -116,7 +115,7 @@ class MotionPath:
         body = self._representation.motion(frames, self._knots.fps)
         if self._stance is not None:
             first = self._knots.next - len(frames)
-            self._stances.append((first, copy.deepcopy(self._stance)))
+            self._stances.append((first, self._stance.fork()))
             while (first - self._stances[0][0]) / self._knots.fps > self.history and len(self._stances) > 1:
                 self._stances.popleft()
             return self._stance.step(body)

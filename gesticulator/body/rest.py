@@ -2,12 +2,13 @@
 
 Three decisions, each made from the past and what is known of the next block (no further look-ahead):
 
-1. Is this a pause? `Pauses` turns quiet frames into frames of rest: only a lasting silence counts, and only lasting
-   speech ends it, so that breaths do not freeze the body and clicks do not wake it.
+1. Is this a pause to rest in? `Pauses` turns quiet frames into frames of rest: only a silence of a second or more
+   counts, because in shorter ones people finish a gesture and prepare the next, and only lasting speech ends it, so
+   that clicks do not wake the body.
 2. Is this phrase gestured? `Phrases` selects, among the runs of speech between pauses, a share `activity` of the time,
    preferring those that the gate scores highest.
-3. What does the body do? `Rest` stops it smoothly, holds for `HOLD` seconds as people keep their hands up in short
-   pauses, then lowers it slowly to the resting pose; on waking, the generated motion is joined to the position and
+3. What does the body do? `Rest` stops it smoothly, holds for `HOLD` seconds, then retracts the hands to the resting
+   pose at the pace of a gesture; on waking, the generated motion is joined to the position and
    velocity last shown. Idle motion is added: faintly in speech, fully where the head would freeze.
 
 The stop from pose x with velocity v takes T seconds along the cubic that ends at x + v T / 3 with velocity 0, so that
@@ -32,21 +33,24 @@ from data_module.types import Array
 from gesticulator.body.life import HEAD, SIDES, LifeLayer, uniform
 from gesticulator.bundle.features import Flags, Span, Statistics
 
-REAL = 0.42
-"""Least duration of a pause, seconds of silence; a shorter one is a breath, and gestures continue."""
-SEEN = 0.3
+REAL = 1.0
+"""Least silence, seconds, in which the body rests. Real speakers move a hand in 61 to 84 % of the time of their shorter
+pauses, at half the speed around them or more."""
+SEEN = 0.8
 """Least duration of a silence that still continues at the end of what is known, seconds."""
 WAKES = 0.2
 """Least duration of sound that ends a pause, seconds: clicks and lip noises do not."""
-LEAD = 0.1
-"""Seconds before the voice at which the body wakes: hands start before the word."""
-HOLD = 1.6
-"""Seconds that the hands stay where they stopped; in recorded talks they come down in longer pauses."""
-SINKING = 0.065
-"""Greatest speed of a hand sinking to rest, m/s (mean 0.043): with idle motion still below a quarter of a hand's mean
-speed in speech (0.34 to 0.45 m/s)."""
+LEAD = 0.4
+"""Seconds before the voice at which the body wakes: the preparation of a gesture precedes its word."""
+HOLD = 0.7
+"""Seconds from the start of the rest until the hands retract: they stop, and hold the end of their gesture."""
+SINKING = 0.4
+"""Greatest speed of a hand on its way to rest, m/s: a retraction, a little slower than the gestures (a hand's mean
+speed in speech is 0.34 to 0.45 m/s)."""
 BREAKS_OFF = 0.18
 """Duration of the stop after an interruption, seconds: within 0.3 s of the word, including motion already generated."""
+STILL_HOLD, STILL_SINKING = 1.6, 0.065
+"""The same seconds and greatest speed where the hands are asked to hold still."""
 LETS_DOWN, HANGS = 0.24, 1.15
 """Seconds after an interrupting word at which the hands start down, still slow at 0.3 s, and at which they hang: as
 late as a limit of 1.2 s allows after smoothing, because a raised hand has 0.4 m to travel."""
@@ -204,7 +208,7 @@ class _Stop:
     stops_in: Array
     rest: Array
     sinks_in: float
-    hold: float = HOLD
+    hold: float
     evenly: bool = False
 
     def at(self, time: float) -> Array:
@@ -250,16 +254,17 @@ class RestingPart:
     def __init__(self, rest: Array, bounds: Array, way: _Way) -> None:
         """rest: [D] the resting pose; bounds: [2, D] smallest and largest values; way: how it stops and sinks."""
         self.rest, self.bounds, self._way = rest, bounds, way
-        self._stop: _Stop | None = _Stop(_ALWAYS, rest, np.zeros_like(rest), rest, np.ones_like(rest), rest, 1.0)
+        self._stop: _Stop | None = _Stop(_ALWAYS, rest, np.zeros_like(rest), rest, np.ones_like(rest), rest, 1.0, HOLD)
         self._join: _Join | None = None
         self._last = [(-1.0, rest), (0.0, rest)]
 
-    def step(self, times: Array, generated: Array, rests: Flags) -> Array:
-        """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K]."""
+    def step(self, times: Array, generated: Array, rests: Flags, asked: bool = False) -> Array:
+        """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K]. asked: a rest
+        that begins in this block was asked for, and holds still instead of retracting."""
         out = np.empty_like(generated)
         for k, time in enumerate(times):
             if rests[k] and self._stop is None:
-                self._stop, self._join = self._stopping(), None
+                self._stop, self._join = self._stopping(asked), None
             elif not rests[k] and self._stop is not None and (k == 0 or times[-1] - self._last[1][0] >= _LEAST_FADE):
                 # A generator that uses its past starts from the frame before; one that ignores it is extrapolated.
                 before = generated[k - 1] if k else 2.0 * generated[0] - generated[1]
@@ -287,12 +292,15 @@ class RestingPart:
         (before, one), (now, two) = self._last
         return (two - one) / (now - before)
 
-    def _stopping(self) -> _Stop:
+    def _stopping(self, asked: bool) -> _Stop:
         (_, _), (now, pose) = self._last
         velocity = self._velocity()
         stopped, stops_in = self._way.stop(pose, velocity, self.rest)
         stopped = np.clip(stopped, *self.bounds)
-        return _Stop(now, pose, velocity, stopped, stops_in, self.rest, self._way.sink_seconds(stopped, self.rest))
+        hold, fastest = (STILL_HOLD, STILL_SINKING) if asked else (HOLD, SINKING)
+        return _Stop(now, pose, velocity, stopped, stops_in, self.rest,
+                     self._way.sink_seconds(stopped, self.rest, fastest), hold)
+
 
 class _Way:
     """How a part stops and sinks: by the speed of its hands or, without hands, in the longest time."""
@@ -321,14 +329,14 @@ class _Way:
             seconds[columns] += comes * (_RETRACTS - seconds[columns])
         return stopped, seconds
 
-    def sink_seconds(self, pose: Array, rest: Array) -> float:
-        """Duration in seconds of the straight path from a pose to rest such that no hand exceeds `SINKING`."""
+    def sink_seconds(self, pose: Array, rest: Array, fastest: float) -> float:
+        """Duration in seconds of the straight path from a pose to rest such that no hand exceeds `fastest` m/s."""
         if self._hands_of is None:
             return 2.0
         share = np.linspace(0.0, 1.0, _PATH)[:, None]
         steps = np.linalg.norm(np.diff(self._hands_of(pose + share * (rest - pose)), axis=0), axis=-1)
         # The smooth step peaks at 1.5 times its mean speed.
-        return max(1.5 * float(steps.max()) * (_PATH - 1) / SINKING, 1.0)
+        return max(1.5 * float(steps.max()) * (_PATH - 1) / fastest, 1.0)
 
 
 class _Hands:
@@ -385,6 +393,7 @@ class Rest:
         self._life = LifeLayer(seed, statistics, representation, speaker, [columns for columns, _ in self._parts])
         self._pauses, self._phrases = Pauses(), Phrases(activity, seed)
         self._rests: list[Flags] = []
+        self._asked = False
         self._span: Span | None = None
 
     def fork(self) -> Rest:
@@ -408,6 +417,7 @@ class Rest:
         self._span = span
         hands = pause if gestured else np.ones_like(pause)
         self._rests = [pause, hands if still is None else hands | still]
+        self._asked = still is not None and bool(still.any())
         return bool(self._rests[1].mean() >= 0.5)
 
     @property
@@ -417,7 +427,7 @@ class Rest:
 
     def rest(self, span: Span) -> None:
         """Instead of `hear`, for a block without sound: rest throughout."""
-        self._pauses, self._span = Pauses(), span
+        self._pauses, self._span, self._asked = Pauses(), span, False
         self._rests = [np.ones(len(span.quiet), bool)] * 2
 
     def break_off(self, shown: RestKnots, word: float) -> None:
@@ -437,7 +447,8 @@ class Rest:
         assert self._span is not None, "hear comes first"
         out = np.empty_like(generated, dtype=np.float64)
         for (columns, part), rests in zip(self._parts, self._rests, strict=True):
-            out[:, columns] = part.step(self._span.times, generated[:, columns].astype(np.float64), rests)
+            out[:, columns] = part.step(self._span.times, generated[:, columns].astype(np.float64), rests,
+                                        self._asked)
         return out
 
     def alive(self, block: Array) -> Array:

@@ -1,105 +1,104 @@
 """Stance: legs, standing or seated, for a performance generated from the hips up.
 
-The motion of a person who stands and talks: weight moves from one leg to the other every few seconds, the hips over the
-bearing leg, that side of the pelvis higher, the other knee bent; now and then the free foot is set down elsewhere. All
-of it is a function of the seed, the time and the generated hips up to that time, so stream and file are identical.
+A person who stands and talks bears on one leg, the hips over it, that side of the pelvis higher, the other knee bent;
+changes legs from time to time; turns the hips with the trunk; moves them against quick leans; gives in the knees under
+strokes and dips of the trunk; and now and then sets the free foot down elsewhere. All of it is a function of the seed,
+the time and the generated motion up to that time, so stream and file are identical.
 
-The weight w is that of the idle motion (`life.weight_shifts`), which rolls the hips a little, combined with the
-low-passed roll r of the generated hips:
+The weight w of `weight.LegWeight` is combined with the low-passed roll r of the generated hips:
 
     u = (w + (r - habit of r) / r0) / u0        g(u) = u / sqrt(1 + u^2), between -1 (right leg) and 1 (left leg)
 
-The hips travel sideways by A g, and roll and turn with g instead of their habitual roll; the spine compensates, so that
-the upper body keeps its place in the room. The hips move back a little when the chest comes forward, and are as high as
-both legs reach with bent knees: a soft minimum, since a fully stretched knee snaps. Feet are placed and legs follow by
-inverse kinematics, so a planted foot does not slide.
+The hips travel sideways by A g, roll and turn with g instead of their habitual roll, and take a share of the yaw of the
+chest; the spine compensates, so that everything from the chest up keeps its rotation in the room. They are as high as
+both legs reach with soft knees (a soft minimum, since a fully stretched knee snaps), less what the knees give. Feet are
+placed (`feet.Steps`) and legs follow by inverse kinematics, so a planted foot does not slide. How far
+that is what people do: `gesticulator probe stance`.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import LEG_JOINTS, WHOLE_BODY, resized
 from data_module.motion.standing_legs import bent_leg, leg_lengths
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.body.life import breath, eased, noise, normal, uniform, weight_shifts
+from gesticulator.body.feet import FOOT_BACK, SIDES, SOLE, UP, FootPath, Steps, abouts
+from gesticulator.body.life import breath, noise, weight_shifts
+from gesticulator.body.weight import LegWeight
 
 __all__ = ["Stance", "seated", "with_legs"]
 
-SIDES = (("Left", 1.0), ("Right", -1.0))
-"""Each foot, and the sign of its side (the character's left is +X)."""
-
 _LEG = 0.825
 """Distance from hip to ankle of the character that the lengths below are for, metres; others are scaled."""
-_SOLE = 0.020
-"""Height of the joint in the ball of the foot above the floor, metres."""
-_FOOT_OUT, _FOOT_BACK, _TOES_OUT = 0.008, 0.030, 9.0
-"""Resting place of a foot: metres outside its hip socket and behind it (the body's weight is ahead of the ankles), and
-degrees that the toes point outwards."""
-_SPREAD = (0.016, 0.026, 4.0)
-"""Standard deviation of foot placements about it: metres sideways and ahead, degrees."""
-_BENT = 0.997
-"""Largest used share of a leg's length: the knee is then bent by 9 degrees."""
+_BENT = 0.9988
+"""Largest used share of a leg's length: the knee is then bent by 6 degrees."""
 _SOFT = 0.004
 """Width of the soft minimum between the legs' heights, metres."""
 
-_TRAVEL, _FAR = 0.068, 0.085
+_TRAVEL, _FAR = 0.043, 0.085
 """Largest sideways travel of the hips, metres: by weight alone, and in total."""
 _LEANS = 0.045
 """Largest travel of the hips ahead or back, metres."""
 _ROLL_UNIT = 3.5
-"""Generated roll, degrees, equivalent to one unit of weight of the idle motion."""
+"""Generated roll, degrees, equivalent to one unit of weight."""
 _BOTH = 0.65
 """Units of weight on a leg below which both bear weight: people mostly stand on one leg or the other."""
-_ROLLED, _TURNED = 2.2, 2.6
+_ROLLED, _TURNED = 4.0, 0.8
 """Degrees of roll and yaw with all weight on one leg: the free side drops and comes ahead."""
-_BALANCE = 0.25
-"""Metres that the hips move opposite to each metre that the chest moves forward or sideways."""
-_FOLLOWS = 0.22
-"""Time constant of the three-stage low-pass by which weight follows the generated body, seconds: slower than
-gestures."""
+_YAWS, _FARTHEST_YAW = 0.55, 20.0
+"""Share of the chest's yaw that the hips take, and degrees at most."""
+_COUNTERS = (0.25, 0.30)
+"""Metres that the hips move opposite to each metre that the chest quickly moves sideways and ahead."""
+_WITH_LEAN = (0.30, -0.10)
+"""Metres that the hips move for each metre of a slow lean: sideways with it, ahead against it, for balance."""
+_FOLLOWS, _QUICKLY, _SLOWLY = 0.22, 0.06, 0.8
+"""Time constants of three-stage low-passes, seconds: weight follows the roll; hips turn and move with the chest; what
+counts as a lean and not a movement."""
 _HABIT = 2.0
 """Time constant of the three-stage low-pass by which a lasting roll becomes habitual, taken by the spine, seconds."""
 _QUICK = 0.5
 """Share of faster roll taken by the spine: planted legs do not let the hips rock, and knees would shake."""
 _PITCHED_BACK = 0.006
 """Metres that the hips move back for each degree that the idle motion tilts them forward."""
-_SWAY = ((0.0045, 1.9), (0.0016, 0.8), (0.0060, 2.2), (0.0016, 0.9))
-"""Postural sway: metres and step in seconds of the noise, two sideways and two ahead."""
-_BREATH_DIPS = 0.0012
-"""Metres that the hips sink on exhaling."""
 
-_STEPS = 0.45
-"""Share of the foot-freeing weight shifts that are followed by a step."""
-_FREE = 0.45
-"""Units of weight on the other leg at which a foot is free, see `life.weight_shifts`."""
-_STEP_AFTER, _STEP_LASTS = 1.35, 0.68
-"""Seconds from the start of the shift to the start of the step, and duration of the step."""
-_STEP_NEEDS = 4.4
-"""Least time to the next shift for a step to be made, seconds."""
-_INSIDE, _OVER_IN, _OVER_OUT = 0.022, 1.5, 2.2
-"""Position of the hips during a step: metres inside of the standing ankle, and seconds to move there and back."""
-_NEAR, _WIDE = 0.030, 0.085
-"""Least and greatest distance of a step, metres."""
-_LIFT, _HEEL = 0.028, 17.0
-"""Lift of the ball of the foot in metres, and rise of the heel before it in degrees."""
-_LIFTED, _LANDED, _HEEL_DOWN = 0.20, 0.95, 0.85
-"""Shares of a step at which the ball leaves the floor, is back, and the heel is level again."""
-_TRIES = 8
+_SWAY = ((0.0045, 1.9), (0.0030, 0.7), (0.0060, 2.2), (0.0030, 0.8))
+"""Postural sway: metres and step in seconds of the noise, two sideways and two ahead."""
+_STIRS = ((0.0050, 1.0), (0.0080, 1.0))
+"""What moving arms add to it, at full activity: sideways and ahead."""
+_ROLLS = (0.7, 1.6)
+"""Noise of the pelvis' roll: degrees, and step in seconds."""
+_GIVES = (0.0007, 0.0016, 1.1)
+"""Noise of the give of the knees: metres at rest, what full activity adds, and step in seconds."""
+_GIVEN, _SOFTLY = 0.0005, 0.0007
+"""Metres that the knees give at rest, and width of the soft bound that keeps the give above 0."""
+_DIPS = 0.20
+"""Metres that the hips sink for each metre by which the chest quickly sinks over them."""
+_STROKE, _STROKE_ENERGY = 0.0060, 0.8
+"""Metres that the knees give at most under strokes, and the mean square speed of the hands, (m/s)^2, for half of it."""
+_ACTIVE = 0.08
+"""Mean square speed of the hands, (m/s)^2, at which the body is half as active as it gets."""
+_BREATH_DIPS = 0.0008
+"""Metres that the hips sink on exhaling."""
+_INSIDE = 0.022
+"""Metres inside of the standing ankle at which the hips are during a step."""
 
 _SEAT_SPREAD, _SEAT_TOES = 7.0, 12.0
 """Degrees that the thighs and feet of a seated character point outwards."""
 
-_CHANNEL = 1 << 10
-"""First random channel, distinct from those of idle motion and phrases."""
-_STEP_CHANNEL, _PLACE_CHANNEL, _SWAY_CHANNEL = _CHANNEL, _CHANNEL + 1, _CHANNEL + 8
-_UP, _AHEAD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
-_TRUNK = ("Spine", "Spine1", "Spine2", "Spine3")
+_SWAY_CHANNEL = (1 << 10) + 8
+_NOISE_STEPS = np.array([seconds for _, seconds in (*_SWAY, *_STIRS, _ROLLS)] + [_GIVES[2]])
+_AHEAD, _LEFTWARD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+_TRUNK = np.array([[WHOLE_BODY.index(name)] for name in ("Spine", "Spine1", "Spine2", "Spine3")])
+_ARMS, _LEGS = (np.array([[WHOLE_BODY.index(side + part) for side, _ in SIDES] for part in parts]) for parts in (
+    ("Shoulder", "Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase")))
 
 
 def with_legs(motion: Motion, seed: int, skeleton: Skeleton = WHOLE_BODY) -> Motion:
@@ -125,116 +124,11 @@ def seated(motion: Motion, skeleton: Skeleton = WHOLE_BODY) -> Motion:
     root = np.zeros((len(body), 3))
     _, shin = leg_lengths(skeleton, "Left")
     root[:, 1] = _ankle_height(skeleton) + shin - skeleton.offsets[skeleton.index("LeftUpLeg")][1]
-    level = _about(np.array([1.0, 0.0, 0.0]), -90.0)
-    for side, sign in SIDES:
-        knees, toes = _about(_UP, sign * _SEAT_SPREAD), _about(_UP, sign * _SEAT_TOES)
-        world = [np.tile(turn, (len(body), 1)) for turn in (rotation.multiply(knees, level), toes, toes, toes)]
-        _hang(rotations, still, side, world)
+    level = _about(_LEFTWARD, -90.0)
+    knees, toes = (np.stack([_about(UP, sign * out) for _, sign in SIDES]) for out in (_SEAT_SPREAD, _SEAT_TOES))
+    _hang(rotations, still, [np.tile(turn, (len(body), 1, 1)) for turn in (
+        rotation.multiply(knees, level), toes, toes, toes)])
     return _on_legs(body, rotations, root, skeleton, rotations[:0])
-
-
-# ---------------------------------------------------------------------------------------------------- the feet
-
-@dataclass(frozen=True)
-class FootPath:
-    """A foot over time. ankles: [T, 3] metres; yaw, heel: [T] radians of the toes to the character's left, and of the
-    heel raised over the ball; middle: [T, 2] metres along X and Z, the foot's place as the hips follow it."""
-
-    ankles: Array
-    yaw: Array
-    heel: Array
-    middle: Array
-
-
-class Steps:
-    """Placement of the feet over time, a function of seed and time."""
-
-    def __init__(self, seed: int, scale: float, socket: float, foot: Array) -> None:
-        """scale: of all lengths; socket: metres from the middle to a hip socket; foot: [3] metres from the ankle to the
-        ball of a foot whose toes point ahead."""
-        self.seed, self.scale, self.socket, self.foot = seed, scale, socket, foot
-        self._weight = weight_shifts(seed)
-        self._next_shift = 0
-        self._placed = [[(-1, self._places(foot, -1)[0])] for foot in range(len(SIDES))]
-
-    def begins(self, shift: int) -> float:
-        """Start of the step after a weight shift, seconds."""
-        return float(self._weight.begins(np.array([shift]))[0]) + _STEP_AFTER
-
-    def over(self, times: Array) -> tuple[Array, Array]:
-        """[T] how far the hips are over one leg, 0 to 1, and [T] over which (the sign of its side)."""
-        self._extend(float(times.max()))
-        held, side = np.zeros(len(times)), np.zeros(len(times))
-        for foot, (_, sign) in enumerate(SIDES):
-            for shift, _ in self._placed[foot][1:]:
-                begin = self.begins(shift)
-                early, late = begin + 0.1 - _OVER_IN, begin + _STEP_LASTS + _OVER_OUT
-                near = slice(*np.searchsorted(times, [early, late]))
-                way = eased((times[near] - early) / _OVER_IN) - eased((times[near] - late + _OVER_OUT) / _OVER_OUT)
-                held[near], side[near] = way, -sign
-        return held, side
-
-    def path(self, foot: int, times: Array) -> FootPath:
-        """Foot 0 (left) or 1 (right) at rising `times` [T], seconds."""
-        self._extend(float(times.max()))
-        placed = self._placed[foot]
-        ball = np.tile(placed[0][1], (len(times), 1))  # along X and Z, yaw
-        slow, lift, heel = ball.copy(), np.zeros(len(times)), np.zeros(len(times))
-        for (_, before), (shift, after) in zip(placed[:-1], placed[1:], strict=True):
-            begin = self.begins(shift)
-            s = (times - begin) / _STEP_LASTS
-            flight = (s - _LIFTED) / (_LANDED - _LIFTED)
-            ball += eased(flight)[:, None] * (after - before)
-            slow += eased((times - begin) / (_STEP_LASTS + _OVER_OUT))[:, None] * (after - before)
-            lift += _bump(flight)
-            heel += _bump(s / _HEEL_DOWN)
-        yaw, heel = np.radians(ball[:, 2]), np.radians(_HEEL) * heel
-        turn = rotation.multiply(_abouts(_UP, yaw), _abouts(np.array([1.0, 0.0, 0.0]), heel))
-        flat = np.stack([ball[:, 0], _SOLE * self.scale + _LIFT * self.scale * lift, ball[:, 1]], -1)
-        # The ball is placed; the ankle is behind and above it, higher with the heel raised.
-        return FootPath(flat - rotation.rotate(turn, self.foot), yaw, heel,
-                        slow[:, :2] - rotation.rotate(_abouts(_UP, np.radians(slow[:, 2])), self.foot)[:, [0, 2]])
-
-    def forget(self, before: float) -> None:
-        """Drop steps completed before this time in seconds, so that memory stays bounded."""
-        for placed in self._placed:
-            while len(placed) > 1 and self.begins(placed[1][0]) + _STEP_LASTS + _OVER_OUT < before:
-                del placed[0]
-
-    def _extend(self, until: float) -> None:
-        """Generate the steps that begin by `until` seconds."""
-        style = self._weight.style
-        while (self._next_shift - style.jitter) * style.every <= until + _STEP_NEEDS:
-            shift, self._next_shift = self._next_shift, self._next_shift + 1
-            begin, following = self._weight.begins(np.array([shift, shift + 1]))
-            weight = float(self._weight.posture(shift)[0])
-            chance = float(uniform(self.seed, _STEP_CHANNEL, np.array([shift]))[0])
-            if abs(weight) < _FREE or following - begin < _STEP_NEEDS or begin < 1.0 or chance > _STEPS:
-                continue
-            foot = 1 if weight > 0 else 0
-            before = self._placed[foot][-1][1]
-            tries = self._places(foot, shift)
-            away = np.linalg.norm((tries - before)[:, :2], axis=1) / self.scale
-            fits = np.flatnonzero((away >= _NEAR) & (away <= _WIDE))
-            if len(fits):
-                self._placed[foot].append((shift, tries[fits[0]]))
-
-    def _places(self, foot: int, number: int) -> Array:
-        """[_TRIES, 3] candidate places of the ball of a foot: metres along X and Z, and degrees of yaw."""
-        sign = SIDES[foot][1]
-        where = (2 * (number + 1) + foot) * _TRIES + np.arange(_TRIES)
-        offsets = np.clip(normal(self.seed, _PLACE_CHANNEL, where[:, None] * 3 + np.arange(3)), -2.0, 2.0) * _SPREAD
-        yaw = sign * (_TOES_OUT + offsets[:, 2])
-        ankle = np.stack([sign * (self.socket + self.scale * (_FOOT_OUT + offsets[:, 0])), np.zeros(_TRIES),
-                          self.scale * (offsets[:, 1] - _FOOT_BACK)], axis=-1)
-        ball = ankle + rotation.rotate(_abouts(_UP, np.radians(yaw)), self.foot)
-        return np.stack([ball[:, 0], ball[:, 2], yaw], axis=-1)
-
-
-def _bump(share: Array) -> Array:
-    """0 to 1 and back with continuous acceleration: 64 s^3 (1 - s)^3."""
-    s = np.clip(share, 0.0, 1.0)
-    return np.asarray(64.0 * (s * (1.0 - s)) ** 3)
 
 
 # ---------------------------------------------------------------------------------------------------- the body
@@ -257,6 +151,67 @@ class _LowPass:
         return values
 
 
+@dataclass(frozen=True)
+class _Drives:
+    """What the generated body does, frame by frame, in metres of the reference character and degrees.
+
+    roll: [T] of the hips; slow_roll, habit: [T] that the weight follows, and that is habitual; yaw: [T] of the chest;
+    quick, lean: [T, 3] of the chest over the hips; speed: [T] m/s of the chest; energy: [T] of the hands, (m/s)^2;
+    active: [T] 0 to 1."""
+
+    roll: Array
+    slow_roll: Array
+    habit: Array
+    yaw: Array
+    quick: Array
+    lean: Array
+    speed: Array
+    energy: Array
+    active: Array
+
+
+class _Drive:
+    """Follows the generated body in pieces."""
+
+    def __init__(self, skeleton: Skeleton, scale: float, fps: float) -> None:
+        self._skeleton, self._scale, self._fps = skeleton, scale, fps
+        self._roll, self._habit = _LowPass(_FOLLOWS, fps), _LowPass(_HABIT, fps)
+        self._quick, self._slow = _LowPass(_QUICKLY, fps), _LowPass(_SLOWLY, fps)
+        self._last: Array | None = None
+
+    def step(self, body: Motion) -> _Drives:
+        left = rotation.rotate(body.rotations[:, 0], _LEFTWARD)
+        roll = np.degrees(np.arcsin(np.clip(left[:, 1], -1.0, 1.0)))
+        places, chest = self._places(body)
+        left = rotation.rotate(chest, _LEFTWARD)
+        yaw = np.degrees(np.arctan2(-left[:, 2], left[:, 0]))
+        slow = self._roll(roll[:, None])
+        moves = np.diff(places, axis=0, prepend=places[:1] if self._last is None else self._last) * self._fps
+        self._last = places[-1:]
+        squares = np.sum(moves**2, axis=-1)
+        smooth = self._quick(np.column_stack([yaw, places[:, 0], np.sqrt(squares[:, 0]), squares[:, 1:].mean(axis=1)]))
+        lean = self._slow(np.column_stack([smooth[:, 1:4], smooth[:, 5]]))
+        return _Drives(roll, slow[:, 0], self._habit(slow)[:, 0], smooth[:, 0], smooth[:, 1:4] - lean[:, :3],
+                       lean[:, :3], smooth[:, 4], smooth[:, 5], lean[:, 3] / (lean[:, 3] + _ACTIVE))
+
+    def _places(self, body: Motion) -> tuple[Array, Array]:
+        """[T, 3, 3] displacements from their rest over the hips of the chest and both hands, in metres of the reference
+        character, and [T, 4] the chest's rotation."""
+        chest, place = self._along(body, body.rotations[:, :1], _TRUNK)
+        hands = place + self._along(body, chest, _ARMS)[1]
+        rest = self._skeleton.offsets[_TRUNK].sum(axis=(0, 1))
+        return np.concatenate([place - rest, hands], axis=1) / self._scale, chest[:, 0]
+
+    def _along(self, body: Motion, world: Array, chains: NDArray[np.int64]) -> tuple[Array, Array]:
+        """[T, C, 4] the rotations and [T, C, 3] the places of the last joints of chains [M, C] of joints, under a joint
+        with the rotation `world` [T, 1, 4] and from the place of that."""
+        place = np.zeros((len(body), 1, 3))
+        for joints in chains:
+            place = place + rotation.rotate(world, self._skeleton.offsets[joints])
+            world = rotation.multiply(world, body.rotations[:, joints])
+        return world, place
+
+
 class Stance:
     """Legs for one performance in pieces: `step` takes frames as they come."""
 
@@ -265,12 +220,18 @@ class Stance:
             raise ValueError(f"the legs' skeleton has {len(skeleton)} joints, not those of the whole body")
         self.skeleton, self.seed, self.fps = skeleton, seed, fps
         self.scale = sum(leg_lengths(skeleton, "Left")) / _LEG
-        self._weight = weight_shifts(seed)
         socket, ball = (skeleton.offsets[skeleton.index("Left" + part)] for part in ("UpLeg", "ToeBase"))
         self.steps = Steps(seed, self.scale, abs(float(socket[0])), np.array([0.0, ball[1], ball[2]]))
-        self._body, self._habit = _LowPass(_FOLLOWS, fps), _LowPass(_HABIT, fps)
+        self._pitch = weight_shifts(seed)
+        lengths = np.array([leg_lengths(skeleton, side) for side, _ in SIDES])
+        self._lengths = lengths[:, :1], lengths[:, 1:]
+        self._weight, self._drive = LegWeight(seed), _Drive(skeleton, self.scale, fps)
         self._frames = 0
         self._last = np.zeros((0, len(WHOLE_BODY), 4))
+
+    def fork(self) -> Stance:
+        """A copy that continues independently."""
+        return copy.deepcopy(self, {id(self.skeleton): self.skeleton})
 
     def step(self, motion: Motion) -> Motion:
         """The next frames [T] of the body with legs, see `with_legs`."""
@@ -278,71 +239,67 @@ class Stance:
         times = (self._frames + np.arange(len(body))) / self.fps
         self._frames += len(body)
         self.steps.forget(float(times[0]) - 1.0)
-        rotations = body.rotations.copy()
-        left = rotation.rotate(body.rotations[:, 0], np.array([1.0, 0.0, 0.0]))
-        roll = np.degrees(np.arcsin(np.clip(left[:, 1], -1.0, 1.0)))
-        slow = self._body(np.column_stack([roll, self._chest(body)]))
-        habit = self._habit(slow[:, :1])[:, 0]
-        weight = self._weight.at(times)
+        drives = self._drive.step(body)
+        random = noise(self.seed, _SWAY_CHANNEL + np.arange(len(_NOISE_STEPS)), times, _NOISE_STEPS)
         feet = [self.steps.path(foot, times) for foot in range(len(SIDES))]
-        u = (weight[:, 0] + (slow[:, 0] - habit) / _ROLL_UNIT) / _BOTH
+        u = (self._weight.step(times, drives.speed) + (drives.slow_roll - drives.habit) / _ROLL_UNIT) / _BOTH
         held, side = self.steps.over(times)
         g = (1.0 - held) * u / np.sqrt(1.0 + u * u) + held * side
-        rolled = _ROLLED * g - habit - _QUICK * (roll - slow[:, 0])
-        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * g, _TURNED * g, rolled], -1)))
-        hips = rotation.multiply(turn, body.rotations[:, 0])
+        rotations = body.rotations.copy()
+        hips = self._turned(body, drives, g, random[:, 6])
         rotations[:, 0], rotations[:, WHOLE_BODY.index("Spine")] = _counter_turned(body, hips)
-        root = self._hips(times, feet, g, weight[:, 1], slow[:, 1:])
-        self._stand(rotations, root, hips, feet, times)
+        root = self._hips(times, feet, (g, held, side), drives, random)
+        give = self._given(times, drives, random[:, 7])
+        self._stand(rotations, root, hips, feet, give)
         motion = _on_legs(body, rotations, root, self.skeleton, self._last)
         self._last = motion.rotations[-1:]
         return motion
 
-    def _chest(self, body: Motion) -> Array:
-        """[T, 2] displacement of the chest from its rest over the hips along X and Z, in metres of the reference
-        character."""
-        world, place, rest = body.rotations[:, 0], np.zeros((len(body), 3)), np.zeros(3)
-        for name in _TRUNK:
-            joint = WHOLE_BODY.index(name)
-            place = place + rotation.rotate(world, self.skeleton.offsets[joint])
-            rest = rest + self.skeleton.offsets[joint]
-            world = rotation.multiply(world, body.rotations[:, joint])
-        return (place - rest)[:, [0, 2]] / self.scale
+    def _turned(self, body: Motion, drives: _Drives, g: Array, random: Array) -> Array:
+        """[T, 4] rotations of the hips."""
+        rolled = _ROLLED * g + _ROLLS[0] * random - drives.habit - _QUICK * (drives.roll - drives.slow_roll)
+        yawed = _TURNED * g + _within(_YAWS * drives.yaw, _FARTHEST_YAW)
+        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * g, yawed, rolled], -1)))
+        return rotation.multiply(turn, body.rotations[:, 0])
 
-    def _hips(self, times: Array, feet: Sequence[FootPath], g: Array, pitch: Array, lean: Array) -> Array:
-        """[T, 3] position of the hips, without height. pitch: [T] degrees; lean: [T, 2] of the chest."""
-        held, side = self.steps.over(times)
-        sizes, seconds = np.array(_SWAY).T
-        sway = noise(self.seed, _SWAY_CHANNEL + np.arange(len(_SWAY)), times, seconds) * sizes
-        across, ahead = sway[:, :2].sum(axis=1), sway[:, 2:].sum(axis=1)
+    def _hips(self, times: Array, feet: Sequence[FootPath], weight: tuple[Array, Array, Array], drives: _Drives,
+              random: Array) -> Array:
+        """[T, 3] position of the hips, without height. weight: g, and what `Steps.over` tells."""
+        g, held, side = weight
+        sway = random[:, :6] * np.array([size for size, _ in (*_SWAY, *_STIRS)])
+        sway[:, 4:] *= drives.active[:, None]
+        across, ahead = sway[:, [0, 1, 4]].sum(axis=1), sway[:, [2, 3, 5]].sum(axis=1)
+        leans = np.array(_WITH_LEAN) * drives.lean[:, [0, 2]] - np.array(_COUNTERS) * drives.quick[:, [0, 2]]
         both = (feet[0].middle + feet[1].middle) / 2.0
-        both[:, 0] += self.scale * _within(_TRAVEL * g + across - _BALANCE * lean[:, 0], _FAR)
+        both[:, 0] += self.scale * _within(_TRAVEL * g + across + leans[:, 0], _FAR)
         one = np.where(side[:, None] > 0, feet[0].middle, feet[1].middle)
         one[:, 0] += self.scale * (across - _INSIDE * side)
         root = np.zeros((len(times), 3))
         root[:, [0, 2]] = both + held[:, None] * (one - both)
-        leans = ahead - _PITCHED_BACK * pitch - _BALANCE * lean[:, 1]
-        root[:, 2] += self.scale * (_FOOT_BACK + _within(leans, _LEANS))
+        pitch = self._pitch.at(times)[:, 1]
+        root[:, 2] += self.scale * (FOOT_BACK + _within(ahead + leans[:, 1] - _PITCHED_BACK * pitch, _LEANS))
         return root
 
-    def _stand(self, rotations: Array, root: Array, hips: Array, feet: Sequence[FootPath], times: Array) -> None:
+    def _given(self, times: Array, drives: _Drives, random: Array) -> Array:
+        """[T] metres, above 0, by which the knees give more than they must."""
+        strokes = _STROKE * drives.energy / (drives.energy + _STROKE_ENERGY)
+        give = _GIVEN + (_GIVES[0] + _GIVES[1] * drives.active) * random + strokes - _DIPS * drives.quick[:, 1]
+        breathed = _BREATH_DIPS * (1.0 - breath(self.seed, times)) / 2.0
+        return self.scale * (_SOFTLY * np.logaddexp(0.0, give / _SOFTLY) + breathed)
+
+    def _stand(self, rotations: Array, root: Array, hips: Array, feet: Sequence[FootPath], give: Array) -> None:
         """Set the hips' height and the legs' rotations."""
-        sockets, reaches = [], []
-        for (side, _), foot in zip(SIDES, feet, strict=True):
-            socket = rotation.rotate(hips, self.skeleton.offsets[self.skeleton.index(side + "UpLeg")])
-            level = np.sum((root + socket - foot.ankles)[:, [0, 2]] ** 2, axis=-1)
-            longest = _BENT * sum(leg_lengths(self.skeleton, side))
-            reaches.append(foot.ankles[:, 1] + np.sqrt(np.maximum(longest**2 - level, 0.0)) - socket[:, 1])
-            sockets.append(socket)
+        ankles = np.stack([foot.ankles for foot in feet], axis=1)
+        socket = rotation.rotate(hips[:, None], self.skeleton.offsets[_LEGS[0]])
+        longest = _BENT * (self._lengths[0] + self._lengths[1])[:, 0]
+        level = np.sum((root[:, None] + socket - ankles)[..., [0, 2]] ** 2, axis=-1)
+        reach = ankles[..., 1] + np.sqrt(np.maximum(longest**2 - level, 0.0)) - socket[..., 1]
         soft = _SOFT * self.scale
-        root[:, 1] = -soft * np.logaddexp(-reaches[0] / soft, -reaches[1] / soft)
-        root[:, 1] -= self.scale * _BREATH_DIPS * (1.0 - breath(self.seed, times)) / 2.0
-        for (side, _), foot, socket in zip(SIDES, feet, sockets, strict=True):
-            toes = _abouts(_UP, foot.yaw)
-            thigh, shin = bent_leg(foot.ankles - root - socket, rotation.rotate(toes, _AHEAD),
-                                   leg_lengths(self.skeleton, side))
-            raised = rotation.multiply(toes, _abouts(np.array([1.0, 0.0, 0.0]), foot.heel))
-            _hang(rotations, hips, side, [thigh, shin, raised, toes])
+        root[:, 1] = -soft * np.logaddexp(*(-reach / soft).T) - give
+        toes = abouts(UP, np.stack([foot.yaw for foot in feet], axis=1))
+        thigh, shin = bent_leg(ankles - root[:, None] - socket, rotation.rotate(toes, _AHEAD), self._lengths)
+        raised = rotation.multiply(toes, abouts(_LEFTWARD, np.stack([foot.heel for foot in feet], axis=1)))
+        _hang(rotations, hips, [thigh, shin, raised, toes])
 
 
 def _within(values: Array, most: float) -> Array:
@@ -352,12 +309,7 @@ def _within(values: Array, most: float) -> Array:
 
 def _about(axis: Array, degrees: float) -> Array:
     """[4] the rotation about an axis by an angle in degrees."""
-    return _abouts(axis, np.radians(np.array([degrees])))[0]
-
-
-def _abouts(axis: Array, angles: Array) -> Array:
-    """[T, 4] rotations about an axis by angles [T] in radians."""
-    return np.concatenate([np.cos(angles / 2.0)[:, None], np.sin(angles / 2.0)[:, None] * axis], axis=-1)
+    return abouts(axis, np.radians(np.array([degrees])))[0]
 
 
 def _counter_turned(body: Motion, hips: Array) -> tuple[Array, Array]:
@@ -366,18 +318,19 @@ def _counter_turned(body: Motion, hips: Array) -> tuple[Array, Array]:
     return hips, rotation.multiply(rotation.conjugate(hips), spine)
 
 
-def _hang(rotations: Array, hips: Array, side: str, world: Sequence[Array]) -> None:
-    """Set a leg's local rotations from world rotations [T, 4] of thigh, shin, foot and toes, under hips [T, 4]."""
-    above = hips
-    for part, turn in zip(("UpLeg", "Leg", "Foot", "ToeBase"), world, strict=True):
-        rotations[:, WHOLE_BODY.index(side + part)] = rotation.multiply(rotation.conjugate(above), turn)
+def _hang(rotations: Array, hips: Array, world: Sequence[Array]) -> None:
+    """Set the local rotations of both legs from world rotations [T, 2, 4] of thighs, shins, feet and toes, under hips
+    [T, 4]."""
+    above = hips[:, None]
+    for joints, turn in zip(_LEGS, world, strict=True):
+        rotations[:, joints] = rotation.multiply(rotation.conjugate(above), turn)
         above = turn
 
 
 def _ankle_height(skeleton: Skeleton) -> float:
     """Height of the ankle of a flat foot above the floor, metres."""
     scale = sum(leg_lengths(skeleton, "Left")) / _LEG
-    return scale * _SOLE - float(skeleton.offsets[skeleton.index("LeftToeBase")][1])
+    return scale * SOLE - float(skeleton.offsets[skeleton.index("LeftToeBase")][1])
 
 
 def _on_legs(body: Motion, rotations: Array, root: Array, skeleton: Skeleton, before: Array) -> Motion:

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
+    from interpreters.planner import UnitPlanner
     from interpreters.reward import RewardEnsemble
     from interpreters.statistical import StatisticalInterpreter
     from lexicon.autoencoder import Lexicon
@@ -153,6 +154,8 @@ class Bundle:
     """The speech encoder."""
     gate: ClassVar[_Part[ActivityGate]] = _Part()
     """Decides whether a block is gestured."""
+    planner: ClassVar[_Part[UnitPlanner]] = _Part()
+    """Decides the phase of each block's gesture unit; None if lexemes are chosen without phases."""
     q_network: ClassVar[_Part[QNetwork]] = _Part()
     """RACER's Q-network."""
     advantage: ClassVar[_Part[Critics]] = _Part()

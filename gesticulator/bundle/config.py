@@ -34,6 +34,7 @@ from interpreters.settings import (
     EpisodeConfig,
     GateConfig,
     LstmConfig,
+    PlannerConfig,
     QConfig,
     RewardConfig,
     StatisticalConfig,
@@ -166,6 +167,8 @@ class Schedules:
     """The contrastive loss between audio and text (RG Eq. 1)."""
     gate: FitSettings = NOT_TRAINED
     """The gate, which decides whether a block is gestured; 0 steps: no gate."""
+    planner: FitSettings = NOT_TRAINED
+    """The planner of gesture units; 0 steps: no planner."""
     interpreter_text: FitSettings = NOT_TRAINED
     """The lexeme interpreter with text, if initialised from the audio-only one; 0 steps: trained from scratch like that
     one."""
@@ -220,16 +223,17 @@ class SelectionConfig:
     flow_steps: Annotated[int, SettingRange(1, 100)] = 4
     """Steps of Heun's method from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4
-    """Candidate blocks sampled by the flow head. One that shows the lexeme is kept, or else the nearest to it; among
-    several the best by `timing`, or the first."""
+    """Candidate blocks sampled by the flow head; the best by lexeme, `timing`, `seam` and `as_asked` is kept."""
     timing: NotNegative = 0.0
-    """Weight, among candidates that show the lexeme, of hands decelerating at audio onsets; 0 ignores it
+    """Weight of hands that decelerate at audio onsets, relative to the lexeme's; 0 ignores it
     (`gesticulator.drawing.candidates`)."""
     seam: NotNegative = 0.0
     """Weight, relative to `timing`, of a smooth join to the block before."""
     as_asked: NotNegative = 0.0
-    """Weight, relative to `timing`, of following the style controls, in standard deviations of training; the candidate
-    then only needs to be among its five nearest lexemes."""
+    """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
+    returns: Annotated[float, SettingRange(0.0, 60.0)] = 0.0
+    """Mean seconds between returns of the hands to a home pose, at which a performance forgets what was before
+    (`gesticulator.drawing.returns`; 4 works); 0 for none."""
     activity: Share = 1.0
     """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of speech time
     that is gestured."""
@@ -253,6 +257,7 @@ class Config:
     statistical: StatisticalConfig = field(default_factory=StatisticalConfig)
     style: StyleConfig = field(default_factory=StyleConfig)
     gate: GateConfig = field(default_factory=GateConfig)
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     """The reward that trains a policy."""
     judge: RewardConfig = field(default_factory=RewardConfig)

@@ -191,10 +191,11 @@ class Span:
 class SpeechBlock:
     """The speech around a block, as known when it is generated.
 
-    number: from 0. start, end: seconds; flag: of the beat at its end. durations, silent: of the block before, the block
-    and the block after (its own where there is none). low, high, text: [3K, d + 1] as in `SpeechFeatures`. quiet: [K]
-    whether each frame lies in a pause; ahead: [K] the same for the block after, None at the end. foreseen: the block
-    after is a prediction from its beginning. onsets: [n] seconds from its start to its end, inclusive.
+    number: from 0. start, end: seconds; flag: of the beat at its end. key: seconds that key its random numbers, or None
+    for its start. durations, silent: of the block before, the block and the block after (its own where there is none).
+    low, high, text: [3K, d + 1] as in `SpeechFeatures`. quiet: [K] whether each frame lies in a pause; ahead: [K] the
+    same for the block after, None at the end. foreseen: the block after is a prediction from its beginning. onsets: [n]
+    seconds from its start to its end, inclusive.
     """
 
     number: int
@@ -210,6 +211,12 @@ class SpeechBlock:
     flag: BeatFlag = BeatFlag.EVEN_PSEUDO
     foreseen: bool = False
     onsets: Array = field(default_factory=lambda: np.zeros(0))
+    key: float | None = None
+
+    @property
+    def keyed_at(self) -> float:
+        """Seconds that key its random numbers."""
+        return self.start if self.key is None else self.key
 
     @property
     def span(self) -> Span:

@@ -31,10 +31,12 @@ if TYPE_CHECKING:
     from generator.model import Generator
     from interpreters.gate import ActivityGate
     from interpreters.lstm import StyleInterpreter
+    from interpreters.planner import UnitPlanner
     from interpreters.reward import RewardEnsemble
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec
+    from lexicon.settings import LexiconConfig
 
 
 @dataclass(frozen=True)
@@ -96,14 +98,23 @@ def parts_of_body(config: Config) -> dict[str, tuple[int, ...]]:
 
 
 def lexicon(sizes: Sizes) -> Lexicon | MovementLexicon:
-    """The VQ-VAE over blocks (RG 5.1), or the lexicon of movements."""
+    """The VQ-VAE over blocks (RG 5.1), or the lexicon of movements, itself a VQ-VAE or k-means."""
     if system_of(sizes.config).naming.in_context:
-        from lexicon.movement import MovementLexicon
-
-        return MovementLexicon(sizes.config.lexicon, sizes.frames, parts_of_body(sizes.config))
+        return movement_lexicon(sizes.config.lexicon, sizes.frames, parts_of_body(sizes.config))
     from lexicon.autoencoder import Lexicon
 
     return Lexicon(sizes.config.lexicon, sizes.frames, sizes.motion, sizes.present)
+
+
+def movement_lexicon(config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> MovementLexicon:
+    """The lexicon of movements of these settings; arguments as of `MovementLexicon`."""
+    if config.quantizer == "vq-vae":
+        from lexicon.movement_vqvae import MovementVqVae
+
+        return MovementVqVae(config, frames, parts)
+    from lexicon.movement import MovementLexicon
+
+    return MovementLexicon(config, frames, parts)
 
 
 def codec(sizes: Sizes) -> RacerCodec:
@@ -150,6 +161,13 @@ def gate(sizes: Sizes) -> ActivityGate:
     return ActivityGate(sizes.config.gate, sizes.frames, sizes.low, sizes.speakers)
 
 
+def planner(sizes: Sizes) -> UnitPlanner:
+    """The planner of gesture units."""
+    from interpreters.planner import UnitPlanner
+
+    return UnitPlanner(sizes.config.planner, sizes.frames, sizes.low, sizes.speakers, len(sizes.lexemes))
+
+
 def reward(sizes: Sizes) -> RewardEnsemble:
     """The ensemble of E_m and E_u that trains a policy (RACER 4.2)."""
     return _reward(sizes, sizes.config.reward)
@@ -181,7 +199,7 @@ class BundlePart:
 PARTS = {"encoder": BundlePart("speech_encoder", encoder), "lexicon": BundlePart("lexicon", tokens),
          "generator": BundlePart("generator", generator), "style": BundlePart("style_interpreter", style),
          "style_text": BundlePart("style_interpreter_text", partial(style, reads=True)),
-         "gate": BundlePart("gate", gate)}
+         "gate": BundlePart("gate", gate), "planner": BundlePart("planner", planner, tied=True)}
 """The parts other than lexeme interpreters; only the lexicon is always present."""
 
 
@@ -212,10 +230,11 @@ def codebook_shape(config: Config) -> tuple[int, int]:
     if not naming.blocks:
         return config.racer.size, config.racer.width
     if naming.in_context:
-        from lexicon.movement import basis_for
+        from lexicon.movement import basis_for, code_width
 
         with torch.device("meta"):
-            return config.lexicon.size, basis_for(config.lexicon, config.rhythm.frames, parts_of_body(config)).width
+            width = basis_for(config.lexicon, config.rhythm.frames, parts_of_body(config)).width
+        return config.lexicon.size, code_width(config.lexicon, width)
     return config.lexicon.size, config.lexicon.code_width
 
 

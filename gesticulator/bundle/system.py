@@ -55,7 +55,8 @@ REGRESSION = Drawing("regression", ("generator", "interpreter"), frozenset(("cod
 FLOW = Drawing("flow", ("generator", "interpreter"), frozenset(("codec",)), samples=True)
 """The generator with a flow head, which samples."""
 DECODED = Drawing("decoded", ("q_network",), frozenset(
-    ("lexicon", "generator", "interpreter", "interpreter_text", "style", "style_text", "gate", "advantage")))
+    ("lexicon", "generator", "interpreter", "interpreter_text", "style", "style_text", "gate", "planner",
+     "advantage")))
 """No generator: the codec decodes its codes (RACER 5.2)."""
 
 

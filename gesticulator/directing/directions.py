@@ -209,15 +209,21 @@ def with_planned_words(speech: Speech, plan: GesturePlan) -> Speech:
     return replace(speech, words=_words(plan) or None)
 
 
-def check_plan_of(bundle: Bundle, plan: GesturePlan, speech: Speech) -> None:
-    """`InputError` for a plan of another sound or another bundle, or with a lexeme that the bundle does not have."""
+def check_bundle_of(bundle: Bundle, plan: GesturePlan) -> None:
+    """`InputError` for a plan of another bundle."""
     made_with = plan.made_by.get("bundle")
     if not isinstance(made_with, dict) or made_with.get("lexicon") != lexicon_hash(bundle.vectors):
         raise plan.error(("made_by", "bundle"), "is another bundle than this one",
                          "render the plan with the bundle that made it")
+
+
+def check_plan_of(bundle: Bundle, plan: GesturePlan, speech: Speech) -> None:
+    """`InputError` for a plan of another sound or another bundle, or with a lexeme that the bundle does not have."""
+    check_bundle_of(bundle, plan)
     if plan.sound.sha256 != sound_hash(speech):
         raise plan.error(("sound",), f"is {plan.sound.name or 'another sound'}, {plan.sound.duration:.2f} s, and not "
-                         "the one that was given", "give the sound that the plan was made for")
+                         "the one that was given", "give the sound that the plan was made for, or add --retime if it "
+                         "was exported again")
     size = len(bundle.vectors)
     for at, block in enumerate(plan.blocks):
         if block.lexeme is not None and block.lexeme >= size:

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from data_module.types import Array, BeatFlag, Blocks
 from gesticulator.bundle.features import SpeechFeatures
-from gesticulator.drawing.drawer import Direction, Keys
+from gesticulator.drawing.drawer import Direction
 from gesticulator.drawing.driver import BlockRequest, Driver, GeneratedMotion, OnBlock, requests
+from gesticulator.drawing.keys import Keys
 from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.plan import GesturePlan, PlanKnobs, edited_blocks
 
@@ -64,6 +65,9 @@ class PlanRenderer:
     def __init__(self, redrawer: Redrawer, plan: GesturePlan, on_block: OnBlock | None = None) -> None:
         """plan: any plan of this generation; its edits are ignored here. on_block: see `Driver.run`."""
         self._redrawer, self._drawn = redrawer, plan.drawn
+        # By the number of a block in `draw`; another number is a time of its own.
+        self._keys = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
+                              plan.drawn.keyed_at or plan.drawn.edges, strict=False))
         self._blocks = redrawer.blocks(plan.drawn.edges, plan.drawn.flags, plan.drawn.silent)
         self._encoded = redrawer.encode(self._blocks)
         self._states, self._first = self._run(plan.drawn.knobs, plan.drawn.lexemes, len(self._blocks), on_block)
@@ -78,7 +82,14 @@ class PlanRenderer:
                       for lexeme, knots, start in zip(lexemes, times, self._blocks.edges, strict=False)]
         states: list[Driver] = []
         following = requests(self._encoded, self._redrawer.control(self._encoded), directions)[:count]
+        following = [replace(request, speech=replace(request.speech, number=number, key=key))
+                     for request, (number, key) in zip(following, self._keys.items(), strict=False)]
         return states, driver.run(following, on_block, states)
+
+    @property
+    def first(self) -> Sequence[BlockMotion]:
+        """The blocks of the first generation."""
+        return self._first
 
     def render(self, plan: GesturePlan) -> GeneratedMotion:
         """The plan's motion. `plan.drawn` must be that of this renderer."""
@@ -152,7 +163,8 @@ class PlanRenderer:
                 chosen = None
             draw = block.draw
             yield driver.draw(BlockRequest(
-                replace(encoded.block(i), number=draw.block), None if control is None else control[i],
+                replace(encoded.block(i), number=draw.block, key=self._keys.get(draw.block, float(draw.block))),
+                None if control is None else control[i],
                 Direction(chosen, Keys(draw.seed, draw.variation), still, bias)))
 
     def _difference(self, last: BlockMotion, blocks: Blocks, stop: int, end: int) -> tuple[Array, Array]:

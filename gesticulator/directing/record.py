@@ -13,7 +13,9 @@ from gesticulator.plan.plan import (
     Block,
     DrawnBlocks,
     GestureName,
+    GesturePhase,
     GesturePlan,
+    GestureUnit,
     LexemeName,
     PlanSound,
     PlanWord,
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 _ABOVE = ("seed", "variation", "speaker", "interpreter", "activity")
 """Settings that have fields of their own in a plan."""
+_SIZES = (1.0, 0.6, 1.0, 1.5)
+"""The size of a unit's gestures, as an intensity, for each of the planner's sizes."""
 _GESTURES = tuple(GestureName(name, about) for name, about in GESTURES.items())
 
 
@@ -51,16 +55,19 @@ def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: 
     return GesturePlan(
         FORMAT, VERSION, made_by, PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
         int(settings["seed"]), int(settings["variation"]), str(settings["speaker"]), str(settings["interpreter"]),
-        drawn, decisions, drawn.knobs, tuple(origin.options.cues), _words(speech), (), _GESTURES, origin.score_is)
+        drawn, decisions, drawn.knobs, tuple(origin.options.cues), words_of(speech), (), _GESTURES, origin.score_is,
+        units=units_of_blocks(blocks))
 
 
 def rendered_plan(plan: GesturePlan, speech: Speech, blocks: Sequence[BlockMotion], origin: Origin) -> GesturePlan:
     """A plan after rendering, with the models' choices in its edited blocks. Unchanged parts are the same objects, so
     that `PlanExchange` need not write them again."""
     # The hash of the sound was compared with the plan's before rendering (`directions.check_plan_of`).
-    sound, words = PlanSound("", speech.duration, speech.sample_rate, plan.sound.sha256), _words(speech)
+    sound, words = PlanSound("", speech.duration, speech.sample_rate, plan.sound.sha256), words_of(speech)
+    units = units_of_blocks(blocks) or plan.units
     return replace(plan, sound=sound, blocks=tuple(_rendered(block, generated) for block, generated
                                                    in zip(plan.blocks, blocks, strict=True)),
+                   units=plan.units if units == plan.units else units,
                    words=plan.words if words == plan.words else words, gestures=_GESTURES, score_is=origin.score_is,
                    source=None)
 
@@ -79,6 +86,13 @@ def _rendered(block: Block, generated: BlockMotion) -> Block:
                    runner_up=now.runner_up)
 
 
+def fingerprinted(plan: GesturePlan, speech: Speech) -> GesturePlan:
+    """The plan with the fingerprint of its sound, by which it can be moved onto another export."""
+    from data_module.speech.fingerprint import fingerprint, fingerprint_text
+
+    return plan if plan.fingerprint is not None else replace(plan, fingerprint=fingerprint_text(fingerprint(speech)))
+
+
 def named(plan: GesturePlan, names: tuple[LexemeName, ...]) -> GesturePlan:
     """The plan with the names of lexemes; blocks that have their names already are the same objects."""
     by_lexeme = {entry.lexeme: entry.name for entry in names}
@@ -94,5 +108,39 @@ def named(plan: GesturePlan, names: tuple[LexemeName, ...]) -> GesturePlan:
     return replace(plan, blocks=tuple(blocks), lexicon=names)
 
 
-def _words(speech: Speech) -> tuple[PlanWord, ...]:
+def words_of(speech: Speech) -> tuple[PlanWord, ...]:
+    """The words of a speech, as a plan stores them."""
     return tuple(PlanWord(word.text, word.start, word.end) for word in speech.words or () if word.text.strip())
+
+
+def units_of_blocks(blocks: Sequence[BlockMotion]) -> tuple[GestureUnit, ...]:
+    """The units of a performance, in order: from one rest to the next. () without a planner."""
+    units: list[GestureUnit] = []
+    unit: list[BlockMotion] = []
+    for block in [*blocks, None]:
+        if block is not None and block.unit is not None and block.unit.phase:
+            unit.append(block)
+        elif unit:
+            units.append(_unit(unit))
+            unit = []
+    return tuple(units)
+
+
+def _unit(blocks: Sequence[BlockMotion]) -> GestureUnit:
+    from interpreters.planner import HANDS, PHASES
+
+    decisions = [block.unit for block in blocks if block.unit is not None]
+    phases: list[GesturePhase] = []
+    struck = False
+    for block, decision in zip(blocks, decisions, strict=True):
+        kind = PHASES[decision.phase]
+        struck = struck or kind == "stroke"
+        if kind == "hold":
+            kind = "post-stroke hold" if struck else "pre-stroke hold"
+        start = phases.pop().start if phases and phases[-1].kind == kind else block.block.start
+        phases.append(GesturePhase(kind, start, block.block.end))
+    hands = [decision.hand for decision in decisions if decision.hand]
+    hand = HANDS[max(set(hands), key=hands.count)] if hands else None
+    sizes = [_SIZES[decision.size] for decision in decisions if decision.size]
+    size = round(sum(sizes) / len(sizes), 2) if sizes else 1.0
+    return GestureUnit(blocks[0].block.start, blocks[-1].block.end, tuple(phases), hand, size)

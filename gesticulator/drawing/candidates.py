@@ -1,5 +1,8 @@
-"""Choice among several sampled candidates of a block. Of those that show the lexeme, the one with the best sum of:
+"""Choice among several sampled candidates of a block: the one with the best sum of terms that change gradually, so that
+a small change of pose or sound rarely changes the choice:
 
+- Lexeme: -2 log(d / d_0), with d the squared distance of the candidate's movement to the lexeme to play, and d_0 that
+  to its nearest lexeme.
 - Speed limit: a candidate in which a hand is faster than people's hands are is rejected, unless all are. One frame in a
   thousand of the corpus has such a jump, and a model trained on it samples one now and then.
 - Timing: the hands' braking b(t) = max(0, -ds/dt), with s the summed speed of both hands, should lie near the onsets of
@@ -41,9 +44,8 @@ _SEAM = 0.02
 """Seconds at the start of a block in which braking does not count: a jolt at the seam is not a beat."""
 _BEFORE = 4
 """Frames before a block that are needed for the speeds at its start."""
-_CONTROLLED_RANK = 4
-"""Lexemes that may be nearer to a candidate than the one to play, with hand controls: the lexeme to play is among the
-best five."""
+_LEXEME = 2.0
+"""Weight of the lexeme: a candidate that is a twentieth nearer to another lexeme loses 0.2."""
 
 
 class CandidateChooser:
@@ -58,27 +60,21 @@ class CandidateChooser:
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
-    def choose(self, speech: SpeechBlock, past: Array, blocks: Array, nearer: NDArray[np.int64],
+    def choose(self, speech: SpeechBlock, past: Array, blocks: Array, apart: Array,
                control: Array | None = None) -> int:
         """The index of the best candidate; the first of equals.
 
-        past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m] the candidates; nearer: [C]
-        how many lexemes are nearer to each candidate than the one to play; control: rows [K, 2 F], or None.
+        past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m] the candidates; apart: [C]
+        squared distance of each candidate to the lexeme to play over that to its nearest lexeme; control: rows
+        [K, 2 F], or None.
         """
         if len(blocks) == 1:
             return 0
         hands, times = self._hand_paths(speech, past, blocks)
-        plausible = slow_enough(hands, times)
-        most = int(nearer[plausible].min())
-        if control is not None and self._settings.as_asked:
-            most = max(most, _CONTROLLED_RANK)
-        allowed = plausible[nearer[plausible] <= most]
-        timed = bool(self._settings.timing) and len(speech.onsets) > 0
-        if len(allowed) == 1 or not (timed or self._settings.seam or control is not None):
-            return int(allowed[nearer[allowed].argmin()])
+        allowed = slow_enough(hands, times)
         hands = hands[allowed]
-        score = -1e-3 * nearer[allowed].astype(np.float64)  # breaks ties: the one that shows the lexeme best
-        if timed:
+        score = -_LEXEME * np.log(apart[allowed].astype(np.float64))
+        if self._settings.timing and len(speech.onsets) > 0:
             score += self._settings.timing * in_time(hands, times, speech.start, speech.onsets)
         if self._settings.seam:
             score -= self._settings.seam * jolt(hands, times)

@@ -20,28 +20,12 @@ from gesticulator.bundle.config import UNTOLD
 from gesticulator.bundle.features import SpeechBlock
 from gesticulator.bundle.system import FLOW, REGRESSION, Drawing
 from gesticulator.drawing.candidates import CandidateChooser
+from gesticulator.drawing.keys import Keys
 from interpreters.base import BlockFeatures
 
 if TYPE_CHECKING:
     from generator.model import Generator
     from lexicon.movement import MovementLexicon
-
-
-@dataclass(frozen=True)
-class Keys:
-    """Keys of a block's random numbers, besides its number: seed and variation of the performance."""
-
-    seed: int
-    variation: int = 0
-
-    def noise(self, block: int, shape: tuple[int, int]) -> Tensor:
-        """Standard normal noise of a block, the same in a file, a stream and an edited plan."""
-        return torch.as_tensor(np.random.default_rng([self.seed, self.variation, block]).standard_normal(
-            shape, dtype=np.float32))
-
-    def choice(self, block: int) -> np.random.Generator:
-        """Random numbers for the choice of an edited block's lexeme, independent of its noise."""
-        return np.random.default_rng([self.seed, self.variation, block, 1])
 
 
 @dataclass(frozen=True)
@@ -66,6 +50,8 @@ class Direction:
 FREE = Direction()
 """No instructions: the models decide everything."""
 
+_NEAREST = 1e-6
+"""Least distance of a candidate to a lexeme, so that the ratio of two is finite."""
 HURRIED_STEPS = 2
 """Steps of Heun's method for a hurried block; a single step would give the mean instead of a sample."""
 
@@ -81,6 +67,9 @@ class Drawer(Protocol):
 
     def fork(self) -> Drawer:
         """An independent copy with the same state."""
+
+    def restart(self) -> None:
+        """Forget the blocks before, but not for how long speech or silence has lasted."""
 
     def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
         """The next block [1, K, D_m] and its style code [1, d_z], after the motion past [1, K, D_m].
@@ -103,13 +92,19 @@ class RegressionDrawer:
         self.hurried = self.unseen = False  # cheap: neither has an effect
         self.generator = cast("Generator", bundle.generator)
         self.style = (bundle.style_text if text else None) or bundle.style
-        self.style_state = None if self.style is None else self.style.start(speaker)
-        rest = bundle.rest_feature(speaker)
-        self.state = self.free = self.generator.first_state(rest[None], bundle.vectors[[lexeme]])
+        self._first = speaker, lexeme
+        self.restart()
 
     def fork(self) -> RegressionDrawer:
         """See `Drawer.fork`."""
         return copy.copy(self)  # states are replaced, never modified
+
+    def restart(self) -> None:
+        """See `Drawer.restart`."""
+        speaker, lexeme = self._first
+        self.style_state = None if self.style is None else self.style.start(speaker)
+        rest = self.bundle.rest_feature(speaker)
+        self.state = self.free = self.generator.first_state(rest[None], self.bundle.vectors[[lexeme]])
 
     def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
         """See `Drawer.block`."""
@@ -152,6 +147,10 @@ class FlowDrawer:
         twin.place = copy.deepcopy(self.place)
         return twin
 
+    def restart(self) -> None:
+        """See `Drawer.restart`."""
+        self.state = self.past = None
+
     def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
         """See `Drawer.block`; the code is empty."""
         added = past.new_zeros(1, self.generator.basis.width)
@@ -171,16 +170,18 @@ class FlowDrawer:
         if self.hurried:
             # One candidate, few steps, no guidance. The guidance states above advance all the same, for later blocks.
             steps, context, pull = min(steps, HURRIED_STEPS), context[:1], pull[:0]
-            _, block = self._sample(speech.number, 1, context, pull, steps)
+            _, block = self._sample(speech.keyed_at, 1, context, pull, steps)
             if not self.chooser.too_fast(speech, past[0].cpu().numpy(), block.cpu().numpy()):
                 return block, past[:, :0, 0]
-        coefficients, blocks = self._sample(speech.number, self.settings.candidates, context, pull, steps)
+        coefficients, blocks = self._sample(speech.keyed_at, self.settings.candidates, context, pull, steps)
         best = self._best(speech, lexeme, coefficients, blocks, past, features)
         return blocks[best:best + 1], past[:, :0, 0]
 
-    def _sample(self, number: int, candidates: int, context: Tensor, pull: Tensor, steps: int) -> tuple[Tensor, Tensor]:
-        """Coefficients [C, n] of C candidates for block `number`, and the blocks [C, K, D_m] that they give."""
-        noise = self.keys.noise(number, (candidates, self.generator.basis.width)).to(self.device) * self.noise
+    def _sample(self, time: float, candidates: int, context: Tensor, pull: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+        """Coefficients [C, n] of C candidates with the noise of this time, and the blocks [C, K, D_m] that they give.
+        """
+        keyed = self.keys.noise(time, (candidates, self.generator.basis.width))
+        noise = torch.as_tensor(keyed, device=self.device) * self.noise
         coefficients = self.generator.draw(context[:, 0], pull, noise, steps)
         return coefficients, (self.base + self.generator.basis.expand(coefficients)) * self.generator.present
 
@@ -220,6 +221,6 @@ class FlowDrawer:
         if len(blocks) == 1:
             return 0
         distances = self.lexicon.distances(coefficients)
-        nearer = (distances < distances[:, lexeme, None]).sum(-1)
+        apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
         control = None if features.control is None else features.control.cpu().numpy()
-        return self.chooser.choose(speech, past[0].cpu().numpy(), blocks.cpu().numpy(), nearer.cpu().numpy(), control)
+        return self.chooser.choose(speech, past[0].cpu().numpy(), blocks.cpu().numpy(), apart.cpu().numpy(), control)

@@ -18,16 +18,26 @@ from data_module.layers import without_after
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Span, SpeechBlock, representation_of
-from gesticulator.drawing.drawer import FREE, Direction, Keys, drawer_for
+from gesticulator.drawing.drawer import FREE, Direction, drawer_for
+from gesticulator.drawing.keys import Keys
+from gesticulator.drawing.returns import TAKES, Returns
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
 from interpreters.base import BlockFeatures, Explanation, LexemeInterpreter, as_interpreter, select
 
 if TYPE_CHECKING:
+    from interpreters.planner import UnitDecision
     from lexicon.racer import RacerCodec
 
 BEST = 5
 """Number of alternative lexemes stored for a block."""
 
+_UNITS, _PER_SECOND = 1 << 21, 20
+"""Key of the noise of the planner of gesture units, and its time steps a second: a block that begins a little earlier
+in another export of the sound has the same noise."""
+_CONTIGUOUS = 1e-3
+"""Seconds between two blocks without a gap."""
+_AT_HOME = 1e-4
+"""Greatest difference from the home pose in a feature at the end of a return; it is greater where the body rests."""
 _BLOCKS_BEFORE_REST = 2
 """Quiet blocks that are played as generated, before rest decay begins: the arms come down in them."""
 
@@ -54,13 +64,14 @@ class BlockMotion:
 
     block: the block of the plan, without names of lexemes (`directing.record.named`). lexeme: the one that was played;
     where the hands are to rest, an edited plan may hold another. motion: [K, D_m] features with rest and idle motion.
-    code: [d_z] style code.
+    code: [d_z] style code. unit: the decision of the planner of gesture units; None without one.
     """
 
     block: Block
     lexeme: int
     motion: NDArray[np.float32]
     code: NDArray[np.float32]
+    unit: UnitDecision | None = None
 
 
 def decided(speech: SpeechBlock, lexeme: int, scores: NDArray[np.float64], explanation: Explanation | None,
@@ -113,7 +124,6 @@ class Rollout:
         """Reset to the start. text: the blocks that follow come with words."""
         b, speaker = self.bundle, self.speaker
         self.device = b.vectors.device
-        self.rng = np.random.default_rng(self.sampling.seed)
         self._quiet_low = None if b.statistics.quiet_low is None else self._tensor(b.statistics.quiet_low)
         self._low, self._high = self._tensor(b.statistics.bounds)
         self._previous = b.rest_lexeme(speaker)
@@ -124,25 +134,33 @@ class Rollout:
         """Put the body at rest; reset the drawer, the gate and the rest controller."""
         b, speaker = self.bundle, self.speaker
         self._gate = b.gate if self.activity < 1 else None
+        self._planner = b.planner
+        self._planner_state = None if self._planner is None else self._planner.start(speaker)
         self._past = b.rest_feature(speaker).expand(1, b.frames, -1)
         self._drawer = drawer_for(b, speaker, self._previous, self.sampling.keys, text)
         self._gate_state = None if self._gate is None else self._gate.start(speaker)
         self.life = Rest(b.statistics, representation_of(b.config), speaker, self.activity,
                          self.sampling.seed) if b.system.lives else None
         self._resting = _BLOCKS_BEFORE_REST  # the body is at rest at the start
+        self._returns, rest, every = None, b.statistics.rest_pose[speaker], b.config.selection.returns
+        if every and self.life is not None:
+            names = representation_of(b.config).motion(rest[None], 1.0).skeleton.names
+            self._returns = Returns(self.sampling.seed, every, names, b.statistics.normalise(rest, speaker))
+        self._unit, self._until, self._home = 0, 0.0, self._past[0, -1]
 
     @torch.inference_mode()
     def step(self, speech: SpeechBlock, control: NDArray[np.float32] | None = None, direction: Direction = FREE
              ) -> BlockMotion:
         """The next block. control: rows [K, 2 F], or None; direction: instructions for the block."""
         b = self.bundle
+        self._begin_unit(speech)
         features = self._features(speech, control, self._past[0])
-        closed, probability = self._closed(speech, features, direction.still)
-        scores = self._scores(features)
+        unit = self._planned(speech, features)
+        closed, probability = self._closed(speech, features, self._still(unit, direction))
+        scores = self._within(self._scores(features), unit)
         quiet = closed or (features.silent and b.config.silence.mask)
         if direction.lexeme is None:
-            rng = self.rng if direction.keys is None else direction.keys.choice(speech.number)
-            self._previous = self._select(direction.biased(scores), rng, b.silent if quiet else None)
+            self._previous = self._select(direction, scores, speech, b.silent if quiet else None)
         else:
             self._previous = direction.lexeme
         if closed and self.life is None and self._quiet_low is not None:
@@ -155,10 +173,32 @@ class Rollout:
         rest_decay = b.config.silence.rest_decay
         if self.life is None and self._resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
             block = approach_rest(self._past[:, -1:], block, rest_decay)
+        if self._returns is not None and direction.keys is None:
+            times = speech.span.times - speech.start + speech.keyed_at
+            share = self._tensor(self._returns.share(self._unit, times))[:, None]
+            block = block + share * (self._home - block)
         motion = self._advance(block)
         decision = decided(speech, self._previous, scores, self.interpreter.explain(self._inner), self._drawer.keys,
                            probability)
-        return BlockMotion(decision, self._previous, motion, code[0].cpu().numpy())
+        return BlockMotion(decision, self._previous, motion, code[0].cpu().numpy(), unit)
+
+    def _begin_unit(self, speech: SpeechBlock) -> None:
+        """Forget what was before, if the body is at home after a return, and set the next return."""
+        if self._returns is None:
+            return
+        # After a gap in time a return that would have begun in it is left out.
+        gap = abs(speech.keyed_at - self._until) > _CONTIGUOUS
+        unit = max(self._returns.unit(speech.keyed_at + (TAKES if gap else 0.0)), self._unit)
+        self._until = speech.keyed_at + speech.end - speech.start
+        if unit == self._unit:
+            return
+        if self._unit and torch.allclose(self._past[0, -1], self._home, atol=_AT_HOME):
+            self._previous = self.bundle.rest_lexeme(self.speaker)
+            self._inner = self._free = self.interpreter.start(self.speaker, self._previous)
+            self._past = self._home.expand_as(self._past)
+            self._drawer.restart()
+        self._unit = unit
+        self._home = torch.clamp(self._tensor(self._returns.home(unit)), self._low, self._high)
 
     @torch.inference_mode()
     def idle(self, start: float, seconds: float, knots: int) -> NDArray[np.float32]:
@@ -198,13 +238,14 @@ class Rollout:
     def fork(self) -> Rollout:
         """An independent copy with the same state, to generate the following blocks in another way."""
         twin = copy.copy(self)
-        twin.rng, twin._inner, twin._free = (copy.deepcopy(state) for state in (self.rng, self._inner, self._free))
+        twin._inner, twin._free = copy.deepcopy(self._inner), copy.deepcopy(self._free)
         self._fork_body(twin)
         return twin
 
     def _fork_body(self, twin: Rollout) -> None:
         """Copy the states of gate, drawer and rest controller."""
         twin._gate_state, twin._drawer = copy.deepcopy(self._gate_state), self._drawer.fork()
+        twin._planner_state = copy.deepcopy(self._planner_state)
         twin.life = None if self.life is None else self.life.fork()
 
     def stand_as(self, other: Rollout) -> None:
@@ -212,6 +253,25 @@ class Rollout:
         self._past, self._previous, self._resting = other._past, other._previous, other._resting
         if self.life is not None and other.life is not None:
             self.life.stand_as(other.life)
+
+    def _planned(self, speech: SpeechBlock, features: BlockFeatures) -> UnitDecision | None:
+        """The decision of the planner of gesture units; None without one. Its noise is keyed by the seed and the time
+        of the block, so that a difference elsewhere in the recording does not change it."""
+        if self._planner is None or self._planner_state is None:
+            return None
+        noise = np.random.default_rng((self.sampling.seed, _UNITS, round(_PER_SECOND * speech.start)))
+        # Where lexemes are not drawn, phases are not either.
+        temperature = float(self.sampling.temperature > 0)
+        unit, self._planner_state = self._planner.step(self._planner_state, features, noise, temperature)
+        return unit
+
+    def _still(self, unit: UnitDecision | None, direction: Direction) -> NDArray[np.bool_] | None:
+        """[K] frames in which the hands hold still, by the instructions or by the planner; None for none. A gesture
+        that was asked for is played, whatever the phase: only silent lexemes can be held."""
+        held = unit is not None and unit.holds and self.life is not None
+        if held and (direction.lexeme is None or direction.lexeme in self.bundle.silent):
+            return np.ones(self.bundle.frames, bool)
+        return direction.still
 
     def _closed(self, speech: SpeechBlock, features: BlockFeatures, still: NDArray[np.bool_] | None
                 ) -> tuple[bool, float]:
@@ -236,6 +296,14 @@ class Rollout:
         free, self._free = self.interpreter.step(self._free, replace(features, control=None), self._previous)
         return free + self.bundle.config.selection.guidance * (scores - free)
 
+    def _within(self, scores: NDArray[np.float64], unit: UnitDecision | None) -> NDArray[np.float64]:
+        """Scores [S] plus what each lexeme is worth in the planner's phase, less a constant by which log-probabilities
+        keep their sum."""
+        if unit is None or self.bundle.planner is None:
+            return scores
+        within = scores + self.bundle.planner.bias(unit)
+        return within - (np.logaddexp.reduce(within) - np.logaddexp.reduce(scores))
+
     def _advance(self, block: Tensor) -> NDArray[np.float32]:
         """[K, D_m] final motion of a generated block [1, K, D_m], which becomes the past of the next one."""
         # Stay within the training data: the models' input must not drift away from it, pose by pose.
@@ -245,10 +313,12 @@ class Rollout:
         self._past = self._tensor(self.life.step(self._past[0].cpu().numpy()))[None]
         return self.life.alive(self._past[0].cpu().numpy()).astype(np.float32)
 
-    def _select(self, scores: NDArray[np.float64], rng: np.random.Generator,
+    def _select(self, direction: Direction, scores: NDArray[np.float64], speech: SpeechBlock,
                 allowed: NDArray[np.int64] | None = None) -> int:
-        return select(scores, allowed=allowed, temperature=self.sampling.temperature, top=self.sampling.top or None,
-                      rng=rng)
+        # A variation has the lexemes of the first performance, unless the block was edited.
+        keys = direction.keys or Keys(self.sampling.seed)
+        return select(direction.biased(scores), allowed=allowed, temperature=self.sampling.temperature,
+                      top=self.sampling.top or None, noise=keys.gumbel(speech.keyed_at, len(scores)))
 
     def _tensor(self, values: NDArray) -> Tensor:
         return torch.as_tensor(values, dtype=torch.float32, device=self.device)
@@ -284,7 +354,7 @@ class CodecRollout(Rollout):
         scores, self._inner = self.interpreter.step(self._inner, self._features(speech, control), self._previous)
         chosen = direction.lexeme
         if chosen is None:
-            chosen = self._select(direction.biased(scores), self.rng)
+            chosen = self._select(direction, scores, speech)
         self._previous = self.bundle.rest_lexeme(self.speaker) if self.activity == 0 else chosen
         decision = decided(speech, self._previous, scores, self.interpreter.explain(self._inner), self.sampling.keys)
         return BlockMotion(decision, self._previous, np.empty((0, 0), np.float32), np.empty(0, np.float32))

@@ -112,17 +112,21 @@ class BodyPart:
     shown: NDArray[np.bool_] | None = None
 
 
+_STANDS = {side + name: np.array([place]) for side, places in {
+    "Left": ((0.087, 0.889, 0.0), (0.125, 0.477, 0.065), (0.122, 0.08, -0.02), (0.158, 0.02, 0.105),
+             (0.176, 0.02, 0.172)),
+    "Right": ((-0.093, 0.901, 0.0), (-0.080, 0.482, 0.010), (-0.057, 0.08, -0.035), (-0.082, 0.02, 0.088),
+              (-0.096, 0.02, 0.156))}.items() for name, place in zip(
+    ("UpLeg", "Leg", "Foot", "ToeBase", "ToeBaseTip"), places, strict=True)}
+"""Places of legs that stand on the right one, under hips at the origin: drawn under motion without legs."""
+
+
 def legs(now: Mapping[str, Array] | None = None) -> list[BodyPart]:
     """The legs of `figure_points`; without them one static pose, under hips at the origin."""
     if now is not None and "LeftUpLeg" in now:
         return [_leg(now, side) for side in ("Left", "Right")]
-
-    def at(x: float, y: float, z: float) -> Array:
-        return np.array([[x, y, z]])
-
-    return [BodyPart(tuple(limb for x in (0.095, -0.095) for limb in (
-        Limb(at(x * 0.85, 0.9, 0), at(x * 1.25, 0.07, 0), 0.17, 0.095, TROUSERS),
-        Limb(at(x * 1.25, 0.035, 0), at(x * 1.5, 0.03, 0.15), 0.085, 0.07, INK))), 0.0)]
+    both = [_leg(_STANDS, side) for side in ("Left", "Right")]
+    return [BodyPart(tuple(limb for leg in both for limb in leg.limbs), 0.0)]
 
 
 def _leg(now: Mapping[str, Array], side: str) -> BodyPart:

@@ -193,19 +193,25 @@ def encode(points: dict[str, Array], speech: Speech, suffix: str, *, size: tuple
     The audio is truncated, or padded with silence, to T / fps seconds. suffix: ".mp4" or ".webm". InputError for
     another suffix, an invalid size or rate, or if PyAV or Pillow is not installed.
     """
+    frames = len(next(iter(points.values())))
+    return encode_pictures(pictures(points, size, bt709), frames, speech, suffix, size=size, fps=fps)
+
+
+def encode_pictures(drawn: Iterator[Image], frames: int, speech: Speech, suffix: str, *, size: tuple[int, int],
+                    fps: int = FPS) -> bytes:
+    """The same of so many pictures of `size` pixels that are drawn in the colours of `bt709`."""
     kind = format_of(suffix)
     if min(size) < 16 or size[0] % 2 or size[1] % 2:
         raise InputError("size", f"must be even and 16 or more, not {size[0]} x {size[1]}")
     if fps < 1:
         raise InputError("fps", f"must be 1 or more, not {fps}")
-    frames = len(next(iter(points.values())))
     if frames < 1:
         raise InputError("video", "would hold no frame", "give a longer stretch")
     sound = _resampled(speech, frames, fps)
     with tempfile.TemporaryDirectory() as folder:
         # A file, not memory: moving the index to the front reads back the written data.
         target = Path(folder) / f"clip{suffix.lower()}"
-        _write(target, kind, pictures(points, size, bt709), sound, size, fps)
+        _write(target, kind, drawn, sound, size, fps)
         return target.read_bytes()
 
 

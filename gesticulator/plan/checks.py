@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -13,6 +14,8 @@ SHORTEST, LONGEST = 0.1, 1.0
 """Allowed length of an edited block, seconds (detected blocks last 0.2 to 0.5)."""
 _EPS = 1e-6
 """Largest difference of two equal times, seconds: numbers in files are rounded."""
+_FINGERPRINT = re.compile("([A-Za-z0-9+/]{8})+")
+"""Eight characters for each frame of 20 ms."""
 _UNIT = 1e-3
 """Largest deviation of the squared length of a quaternion from 1: numbers in files are rounded."""
 
@@ -44,10 +47,17 @@ def _check_sections(plan: GesturePlan) -> None:
         check_points(("curves", at), ("times", "values"), (curve.times, curve.values), plan.error)
         if curve.knob in knobs[:at]:
             raise plan.error(("curves", at, "knob"), f"is {curve.knob} again", "give one curve per knob")
+    if plan.fingerprint is not None and not _is_fingerprint(plan.fingerprint, plan.sound.duration):
+        raise plan.error(("fingerprint",), "is not that of the sound", "leave it as it was written, or remove it")
     if plan.alignment is not None:
         times, there = plan.alignment.times, plan.alignment.there
         check_points(("alignment",), ("times", "there"), (times, there), plan.error)
         check_points(("alignment",), ("there", "times"), (there, times), plan.error)
+
+
+def _is_fingerprint(text: str, duration: float) -> bool:
+    """Whether a text has the form of a fingerprint of this many seconds (`data_module.speech.fingerprint`)."""
+    return bool(_FINGERPRINT.fullmatch(text)) and abs(len(text) / 8 - 50 * duration - 1) <= 2
 
 
 def _check_gesture(plan: GesturePlan, at: int, name: str) -> None:
@@ -64,6 +74,11 @@ def _check_drawn(plan: GesturePlan) -> None:
         if len(getattr(drawn, name)) != count or count < 1:
             raise plan.error(("drawn", name), f"has {len(getattr(drawn, name))} entries for {count} blocks",
                              "leave `drawn` as it was written")
+    if len(drawn.numbers) not in (0, count) or len(set(drawn.numbers)) != len(drawn.numbers):
+        raise plan.error(("drawn", "numbers"), f"are not {count} different numbers", "leave `drawn` as it was written")
+    if len(drawn.keyed_at) not in (0, count):
+        raise plan.error(("drawn", "keyed_at"), f"has {len(drawn.keyed_at)} entries for {count} blocks",
+                         "leave `drawn` as it was written")
     if drawn.edges[0] != 0 or any(not a < b for a, b in pairwise(drawn.edges)):
         raise plan.error(("drawn", "edges"), "do not rise from 0", "leave `drawn` as it was written")
 

@@ -191,6 +191,11 @@ class DrawnBlocks:
     """[N] the lexeme of each block."""
     knobs: PlanKnobs
     """The knobs of the first generation."""
+    numbers: Annotated[tuple[int, ...], SettingRange(0, 10**7)] = ()
+    """[N] the number of each block in `draw`, of a plan that was re-timed; left out for 0 to N - 1."""
+    keyed_at: tuple[Seconds, ...] = ()
+    """[N] the time by which the random numbers of each block are keyed, of a plan that was re-timed: where it began in
+    the first sound, seconds; left out for the starts of the blocks."""
 
 
 @dataclass(frozen=True)
@@ -384,6 +389,8 @@ class GesturePlan:
     """Knobs that change over time; at most one curve per knob."""
     alignment: SoundAlignment | None = None
     """The map of the plan onto another export of its sound."""
+    fingerprint: str | None = None
+    """The fingerprint of the sound, by which the plan is moved onto another export of it (`--retime`)."""
     source: Any = field(default=None, metadata=PRIVATE, compare=False, repr=False)
     """The `LinedJson` that the plan was read from, for error messages; None if it was not read."""
 
@@ -425,6 +432,7 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
     that influence its generation are too, unless it is locked.
     """
     drawn, knobs = plan.drawn, plan.knobs
+    numbers = drawn.numbers or range(len(drawn.lexemes))
     places = {pair: at for at, pair in enumerate(zip(drawn.edges, drawn.edges[1:], strict=False))}
     alike, as_still = knobs.draws_as(drawn.knobs), knobs.hold_still == drawn.knobs.hold_still
     out = []
@@ -435,7 +443,7 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
         if place in places:
             at = places[place]
             same = block.lexeme == drawn.lexemes[at] and block.silent == drawn.silent[at] \
-                and (draw.seed, draw.variation, draw.block) == (plan.seed, plan.variation, at)
+                and (draw.seed, draw.variation, draw.block) == (plan.seed, plan.variation, numbers[at])
         if same and not block.locked:
             same = alike and (as_still or knobs.still_at(*place) == drawn.knobs.still_at(*place))
         out.append(not same)

@@ -25,6 +25,7 @@ from gesticulator.bundle.config import (
     LexiconConfig,
     LstmConfig,
     MotionConfig,
+    PlannerConfig,
     QConfig,
     RacerConfig,
     RewardConfig,
@@ -136,18 +137,23 @@ def default() -> Config:
         paper, name="default", default_speaker="conversation",
         schedules=dataclasses.replace(
             paper.schedules, style=NOT_TRAINED, speech=NOT_TRAINED, contrast=NOT_TRAINED,
-            lexicon=FitSettings(steps=0, batch=1),  # fitted in closed form
+            lexicon=FitSettings(steps=2_000, batch=512, rate=1e-3, schedule="cosine"),  # a minute on one core
             generator=FitSettings(steps=5_000, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
             # Trained separately and stopped early: it overfits after a few epochs.
             interpreter=FitSettings(steps=1_000, batch=64, rate=1.5e-3, schedule="cosine", weight_decay=0.05,
                                     validations=20, patience=5),
             interpreter_text=dataclasses.replace(paper.schedules.interpreter_text, validations=20, patience=5),
+            planner=FitSettings(steps=1_200, batch=64, rate=2e-3, schedule="cosine", weight_decay=0.03,
+                                validations=20, patience=5),
             reward=FitSettings(steps=2_400, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
             advantage=FitSettings(steps=1_000, batch=32, rate=1e-3, schedule="cosine", weight_decay=0.01)),
         front_end=FrontEndConfig(name="mel", bands=40),
         # One degree, so that the trunk counts; this smoothing does not reduce speed (0.05 did).
         motion=MotionConfig(joints=46, least_deviation=0.0175, smoothing=0.02),
-        lexicon=LexiconConfig(kind="movement", size=200),
+        # Large movements are rare: lexemes that are revived as soon as they are used less than average leave them, and
+        # tell a third less of the movement.
+        lexicon=LexiconConfig(kind="movement", quantizer="vq-vae", size=200, code_width=128, commitment=0.5,
+                              revive_below=0.1, warm_up=0.1),
         generator=GeneratorConfig(
             head="flow", motion_features=32, audio_features=32, audio_bottleneck=48, style_width=0, position_width=8,
             hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True, bend=4.0, dropout=0.1,
@@ -183,9 +189,10 @@ def tiny() -> Config:
             lexicon=FitSettings(steps=200, batch=64, rate=2e-3, schedule="cosine"),
             generator=FitSettings(steps=120, batch=8, rate=3e-3, schedule="cosine"),
             interpreter=FitSettings(steps=80, batch=8, rate=3e-3, schedule="cosine"),
-            style=FitSettings(steps=60, batch=8, rate=3e-3, schedule="cosine"),
+            style=FitSettings(steps=160, batch=8, rate=3e-3, schedule="cosine"),
             speech=FitSettings(steps=20, batch=4, rate=1e-3), contrast=FitSettings(steps=20, batch=8, rate=1e-3),
-            gate=FitSettings(steps=40, batch=8, rate=3e-3), reward=FitSettings(steps=40, batch=16, rate=3e-3),
+            gate=FitSettings(steps=40, batch=8, rate=3e-3), planner=FitSettings(steps=40, batch=8, rate=3e-3),
+            reward=FitSettings(steps=40, batch=16, rate=3e-3),
             cql=FitSettings(steps=30, batch=8, rate=3e-3, betas=(0.5, 0.999)),
             advantage=FitSettings(steps=30, batch=8, rate=3e-3)),
         front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=16), text=TextConfig(encoder="minilm"),
@@ -198,6 +205,7 @@ def tiny() -> Config:
                                lexeme_features=8, history_dropout=0.1),
         style=StyleConfig(audio_features=8, audio_bottleneck=8, text_features=4, text_bottleneck=8, width=32),
         gate=GateConfig(audio_features=4, audio_bottleneck=8, width=16),
+        planner=PlannerConfig(audio_features=4, audio_bottleneck=8, embedding=4, width=16),
         reward=RewardConfig(width=16, projection=8, window=4, longest=6, members=2, caution=0.5,
                             centred=True),
         judge=RewardConfig(width=12, projection=8, window=4, longest=6, members=2, centred=True),

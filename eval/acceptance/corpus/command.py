@@ -1,9 +1,9 @@
 """Is a built corpus good enough to learn from? `gesticulator probe corpus --data STORE [--talks 32]`
 
-Its talks against bounds of human likeness (`bounds`), its styles against what can be heard (`style_from_sound`), and
-what a scripted performance did with its plan (`planned_strokes`). Everything is measured on the finished motion and
-sound; from the truth come only where the corpus was put together, where rest is meant, what style was asked for and
-what was planned.
+Its talks against bounds of human likeness (`bounds`), every source by itself (`by_source`), its styles against what can
+be heard (`style_from_sound`), and what a scripted performance did with its plan (`planned_strokes`). Everything is
+measured on the finished motion and sound; from the truth come only where the corpus was put together, where rest is
+meant, what style was asked for and what was planned.
 """
 
 from __future__ import annotations
@@ -12,17 +12,18 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from tqdm import tqdm
 
 from data_module.errors import InputError
+from data_module.motion.skeletons import FINGERED
 from data_module.store import Recording, RecordingInfo, Store
 from data_module.truth import REST
 from data_module.types import Array
 from eval.acceptance.corpus import bounds as corpus_bounds
-from eval.acceptance.corpus import planned_strokes, style_from_sound
+from eval.acceptance.corpus import by_source, meanings, planned_strokes, style_from_sound
 from eval.acceptance.corpus.bounds import POOLED, STYLE_CLAIMS, MeasuredTalk, TalksVerdict
 from eval.acceptance.corpus.planned_strokes import TOLERANCE
 from eval.acceptance.corpus.style_from_sound import StyledWindows
@@ -41,7 +42,7 @@ _SHIFT = 7.3
 @dataclass(frozen=True)
 class PlayedPlan:
     """Of one recording with strokes: seconds that its beats miss their plan by, the same of the shifted plan, gains and
-    what is heard of them, and the clips in order."""
+    what is heard of them, the clips in order, and the meanings as of `meanings.played`."""
 
     split: str
     misses: Array
@@ -49,6 +50,7 @@ class PlayedPlan:
     gains: Array
     features: Array
     clips: tuple[str, ...]
+    meanings: tuple[tuple[str, str], ...] = ()
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,10 +67,15 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     store = Store.open(arguments.data)
     talks, plans, styled, marked = _measured(store, arguments.talks)
     tables = [bounds_table(store, corpus_bounds.judge(talks), talks, marked)]
+    if any(talk.part in POOLED for talk in talks):
+        tables.append(by_source.table(talks))
     if styled:
         tables.append(style_table(styled))
     if plans:
         tables.append(plan_table(plans))
+    counted = [(plan.split, plan.meanings) for plan in plans]
+    if any(own for _, own in counted):
+        tables.append(meanings.table(counted))
     return tables
 
 
@@ -88,11 +95,11 @@ def _measured(store: Store, talks: int | None) -> tuple[list[MeasuredTalk], list
     measured: list[MeasuredTalk] = []
     plans, styled, marked = [], [], 0
     for info in tqdm(chosen(store, talks), desc="measuring", unit="recording", disable=not sys.stderr.isatty()):
-        recording = store.load(info.name)
+        recording = store.load(info.name, len(FINGERED))
         body = common_body(recording.motion)
         # What was not made in parts is judged as talks of one part.
         talk = corpus_bounds.measure(recording, body)
-        measured.append(talk if talk.part else MeasuredTalk(talk.name, POOLED[-1], talk.seconds, talk.figures))
+        measured.append(talk if talk.part else replace(talk, part=POOLED[-1]))
         if recording.truth and recording.truth.strokes:
             plans.append(plan_of(recording))
         windows = style_from_sound.windows_of(recording, body)
@@ -110,7 +117,7 @@ def plan_of(recording: Recording) -> PlayedPlan:
                       planned_strokes.stroke_misses(recording.motion, strokes, _SHIFT),
                       np.array([stroke.gain for stroke in strokes]),
                       planned_strokes.gain_features(recording.speech, times),
-                      tuple(stroke.clip.removesuffix("-mirrored") for stroke in strokes))
+                      tuple(stroke.clip.removesuffix("-mirrored") for stroke in strokes), meanings.played(recording))
 
 
 # -------------------------------------------------------------------------------------------------------------- tables

@@ -1,18 +1,21 @@
 """Is the motion of a bundle accepted? Every clause with its figure, interval, bound and verdict.
 
     gesticulator probe motion --store STORE [--bundle DIR] [--system NAME=BUNDLE_OR_DIR ...] [--renderings 8]
-                              [--only lexicon motion rest controls] [--work DIR] [--write DIR] [--out FILE.json]
+                              [--only lexicon motion rest effort controls] [--work DIR] [--write DIR] [--out FILE.json]
 
-Four groups, which can be run alone (`--only`; those that were run before on the same bundle, store and program are
+Five groups, which can be run alone (`--only`; those that were run before on the same bundle, store and program are
 taken from the work folder):
 
-- `motion`: does it read as a person, beside the corpus, unit selection, other systems and a real take? (`seen`)
+- `motion`: does it read as a person, beside the corpus, the interpreter `statistical`, which ignores the sound, unit
+  selection, other systems and a real take? (`seen`, against `bounds`)
 - `lexicon`: does a lexeme name a movement, and is it obeyed? (`movements`)
 - `rest`: does it rest where nothing is said, does it live there, and follow `--activity`? (`rest`)
+- `effort`: do lively and subdued readings differ, and does level alone change nothing? (`effort`, extra `effort`)
 - `controls`: do the hand controls, words, interpreters and the plan still work, and what does it cost? (`steering`)
 
 Ours is the bundle as it is: guidance and temperature are those that it was frozen with, never chosen here. Voices are
-that of the real take in GESTICULATOR_DATA (every seed) and a minute of every recording of the store's test split.
+that of the real take in GESTICULATOR_DATA (every seed) and a minute of every recording of the store's test split; all
+are gestured for by one speaker, the default one or `--speaker`.
 Renderings are kept in the work folder. What is judged is the mean; what fools a figure stands in its metric's chapter.
 """
 
@@ -22,7 +25,7 @@ import argparse
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +35,8 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.motion.bvh import write_bvh
 from data_module.store import Store
-from eval.acceptance.motion import movements, rest, seen, steering
-from eval.acceptance.motion.seen import OURS, REAL
+from eval.acceptance.motion import effort, movements, rest, seen, steering
+from eval.acceptance.motion.seen import DEAF, OURS, REAL
 from eval.baselines.unit_selection import NAME as UNITS
 from eval.claim import Verdict, count, summary, verdict_table
 from eval.clip.foreign import named
@@ -60,7 +63,8 @@ from eval.table import Cell, Column, Table, dumps, loads
 from gesticulator.bundle import bundle as bundles
 
 TITLES = {"motion": "Perceptual figures", "lexicon": "Lexemes: consistency and obedience",
-          "rest": "Rest and idle motion", "controls": "Controls, words, interpreters, cost"}
+          "rest": "Rest and idle motion", "effort": "Effort and level of the voice",
+          "controls": "Controls, words, interpreters, cost"}
 
 
 @dataclass
@@ -95,12 +99,17 @@ def _rest(own: Acceptance) -> tuple[list[Verdict], list[Table]]:
     return rest.run(own.ours, own.voices, own.renderings)
 
 
+def _effort(own: Acceptance) -> tuple[list[Verdict], list[Table]]:
+    return effort.run(own.ours, own.voices[0].performer, own.renderings)
+
+
 def _controls(own: Acceptance) -> tuple[list[Verdict], list[Table]]:
     return steering.run(own.ours, own.voices)
 
 
 GROUPS: dict[str, Callable[[Acceptance], tuple[list[Verdict], list[Table]]]] = {
-    "motion": _motion, "lexicon": _lexicon, "rest": _rest, "controls": _controls}
+    "motion": _motion, "lexicon": _lexicon, "rest": _rest, "effort": _effort,
+    "controls": _controls}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -111,6 +120,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="store whose test split is the corpus and whose training split is used for unit selection")
     add("--system", action="append", default=[], metavar="NAME=DIR",
         help="another bundle, such as the paper's regressing generator, or motion files (take.bvh, RECORDING.bvh)")
+    add("--speaker", metavar="NAME", help="speaker who gestures (default: that of the bundle)")
     add("--renderings", type=int, default=8, metavar="N", help="seeds for the real recording's voice (default 8)")
     add("--only", nargs="+", choices=sorted(GROUPS), metavar="GROUP",
         help=f"run only these: {', '.join(GROUPS)}")
@@ -152,7 +162,7 @@ def _opened(arguments: argparse.Namespace) -> tuple[Acceptance, Path | None]:
         if value is not None and value < 1:
             raise InputError(name, f"is {value}", "give 1 or more")
     places = named(arguments.system, "--system")
-    for name in (OURS, UNITS, CORPUS, REAL):
+    for name in (OURS, DEAF, UNITS, CORPUS, REAL):
         if name in places:
             raise InputError(f"--system {name}", "is the name of a column of its own", "choose another")
     store = Store.open(arguments.store) if arguments.store else None
@@ -160,13 +170,17 @@ def _opened(arguments: argparse.Namespace) -> tuple[Acceptance, Path | None]:
     kept = KeptRenderings(None if work is None else work / "renderings")
     ours = BundleSystem(OURS, arguments.bundle or bundles.SHIPPED, kept)
     _ = ours.bundle.block_models  # a bundle of RACER's own codec has no lexemes that blocks are drawn by
-    take = real_take(HZ)
+    ours.gesticulator.speaker_index(arguments.speaker)
+    take = real_take(HZ, own_rig=True)
     voices = [] if take is None else [AcceptanceVoice("take", take[1], TAKE, take[0])]
     if store is not None:
         voices += held_out_voices(store, arguments.limit, ours.bundle.config.motion.joints)
+    voices = [replace(voice, performer=arguments.speaker) for voice in voices]
     if not voices:
         raise InputError("probe motion", "has no voice to gesture for", "give --store, or set GESTICULATOR_DATA")
     others = [system_at(name, Path(place), kept) for name, place in places.items()]
+    if DEAF in ours.gesticulator.interpreters:
+        others.insert(0, ours.asking(DEAF, interpreter=DEAF))
     if store is not None:
         others.append(UnitSystem(UNITS, store, work, kept))
     context = EvalContext(models=ours.bundle) if store is None or work is None else EvalContext.over(
@@ -177,7 +191,7 @@ def _opened(arguments: argparse.Namespace) -> tuple[Acceptance, Path | None]:
 def _key(own: Acceptance) -> str:
     """Of what the figures are of, and of what measures them."""
     told = [own.ours.key, program_key((*PROGRAM, "eval")), [voice.key for voice in own.voices], own.renderings,
-            [system.name for system in own.others]]
+            [system.name for system in own.others], own.voices[0].performer]
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
 
 

@@ -20,7 +20,7 @@ from data_module.controls import FEATURES, LEVELS
 from data_module.errors import InputError
 from data_module.types import Array, Speech, Word
 from eval import stats
-from eval.acceptance.motion.rest import heard_of, spread_out
+from eval.acceptance.motion.sounds import heard_of, spread_out
 from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged, skipped
 from eval.runner.renderings import AcceptanceVoice, BundleSystem
 from eval.runner.style_editing import realised
@@ -33,7 +33,7 @@ CLIPS, SECONDS = 6, 20.0
 OTHER_WORDS = 0.10
 """Share of blocks that other words must change."""
 NEEDED = ("lstm", "cql", "statistical")
-MEGABYTES, FACTOR = 25.0, 0.05
+MEGABYTES, FACTOR = 20.0, 0.05
 _EPS = 1e-6
 
 

@@ -22,7 +22,7 @@ from torch.nn import functional
 
 from data_module.types import Array
 from eval import stats
-from eval.baselines.controls import Majority, Random
+from eval.baselines.interpreters import Majority, Random
 from eval.clip.measure import measure
 from eval.metrics import eye
 from eval.metrics.encode import SpeechBlocks, encode_motion

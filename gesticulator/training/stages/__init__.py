@@ -25,6 +25,7 @@ from gesticulator.training.stages.generator import GENERATOR
 from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TEXT
 from gesticulator.training.stages.labels import LABELS, Labelled
 from gesticulator.training.stages.lexicon import CODEC, LEXICON, TOKENS, Tokens
+from gesticulator.training.stages.planner import PLANNER
 from gesticulator.training.stages.q_network import EPISODES, Q_NETWORK
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
 from gesticulator.training.stages.speech import CONTRAST, ENCODER, SPEECH
@@ -41,6 +42,8 @@ ENTRIES: Registry[RegistryEntry] = Registry("stages", "a gesticulator.training.s
     "interpreter": RegistryEntry("the lexeme interpreter: from speech to lexemes", f"{_HERE}.interpreter:INTERPRETER"),
     "interpreter_text": RegistryEntry("the lexeme interpreter with words", f"{_HERE}.interpreter:INTERPRETER_TEXT"),
     "gate": RegistryEntry("whether to gesture at all on a block", f"{_HERE}.gate:GATE"),
+    "planner": RegistryEntry("the planner of gesture units: phase, hand and size of each block",
+                             f"{_HERE}.planner:PLANNER"),
     "reward": RegistryEntry("RACER's reward model: how well motion fits speech", f"{_HERE}.reward:REWARD"),
     "reward_judge": RegistryEntry("a second reward model, which judges", f"{_HERE}.reward:REWARD_JUDGE"),
     "q_network": RegistryEntry("RACER's Q-network, by conservative Q-learning", f"{_HERE}.q_network:Q_NETWORK"),
@@ -79,9 +82,9 @@ class StageTable(Mapping[str, Stage[Any]]):
 STAGES = StageTable()
 
 __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUALS", "ENCODER", "EPISODES", "GATE",
-           "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "Q_NETWORK", "REWARD", "REWARD_JUDGE",
-           "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node", "Run", "Stage", "Tokens",
-           "assemble", "closure", "wanted"]
+           "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "PLANNER", "Q_NETWORK", "REWARD",
+           "REWARD_JUDGE", "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node", "Run",
+           "Stage", "Tokens", "assemble", "closure", "wanted"]
 
 
 def wanted(config: Config) -> list[Stage[Any]]:

@@ -24,6 +24,7 @@ from gesticulator.training.stages.rows import evenly
 from gesticulator.training.stages.stored import MEASURED
 from lexicon.autoencoder import Lexicon
 from lexicon.movement import MovementLexicon
+from lexicon.movement_vqvae import MovementLearner, MovementVqVae
 from lexicon.quantizer import perplexity
 from lexicon.racer import RacerCodec
 
@@ -41,11 +42,47 @@ _TOGETHER = 4096
 def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
     """Fit in closed form and by k-means, on the CPU, without steps."""
     corpus = run.get(BLOCKS)
-    known, val = (torch.as_tensor(corpus.some(split)) for split in ("train", "val"))
-    recording = torch.as_tensor(corpus.recording)
-    model.fit(corpus.motion[known], corpus.pasts[known], corpus.mask[recording[known]], run.seed(LEXICON))
-    held = val if len(val) else known
+    known = torch.as_tensor(corpus.some("train"))
+    mask = corpus.mask[torch.as_tensor(corpus.recording)[known]]
+    model.fit(corpus.motion[known], corpus.pasts[known], mask, run.seed(LEXICON))
+    return _held_figures(run, model)
+
+
+def _held_figures(run: Run, model: MovementLexicon) -> Figures:
+    """`movement_figures` on the validation split (on the training split if it is empty)."""
+    corpus = run.get(BLOCKS)
+    held = torch.as_tensor(corpus.some("val") if corpus.recordings("val") else corpus.some("train"))
     return movement_figures(model, corpus.motion[held], corpus.pasts[held])
+
+
+def _train_movements(run: Run, model: MovementVqVae, folder: Path) -> Figures:
+    """The VQ-VAE over movements: the basis in closed form, encoder, lexemes and decoder by steps, and the levels below
+    by k-means."""
+    corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
+    known = torch.as_tensor(corpus.some("train"))
+    mask = corpus.mask[torch.as_tensor(corpus.recording)[known]]
+    model.cpu()
+    distributed.lead_model(model, lambda: model.basis.fit(corpus.motion[known], corpus.pasts[known], mask))
+    present = model.basis.known(mask)
+    coefficients = torch.cat([model.basis.coefficients(corpus.motion[part], corpus.pasts[part])
+                              for part in known.split(_TOGETHER)]) * present
+    learner = MovementLearner(model)
+
+    def make_batch(rng: np.random.Generator) -> fitting.Batch:
+        index = torch.as_tensor(rng.integers(len(known), size=settings.batch)[own_rows(settings.batch)])
+        return {"coefficients": coefficients[index], "known": present[index]}
+
+    begin = next((s for s in range(settings.steps) if s / settings.steps >= run.config.lexicon.warm_up), 0)
+
+    def before_step(step: int) -> None:
+        if step == begin:
+            distributed.lead_model(learner, lambda: learner.start_codebook(coefficients.to(run.device),
+                                                                           run.seed(LEXICON)))
+
+    run.fit(LEXICON, learner, fitting.Task(make_batch, before_step=before_step), folder)
+    learner.cpu()
+    distributed.lead_model(model, lambda: learner.finish(coefficients, corpus.pasts[known], run.seed(LEXICON)))
+    return distributed.lead(lambda: _held_figures(run, model))
 
 
 @torch.no_grad()
@@ -70,6 +107,8 @@ def _use(labels: Tensor, size: int) -> Figures:
 
 
 def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
+    if isinstance(model, MovementVqVae):
+        return _train_movements(run, model, folder)
     if isinstance(model, MovementLexicon):
         return distributed.lead(lambda: _fit_movements(run, model))
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)

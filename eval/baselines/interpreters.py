@@ -1,0 +1,120 @@
+"""Interpreters that do not listen, which one that listens must beat: `Random`, `Majority`, `Bigram`.
+
+`RandomStyle` draws style codes. `ReplayInterpreter` gives lexemes that are known beforehand, so that they can be
+played.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module.types import Array
+
+if TYPE_CHECKING:
+    from gesticulator.bundle.bundle import Bundle
+    from gesticulator.training.stages import Corpus
+    from interpreters.base import BlockFeatures
+
+IMPROBABLE = -1e3
+"""A score so low that no temperature in use draws the lexeme."""
+Lexemes = NDArray[np.int64]
+
+
+def _only(lexeme: int, size: int) -> Array:
+    """Scores [S] that leave one choice."""
+    scores = np.full(size, IMPROBABLE)
+    scores[lexeme] = 0.0
+    return scores
+
+
+class Random:
+    """All lexemes alike, whatever is said: drawn from at temperature 1, the policy that knows nothing."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+
+    def start(self, speaker: int, first_lexeme: int) -> None:
+        """There is no state."""
+        return
+
+    def step(self, state: None, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, None]:
+        """Zeros [S]."""
+        return np.zeros(self._size), None
+
+
+class Majority:
+    """Always the lexeme that the speaker uses most: the floor of every table."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._best = [int(own.argmax()) for own in bundle.frequencies]
+        self._size = len(bundle.vectors)
+
+    def start(self, speaker: int, first_lexeme: int) -> int:
+        """The state is the speaker."""
+        return speaker
+
+    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, int]:
+        """The same scores [S] for every block."""
+        return _only(self._best[state], self._size), state
+
+
+class Bigram:
+    """The most frequent successor of the previous lexeme for this speaker: what accuracy needs no sound for."""
+
+    def __init__(self, successors: Lexemes) -> None:
+        """successors: [speakers, S]."""
+        self._successors = successors
+
+    @classmethod
+    def fitted(cls, corpus: Corpus, labels: Lexemes, size: int) -> Bigram:
+        """Counted on the training split; labels: [N], size: S."""
+        counts = np.zeros((len(corpus.statistics.speakers), size, size))
+        for recording in corpus.recordings("train"):
+            sequence = labels[corpus.blocks_of(recording)]
+            np.add.at(counts[corpus.speaker_of[recording]], (sequence[:-1], sequence[1:]), 1)
+        return cls(counts.argmax(-1))
+
+    def start(self, speaker: int, first_lexeme: int) -> int:
+        """The state is the speaker."""
+        return speaker
+
+    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, int]:
+        """One lexeme, by the table."""
+        return _only(int(self._successors[state, previous_lexeme]), self._successors.shape[1]), state
+
+
+class ReplayInterpreter:
+    """Lexemes that are known beforehand, one sequence after the other: each `start` begins the next."""
+
+    def __init__(self, sequences: Iterable[Lexemes], size: int) -> None:
+        self._coming, self._size = iter(sequences), size
+
+    def start(self, speaker: int, first_lexeme: int) -> Iterator[int]:
+        """The state is what is yet to come."""
+        return iter(next(self._coming).tolist())
+
+    def step(self, state: Iterator[int], features: BlockFeatures, previous_lexeme: int) -> tuple[Array, Iterator[int]]:
+        """Scores [S] that leave one choice."""
+        return _only(next(state), self._size), state
+
+
+class RandomStyle:
+    """Style codes that know nothing: z from N(0, I) anew on each block, as L_z would have the learned (RG Table 2)."""
+
+    def __init__(self, code_width: int, seed: int) -> None:
+        self.code_width, self._seed = code_width, seed
+
+    def start(self, speaker: int) -> np.random.Generator:
+        """The state is the random generator, the same in each recording."""
+        return np.random.default_rng([self._seed, speaker])
+
+    def step(self, state: np.random.Generator, features: BlockFeatures, lexeme: int
+             ) -> tuple[Tensor, np.random.Generator]:
+        """A code [1, d_z]."""
+        return torch.as_tensor(state.standard_normal((1, self.code_width)), dtype=torch.float32), state

@@ -1,0 +1,284 @@
+"""A plan on another export of its sound (`retimed`): blocks keep their decisions where their beats still fit.
+
+The sounds are aligned by their fingerprints, and every beat is moved (`moved_beats`). A block is kept, with its lexeme,
+random keys and edits, if both of its beats have a place, its length stays within `moved_beats.RATIOS` of what it was,
+and its sound was not replaced. Between the blocks that are kept, the new sound is cut at its own beats, and the bundle
+decides. Decisions and edits are moved together: what was edited stays edited, what was not is replayed.
+"""
+
+from __future__ import annotations
+
+import itertools
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from data_module.speech.fingerprint import RATE, Frames, fingerprint, fingerprint_frames, fingerprint_text
+from data_module.speech.sound_map import SoundMap, Stretch, aligned
+from data_module.types import Array, BeatFlag, Speech
+from gesticulator.bundle.features import SpeechFeatures
+from gesticulator.directing.moved_beats import BeatMap
+from gesticulator.directing.moved_sections import moved_knobs, moved_sections
+from gesticulator.directing.retiming_report import MovedItem, RetimingReport, runs_of
+from gesticulator.drawing.rollout import BlockMotion
+from gesticulator.plan.checks import LONGEST, SHORTEST
+from gesticulator.plan.plan import (
+    Block,
+    BlockDraw,
+    DrawnBlocks,
+    GesturePlan,
+    PlanSound,
+    PlanWord,
+    edited_blocks,
+    sound_hash,
+)
+
+__all__ = ["Retimed"]
+
+LEAST_SPEECH = 0.2
+"""Least share of the speech that both sounds must have in common."""
+_CLOSEST, _LONGEST = 0.2, 0.5
+"""Least distance, seconds, of the new sound's beats from the blocks that are kept, and longest block between them. What
+is shorter than the first goes to the next block that is kept."""
+
+
+@dataclass(frozen=True)
+class Retimed:
+    """A plan for the new sound, and what became of the old one."""
+
+    plan: GesturePlan
+    report: RetimingReport
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A block of the new sound. source: the index of the block that it was, or None if it is to be decided."""
+
+    start: float
+    end: float
+    flag: str
+    source: int | None = None
+    silent: bool = False
+
+
+def _exact(time: float, before: float) -> float:
+    """A moved time in microseconds; the old one, to the last bit, if it was not moved."""
+    return before if abs(time - before) < 1e-9 else round(time, 6)
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """The blocks between two beats that the first generation and the plan have in common: index, start and end, in
+    seconds, of those of both."""
+
+    drawn: tuple[tuple[int, float, float], ...]
+    blocks: tuple[tuple[int, float, float], ...]
+
+
+# ------------------------------------------------------------------------------------------------------ the sounds
+
+def map_of(plan: GesturePlan, speech: Speech, before: Speech | None) -> SoundMap:
+    """The map of the plan's sound onto another one. before: the plan's sound, for a plan without a fingerprint.
+
+    A plan with an `alignment` to this very sound is taken at its word. `InputError` for a plan without a fingerprint if
+    its sound is not given, and if the sounds have too little speech in common.
+    """
+    other = fingerprint(speech)
+    if before is not None:
+        one = fingerprint(before)
+    elif plan.fingerprint is not None:
+        one = fingerprint_frames(plan.fingerprint)
+    else:
+        raise plan.error(("fingerprint",), "is missing, so the new sound cannot be compared with the old one",
+                         "give the old sound, too (--retime-from)")
+    told = plan.alignment
+    if told is not None and told.sha256 == sound_hash(speech):
+        return _told(one, other, np.array(told.times), np.array(told.there))
+    sounds = aligned(one, other)
+    if sounds.speech < LEAST_SPEECH:
+        raise plan.error(("sound",), f"is {plan.sound.name or 'another sound'}, {plan.sound.duration:.2f} s, and the "
+                         f"one that was given has {100 * sounds.speech:.0f} % of its speech",
+                         "give another export of it, or make a new plan")
+    return sounds
+
+
+def _told(one: Frames, other: Frames, times: Array, there: Array) -> SoundMap:
+    ends = np.array([len(one)]) / RATE, np.array([len(other)]) / RATE
+    before = np.array([-1.0]) / RATE
+    return SoundMap(one, other, (Stretch(before, before), Stretch(times, there), Stretch(*ends)), 1.0)
+
+
+# ------------------------------------------------------------------------------------------------------ the blocks
+
+def _cells(plan: GesturePlan) -> list[_Cell]:
+    drawn, ends = plan.drawn.edges, _edges(plan)
+    common = sorted(set(drawn) & set(ends))
+    return [_Cell(_inside(drawn, start, end), _inside(ends, start, end)) for start, end in pairwise(common)]
+
+
+def _edges(plan: GesturePlan) -> tuple[float, ...]:
+    """[N + 1] edges of the blocks to play, up to the end of the first generation: numbers in files are rounded."""
+    return (0.0, *(block.end for block in plan.blocks[:-1]), plan.drawn.edges[-1])
+
+
+def _inside(edges: Sequence[float], start: float, end: float) -> tuple[tuple[int, float, float], ...]:
+    """Index, start and end of the blocks between two of their edges."""
+    return tuple((at, edges[at], edges[at + 1]) for at in range(bisect_left(edges, start), bisect_left(edges, end)))
+
+
+class _Cutter:
+    """Puts the blocks of a plan and of its first generation side by side onto the new sound."""
+
+    def __init__(self, plan: GesturePlan, beats: BeatMap, own: SpeechFeatures) -> None:
+        """own: the new sound, cut at its own beats."""
+        self._beats, self._own = beats, own.blocks
+        self._onsets = {edge for edge, flag in zip(plan.drawn.edges[1:], plan.drawn.flags, strict=True)
+                        if flag == "onset"}
+        self._flags = plan.drawn.flags, tuple(block.flag for block in plan.blocks)
+        self.drawn: list[_Piece] = []
+        self.blocks: list[_Piece] = []
+        self._cursor, end = 0.0, float(own.blocks.edges[-1])
+        for cell in _cells(plan):
+            self._take(cell)
+        if end - self._cursor >= _CLOSEST or not self.drawn:
+            self._fill(end)
+        for pieces in (self.drawn, self.blocks):
+            pieces[-1] = replace(pieces[-1], end=end)
+
+    def _take(self, cell: _Cell) -> None:
+        """Add the blocks of a cell, or nothing if one of them does not fit."""
+        drawn, planned = (self._moved(blocks, flags) for blocks, flags in zip((cell.drawn, cell.blocks), self._flags,
+                                                                              strict=True))
+        if drawn is None or planned is None:
+            return
+        start = drawn[0].start
+        if min(drawn[0].end, planned[0].end) < max(self._cursor, start) + SHORTEST:
+            return
+        if start - self._cursor >= _CLOSEST or max(drawn[0].end, planned[0].end) - self._cursor > LONGEST:
+            self._fill(start)
+        for pieces, new in ((self.drawn, drawn), (self.blocks, planned)):
+            pieces += [replace(new[0], start=self._cursor), *new[1:]]
+        self._cursor = drawn[-1].end
+
+    def _moved(self, blocks: Sequence[tuple[int, float, float]], flags: Sequence[str]) -> list[_Piece] | None:
+        """Blocks (index, start, end) in the new sound; None if one of them does not fit."""
+        pieces: list[_Piece] = []
+        for at, start, end in blocks:
+            first, last = (self._beats.place(edge, edge in self._onsets) for edge in (start, end))
+            if first is None or last is None or not self._beats.keeps(start, end, end in self._onsets):
+                return None
+            begin = pieces[-1].end if pieces else _exact(first.start, start)
+            pieces.append(_Piece(begin, _exact(last.end, end), flags[at], at))
+            if pieces[-1].end - begin < SHORTEST:
+                return None
+        return pieces
+
+    def _fill(self, end: float) -> None:
+        """Add blocks to be decided, from the last block on, cut at the sound's own beats."""
+        own, start = self._own, self._cursor
+        inner = [(float(edge), BeatFlag(int(flag)).name.lower())
+                 for edge, flag in zip(own.edges[1:-1], own.flags[:-1], strict=True)
+                 if start + _CLOSEST <= edge <= end - _CLOSEST]
+        edges = [(start, ""), *inner, (end, "boundary" if end == float(own.edges[-1]) else "even_pseudo")]
+        for (first, _), (last, flag) in pairwise(edges):
+            count = max(int(np.ceil((last - first) / _LONGEST - 1e-6)), 1)
+            cuts = [first, *(round(first + (last - first) * part / count, 6) for part in range(1, count)), last]
+            for number, (one, two) in enumerate(pairwise(cuts), 1):
+                piece = _Piece(one, two, flag if number == count else "even_pseudo", silent=self._silent(one, two))
+                self.drawn.append(piece)
+                self.blocks.append(piece)
+        self._cursor = end
+
+    def _silent(self, start: float, end: float) -> bool:
+        """Whether most of a new block lies in silent blocks of the sound's own cut."""
+        own = self._own
+        inside = np.minimum(own.edges[1:], end) - np.maximum(own.edges[:-1], start)
+        return bool(np.maximum(inside, 0.0)[own.silent].sum() > 0.5 * (end - start))
+
+
+# ------------------------------------------------------------------------------------------------------ the plan
+
+def drafted(plan: GesturePlan, speech: Speech, own: SpeechFeatures, words: Sequence[PlanWord] | None,
+            before: Speech | None) -> Retimed:
+    """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None.
+
+    own: the features of the sound, cut at its own beats; words: of a new transcript, or None; before: see `map_of`,
+    whose errors are raised.
+    """
+    sounds = map_of(plan, speech, before)
+    beats = BeatMap(sounds, plan.drawn, np.unique(np.concatenate(own.onsets)) if own.onsets else np.zeros(0))
+    cut = _Cutter(plan, beats, own)
+    drawn = _drawn(plan, cut.drawn, beats)
+    numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
+    blocks = tuple(_block(plan, piece, numbers.get(piece.start, 0)) for piece in cut.blocks)
+    sections = moved_sections(plan, beats, words, drawn.edges[-1])
+    moved = replace(plan, **sections.parts, drawn=drawn, blocks=blocks, source=None,
+                    sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
+                    fingerprint=fingerprint_text(sounds.other))
+    return Retimed(moved, replace(_report(plan, cut.blocks), same_speech=round(sounds.speech, 4), moved=sections.items,
+                                  words_lost=sections.words_lost))
+
+
+def unchanged(plan: GesturePlan) -> Retimed:
+    """The plan itself, where the sound is the very same."""
+    blocks = ((block.start, block.end, 0.0) for block in plan.blocks)
+    return Retimed(plan, RetimingReport(kept=runs_of(blocks)))
+
+
+def _numbers(drawn: DrawnBlocks) -> Sequence[int]:
+    return drawn.numbers or range(len(drawn.lexemes))
+
+
+def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> DrawnBlocks:
+    """The first generation on the new sound. Blocks that are kept keep the numbers of their random keys; new ones get
+    numbers that no block has."""
+    old, known = plan.drawn, _numbers(plan.drawn)
+    fresh = itertools.count(max(*known, *(block.draw.block for block in plan.blocks)) + 1)
+    numbers = tuple(next(fresh) if piece.source is None else known[piece.source] for piece in pieces)
+    times = old.keyed_at or old.edges
+    keyed_at = tuple(piece.start if piece.source is None else times[piece.source] for piece in pieces)
+    starts = tuple(piece.start for piece in pieces)
+    lexemes: tuple[Any, ...] = tuple(None if piece.source is None else old.lexemes[piece.source] for piece in pieces)
+    return DrawnBlocks((0.0, *(piece.end for piece in pieces)), tuple(piece.flag for piece in pieces),
+                       tuple(piece.silent if piece.source is None else old.silent[piece.source] for piece in pieces),
+                       lexemes, moved_knobs(old.knobs, beats), () if numbers == tuple(range(len(numbers))) else numbers,
+                       () if keyed_at == starts else keyed_at)
+
+
+def _block(plan: GesturePlan, piece: _Piece, number: int) -> Block:
+    if piece.source is not None:
+        return replace(plan.blocks[piece.source], start=piece.start, end=piece.end)
+    return Block(piece.start, piece.end, None, piece.silent, BlockDraw(plan.seed, plan.variation, number), piece.flag)
+
+
+def decided(draft: GesturePlan, generated: Sequence[BlockMotion]) -> GesturePlan:
+    """The plan with the decisions of its first generation [N] in the new blocks."""
+    drawn = draft.drawn
+    by_start = {start: block.block for start, block in zip(drawn.edges, generated, strict=False)}
+    new = {start for start, lexeme in zip(drawn.edges, drawn.lexemes, strict=False) if lexeme is None}
+    return replace(draft, drawn=replace(drawn, lexemes=tuple(block.lexeme for block in generated)),
+                   blocks=tuple(replace(by_start[block.start], start=block.start, end=block.end, silent=block.silent)
+                                if block.start in new else block for block in draft.blocks))
+
+
+def _report(plan: GesturePlan, pieces: Sequence[_Piece]) -> RetimingReport:
+    kept = [(piece, plan.blocks[piece.source]) for piece in pieces if piece.source is not None]
+    gone = sorted(set(range(len(plan.blocks))) - {piece.source for piece in pieces})
+    edited = edited_blocks(plan)
+    return RetimingReport(
+        kept=runs_of((piece.start, piece.end, piece.end - block.end) for piece, block in kept),
+        anew=runs_of((piece.start, piece.end, 0.0) for piece in pieces if piece.source is None),
+        dropped=runs_of((plan.blocks[at].start, plan.blocks[at].end, 0.0) for at in gone),
+        edited=tuple(MovedItem(_edit_of(plan.blocks[at], edited[at]), plan.blocks[at].start) for at in gone
+                     if _edit_of(plan.blocks[at], edited[at])))
+
+
+def _edit_of(block: Block, edited: bool) -> str:
+    """What a user did to a block, in words; empty for nothing."""
+    done = {"lock": block.locked, "edit": edited, "intensity": block.intensity != 1.0, "mirroring": block.mirror}
+    names = " and ".join(name for name, is_so in done.items() if is_so)
+    return names and f"{names} of the block"

@@ -1,0 +1,156 @@
+"""The planner of gesture units: for each block a phase, the acting hand, the size of the stroke and its time to come.
+
+A person who talks decides seldom: when a unit of gesture begins, which accents carry a stroke, with which hand, how
+large, how long it is held. These few decisions are read from three blocks of audio and from the decisions before, so
+that the lexeme interpreter can choose a movement within a phase. The planner is causal: it knows the block after, and
+nothing later.
+
+    p(decision_i | audio_1..i+1, decisions_1..i-1) = p(phase) p(hand | phase) p(size | phase, hand) p(apex | ...)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from data_module.layers import BlockLinear
+from interpreters.base import BlockFeatures
+from interpreters.settings import PlannerConfig
+
+__all__ = ["APEXES", "HANDS", "PHASES", "SIZES", "UnitDecision", "UnitPlanner"]
+
+PHASES = ("rest", "preparation", "stroke", "hold", "retraction")
+HANDS = ("none", "left", "right", "both")
+"""The hands that are not at rest."""
+SIZES = ("none", "small", "medium", "large")
+"""Size of the stroke that the block prepares or makes; "none" in other phases."""
+APEXES = ("none", "now", "next", "later")
+"""Whether the apex of that stroke lies in this block, in the next one, or later."""
+CLASSES = (len(PHASES), len(HANDS), len(SIZES), len(APEXES))
+
+
+@dataclass(frozen=True)
+class UnitDecision:
+    """The decision for one block, as indices into `PHASES`, `HANDS`, `SIZES` and `APEXES`."""
+
+    phase: int
+    hand: int
+    size: int
+    apex: int
+
+    @property
+    def holds(self) -> bool:
+        return PHASES[self.phase] == "hold"
+
+
+@dataclass(frozen=True)
+class PlannerState:
+    """hidden: of the GRU; speaker: [1, speakers] one-hot; last: [1, 4] the decision before, by index."""
+
+    hidden: Tensor | None
+    speaker: Tensor
+    last: Tensor
+
+
+class UnitPlanner(nn.Module):
+    """Three blocks of low-level audio, the speaker and the decision before to the next decision.
+
+    fit: [S, phases x hands] log p(phase, hand | lexeme) - log p(phase, hand), counted on the training blocks: what a
+    lexeme is worth in a phase beyond its frequency (`bias`).
+    """
+
+    fit: Tensor
+
+    def __init__(self, config: PlannerConfig, frames: int, audio_width: int, speakers: int, lexemes: int) -> None:
+        """frames: K; audio_width: d of the low level; speakers: length of the one-hot; lexemes: S."""
+        super().__init__()
+        self.config, self.speakers = config, speakers
+        self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
+        # One more row of each: before the first block, and a past that is left out in training.
+        self.past = nn.ModuleList(nn.Embedding(count + 1, config.embedding) for count in CLASSES)
+        self.given = nn.ModuleList(nn.Embedding(count, config.embedding) for count in CLASSES[:-1])
+        self.dropout = nn.Dropout(config.dropout)
+        self.gru = nn.GRU(frames * config.audio_features + len(CLASSES) * config.embedding + speakers, config.width,
+                          batch_first=True)
+        self.heads = nn.ModuleList(nn.Linear(config.width + level * config.embedding, count)
+                                   for level, count in enumerate(CLASSES))
+        self.register_buffer("fit", torch.zeros(lexemes, len(PHASES) * len(HANDS)))
+
+    @property
+    def weights(self) -> dict[str, float]:
+        return dict.fromkeys(("phase", "hand", "size", "apex"), 1.0)
+
+    def hear(self, audio: Tensor, speaker: Tensor, before: Tensor, hidden: Tensor | None = None
+             ) -> tuple[Tensor, Tensor]:
+        """[B, N, width] the state in which each block is decided, from audio windows [B, N, 3K, d], speaker one-hot
+        [B, speakers] and the decisions before [B, N, 4]; and the GRU's state."""
+        heard = self.encode_audio(audio).flatten(-2)
+        past = [table(before[..., k]) for k, table in enumerate(self.past)]
+        who = speaker[:, None].expand(-1, audio.shape[1], -1)
+        out, hidden = self.gru(self.dropout(torch.cat([heard, *past, who], dim=-1)), hidden)
+        return self.dropout(out), hidden
+
+    def logits(self, state: Tensor, level: int, decided: Tensor) -> Tensor:
+        """[..., classes] of the decision `level` (phase, hand, size, apex), given the ones before it [..., level]."""
+        given = [self.given[k](decided[..., k]) for k in range(level)]
+        return self.heads[level](torch.cat([state, *given], dim=-1))
+
+    def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
+        """Cross-entropy of each decision in nats per block. batch: audio_low [B, N + 1, 3K, d], units [B, N + 1, 4],
+        speaker [B, speakers], valid [B, N + 1]. The seed block is a past only."""
+        from data_module.parallel import batch_ratio  # only training needs it
+
+        units, valid = batch["units"], batch["valid"][:, 1:].to(batch["audio_low"])
+        before = units[:, :-1]
+        if self.training and self.config.past_dropout > 0:
+            gone = torch.rand(before.shape[:2], device=before.device) < self.config.past_dropout
+            before = torch.where(gone[..., None], torch.tensor(CLASSES, device=before.device), before)
+        state, _ = self.hear(batch["audio_low"][:, 1:], batch["speaker"], before)
+        out = {}
+        for level, name in enumerate(self.weights):
+            each = functional.cross_entropy(self.logits(state, level, units[:, 1:]).flatten(0, 1),
+                                            units[:, 1:, level].flatten(), reduction="none")
+            out[name] = batch_ratio((each * valid.flatten()).sum(), valid.sum())
+        return out
+
+    def start(self, speaker: int) -> PlannerState:
+        """Before the first block."""
+        device = self.fit.device
+        who = functional.one_hot(torch.tensor([speaker], device=device), self.speakers).float()
+        return PlannerState(None, who, torch.tensor([CLASSES], device=device))
+
+    @torch.inference_mode()
+    def step(self, state: PlannerState, features: BlockFeatures, noise: np.random.Generator, temperature: float = 1.0
+             ) -> tuple[UnitDecision, PlannerState]:
+        """The decision for the next block: arg max of logits / temperature + Gumbel noise, which is a sample; the
+        likeliest at temperature 0."""
+        heard, hidden = self.hear(features.low[None, None], state.speaker, state.last[:, None], state.hidden)
+        decided = torch.zeros((1, 1, 0), dtype=torch.long, device=heard.device)
+        for level, count in enumerate(CLASSES):
+            scores = self.logits(heard, level, decided)[0, 0].double().cpu().numpy()
+            if temperature > 0:
+                scores = scores / temperature + noise.gumbel(size=count)
+            chosen = torch.full((1, 1, 1), int(scores.argmax()), device=heard.device)
+            decided = torch.cat([decided, chosen], dim=-1)
+        phase, hand, size, apex = decided[0, 0].tolist()
+        return UnitDecision(phase, hand, size, apex), PlannerState(hidden, state.speaker, decided[0])
+
+    def bias(self, decision: UnitDecision) -> np.ndarray:
+        """[S] what the phase and the hand add to the scores of the lexemes, times `PlannerConfig.strength`."""
+        column = self.fit[:, decision.phase * len(HANDS) + decision.hand]
+        return np.asarray(self.config.strength * column.double().cpu().numpy())
+
+    def count(self, lexemes: np.ndarray, units: np.ndarray, ease: float = 0.5) -> None:
+        """Set `fit` from the lexemes [N] and the decisions [N, 4] of training blocks. ease: added to each count in
+        proportion to the frequency of the phase and hand, so that rare lexemes say little."""
+        size, kinds = self.fit.shape
+        counts = np.zeros((size, kinds))
+        np.add.at(counts, (lexemes, units[:, 0] * len(HANDS) + units[:, 1]), 1.0)
+        overall = (counts.sum(axis=0) + ease) / (counts.sum() + ease * kinds)
+        weight = ease * kinds
+        shares = (counts + weight * overall) / (counts.sum(axis=1, keepdims=True) + weight)
+        self.fit.copy_(torch.as_tensor(np.log(shares) - np.log(overall)))

@@ -1,0 +1,128 @@
+"""The lexicon of movements as a VQ-VAE: encoder and decoder are learned together with the lexemes.
+
+With y the coefficients of what a block adds to its past and w the weights that give every part of the body the same
+variance (`lexicon.movement`), x = w y:
+
+    e = E(x)        s = the nearest of S lexemes        x' = D(e + sg(s - e))
+
+    |x - x'|^2 + commitment |e - sg(s)|^2 (+ codebook_weight |sg(e) - s|^2 if `codebook` is "gradient")
+
+as in RG Eq. 3, over movements instead of poses. E and D are each a linear map plus a network that starts at zero, so
+training begins as a linear autoencoder. K-means places the lexemes after `warm_up`. D(s) is the movement of a lexeme:
+whatever draws or rates movements takes it in place of a codeword.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from data_module.motion.movement import Pasts
+from lexicon.movement import MovementLexicon
+from lexicon.quantizer import Quantizer
+from lexicon.settings import LexiconConfig
+
+__all__ = ["MovementLearner", "MovementVqVae"]
+
+_PLACED_ON = 20_000
+"""Blocks whose latents k-means starts the lexemes from."""
+
+
+class MovementVqVae(MovementLexicon):
+    """Basis, encoder, lexemes, decoder and residual codebooks over blocks [B, K, D_m] with their pasts."""
+
+    def __init__(self, config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> None:
+        """As of `MovementLexicon`."""
+        super().__init__(config, frames, parts)
+        self.encoder = BentMap(self.basis.width, config.hidden, config.code_width)
+        self.decoder = BentMap(config.code_width, config.hidden, self.basis.width)
+
+    def latents(self, coefficients: Tensor) -> Tensor:
+        """E: coefficients [B, n] to latents [B, D_s], before quantisation."""
+        out: Tensor = self.encoder(coefficients * self.basis.weight)
+        return out
+
+    def decode(self, codes: Tensor) -> Tensor:
+        """D: codes [B, D_s] to coefficients [B, n]."""
+        out: Tensor = self.decoder(codes) / self.basis.weight
+        return out
+
+    @torch.no_grad()
+    def added(self, lexemes: Tensor) -> Tensor:
+        """Coefficients [B, n] of lexemes [B]."""
+        return self.decode(self.vectors)[lexemes]
+
+    @torch.no_grad()
+    def fit(self, motion: Tensor, past: Pasts, mask: Tensor, seed: int) -> None:
+        """Fit the basis to blocks, as of `MovementLexicon`; place the lexemes by k-means on the latents of the encoder
+        as it is, and fit the levels below them. Training goes on from there (`MovementLearner`)."""
+        coefficients = self.basis.fit(motion, past, mask)
+        learner = MovementLearner(self)
+        learner.start_codebook(coefficients, seed)
+        learner.finish(coefficients, past, seed)
+
+
+class BentMap(nn.Module):
+    """x A + MLP(x) over [..., width], to [..., out]; the MLP is 0 at the start."""
+
+    def __init__(self, width: int, hidden: int, out: int) -> None:
+        """hidden: units of each of the two hidden layers."""
+        super().__init__()
+        self.straight = nn.Linear(width, out, bias=False)
+        nn.init.orthogonal_(self.straight.weight)
+        last = nn.Linear(hidden, out)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.bend = nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), last)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[..., width] to [..., out]."""
+        out: Tensor = self.straight(x) + self.bend(x)
+        return out
+
+
+class MovementLearner(nn.Module):
+    """The training of a `MovementVqVae`: its quantiser, with the moving averages, and the loss."""
+
+    def __init__(self, lexicon: MovementVqVae) -> None:
+        """lexicon: with a fitted basis."""
+        super().__init__()
+        c = lexicon.config
+        self.lexicon = lexicon
+        self.quantizer = Quantizer(c.size, c.code_width, c.codebook, c.decay, revive_below=c.revive_below)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Keyed like `losses`."""
+        c = self.lexicon.config
+        return {"reconstruction": 1.0, "commitment": c.commitment, "codebook": c.codebook_weight}
+
+    def losses(self, batch: dict[str, Tensor], progress: float) -> dict[str, Tensor]:
+        """Sums over the dimensions, means over the blocks. batch: coefficients [B, n], known [B, n] 1 for those of the
+        parts that the source has. Before `warm_up` of the run (progress, 0 to 1) the decoder gets the latents
+        unquantised."""
+        from data_module.parallel import batch_mean  # only training needs it
+
+        own, width = self.lexicon, self.lexicon.config.code_width
+        latents = own.latents(batch["coefficients"])
+        codes, commitment, codebook = latents, latents.new_zeros(()), latents.new_zeros(())
+        if progress >= own.config.warm_up:
+            quantised = self.quantizer(latents)
+            codes, commitment, codebook = quantised.codes, quantised.commitment, quantised.codebook
+        error = (own.decode(codes) - batch["coefficients"]) * own.basis.weight * batch["known"]
+        return {"reconstruction": batch_mean(error.pow(2).sum(-1)), "commitment": commitment * width,
+                "codebook": codebook * width}
+
+    @torch.no_grad()
+    def start_codebook(self, coefficients: Tensor, seed: int) -> None:
+        """Place the lexemes by k-means on the latents of some of the coefficients [N, n]."""
+        order = torch.randperm(len(coefficients), generator=torch.Generator().manual_seed(seed))[:_PLACED_ON]
+        self.quantizer.fit(self.lexicon.latents(coefficients[order.to(coefficients.device)]), seed, restarts=1)
+
+    @torch.no_grad()
+    def finish(self, coefficients: Tensor, past: Pasts, seed: int) -> None:
+        """Hand the lexemes to the lexicon, and fit the levels below them to coefficients [N, n]."""
+        self.lexicon.vectors.copy_(self.quantizer.vectors)
+        self.lexicon.fit_levels(coefficients, past, seed)

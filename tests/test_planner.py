@@ -1,0 +1,156 @@
+"""The planner of gesture units: what blocks show, what it learns, and that its decisions are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import chisquare
+
+from gesticulator.directing.record import units_of_blocks
+from gesticulator.drawing.rollout import BlockMotion
+from gesticulator.plan.plan import Block, BlockDraw
+from gesticulator.training.stages.planner import units_of
+from interpreters.base import BlockFeatures
+from interpreters.planner import APEXES, CLASSES, HANDS, PHASES, SIZES, UnitDecision, UnitPlanner
+from interpreters.settings import PlannerConfig
+
+FRAMES, WIDTH, SPEAKERS, LEXEMES = 4, 6, 2, 5
+
+
+def planner(**settings: float) -> UnitPlanner:
+    torch.manual_seed(0)
+    config = replace(PlannerConfig(audio_features=4, audio_bottleneck=4, embedding=4, width=24, dropout=0.0,
+                                   past_dropout=0.0), **settings)  # type: ignore[arg-type]
+    return UnitPlanner(config, FRAMES, WIDTH, SPEAKERS, LEXEMES).eval()
+
+
+def features(rows: torch.Tensor) -> BlockFeatures:
+    return BlockFeatures(rows, rows, False)
+
+
+# ---------------------------------------------------------------------------------------------------- what blocks show
+
+def moved(*legs: tuple[float, float]) -> np.ndarray:
+    """Heights [T] at 30 Hz of a hand that starts at -0.1 m and reaches each height by a minimum-jerk movement."""
+    now, parts = -0.1, []
+    for height, seconds in legs:
+        s = np.arange(round(seconds * 30)) / (seconds * 30)
+        parts.append(now + (10 * s**3 - 15 * s**4 + 6 * s**5) * (height - now))
+        now = height
+    return np.concatenate(parts)
+
+
+def test_blocks_show_the_phases_of_the_hand_that_moves() -> None:
+    heights = moved((-0.1, 2.0), (0.45, 1.0), (0.2, 0.3), (0.2, 0.4), (-0.1, 0.9), (-0.1, 2.0))
+    hands = np.zeros((len(heights), 2, 3))
+    hands[:, :, 1], hands[:, 1, 1] = -0.1, heights
+    edges = np.array([0.0, 0.9, 2.1, 2.6, 3.0, 3.35, 3.7, 4.5, 5.5, 6.5])
+    shown = units_of(hands, edges)
+    assert [PHASES[row[0]] for row in shown] == ["rest", "rest", "preparation", "preparation", "stroke", "hold",
+                                                 "retraction", "rest", "rest"]
+    assert {HANDS[row[1]] for row in shown[2:7]} == {"right"} and not shown[:2].any()
+    assert [APEXES[row[3]] for row in shown[2:5]] == ["later", "next", "now"]
+    assert {SIZES[row[2]] for row in shown[2:5]} == {"medium"}
+    mirrored = units_of(hands[:, ::-1], edges)
+    assert {HANDS[row[1]] for row in mirrored[2:7]} == {"left"}
+    np.testing.assert_array_equal(mirrored[:, [0, 2, 3]], shown[:, [0, 2, 3]])
+
+
+# ---------------------------------------------------------------------------------------------------- the model
+
+def loud_strokes(count: int, blocks: int, rng: np.random.Generator) -> dict[str, torch.Tensor]:
+    """Recordings in which a loud block is a large stroke of the left hand, and any other a rest."""
+    loud = torch.as_tensor(rng.random((count, blocks)) < 0.4)
+    audio = torch.zeros(count, blocks, 3 * FRAMES, WIDTH)
+    audio[:, :, FRAMES:2 * FRAMES] = loud[..., None, None].float() + 0.1 * torch.randn(count, blocks, FRAMES, WIDTH)
+    units = loud[..., None] * torch.tensor([2, 1, 3, 1])
+    return {"audio_low": audio, "units": units, "valid": torch.ones(count, blocks),
+            "speaker": torch.eye(SPEAKERS)[torch.zeros(count, dtype=torch.long)]}
+
+
+def test_it_learns_what_can_be_heard_and_steps_as_it_was_trained() -> None:
+    rng, model = np.random.default_rng(0), planner().train()
+    optimizer = torch.optim.Adam(model.parameters(), 0.02)
+    for _ in range(150):
+        loss = torch.stack(list(model.losses(loud_strokes(16, 9, rng)).values())).sum()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    model.eval()
+    heard = loud_strokes(4, 12, rng)
+    assert float(sum(model.losses(heard).values())) < 0.1, "the sound alone decides"
+    state, right = model.start(0), []
+    for k in range(12):
+        decision, state = model.step(state, features(heard["audio_low"][0, k]), np.random.default_rng(k), 0.0)
+        shown = (decision.phase, decision.hand, decision.size, decision.apex)
+        right.append(shown == tuple(heard["units"][0, k].tolist()))
+    assert sum(right[1:]) >= 10
+
+
+def test_losses_are_the_nats_of_its_own_distribution() -> None:
+    model = planner()
+    batch = loud_strokes(2, 5, np.random.default_rng(1))
+    state, _ = model.hear(batch["audio_low"][:, 1:], batch["speaker"], batch["units"][:, :-1])
+    losses = model.losses(batch)
+    for level, name in enumerate(("phase", "hand", "size", "apex")):
+        logits = model.logits(state, level, batch["units"][:, 1:])
+        assert logits.shape[-1] == CLASSES[level]
+        own = torch.log_softmax(logits, -1).gather(-1, batch["units"][:, 1:, level:level + 1])
+        assert float(losses[name]) == pytest.approx(-float(own.mean()), rel=1e-5)
+
+
+def test_a_decision_is_a_sample_of_its_distribution() -> None:
+    model, rows = planner(), torch.zeros(3 * FRAMES, WIDTH)
+    heard, _ = model.hear(rows[None, None], model.start(1).speaker, model.start(1).last[:, None])
+    nothing = torch.zeros(1, 1, 0, dtype=torch.long)
+    shares = torch.softmax(model.logits(heard, 0, nothing)[0, 0].double(), -1).detach().numpy()
+    drawn = [model.step(model.start(1), features(rows), np.random.default_rng(k))[0].phase for k in range(3000)]
+    counts = np.bincount(drawn, minlength=len(PHASES))
+    assert chisquare(counts, shares / shares.sum() * 3000).pvalue > 1e-3
+    assert len({model.step(model.start(1), features(rows), np.random.default_rng(9))[0] for _ in range(3)}) == 1
+
+
+def test_what_is_heard_later_changes_nothing_earlier() -> None:
+    model = planner()
+    audio = torch.randn(1, 6, 3 * FRAMES, WIDTH)
+    before = torch.zeros(1, 6, 4, dtype=torch.long)
+    speaker = torch.eye(SPEAKERS)[:1]
+    one = model.hear(audio, speaker, before)[0]
+    other = model.hear(torch.cat([audio[:, :4], torch.randn(1, 2, 3 * FRAMES, WIDTH)], 1), speaker, before)[0]
+    torch.testing.assert_close(one[:, :4], other[:, :4])
+    assert (one[:, 4:] - other[:, 4:]).abs().max() > 1e-4
+
+
+def test_lexemes_are_worth_what_their_phase_says() -> None:
+    model = planner(strength=2.0)
+    lexemes = np.array([0] * 90 + [1] * 90 + [2])
+    hold, stroke = (3, 1, 0, 0), (2, 1, 2, 1)
+    units = np.array([hold] * 80 + [stroke] * 10 + [stroke] * 90 + [hold])
+    model.count(lexemes, units)
+    bias = model.bias(UnitDecision(*hold))
+    p, p0 = 80 / 90, 81 / 181
+    assert bias[0] == pytest.approx(2 * np.log(p / p0), abs=0.2)
+    assert bias[1] < -2.0 and 0.0 < bias[2] < bias[0], "one block says little"
+    assert bias[3] == bias[4] == pytest.approx(0.0), "a lexeme that never occurs is worth nothing in any phase"
+
+
+# ---------------------------------------------------------------------------------------------------- the plan
+
+def block(start: float, unit: UnitDecision | None) -> BlockMotion:
+    own = Block(start, start + 0.3, 0, False, BlockDraw(0, 0, 0), "onset")
+    return BlockMotion(own, 0, np.zeros((1, 1), np.float32), np.zeros(0, np.float32), unit)
+
+
+def test_units_of_a_plan_go_from_rest_to_rest() -> None:
+    phases = [0, 1, 2, 3, 2, 4, 0, 0, 3, 2]
+    decisions = [UnitDecision(phase, 2 * (phase > 0), 3 * (phase == 2), 0) for phase in phases]
+    units = units_of_blocks([block(0.3 * k, decision) for k, decision in enumerate(decisions)])
+    assert [(round(unit.start, 6), round(unit.end, 6), unit.hand, unit.size) for unit in units] == [
+        (0.3, 1.8, "right", 1.5), (2.4, 3.0, "right", 1.5)]
+    assert [phase.kind for phase in units[0].phases] == ["preparation", "stroke", "post-stroke hold", "stroke",
+                                                         "retraction"]
+    assert units[1].phases[0].kind == "pre-stroke hold"
+    assert units_of_blocks([block(0.0, None)]) == ()

@@ -1,0 +1,69 @@
+"""The same sound exported again is the same take, and two takes that parted come together again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_module.motion.kinematics import positions_of
+from data_module.speech.audio import SAMPLE_RATE, amplified, load_speech
+from data_module.types import Array, Speech
+from gesticulator.performance import Performance
+from gesticulator.pipeline import Gesticulator
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
+
+
+@lru_cache(maxsize=1)
+def system() -> Gesticulator:
+    return Gesticulator.from_pretrained()
+
+
+def speech(seconds: float) -> Speech:
+    return Speech(load_speech(EXAMPLE).samples[:round(seconds * SAMPLE_RATE)], SAMPLE_RATE)
+
+
+@lru_cache(maxsize=2)
+def take(seed: int) -> Performance:
+    return system()(speech(6.0), seed=seed)
+
+
+def hands(made: Performance) -> Array:
+    """[T, 2, 3] metres."""
+    joints = [made.motion.skeleton.index(side + "Hand") for side in ("Left", "Right")]
+    return positions_of(made.motion)[:, joints]
+
+
+@pytest.mark.parametrize("decibels", [-0.1, -6.0])
+def test_another_level_is_the_same_take(decibels: float) -> None:
+    first, again = take(0), system()(amplified(speech(6.0), decibels), seed=0)
+    assert again.lexemes.tolist() == first.lexemes.tolist()
+    assert np.array_equal(again.blocks.edges, first.blocks.edges)
+    assert np.linalg.norm(hands(again) - hands(first), axis=-1).max() < 0.005
+
+
+def test_another_seed_is_another_take() -> None:
+    first, other = take(0), take(1)
+    assert np.mean(first.lexemes != other.lexemes) > 0.7
+    assert np.linalg.norm(hands(other) - hands(first), axis=-1).mean() > 0.1
+
+
+def test_takes_that_parted_come_together_again() -> None:
+    """Two seconds of the sound are noisy; at a return the takes are one again."""
+    clean = speech(14.0)
+    samples = clean.samples.copy()
+    noise = np.random.default_rng(0).standard_normal(2 * SAMPLE_RATE).astype(np.float32)
+    samples[:2 * SAMPLE_RATE] += 0.02 * noise
+    bundle = system().bundle
+    selection = replace(bundle.config.selection, returns=4.0)
+    returning = Gesticulator(replace(bundle, config=replace(bundle.config, selection=selection)))
+    first, other = (returning(each, seed=0) for each in (clean, Speech(samples, SAMPLE_RATE)))
+    apart = np.linalg.norm(hands(first) - hands(other), axis=-1).max(axis=1)
+    times = np.arange(len(apart)) / first.motion.fps
+    assert apart[(times > 1.0) & (times < 3.0)].max() > 0.05
+    together = np.convolve(apart[times > 3.0] < 0.02, np.ones(15), "valid")
+    assert together.max() == 15, "for a quarter of a second"
