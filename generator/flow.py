@@ -85,7 +85,9 @@ class FlowInputs:
     """Inputs of N blocks: audio windows [B, N, 3K, d], lexemes [B, N] (S for none), the previous blocks
     [B, N, K, D_m] with the ratios of durations [B, N], circumstances [B, N, 8], the speaker one-hot [B, P], and the
     style control [B, N, K, 2 F], None without. deaf: [B] the audio is left out. forgets: [B] the previous motion is
-    left out, except for the last frames. All but the lexemes may have 1 in place of B if they are the same for all B.
+    left out, except for the last frames. unit: [B, N, U] the planner's decisions, one-hot and side by side, or None.
+    style: [B, N, d_z] the style codes of the blocks' units, or None. All but the lexemes may have 1 in place of B if
+    they are the same for all B.
     """
 
     audio: Tensor
@@ -97,6 +99,8 @@ class FlowInputs:
     control: Tensor | None = None
     deaf: Tensor | None = None
     forgets: Tensor | None = None
+    unit: Tensor | None = None
+    style: Tensor | None = None
 
     @property
     def past(self) -> Pasts:
@@ -140,6 +144,8 @@ class FlowGenerator(nn.Module):
         beside, centre = (c.lexeme_width, basis.width) if self.bypassed else (0, 0)
         known = 2 * beside + c.groups * c.group_width + 3 * widths.motion + basis.width
         known += CIRCUMSTANCES + widths.speakers + self.control_width
+        self.unit_width, self.style_width = widths.units if c.units else 0, c.style_width
+        known += self.unit_width + self.style_width
         head_width = c.context + centre
         self.gather = nn.Sequential(nn.Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
         self.lstm = nn.LSTM(c.context, c.context, c.lstm_layers, batch_first=True)
@@ -195,6 +201,8 @@ class FlowGenerator(nn.Module):
             free = audio.new_zeros(1, blocks, self.frames, self.control_width)
             rows.append(free if given.control is None else given.control)
             known.append(rows[-1].mean(-2))
+        for width, given_rows in ((self.unit_width, given.unit), (self.style_width, given.style)):
+            known.append(added.new_zeros(1, blocks, width) if given_rows is None else given_rows)
         hidden = self.mlp(_side_by_side(rows, batch))
         code = self.codes(hidden, temperature)[0] if self.training else self.codes.best(hidden)
         gathered = self.gather(_side_by_side([*known, code.mean(-2)], batch))
@@ -209,7 +217,8 @@ class FlowGenerator(nn.Module):
         """The flow matching loss |v - (u - e)|^2 on windows of N blocks after a seed block.
 
         batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], ratio [B, N + 1], circumstances [B, N + 1, 8],
-        speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F] if used. nearest: the lexicon's arg
+        speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F], unit [B, N + 1, U] and code [B, N +
+        1, d_z] if used. nearest: the lexicon's arg
         min over coefficients; a shifted past changes the coefficients of a block, and so its lexeme. left_out:
         probabilities of dropping audio, lexeme and previous motion of a window, and the previous coefficients of a
         block; those of the settings by default.
@@ -231,7 +240,7 @@ class FlowGenerator(nn.Module):
         added = torch.where(share < untold, torch.zeros_like(added), added)
         lexeme = full_precision(nearest)(y.flatten(0, 1)).unflatten(0, y.shape[:2])
         with draws_along(1):
-            some = torch.rand(3, len(motion), device=u.device)
+            some = torch.rand(5, len(motion), device=u.device)
         lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
         control = batch["control"][:, 1:] if self.control_width and "control" in batch else None
         audio, place = batch["audio"][:, 1:], batch["circumstances"][:, 1:]
@@ -240,7 +249,10 @@ class FlowGenerator(nn.Module):
             audio = without_after(audio, hidden)
             place = torch.where(hidden[:, None, None], alone(place), place)
         given = FlowInputs(audio, lexeme, before, ratio, place, batch["speaker"], control, some[1] < deaf,
-                           some[2] < forgetful)
+                           some[2] < forgetful, *(
+                               None if key not in batch else batch[key][:, 1:] * (some[k] >= share)[:, None, None]
+                               for k, key, share in ((3, "unit", c.unit_dropout * self.training),
+                                                     (4, "code", c.style_dropout * self.training))))
         context, _ = self.contexts(given, added, temperature=self.temperature(progress))
         conditions = self.head.conditions(context)
         weight = self.basis.known(batch["mask"])[:, None] * self.component_weights() * batch["valid"][:, 1:, None]

@@ -105,6 +105,10 @@ class GeneratorConfig:
     hears_through: Annotated[str, SettingChoice(("both", "code"))] = "both"
     """How audio and lexeme reach the flow head: "both": by the Gumbel code and beside it; "code": by the code alone,
     which must then tell them apart. What is known of the past stands beside the code in either case."""
+    units: bool = False
+    """Take the planner's decision for each block as input."""
+    unit_dropout: Share = 0.1
+    """Share of training windows without those decisions."""
     flow_width: Width = 384
     """Units of the head."""
     flow_layers: Depth = 3
@@ -133,7 +137,9 @@ class GeneratorConfig:
 
     @property
     def styled(self) -> bool:
-        return self.head == "regression" and self.style_width > 0
+        """Whether it takes style codes: one a block with the regression head, learned (RG 5.3); one a gesture unit with
+        the flow head, measured (`interpreters.unit_style`)."""
+        return self.style_width > 0
 
     def temperature(self, progress: float) -> float:
         """Gumbel temperature at a share of the run, geometric from `temperature_start` to `temperature_end`."""
@@ -143,7 +149,8 @@ class GeneratorConfig:
 @dataclass(frozen=True)
 class GeneratorWidths:
     """The sizes of a generator that depend on the data. frames: K; motion: D_m; audio: d + 1; lexeme: D_s; control: 2
-    F, used with `use_control`; lexemes: S and speakers: P, used by the flow head only."""
+    F, used with `use_control`; lexemes: S, speakers: P and units: the width of a planner's decision, used by the flow
+    head only."""
 
     frames: int
     motion: int
@@ -152,6 +159,7 @@ class GeneratorWidths:
     control: int = 0
     lexemes: int = 0
     speakers: int = 0
+    units: int = 0
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from data_module.layers import BlockLinear
 from interpreters.base import BlockFeatures
 from interpreters.settings import PlannerConfig
 
-__all__ = ["APEXES", "HANDS", "PHASES", "SIZES", "UnitDecision", "UnitPlanner"]
+__all__ = ["APEXES", "HANDS", "PHASES", "SIZES", "UnitDecision", "UnitPlanner", "one_hot"]
 
 PHASES = ("rest", "preparation", "stroke", "hold", "retraction")
 HANDS = ("none", "left", "right", "both")
@@ -33,6 +33,11 @@ APEXES = ("none", "now", "next", "later")
 CLASSES = (len(PHASES), len(HANDS), len(SIZES), len(APEXES))
 
 
+def one_hot(decisions: Tensor) -> Tensor:
+    """[..., U] decisions [..., 4] by index, each one-hot, side by side."""
+    return torch.cat([functional.one_hot(decisions[..., k], count) for k, count in enumerate(CLASSES)], -1).float()
+
+
 @dataclass(frozen=True)
 class UnitDecision:
     """The decision for one block, as indices into `PHASES`, `HANDS`, `SIZES` and `APEXES`."""
@@ -41,6 +46,15 @@ class UnitDecision:
     hand: int
     size: int
     apex: int
+
+    @property
+    def rests(self) -> bool:
+        return PHASES[self.phase] == "rest"
+
+    @property
+    def row(self) -> Tensor:
+        """[U] one-hot (`one_hot`)."""
+        return one_hot(torch.tensor([self.phase, self.hand, self.size, self.apex]))
 
     @property
     def holds(self) -> bool:

@@ -114,7 +114,7 @@ class StyleConfig:
     use_speaker: bool = False
     """Use the speaker's one-hot as input; Eq. 19 has no I."""
     dropout: Dropout = 0.1
-    """Dropout of the input of the LSTM."""
+    """Dropout of the input of the LSTM (of a GRU's input and output with a flow head)."""
 
     def without_text(self) -> StyleConfig:
         return replace(self, text_features=0, text_blocks=1, text_bottleneck=0)

@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from interpreters.planner import UnitPlanner
     from interpreters.reward import RewardEnsemble
     from interpreters.statistical import StatisticalInterpreter
+    from interpreters.unit_style import UnitStyleInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec
@@ -98,7 +99,7 @@ class BlockModels:
     lexicon: BlockLexicon
     generator: Generator | FlowGenerator
     interpreter: LstmInterpreter
-    style: StyleInterpreter | None
+    style: StyleInterpreter | UnitStyleInterpreter | None
 
 
 class _Part(Generic[P]):
@@ -146,7 +147,7 @@ class Bundle:
     """The audio-only lexeme interpreter."""
     interpreter_text: ClassVar[_Part[LstmInterpreter]] = _Part()
     """The lexeme interpreter that also reads the words."""
-    style: ClassVar[_Part[StyleInterpreter]] = _Part()
+    style: ClassVar[_Part[StyleInterpreter | UnitStyleInterpreter]] = _Part()
     """The audio-only style interpreter; None if the generator takes no style codes."""
     style_text: ClassVar[_Part[StyleInterpreter]] = _Part()
     """The style interpreter that also reads the words."""

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from interpreters.lstm import StyleInterpreter
     from interpreters.planner import UnitPlanner
     from interpreters.reward import RewardEnsemble
+    from interpreters.unit_style import UnitStyleInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec
@@ -135,7 +136,7 @@ def generator(sizes: Sizes) -> Generator | FlowGenerator:
 
     config = sizes.config
     widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH,
-                             config.lexicon.size, sizes.speakers)
+                             config.lexicon.size, sizes.speakers, _decision_width() if config.generator.units else 0)
     if system_of(config).drawing.samples:
         from generator.flow import FlowGenerator
         from lexicon.movement import basis_for
@@ -145,11 +146,22 @@ def generator(sizes: Sizes) -> Generator | FlowGenerator:
     return Generator(config.generator, widths, sizes.training_blocks, sizes.present)
 
 
-def style(sizes: Sizes, reads: bool = False) -> StyleInterpreter:
-    """The style interpreter, audio-only (RG 6.3) or also reading the words (RG 6.2)."""
+def _decision_width() -> int:
+    from interpreters.planner import CLASSES
+
+    return sum(CLASSES)
+
+
+def style(sizes: Sizes, reads: bool = False) -> StyleInterpreter | UnitStyleInterpreter:
+    """The style interpreter, audio-only (RG 6.3) or also reading the words (RG 6.2); with a flow head that of gesture
+    units, which does not read."""
+    config = sizes.config.style
+    if system_of(sizes.config).drawing.samples:
+        from interpreters.unit_style import UnitStyleInterpreter
+
+        return UnitStyleInterpreter(config, sizes.frames, sizes.low, sizes.speakers, sizes.config.generator.style_width)
     from interpreters.lstm import StyleInterpreter
 
-    config = sizes.config.style
     return StyleInterpreter(config if reads else config.without_text(), sizes.frames, sizes.low, sizes.lexemes,
                             sizes.config.generator.style_width, sizes.speakers, sizes.text)
 

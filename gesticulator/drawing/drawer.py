@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
@@ -25,6 +25,9 @@ from interpreters.base import BlockFeatures
 
 if TYPE_CHECKING:
     from generator.model import Generator
+    from interpreters.lstm import StyleInterpreter
+    from interpreters.planner import UnitDecision
+    from interpreters.unit_style import UnitStyleInterpreter
     from lexicon.movement import MovementLexicon
 
 
@@ -71,10 +74,11 @@ class Drawer(Protocol):
     def restart(self) -> None:
         """Forget the blocks before, but not for how long speech or silence has lasted."""
 
-    def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
+    def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor,
+              unit: UnitDecision | None = None) -> tuple[Tensor, Tensor]:
         """The next block [1, K, D_m] and its style code [1, d_z], after the motion past [1, K, D_m].
 
-        speech: the block's timing and sound; features: its inputs of the models.
+        speech: the block's timing and sound; features: its inputs of the models; unit: the planner's decision, or None.
         """
 
 
@@ -91,7 +95,7 @@ class RegressionDrawer:
         self.bundle, self.keys = bundle, keys  # deterministic: the keys have no effect
         self.hurried = self.unseen = False  # cheap: neither has an effect
         self.generator = cast("Generator", bundle.generator)
-        self.style = (bundle.style_text if text else None) or bundle.style
+        self.style = (bundle.style_text if text else None) or cast("StyleInterpreter | None", bundle.style)
         self._first = speaker, lexeme
         self.restart()
 
@@ -106,8 +110,9 @@ class RegressionDrawer:
         rest = self.bundle.rest_feature(speaker)
         self.state = self.free = self.generator.first_state(rest[None], self.bundle.vectors[[lexeme]])
 
-    def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
-        """See `Drawer.block`."""
+    def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor,
+              unit: UnitDecision | None = None) -> tuple[Tensor, Tensor]:
+        """See `Drawer.block`; this generator does not take the planner's decision."""
         code = past.new_zeros(1, self.bundle.config.generator.style_width)
         if self.style is not None:
             assert self.style_state is not None
@@ -140,6 +145,8 @@ class FlowDrawer:
         self.base = torch.zeros(0)
         """[1, K, D_m] extrapolation of the motion before the last block, to which its coefficients were added."""
         self.hurried = self.unseen = False
+        self.style = cast("UnitStyleInterpreter | None", bundle.style)
+        self.style_state = None if self.style is None else self.style.start(speaker)
 
     def fork(self) -> FlowDrawer:
         """See `Drawer.fork`."""
@@ -151,8 +158,9 @@ class FlowDrawer:
         """See `Drawer.restart`."""
         self.state = self.past = None
 
-    def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor) -> tuple[Tensor, Tensor]:
-        """See `Drawer.block`; the code is empty."""
+    def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor,
+              unit: UnitDecision | None = None) -> tuple[Tensor, Tensor]:
+        """See `Drawer.block`."""
         added = past.new_zeros(1, self.generator.basis.width)
         if self.past is not None:  # the motion may differ from the sampled block: rest, clamping
             added = self.generator.squeeze(self.generator.basis.project(past - self.base))
@@ -162,20 +170,30 @@ class FlowDrawer:
         place = self.place.step(speech.durations, speech.silent).to(self.device)
         if speech.foreseen and self.generator.config.after_dropout:
             place = alone(place)
+        code = self._code(features, unit)
         inputs, gains = self._inputs(place, features, lexeme, past)
+        inputs = replace(inputs, unit=None if unit is None else unit.row.to(self.device)[None, None],
+                         style=None if self.style is None else code[:, None])
         context, self.state = self.generator.contexts(inputs, added[None], self.state)
         if self.unseen:  # the state had to advance, but no block is needed
-            return self.base * self.generator.present, past[:, :0, 0]
+            return self.base * self.generator.present, code
         steps, pull = self.settings.flow_steps, torch.tensor(gains, device=self.device)[:, None] * self.share
         if self.hurried:
             # One candidate, few steps, no guidance. The guidance states above advance all the same, for later blocks.
             steps, context, pull = min(steps, HURRIED_STEPS), context[:1], pull[:0]
             _, block = self._sample(speech.keyed_at, 1, context, pull, steps)
             if not self.chooser.too_fast(speech, past[0].cpu().numpy(), block.cpu().numpy()):
-                return block, past[:, :0, 0]
+                return block, code
         coefficients, blocks = self._sample(speech.keyed_at, self.settings.candidates, context, pull, steps)
         best = self._best(speech, lexeme, coefficients, blocks, past, features)
-        return blocks[best:best + 1], past[:, :0, 0]
+        return blocks[best:best + 1], code
+
+    def _code(self, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
+        """[1, d_z] the style code of the block's unit; empty without a style interpreter."""
+        if self.style is None or self.style_state is None:
+            return torch.zeros(1, 0, device=self.device)
+        code, self.style_state = self.style.step(self.style_state, features, unit is not None and unit.rests)
+        return self.settings.style * code
 
     def _sample(self, time: float, candidates: int, context: Tensor, pull: Tensor, steps: int) -> tuple[Tensor, Tensor]:
         """Coefficients [C, n] of C candidates with the noise of this time, and the blocks [C, K, D_m] that they give.

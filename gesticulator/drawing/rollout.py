@@ -168,7 +168,7 @@ class Rollout:
             features = replace(features, low=self._quiet_low, silent=True)
         self._drawer.keys = direction.keys or self.sampling.keys
         self._drawer.unseen = self.life is not None and self.life.rests_wholly
-        block, code = self._drawer.block(speech, features, self._previous, self._past)
+        block, code = self._drawer.block(speech, features, self._previous, self._past, unit)
         self._resting = self._resting + 1 if quiet else 0
         rest_decay = b.config.silence.rest_decay
         if self.life is None and self._resting > _BLOCKS_BEFORE_REST and rest_decay > 0:

@@ -136,7 +136,9 @@ def default() -> Config:
         # A speaker with captured motion: the scripted performers stand still for ten seconds at a time.
         paper, name="default", default_speaker="conversation",
         schedules=dataclasses.replace(
-            paper.schedules, style=NOT_TRAINED, speech=NOT_TRAINED, contrast=NOT_TRAINED,
+            paper.schedules, speech=NOT_TRAINED, contrast=NOT_TRAINED,
+            style=FitSettings(steps=800, batch=32, rate=1.5e-3, schedule="cosine", weight_decay=0.1, validations=20,
+                              patience=6),
             lexicon=FitSettings(steps=2_000, batch=512, rate=1e-3, schedule="cosine"),  # a minute on one core
             generator=FitSettings(steps=5_000, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
             # Trained separately and stopped early: it overfits after a few epochs.
@@ -155,13 +157,16 @@ def default() -> Config:
         lexicon=LexiconConfig(kind="movement", quantizer="vq-vae", size=200, code_width=128, commitment=0.5,
                               revive_below=0.1, warm_up=0.1),
         generator=GeneratorConfig(
-            head="flow", motion_features=32, audio_features=32, audio_bottleneck=48, style_width=0, position_width=8,
+            head="flow", motion_features=32, audio_features=32, audio_bottleneck=48, style_width=4, position_width=8,
             hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True, bend=4.0, dropout=0.1,
             history_dropout=0.2,
+            hears_through="code",  # beside it, the code would tell the head nothing that it needs
+            units=True, style_dropout=0.2,
             after_dropout=0.15,  # a live stream may generate a block before the next one is known
             # More noise teaches corrections that are not needed: held hands then drift.
             past_noise=0.06, velocity_noise=0.05),
         control=ControlConfig(free=0.7),
+        style=StyleConfig(audio_features=4, audio_bottleneck=16, width=48, dropout=0.3),
         # Block by block, with its own lexeme embeddings. Its past is corrupted at random instead of scheduled sampling,
         # since its own sampled motion is not available here.
         interpreter=dataclasses.replace(

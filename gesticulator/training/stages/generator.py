@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,13 +14,17 @@ from data_module.layers import freeze
 from generator.flow import FlowGenerator
 from generator.model import BlockInputs, Generator
 from gesticulator.bundle import models
+from gesticulator.bundle.config import Config
 from gesticulator.bundle.system import system_of
 from gesticulator.training import fit as fitting
-from gesticulator.training.stages.base import Figures, Run, Stage
+from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.features import CORPUS
 from gesticulator.training.stages.labels import LABELS, model_sizes
 from gesticulator.training.stages.lexicon import LEXICON
+from gesticulator.training.stages.planner import UNITS
+from gesticulator.training.stages.unit_styles import UNIT_CODES
 from gesticulator.training.stages.windows import Windows, sequences, validation, with_silence
+from interpreters.planner import one_hot
 from lexicon.autoencoder import Lexicon
 from lexicon.movement import MovementLexicon
 
@@ -29,8 +34,17 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
     control = config.control if config.generator.use_control else None
     windows = Windows(corpus, parts, config.generator.blocks, control=control, moving=True)
+    tables = {}
+    if config.generator.units:
+        tables["unit"] = one_hot(torch.as_tensor(run.get(UNITS)))
+    if config.generator.styled:
+        tables["code"] = torch.as_tensor(run.get(UNIT_CODES))
+
+    def with_units(batch: fitting.Batch) -> fitting.Batch:
+        return {**batch, **{key: table[batch["block"]] for key, table in tables.items()}}
+
     lexicon = copy.deepcopy(_movements(run)).to(run.device)
-    checks = validation(corpus, labelled.labels, config.generator.blocks, moving=True)
+    checks = [with_units(batch) for batch in validation(corpus, labelled.labels, config.generator.blocks, moving=True)]
 
     @torch.no_grad()
     def validate() -> Figures:
@@ -44,7 +58,7 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
             figures[name] = float(sum(terms)) / len(terms)
         return figures
 
-    task = fitting.Task(lambda rng: windows.sample(rng, run.schedule(GENERATOR).batch),
+    task = fitting.Task(lambda rng: with_units(windows.sample(rng, run.schedule(GENERATOR).batch)),
                         lambda batch, progress: model.losses(batch, progress, lexicon.nearest), validate, watch="flow")
     return run.fit(GENERATOR, model, task, folder)
 
@@ -103,8 +117,15 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
     return run.fit(GENERATOR, model, task, folder)
 
 
+def _unit_nodes(config: Config) -> tuple[Node[Any], ...]:
+    samples = system_of(config).drawing.samples
+    return (*((UNITS,) if samples and config.generator.units else ()),
+            *((UNIT_CODES,) if samples and config.generator.styled else ()))
+
+
 GENERATOR: Stage[Generator | FlowGenerator] = Stage(
     "generator", settings=("generator", "window", "control", "silence.augmentation", "silence.longest_insert"),
-    needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="generator", part="generator", build=_build,
+    needs=lambda config: (CORPUS, LEXICON, LABELS, *_unit_nodes(config)), schedule="generator", part="generator",
+    build=_build,
     train=lambda run, model, folder: (_train_flow if isinstance(model, FlowGenerator) else _train_regression)(
         run, model, folder))

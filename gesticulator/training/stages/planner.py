@@ -23,7 +23,7 @@ from gesticulator.training.stages.labels import LABELS, model_sizes
 from gesticulator.training.stages.windows import Windows, sequences, validation
 from interpreters.planner import APEXES, HANDS, SIZES, UnitPlanner
 
-_RATE = 30.0
+RATE = 30.0
 """Frames per second at which phases are measured."""
 _SMALL, _LARGE = 0.15, 0.3
 """Bounds of a medium stroke, metres."""
@@ -31,18 +31,18 @@ _SMALL, _LARGE = 0.15, 0.3
 
 def block_units(corpus: Corpus, config: Config) -> NDArray[np.int64]:
     """[N, 4] the decision of `interpreters.planner` that each block of a corpus shows."""
-    out = [units_of(_hands(corpus, config, recording), _ends(corpus, recording))
+    out = [units_of(hands_of(corpus, config, recording), edges_of(corpus, recording))
            for recording in range(len(corpus.names))]
     return np.concatenate(out) if out else np.zeros((0, 4), np.int64)
 
 
-def _ends(corpus: Corpus, recording: int) -> Array:
+def edges_of(corpus: Corpus, recording: int) -> Array:
     """[M + 1] seconds of the edges of a recording's blocks."""
     return np.concatenate([[0.0], np.cumsum(corpus.durations[corpus.blocks_of(recording)])])
 
 
-def _hands(corpus: Corpus, config: Config, recording: int) -> Array:
-    """[T, 2, 3] places of the left and the right hand over the hips, metres, at `_RATE`."""
+def hands_of(corpus: Corpus, config: Config, recording: int) -> Array:
+    """[T, 2, 3] places of the left and the right hand over the hips, metres, at `RATE`."""
     own, speaker = corpus.blocks_of(recording), int(corpus.speaker_of[recording])
     rows = corpus.motion[torch.as_tensor(own)].double().numpy()
     poses = corpus.statistics.denormalise(rows.reshape(-1, rows.shape[-1]), speaker)
@@ -50,19 +50,19 @@ def _hands(corpus: Corpus, config: Config, recording: int) -> Array:
     joints = [motion.skeleton.index(side + "Hand") for side in ("Left", "Right")]
     places = positions_of_some(motion, [0, *joints])
     hands = (places[:, 1:] - places[:, :1]).reshape(len(poses), -1)
-    edges, frames = _ends(corpus, recording), rows.shape[1]
+    edges, frames = edges_of(corpus, recording), rows.shape[1]
     shares = np.arange(1, frames + 1) / frames
     times = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
-    even = np.arange(max(2, int(edges[-1] * _RATE))) / _RATE
+    even = np.arange(max(2, int(edges[-1] * RATE))) / RATE
     return np.stack([np.interp(even, times, column) for column in hands.T], axis=1).reshape(len(even), 2, 3)
 
 
 def units_of(hands: Array, edges: Array) -> NDArray[np.int64]:
     """[M, 4] the decision that each of M blocks with edges [M + 1] seconds shows, from the places [T, 2, 3] of the left
-    and the right hand at `_RATE`: the phase of the hand that moves more."""
-    found = [phases_of(hands[:, side], _RATE) for side in (0, 1)]
+    and the right hand at `RATE`: the phase of the hand that moves more."""
+    found = [phases_of(hands[:, side], RATE) for side in (0, 1)]
     speeds = np.linalg.norm(np.gradient(hands, axis=0), axis=-1)
-    frames = np.minimum(np.round(edges * _RATE).astype(int), len(hands))
+    frames = np.minimum(np.round(edges * RATE).astype(int), len(hands))
     out = np.zeros((len(edges) - 1, 4), dtype=np.int64)
     for k, (first, last) in enumerate(zip(frames[:-1], frames[1:], strict=True)):
         last = max(last, first + 1)
