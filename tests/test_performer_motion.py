@@ -18,6 +18,7 @@ from data_module.performer.strokes import (
     LEFT,
     RIGHT,
     StrokeSet,
+    _turned_in,
     arrivals,
     held_out_keys,
     load_strokes,
@@ -308,6 +309,17 @@ def test_recorded_strokes_are_as_measured_before(recorded: StrokeSet) -> None:
         assert 0.25 < np.median([s.hold_end - s.beat for s in own]) < 0.65
         assert 0.29 <= np.median([s.reach for s in own]) < 0.47
         assert {"left", "right", "both"} == {s.hand for s in recorded.of(performer)}
+
+
+def test_upper_arms_turn_inward_about_their_length(recorded: StrokeSet) -> None:
+    skeleton = recorded.figures["brad"].skeleton
+    rest = recorded.figures["brad"].rest[None]
+    turned = _turned_in(skeleton, rest, 20.0)
+    before, after = (kinematics.joint_positions(skeleton, rotations)[0] for rotations in (rest, turned))
+    for side, out in (("Left", 1.0), ("Right", -1.0)):
+        elbow, hand = skeleton.index(side + "ForeArm"), skeleton.index(side + "Hand")
+        np.testing.assert_allclose(after[elbow], before[elbow], atol=1e-9)
+        assert out * (after[hand, 0] - before[hand, 0]) < -0.001, "towards the middle"
 
 
 def test_retargeted_clips_stay_on_one_side_of_the_split(recorded: StrokeSet) -> None:

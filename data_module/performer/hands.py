@@ -67,11 +67,11 @@ def draw_manner(rng: np.random.Generator) -> Manner:
     return Manner(both=rng.uniform(0.7, 0.95), dominant=rng.uniform(0.55, 0.8), switch=rng.uniform(0.35, 0.7),
                   hanging=rng.uniform(0.05, 0.25), falling=rng.uniform(0.05, 0.3),
                   gain=float(np.clip(1.65 * np.exp(rng.normal(0.0, 0.07)), 1.4, 1.85)), hold=rng.uniform(1.1, 1.7),
-                  drift=rng.uniform(0.9, 1.5), small_beats=rng.uniform(1.4, 2.2), eagerness=rng.uniform(0.0, 0.7),
+                  drift=rng.uniform(1.2, 2.0), small_beats=rng.uniform(1.4, 2.2), eagerness=rng.uniform(0.0, 0.7),
                   trunk=float(np.exp(rng.normal(0.0, 0.15))))
 
 
-STEADY = Manner(both=0.85, dominant=0.67, switch=0.5, hanging=0.12, falling=0.15, gain=1.5, hold=1.3, drift=1.1,
+STEADY = Manner(both=0.85, dominant=0.67, switch=0.5, hanging=0.12, falling=0.15, gain=1.5, hold=1.3, drift=1.45,
                 small_beats=0.2, eagerness=0.1, trunk=1.0)
 """The fixed manner of a talk with an audible style: nothing but the style varies."""
 

@@ -49,7 +49,7 @@ _REST_SHARE, _LONGEST_REST, _LEAST_REST = 0.45, 1.2, 0.08
 """A pause extends from its cut while speed stays under this share of the median; greatest and least seconds to either
 side."""
 _LEAST_WINDOW = 0.6
-_MOVED_SHARE, _MOVED = 0.28, (0.35, 0.9)
+_MOVED_SHARE, _MOVED = 0.4, (0.35, 0.9)
 """Share of the pauses that are moved off their rest, because real speakers pause while moving too, and the seconds by
 which they are moved."""
 _EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.3, 0.6

@@ -14,6 +14,9 @@ _SMOOTH = 0.05
 """Standard deviation of the low pass, seconds: in some clips the fingers jump from frame to frame."""
 _FIDGET, _SECONDS = np.radians(2.0), 5.3
 """Amplitude (radians) and period (seconds) with which a finger closes and opens at rest."""
+_CASCADE = np.radians([0.0, -4.0, 1.0, 6.0, 10.0])
+"""What the middle joint of each finger, the thumb first, is bent more: a relaxed hand closes towards the little finger.
+"""
 _CLOSING = (np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]))
 """Axes about which the fingers of the left and the right hand close."""
 
@@ -27,4 +30,5 @@ def living_fingers(logs: Array, side: int) -> Array:
     period = _SECONDS * (1.0 + 0.13 * (joints // 3))
     phase = 2.0 * np.pi * (times / period + 0.21 * (joints // 3) + 0.37 * side)
     smooth = gaussian_filter1d(soft_limit(logs, _FARTHEST), _SMOOTH * FPS, axis=0, mode="nearest")
-    return smooth + _FIDGET * np.sin(phase)[..., None] * _CLOSING[side]
+    more = np.where(joints % 3 == 1, _CASCADE[joints // 3], 0.0)
+    return smooth + (more + _FIDGET * np.sin(phase))[..., None] * _CLOSING[side]

@@ -54,7 +54,8 @@ class Habits:
     syllable takes a beat; hands: weights of left, right, both; looseness: standard deviation of the beat about the
     syllable, seconds; speed and gain: relative to the recorded clips; sway: yaw of the torso, degrees; nod: size of a
     nod, degrees; hanging: probability that one arm hangs through a phrase; links: strength of what ties the motion to
-    the sound beyond the times of the strokes (0 none, 1 full): size to effort, chest to pitch.
+    the sound beyond the times of the strokes (0 none, 1 full): size to effort, chest to
+    pitch; damping: seconds of the low pass of the arms, longer for a performer whose clips tremble.
     """
 
     meaning: float = 0.65
@@ -67,13 +68,14 @@ class Habits:
     nod: float = 3.0
     hanging: float = 0.25
     links: float = 1.0
+    damping: float = 0.02
 
 
 HABITS: dict[str, Habits] = {
-    "brad": Habits(0.60, 0.7, (1.1, 0.7, 1.2), 0.050, 1.02, 1.05, 7.5, 2.6, 0.20),
-    "brad2": Habits(0.70, 0.6, (1.2, 0.6, 1.4), 0.047, 1.05, 1.05, 8.5, 3.2, 0.12),
-    "connor": Habits(0.65, 0.3, (0.6, 1.2, 1.2), 0.053, 1.02, 1.02, 7.0, 2.2, 0.20),
-    "garza": Habits(0.75, 0.5, (0.7, 1.1, 1.5), 0.049, 1.06, 1.04, 9.0, 3.8, 0.15),
+    "brad": Habits(0.60, 0.8, (1.1, 0.7, 1.2), 0.050, 1.02, 1.25, 7.5, 2.6, 0.20, damping=0.03),
+    "brad2": Habits(0.70, 0.6, (1.2, 0.6, 1.4), 0.047, 1.05, 1.12, 8.5, 3.2, 0.12, damping=0.05),
+    "connor": Habits(0.65, 0.3, (0.6, 1.2, 1.2), 0.053, 1.02, 1.02, 7.0, 2.2, 0.20, damping=0.045),
+    "garza": Habits(0.75, 0.5, (0.7, 1.1, 1.5), 0.049, 1.06, 1.12, 9.0, 3.8, 0.15, damping=0.07),
 }
 
 
@@ -308,7 +310,7 @@ def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], 
         amplitude, tempo = casting.style.at(wish.beat).tolist()
         size, pace = _SIZE_OF_DRIVE * wish.drive + _SIZE_OF_STYLE * amplitude, pace + _PACE_OF_STYLE * tempo
         loose, largest, holding, vary = casting.manner.gain, _LARGEST, casting.manner.hold, 0.06
-    gain = float(np.clip(habits.gain * loose * np.exp(size + vary * rng.normal()), 0.6, largest))
+    gain = habits.gain * float(np.clip(loose * np.exp(size + vary * rng.normal()), 0.6, largest))
     speed = float(np.clip(habits.speed * np.exp(pace + 0.05 * rng.normal()), 0.7, 1.15))
     if stroke.steady:
         speed = min(speed, 1.0)

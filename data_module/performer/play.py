@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from data_module.motion import rotation
@@ -63,10 +63,12 @@ _ACCURATE = 0.008
 """Timing error, seconds (half a frame), below which a beat is not moved."""
 _TOLERANCE = 0.018
 """Timing error, seconds (about one frame), above which a stroke is left out in the end."""
-_ACCENT = 0.12
+_MEANT_TOLERANCE = 0.1
+"""The same of a stroke with a meaning, whose shape tells more than its beat."""
+_ACCENT = 0.08
 """First share by which the excursion is raised before a beat."""
-_MOST_ACCENT = 0.48
-"""Largest such share after the steps of `_tuned`; half as much again would throw the arm up."""
+_MOST_ACCENT = 0.3
+"""Largest such share after the steps of `_tuned`: more of it makes hands tremble."""
 _FARTHEST = 0.15
 """Seconds by which the clip's beat may be moved to meet the planned one, so that its preparation keeps its shape."""
 _FADE_SHARE = 0.65
@@ -97,9 +99,9 @@ _SMALL_OF_STYLE = np.array([0.5, 0.3])
 """Log of the size of small movements, by amplitude and tempo."""
 _WITH_STROKE = np.radians([[1.6, 1.2, 0.8], [2.2, 2.6, 1.0]])
 """Bends of spine and head with a stroke of gain 1: forward, turned and tilted to the side of the hand, radians."""
-_QUIETER = 0.5
+_QUIETER = 0.35
 """Factor on the drift of raised arms in pauses."""
-_WRISTS = 0.7
+_WRISTS = 0.58
 """Factor on the wrists' bends of the clips, which are larger than those of people who talk."""
 _NOD_GAIN = 1.3
 """Factor on the nods over a real person's trunk, whose own head motion is not tied to this speech."""
@@ -156,7 +158,7 @@ class _Score:
     trunk: [T, B, 3] log rotations of hips to head. hanging: [2, T] share of the other arm's motion that an arm follows
     while it hangs. leads: [2, T] share by which an arm is led to the home pose, to keep it out of the body.
     chest: position and rotation of the joint that carries the shoulders. runs, levels: sources of the events; drop:
-    seconds in which an arm comes to rest. targets: cache of `_target`.
+    seconds in which an arm comes to rest; damping: seconds of the low pass of the arms. targets: cache of `_target`.
     """
 
     figure: PerformerBody
@@ -171,6 +173,7 @@ class _Score:
     runs: list[tuple[float, float]]
     levels: Levels
     drop: float
+    damping: float
     frames: int
     targets: dict[tuple[object, ...], Array] = field(default_factory=dict)
 
@@ -217,7 +220,7 @@ def _rehearse(score: _Score, tuning: _Tuning) -> tuple[_Score, _Tuning, Array]:
     """The score without the strokes that cannot be put in time, its tuning, and the rendered arms."""
     for turn in range(_ROUNDS):
         arms, tuning, missing = _on_time(score, tuning)
-        good = np.abs(missing) <= _TOLERANCE
+        good = np.abs(missing) <= [_MEANT_TOLERANCE if p.meaning else _TOLERANCE for p in score.planned]
         if good.all() or turn == _ROUNDS - 1:
             break
         good &= ~_echoes(score.planned, good)
@@ -332,7 +335,7 @@ def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, 
     sympathy = manner.sympathy if manner else _SYMPATHY
     hanging = sympathy * np.stack([_active(arm, frames, _is_hanging, 0.2) for arm in events])
     return _Score(figure, planned, events, micro, drift, trunk, hanging, np.zeros((2, frames)),
-                  _carried(figure, trunk), runs, levels, drop, frames)
+                  _carried(figure, trunk), runs, levels, drop, habits.damping, frames)
 
 
 def _in_speech(spoken: Spoken, frames: int) -> Array:
@@ -432,11 +435,11 @@ def _frame(time: float) -> int:
 
 def _wander(frames: int, channels: int, period: float, rng: np.random.Generator) -> Array:
     """Smooth noise [T, channels] of unit standard deviation that changes within about `period` seconds: independent
-    knots joined by a cubic, which is cheap and free of the slow trend that a low-pass filter leaves."""
+    knots joined by a cubic spline, which is cheap and free of the slow trend that a low-pass filter leaves."""
     knots = int(np.ceil(frames / FPS / (period / 4.0))) + 4
     values = gaussian_filter1d(rng.normal(size=(knots, channels)), 1.0, axis=0)
     times = (np.arange(knots) - 1.0) * period / 4.0
-    curve = PchipInterpolator(times, values)(np.arange(frames) / FPS)
+    curve = CubicSpline(times, values)(np.arange(frames) / FPS)
     return curve / 0.52
 
 
@@ -631,6 +634,7 @@ def _render(score: _Score, tuning: _Tuning, joints: int | None = None) -> Array:
     arms = arms + follow
     arms[..., :12] *= 1.0 + score.micro[..., None]
     arms += score.drift[..., :arms.shape[-1]]
+    arms = gaussian_filter1d(arms, score.damping * FPS, axis=1, mode="nearest")
     arms[..., :12] += score.leads[..., None] * (score.figure.home.reshape(2, 1, -1)[..., :12] - arms[..., :12])
     return arms
 

@@ -49,6 +49,8 @@ _NOT_FASTER = frozenset({"brad2_Idle01_YouLf02", "brad2_Idle01_Shrug02", "brad2_
                          "connor_IdleStand01_NegateRightMidBt01"})
 _RIGID = {"connor": 0.8, "garza": 0.8}
 """Speakers whose clavicles hardly move -> the share of the shoulders' rhythm that is added."""
+_OUTWARD = {"brad": 12.0}
+"""Speakers whose forearms point outward -> degrees by which the upper arms are turned inward about their length."""
 _COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
 _MIN_REACH = 0.05
 """Least travel of a hand in a stroke, metres; anything smaller is a fidget."""
@@ -322,6 +324,9 @@ def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> t
             raise InputError(folder / row["file"], f"has other joints than {rows[0]['file']}",
                              "take the clips that came with the manifest")
     try:
+        if speaker in _OUTWARD:
+            motions = [replace(motion, rotations=_turned_in(skeleton, motion.rotations, _OUTWARD[speaker]))
+                       for motion in motions]
         if speaker in _RIGID:
             motions = [replace(motion, rotations=with_rhythm(skeleton, motion.rotations, motion.fps, _RIGID[speaker]))
                        for motion in motions]
@@ -330,6 +335,17 @@ def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> t
         raise InputError(folder / rows[0]["file"],
                          f"and the other clips of {shown(speaker)} make no performer ({error})",
                          "take the clips that came with the manifest") from None
+
+
+def _turned_in(skeleton: Skeleton, rotations: Array, degrees: float) -> Array:
+    """Local rotations [T, J, 4] with both upper arms turned inward about their length."""
+    out = rotations.copy()
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        along = skeleton.offsets[skeleton.index(side + "ForeArm")]
+        turn = rotation.from_exponential_map(sign * np.radians(degrees) * along / np.linalg.norm(along))
+        joint = skeleton.index(side + "Arm")
+        out[:, joint] = rotation.multiply(out[:, joint], turn)
+    return out
 
 
 def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Sequence[Motion]

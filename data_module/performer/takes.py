@@ -83,6 +83,9 @@ _HIGH_PERCENTILE, _TOO_HIGH = 93.0, 0.16
 _GAINS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 _IDLE_SPEED, _IDLE_SECONDS, _IDLE_MARGIN = 0.25, 1.2, 0.5
 """Speed of both arms together, m/s, below which they idle; seconds for which they may; seconds left at either end."""
+_HANGING_HAND, _HANGING_SECONDS, _HANGING_MARGIN = 0.06, 0.7, 0.25
+"""Metres over the hips below which a hand hangs; seconds for which both may, and seconds left at either end: people in
+conversation listen half of the time, a speaker does not."""
 _LEAST_STRETCH = 2.2
 """Shortest stretch that is used, seconds."""
 _WIDE_SHARE, _WIDE_STAY = 0.10, 0.5
@@ -299,7 +302,7 @@ def stretches(library: Library, take: RealTake, limits: MotionRange) -> list[Arr
         high = places[:, list(WRISTS), 1].max(axis=1)
         if np.percentile(high, _HIGH_PERCENTILE) <= limits.height and wide.mean() <= _WIDE_SHARE:
             break
-    bad = (high > limits.height + _TOO_HIGH) | (torso_depth(places) > _GRAZE) | idling(places)
+    bad = (high > limits.height + _TOO_HIGH) | (torso_depth(places) > _GRAZE) | idling(places) | hanging(places)
     bad |= gaussian_filter1d(wide.astype(float), 0.5 * FPS) > _WIDE_STAY
     bad = gaussian_filter1d(bad.astype(float), 0.1 * FPS) > 0.35
     share = _RHYTHM[bool(mended_arms.subject_of(take.name))]
@@ -315,9 +318,18 @@ def arms_speed(places: Array) -> Array:
 def idling(places: Array) -> NDArray[np.bool_]:
     """[T] True in the inner part of stretches in which the arms idle for longer than they may."""
     quiet = gaussian_filter1d(arms_speed(places), 0.33 * FPS) < _IDLE_SPEED
-    out = np.zeros(len(quiet), dtype=bool)
-    margin = round(_IDLE_MARGIN * FPS)
-    for first, last in runs(quiet):
-        if last - first > _IDLE_SECONDS * FPS:
-            out[first + margin:last - margin] = True
+    return _inner(quiet, _IDLE_SECONDS, _IDLE_MARGIN)
+
+
+def hanging(places: Array) -> NDArray[np.bool_]:
+    """[T] True in the inner part of stretches in which both hands hang for longer than they may."""
+    return _inner(places[:, list(WRISTS), 1].max(axis=1) < _HANGING_HAND, _HANGING_SECONDS, _HANGING_MARGIN)
+
+
+def _inner(mask: NDArray[np.bool_], seconds: float, margin: float) -> NDArray[np.bool_]:
+    """[T] the runs of a mask [T] that last more than `seconds`, without `margin` seconds at either end."""
+    out = np.zeros(len(mask), dtype=bool)
+    for first, last in runs(mask):
+        if last - first > seconds * FPS:
+            out[first + round(margin * FPS):last - round(margin * FPS)] = True
     return out

@@ -16,6 +16,7 @@ from data_module.performer.chaining import Chain, chain, seam_ratio
 from data_module.performer.inertialisation import minimum_jerk
 from data_module.performer.sentence_pool import Pool
 from data_module.performer.takes import (
+    ARM_SIDES,
     FPS,
     HIPS,
     SKULL,
@@ -35,18 +36,21 @@ from data_module.types import Array, Motion
 _HEIGHTS, _TRUNKS, _SLOWER = (0.40, 0.66), (0.9, 1.3), (1.0, 1.3)
 """Ranges drawn per talk: the highest position of the hands (metres over the hips), the gain of the trunk, and the
 factor by which the motion is slowed down."""
+_ONE_HANDED, _ALIKE, _RESTING = 0.2, 0.6, 0.4
+"""Share of the stretches whose hands do the same that are played with one hand; the correlation of the hands' heights
+from which they do; and the share of its motion that remains in the arm that rests."""
 _SLOW_GROUP = "lesson"
 """A group whose motion is slow enough already."""
 _STRETCHES = 14
 """Stretches that a talk draws on; those of its group first."""
-_CHAINS, _ROUGHEST = 6, 1.2
+_CHAINS, _ROUGHEST = 8, 1.15
 """Most chains that are tried, and the ratio of the acceleration at the seams to that elsewhere that is good enough."""
 _DIP_SHARE, _DIPS = 0.6, (2.0, 5.0)
 """Share of the stressed vowels on which the head dips, and the range of the dip in degrees."""
 _DIP_RISE, _DIP_FALL, _DIP_LATE = 0.24, 0.4, 0.03
 """Seconds from the start to the deepest point of a dip, from there to its end, and from the vowel to the deepest point.
 """
-_HOLD_SHARE, _HOLD_SECONDS, _HOLD_OF = 0.55, (0.5, 0.9), 0.24
+_HOLD_SHARE, _HOLD_SECONDS, _HOLD_OF = 0.3, (0.5, 0.9), 0.24
 """Share of the moments in which a raised hand is slow that become holds; seconds that a hold takes with its edges; and
 the seconds of motion that are shown in them."""
 _HOLDS_APART, _HELD_FROM, _RAISED = 0.9, 0.45, 0.06
@@ -88,9 +92,8 @@ def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[Real
     pieces = []
     for _, logs in named:
         turned = bool(rng.random() < 0.5) if mixed else flip
-        pieces.append(_slowed(mirrored(logs) if turned else logs, slower))
+        pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
     joined, places = _smoothest(library, pieces, seconds, rng)
-    joined, places = _held(library, joined, places, rng)
     synthesis = inverse.speech_for(request.name, places, pool, replace(ENERGY, links=links),
                                    movements.features_of(places), rng)
     logs = with_life(joined.logs, synthesis.spoken, rng, links)
@@ -105,11 +108,12 @@ def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[Real
 
 def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,
                rng: np.random.Generator) -> tuple[Chain, Array]:
-    """The first chain with smooth enough seams, or the smoothest, and its joint positions [T, 16, 3]."""
+    """The first chain, with holds, whose seams are smooth enough, or the smoothest, and its joint positions
+    [T, 16, 3]."""
     best: tuple[float, Chain, Array] | None = None
     for _ in range(_CHAINS):
         joined = chain(pieces, seconds, rng, recent=len(pieces))
-        places = facing_positions(library.rotations(joined.logs))
+        joined, places = _held(library, joined, facing_positions(library.rotations(joined.logs)), rng)
         ratio = seam_ratio(places[:, list(WRISTS)], joined.edges)
         if best is None or ratio < best[0]:
             best = ratio, joined, places
@@ -164,6 +168,17 @@ def _named_stretches(library: Library, takes: Sequence[RealTake], group: str, li
         if len(out) >= _STRETCHES:
             break
         out += [(take.name, logs) for logs in stretches(library, take, limits)]
+    return out
+
+
+def _one_handed(library: Library, logs: Array, rng: np.random.Generator) -> Array:
+    """A stretch whose hands do the same, now and then with one of them resting; any other as it is."""
+    side, draw = ARM_SIDES[int(rng.random() < 0.5)], rng.random()
+    heights = facing_positions(library.rotations(logs))[:, list(WRISTS), 1]
+    if draw >= _ONE_HANDED or heights.std(axis=0).min() < 1e-6 or np.corrcoef(heights.T)[0, 1] < _ALIKE:
+        return logs
+    out = logs.copy()
+    out[:, list(side)] *= _RESTING
     return out
 
 

@@ -43,7 +43,7 @@ _SHIFT = 1.6
 """Seconds that a posture lasts, and seconds of the transition to the next one."""
 _FIDGET, _IDLE_FADE = np.radians(12.0), 1.0
 """Soft limit of the fidgets of a hanging arm's joints, radians, and seconds of the transition between takes."""
-_SWAY, _SWAY_SECONDS = np.radians(1.3), 3.2
+_SWAY, _SWAY_SECONDS = np.radians(1.7), 3.2
 """Lean of a standing body as its weight circles, radians, and the period of the circle, seconds."""
 _ACCENT, _ACCENT_MOST = np.radians(0.5), 6.0
 """Turn of the chest per semitone of an accent's pitch above the voice's middle, radians, and the semitones that count
