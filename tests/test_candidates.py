@@ -11,8 +11,9 @@ from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
 from eval.baselines import controls as baselines
 from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
-from gesticulator.drawing.candidates import FASTEST, CandidateChooser, in_time, slow_enough
+from gesticulator.drawing.candidates import FASTEST, CandidateChooser, depth, in_time, slow_enough
 from gesticulator.drawing.cutter import encode_speech
 from gesticulator.pipeline import Gesticulator
 from tests.untrained import MOVING, PLAIN, untrained
@@ -54,6 +55,24 @@ def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(b
     assert chooser.choose(block_of(np.array([2.4])), past, blocks, np.array([1.0, 1.0, 3.0])) != 2
     assert chooser.choose(block_of(np.zeros(0)), past, blocks, np.array([2.0, 1.0, 1.2])) == 1, "no onset, no opinion"
     assert chooser.choose(block_of(np.array([2.4])), past, blocks[:1], np.array([7.0])) == 0
+
+
+def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_kept(bundle: Bundle) -> None:
+    places = np.zeros((3, 2, 5, 3))
+    places[:, :, 4, 1], places[:, :, :4, 0] = 0.5, 0.5
+    places[1, :, 0] = [0.0, 0.25, 0.07]  # half the radius from the middle of the trunk
+    places[2, 0, 3] = [0.0, 0.7, 0.05]  # an elbow 20 cm over the chest
+    np.testing.assert_allclose(depth(places), [0.0, 0.5, 0.0])
+    chooser = CandidateChooser(replace(bundle, config=with_settings(bundle.config, ["selection.clear=8"])), 0)
+    past, wide = swing(bundle, 0.0)
+    skeleton = representation_of(bundle.config).motion(bundle.statistics.rest_pose[:1], 1.0).skeleton
+    poses = bundle.statistics.denormalise(wide, 0)
+    poses[:, 3 * skeleton.index("RightArm") + 2] += 2.0  # the arm swings through the body
+    blocks, shown = np.stack([bundle.statistics.normalise(poses, 0), wide]), np.array([1.0, 1.2])
+    assert depth(chooser._places(blocks))[0] > 1.0 and depth(chooser._places(blocks))[1] == 0.0
+    assert chooser.choose(block_of(np.zeros(0)), past, blocks, shown) == 1
+    careless = CandidateChooser(bundle, 0)
+    assert careless.choose(block_of(np.zeros(0)), past, blocks, shown) == 0
 
 
 def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(bundle: Bundle) -> None:
@@ -154,7 +173,7 @@ def test_a_performance_is_more_in_time_by_it(bundle: Bundle) -> None:
         share = []
         for i in range(1, len(encoded)):
             at, speech_block = 1 + i * FRAMES, encoded.block(i)
-            hands = chooser._hands(vectors[None, at - 4:at + FRAMES])
+            hands = chooser._places(vectors[None, at - 4:at + FRAMES])[:, :, :2]
             share.append(in_time(hands, chooser._times(speech_block, FRAMES), speech_block.start,
                                  speech_block.onsets)[0])
         figures.append(float(np.mean(share)))

@@ -225,12 +225,15 @@ class SelectionConfig:
     flow_steps: Annotated[int, SettingRange(1, 100)] = 4
     """Steps of Heun's method from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4
-    """Candidate blocks sampled by the flow head; the best by lexeme, `timing`, `seam` and `as_asked` is kept."""
+    """Candidate blocks sampled by the flow head; the best by lexeme, `timing`, `seam`, `clear` and
+    `as_asked` is kept."""
     timing: NotNegative = 0.0
     """Weight of hands that decelerate at audio onsets, relative to the lexeme's; 0 ignores it
     (`gesticulator.drawing.candidates`)."""
     seam: NotNegative = 0.0
     """Weight, relative to `timing`, of a smooth join to the block before."""
+    clear: NotNegative = 0.0
+    """Weight, relative to `timing`, of wrists and elbows outside the trunk."""
     as_asked: NotNegative = 0.0
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
     returns: Annotated[float, SettingRange(0.0, 60.0)] = 0.0

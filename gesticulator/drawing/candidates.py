@@ -10,6 +10,8 @@ a small change of pose or sound rarely changes the choice:
   that hardly move from scoring high.
 - Seam: the hands' acceleration at the start over the mean within the block, at most 2, so that blocks that hardly move
   are not rejected for it.
+- Trunk: how deep wrists and elbows are inside the trunk, a capsule between hips and chest, as a share of its radius,
+  mean over the block.
 - Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their
   targets, in standard deviations of the training data.
 
@@ -44,6 +46,8 @@ _SEAM = 0.02
 """Seconds at the start of a block in which braking does not count: a jolt at the seam is not a beat."""
 _BEFORE = 4
 """Frames before a block that are needed for the speeds at its start."""
+_RADII = 0.14, 0.15
+"""Radius of the trunk for a wrist and an elbow, metres: half a chest's depth, and 2 cm of air."""
 _LEXEME = 2.0
 """Weight of the lexeme: a candidate that is a twentieth nearer to another lexeme loses 0.2."""
 
@@ -56,7 +60,10 @@ class CandidateChooser:
         self._statistics, self._speaker = bundle.statistics, speaker
         self._representation = representation_of(bundle.config)
         skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
-        self._joints = [skeleton.index(side + "Hand") for side in ("Right", "Left")]
+        chest = skeleton.parents[skeleton.index("RightShoulder")]
+        # The chest stands on the way to a hand: it costs nothing more.
+        self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm") for side in ("Right", "Left")]
+        self._joints.append(chest)
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
@@ -70,10 +77,12 @@ class CandidateChooser:
         """
         if len(blocks) == 1:
             return 0
-        hands, times = self._hand_paths(speech, past, blocks)
-        allowed = slow_enough(hands, times)
-        hands = hands[allowed]
+        places, times = self._paths(speech, past, blocks)
+        allowed = slow_enough(places[:, :, :2], times)
+        hands = places[allowed, :, :2]
         score = -_LEXEME * np.log(apart[allowed].astype(np.float64))
+        if self._settings.clear:
+            score -= self._settings.clear * depth(places[allowed, _BEFORE:])
         if self._settings.timing and len(speech.onsets) > 0:
             score += self._settings.timing * in_time(hands, times, speech.start, speech.onsets)
         if self._settings.seam:
@@ -84,16 +93,18 @@ class CandidateChooser:
 
     def too_fast(self, speech: SpeechBlock, past: Array, blocks: Array) -> bool:
         """Whether a hand is faster than `FASTEST` in every candidate; shapes as in `choose`."""
-        return bool((fastest(*self._hand_paths(speech, past, blocks)) > FASTEST).all())
+        places, times = self._paths(speech, past, blocks)
+        return bool((fastest(places[:, :, :2], times) > FASTEST).all())
 
-    def _hand_paths(self, speech: SpeechBlock, past: Array, blocks: Array) -> tuple[Array, Array]:
-        """Hand positions [C, T, 2, 3], metres, in the last frames before a block and in its candidates, and the times
-        [T] of the frames."""
+    def _paths(self, speech: SpeechBlock, past: Array, blocks: Array) -> tuple[Array, Array]:
+        """Positions [C, T, 5, 3], metres, in the last frames before a block and in its candidates, and the times [T] of
+        the frames; see `_places`."""
         frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
-        return self._hands(frames), self._times(speech, blocks.shape[1])
+        return self._places(frames), self._times(speech, blocks.shape[1])
 
-    def _hands(self, frames: Array) -> Array:
-        """Hand positions [C, T, 2, 3], metres, the right hand first, from features [C, T, D_m]."""
+    def _places(self, frames: Array) -> Array:
+        """Positions [C, T, 5, 3] over the hips, metres, of both hands, both elbows (the right one first) and the chest,
+        from features [C, T, D_m]."""
         poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
         if self._arms is None:
             places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
@@ -101,8 +112,8 @@ class CandidateChooser:
             skeleton, joints = self._arms
             rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
             places = positions_of_some(Motion(skeleton, rotations, np.zeros((len(poses), 3)), 1.0),
-                                       [joints.index(hand) for hand in self._joints])
-        return places.reshape(*frames.shape[:2], 2, 3)
+                                       [joints.index(joint) for joint in self._joints])
+        return places.reshape(*frames.shape[:2], len(self._joints), 3)
 
     @staticmethod
     def _times(speech: SpeechBlock, frames: int) -> Array:
@@ -139,6 +150,16 @@ def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
     speeds = fastest(hands, times)
     slow = np.flatnonzero(speeds <= FASTEST)
     return slow if len(slow) else np.array([speeds.argmin()])
+
+
+def depth(places: Array) -> Array:
+    """[C] how deep wrists and elbows are in the trunk, as a share of its radius, summed over the joints and averaged
+    over the frames; places: as of `CandidateChooser._places`, over the hips."""
+    chest = places[:, :, 4:]
+    share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
+    away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
+    radii = np.repeat(_RADII, 2)
+    return np.asarray(np.maximum(1.0 - away / radii, 0.0).sum(-1).mean(-1))
 
 
 def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:

@@ -183,7 +183,7 @@ def default() -> Config:
         # and hand speeds, then by timing and smooth joins.
         selection=SelectionConfig(temperature=1.3, guidance=4.0, audio_guidance=1.0, lexeme_guidance=0.4, noise=1.0,
                                   trunk_guidance=0.3, trunk_noise=0.72, interpreter_guidance=1.0, candidates=5,
-                                  timing=1.5, seam=0.25, as_asked=2.0))
+                                  timing=1.5, seam=0.25, clear=8.0, as_asked=2.0))
 
 
 def tiny() -> Config:
