@@ -175,7 +175,8 @@ def _one_handed(library: Library, logs: Array, rng: np.random.Generator) -> Arra
     """A stretch whose hands do the same, now and then with one of them resting; any other as it is."""
     side, draw = ARM_SIDES[int(rng.random() < 0.5)], rng.random()
     heights = facing_positions(library.rotations(logs))[:, list(WRISTS), 1]
-    if draw >= _ONE_HANDED or heights.std(axis=0).min() < 1e-6 or np.corrcoef(heights.T)[0, 1] < _ALIKE:
+    alike = np.asarray(np.corrcoef(heights.T))[0, 1] if heights.std(axis=0).min() > 1e-6 else 0.0
+    if draw >= _ONE_HANDED or alike < _ALIKE:
         return logs
     out = logs.copy()
     out[:, list(side)] *= _RESTING
