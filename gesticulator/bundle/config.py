@@ -213,6 +213,8 @@ class SelectionConfig:
     """Flow head: guidance on the lexeme; -1 (`UNTOLD`) removes the lexeme."""
     style: Annotated[float, SettingRange(0.0, 4.0)] = 1.0
     """Flow head: factor on the style codes heard in the voice; 0 for the speaker's habit."""
+    unit_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
+    """Flow head: guidance on the planner's decision, for heads that take it (`generator.units`); 0 adds none."""
     history: Share = 1.0
     """Flow head: weight of past motion, from v without history (0) to v (1), for heads trained with history dropout
     (`generator.history_dropout`)."""

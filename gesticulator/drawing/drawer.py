@@ -171,9 +171,8 @@ class FlowDrawer:
         if speech.foreseen and self.generator.config.after_dropout:
             place = alone(place)
         code = self._code(features, unit)
-        inputs, gains = self._inputs(place, features, lexeme, past)
-        inputs = replace(inputs, unit=None if unit is None else unit.row.to(self.device)[None, None],
-                         style=None if self.style is None else code[:, None])
+        inputs, gains = self._inputs(place, features, lexeme, past, unit)
+        inputs = replace(inputs, style=None if self.style is None else code[:, None])
         context, self.state = self.generator.contexts(inputs, added[None], self.state)
         if self.unseen:  # the state had to advance, but no block is needed
             return self.base * self.generator.present, code
@@ -209,15 +208,18 @@ class FlowDrawer:
         return torch.cat([torch.full((width,), trunk if name in ("torso", "head") else 1.0)
                           for name, width in zip(basis.parts, basis.widths, strict=True)]).to(self.device)
 
-    def _inputs(self, place: Tensor, features: BlockFeatures, lexeme: int, past: Tensor
+    def _inputs(self, place: Tensor, features: BlockFeatures, lexeme: int, past: Tensor, unit: UnitDecision | None
                 ) -> tuple[FlowInputs, list[float]]:
         """[1 + G] inputs of the flow head: the full ones, and one without each of the G guiding conditions; and the
-        guidance weights [G]. place: [8] the block's circumstances."""
+        guidance weights [G]. place: [8] the block's circumstances; unit: the planner's decision, or None."""
         settings, none = self.settings, self.generator.lexemes
         control = features.control
         without_lexeme = settings.lexeme_guidance == UNTOLD
         gains = {"audio": settings.audio_guidance, "lexeme": 0.0 if without_lexeme else settings.lexeme_guidance,
                  "history": settings.history - 1.0}
+        row = None if unit is None or not self.generator.unit_width else unit.row.to(self.device)
+        if row is not None:
+            gains["unit"] = settings.unit_guidance
         if control is not None:
             gains["control"] = settings.guidance - 1.0
         gains = {condition: gain for condition, gain in gains.items() if gain}
@@ -228,10 +230,13 @@ class FlowDrawer:
                 control[-1] = 0.0
         lexemes = torch.tensor([[none if without_lexeme or condition == "lexeme" else lexeme]
                                 for condition in left_out], device=self.device)
+        if row is not None:
+            row = torch.stack([row * (condition != "unit") for condition in left_out])[:, None]
         return FlowInputs(
             features.low[None, None], lexemes, past[:, None], cast(Pasts, self.past).ratio[None], place[None, None],
             self.speaker, control, torch.tensor([condition == "audio" for condition in left_out], device=self.device),
-            torch.tensor([condition == "history" for condition in left_out], device=self.device)), list(gains.values())
+            torch.tensor([condition == "history" for condition in left_out], device=self.device), row), list(
+                gains.values())
 
     def _best(self, speech: SpeechBlock, lexeme: int, coefficients: Tensor, blocks: Tensor, past: Tensor,
               features: BlockFeatures) -> int:

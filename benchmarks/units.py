@@ -1,0 +1,115 @@
+"""Are the planned gesture units played? `python benchmarks/units.py STORE [--bundle DIR] [--seconds 40] [--limit N]`.
+
+Every recording of the test split is gestured for by the default speaker. Of the units in each plan:
+
+- holds: the share of the time, after a stop of 0.3 s, in which the acting hand stays under 0.08 m/s, and how far it
+  drifts from where it stopped;
+- phases: the share of the blocks in which the phase that is measured on the motion (`data_module.motion.phases`) is the
+  planned one, beside the share with the plan rolled by half the recording;
+- preparations: the share of planned preparations that a stroke follows in the plan.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from data_module.motion.kinematics import positions_of_some
+from data_module.speech import audio
+from data_module.types import Array, Motion
+from eval import stats
+from eval.runner.context import opened
+from eval.runner.renderings import held_out_voices
+from eval.table import Column, Provenance, Table, publish
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import INDEX
+from gesticulator.pipeline import Gesticulator
+from gesticulator.plan.plan import GestureUnit
+from gesticulator.training.stages.planner import RATE, units_of
+from interpreters.planner import PHASES
+
+STOPS, SLOW = 0.3, 0.08
+SIDES = ("left", "right")
+
+
+def hands_of(motion: Motion) -> Array:
+    """[T, 2, 3] places of the left and the right hand over the hips at `RATE`, metres."""
+    places = positions_of_some(motion, [0, *(motion.skeleton.index(side.title() + "Hand") for side in SIDES)])
+    hands = (places[:, 1:] - places[:, :1]).reshape(len(places), -1)
+    times = np.arange(len(places)) / motion.fps
+    even = np.arange(int(times[-1] * RATE)) / RATE
+    return np.stack([np.interp(even, times, column) for column in hands.T], axis=1).reshape(-1, 2, 3)
+
+
+def acting(unit: GestureUnit) -> Iterator[int]:
+    """The hands that act in a unit, 0 for the left one."""
+    for side, name in enumerate(SIDES):
+        if unit.hand in (name, "both"):
+            yield side
+
+
+def planned(units: tuple[GestureUnit, ...], edges: Array) -> list[str]:
+    """The planned phase of every block with edges [N + 1]."""
+    spans = [(phase.start, phase.end, phase.kind.split(" ")[-1]) for unit in units for phase in unit.phases]
+    return [next((kind for start, end, kind in spans if start <= middle < end), "rest")
+            for middle in (edges[1:] + edges[:-1]) / 2]
+
+
+def of_recording(hands: Array, units: tuple[GestureUnit, ...], edges: Array) -> dict[str, float]:
+    """The figures of one recording; NaN where nothing of the kind was planned."""
+    speed = np.linalg.norm(np.gradient(hands, axis=0), axis=-1) * RATE
+    slow: list[float] = []
+    drift: list[float] = []
+    led: list[float] = []
+    for unit in units:
+        for k, phase in enumerate(unit.phases):
+            first, last = round((phase.start + STOPS) * RATE), round(phase.end * RATE)
+            if phase.kind == "preparation":
+                led.append(k + 1 < len(unit.phases) and unit.phases[k + 1].kind in ("stroke", "pre-stroke hold"))
+            for side in acting(unit):
+                if phase.kind.endswith("hold") and last - first > 2:
+                    slow.append(float((speed[first:last, side] < SLOW).mean()))
+                    drift.append(float(np.linalg.norm(hands[last - 1, side] - hands[first, side])))
+    asked, played = planned(units, edges), [PHASES[row[0]] for row in units_of(hands, edges)]
+    rolled = asked[len(asked) // 2:] + asked[:len(asked) // 2]
+    figures = {"slow": slow, "drift": drift, "led": led,
+               "agree": [float(one == other) for one, other in zip(asked, played, strict=True)],
+               "chance": [float(one == other) for one, other in zip(rolled, played, strict=True)]}
+    return {key: 100.0 * float(np.mean(values)) if values else float("nan") for key, values in figures.items()}
+
+
+TITLES = {"slow": "holds: acting hand under 0.08 m/s, % of the time", "drift": "holds: drift, cm",
+          "agree": "blocks whose phase is played as planned, %", "chance": "the same with the plan rolled by half, %",
+          "led": "preparations that a stroke follows in the plan, %"}
+
+
+def main() -> None:
+    """Entry point."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("store", help="a store built by `gesticulator build`")
+    p.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    p.add_argument("--seconds", type=float, default=40.0)
+    p.add_argument("--limit", type=int, help="recordings, at most")
+    p.add_argument("--out")
+    a = p.parse_args()
+    store, _ = opened(a.store, None)
+    folder = Path(a.bundle) if a.bundle else bundles.SHIPPED
+    system = Gesticulator(bundles.load(folder))
+    rows = []
+    for voice in held_out_voices(store, a.limit, system.bundle.config.motion.joints, seconds=a.seconds):
+        made = system(audio.resample(voice.speech, audio.SAMPLE_RATE), seed=0)
+        rows.append(of_recording(hands_of(made.motion), made.plan().units, made.blocks.edges))
+    cells = {title: {"value": stats.mean_interval([row[key] for row in rows])} for key, title in TITLES.items()}
+    publish([Table("Gesture units, planned and played", {"value": Column("mean", "", 1)}, cells, "figure", [
+        f"{len(rows)} recordings of the test split, {a.seconds:g} s of each; bootstrap 95 % intervals over "
+        "recordings."])], a.out, Provenance.now(shlex.join(["python", "benchmarks/units.py", *sys.argv[1:]]),
+                                                folder / INDEX))
+
+
+if __name__ == "__main__":
+    main()
