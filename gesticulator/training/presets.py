@@ -140,7 +140,7 @@ def default() -> Config:
             style=FitSettings(steps=800, batch=32, rate=1.5e-3, schedule="cosine", weight_decay=0.1, validations=20,
                               patience=6),
             lexicon=FitSettings(steps=2_000, batch=512, rate=1e-3, schedule="cosine"),  # a minute on one core
-            generator=FitSettings(steps=5_000, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
+            generator=FitSettings(steps=3_400, batch=16, rate=1.5e-3, schedule="cosine", weight_decay=0.03),
             # Trained separately and stopped early: it overfits after a few epochs.
             interpreter=FitSettings(steps=1_000, batch=64, rate=1.5e-3, schedule="cosine", weight_decay=0.05,
                                     validations=20, patience=5),
