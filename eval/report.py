@@ -269,7 +269,8 @@ def _other_lines(results: Results) -> list[str]:
             lines += [f"### {question[0].upper()}{question[1:]}", "", *_tables_of(results, name, command, 4)]
     answered = [name for name in results.tables if name not in (*told, "claims", "ablation/table", "score")]
     for name in answered:
-        lines += [f"### {name.rpartition('/')[2].replace('_', ' ').capitalize()}, measured once", "",
+        when = "of earlier weights" if name.startswith("earlier/") else "measured once"
+        lines += [f"### {name.rpartition('/')[2].replace('_', ' ').capitalize()}, {when}", "",
                   *_tables_of(results, name, "", 4)]
     lacking = [f"`{name}.json` (`{command}`)" for name, (_, command) in told.items() if name not in results.tables]
     return [*lines, *([f"Not there: {', '.join(lacking)}."] if lacking else [])]

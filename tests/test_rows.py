@@ -341,6 +341,13 @@ def test_tables_and_claims_are_drawn_again_from_the_cells(tmp_path: Path, capsys
     assert found["RG Fig. 13"]["verdict"] == UNDECIDED
 
 
+def test_a_table_of_earlier_weights_answers_until_there_is_a_new_one(tmp_path: Path) -> None:
+    for folder, mean in (("earlier", 2.0), (".", 3.0)):
+        held = {"mean": mean, "low": 1.0, "high": 4.0, "n": 5}
+        save([Table("x", {"a": Column("a")}, {}, facts={"claim": [held]})], tmp_path / folder / "languages.json", ABOUT)
+        assert claims.probed(tmp_path)["RG Fig. 13"].value.mean == mean
+
+
 # ------------------------------------------------------------------------------------------------------------- claims
 
 LOWER = PaperClaim("RG Table 1", "ours", "no-style", "fgd", "below")

@@ -2,8 +2,8 @@
 
     python docs/pictures/make_knobs.py [FOLDER]
 
-FOLDER is docs/pictures unless another is given. `knobs.png` shows docs/results/knobs.json. Needs the extra
-`figures` (matplotlib).
+FOLDER is docs/pictures unless another is given. `knobs.png` shows docs/results/earlier/knobs.json. Needs the
+extra `figures` (matplotlib).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def main(folder: str = str(HERE)) -> None:
 
 def curves() -> Figure:
     """What intensity and activity do to four figures, with the range of real people where there is one."""
-    table = load(HERE.parent / "results" / "knobs.json")[0]
+    table = load(HERE.parent / "results" / "earlier" / "knobs.json")[0]
     figure = Figure(figsize=(12.0, 5.2), facecolor="white", layout="constrained")
     for row, knob in enumerate(KNOBS):
         for column, (name, title) in enumerate(FIGURES.items()):
