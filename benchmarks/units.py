@@ -68,7 +68,7 @@ def of_recording(hands: Array, units: tuple[GestureUnit, ...], edges: Array) -> 
     led: list[float] = []
     for unit in units:
         for k, phase in enumerate(unit.phases):
-            first, last = round((phase.start + STOPS) * RATE), round(phase.end * RATE)
+            first, last = round((phase.start + STOPS) * RATE), min(round(phase.end * RATE), len(hands))
             if phase.kind == "preparation":
                 led.append(k + 1 < len(unit.phases) and unit.phases[k + 1].kind in ("stroke", "pre-stroke hold"))
             for side in acting(unit):

@@ -10,7 +10,7 @@ nothing later.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -31,6 +31,8 @@ SIZES = ("none", "small", "medium", "large")
 APEXES = ("none", "now", "next", "later")
 """Whether the apex of that stroke lies in this block, in the next one, or later."""
 CLASSES = (len(PHASES), len(HANDS), len(SIZES), len(APEXES))
+LEAST_HOLD = 0.6
+"""Seconds of a hold, at least."""
 
 
 def one_hot(decisions: Tensor) -> Tensor:
@@ -63,11 +65,13 @@ class UnitDecision:
 
 @dataclass(frozen=True)
 class PlannerState:
-    """hidden: of the GRU; speaker: [1, speakers] one-hot; last: [1, 4] the decision before, by index."""
+    """hidden: of the GRU; speaker: [1, speakers] one-hot; last: [1, 4] the decision before, by index; held: seconds for
+    which the hands have been held."""
 
     hidden: Tensor | None
     speaker: Tensor
     last: Tensor
+    held: float = 0.0
 
 
 class UnitPlanner(nn.Module):
@@ -138,20 +142,31 @@ class UnitPlanner(nn.Module):
         return PlannerState(None, who, torch.tensor([CLASSES], device=device))
 
     @torch.inference_mode()
-    def step(self, state: PlannerState, features: BlockFeatures, noise: np.random.Generator, temperature: float = 1.0
-             ) -> tuple[UnitDecision, PlannerState]:
+    def step(self, state: PlannerState, features: BlockFeatures, noise: np.random.Generator, temperature: float = 1.0,
+             hold: float = 0.0) -> tuple[UnitDecision, PlannerState]:
         """The decision for the next block: arg max of logits / temperature + Gumbel noise, which is a sample; the
-        likeliest at temperature 0."""
+        likeliest at temperature 0. hold: added to the logit of a hold after a stroke or a hold, where hands are up. A
+        hold lasts `LEAST_HOLD` seconds, or nobody would see it: a hand needs half of that to stop."""
         heard, hidden = self.hear(features.low[None, None], state.speaker, state.last[:, None], state.hidden)
+        seconds = 0.0 if features.durations is None else features.durations[1]
+        if 0.0 < state.held < LEAST_HOLD:
+            kept = UnitDecision(*state.last[0].tolist())
+            return kept, replace(state, hidden=hidden, held=state.held + seconds)
+        after = int(state.last[0, 0])
+        raised = after < len(PHASES) and PHASES[after] in ("stroke", "hold")
         decided = torch.zeros((1, 1, 0), dtype=torch.long, device=heard.device)
         for level, count in enumerate(CLASSES):
             scores = self.logits(heard, level, decided)[0, 0].double().cpu().numpy()
+            if level == 0 and raised:
+                scores[PHASES.index("hold")] += hold
             if temperature > 0:
                 scores = scores / temperature + noise.gumbel(size=count)
             chosen = torch.full((1, 1, 1), int(scores.argmax()), device=heard.device)
             decided = torch.cat([decided, chosen], dim=-1)
         phase, hand, size, apex = decided[0, 0].tolist()
-        return UnitDecision(phase, hand, size, apex), PlannerState(hidden, state.speaker, decided[0])
+        decision = UnitDecision(phase, hand, size, apex)
+        held = state.held + seconds if decision.holds else 0.0
+        return decision, PlannerState(hidden, state.speaker, decided[0], held)
 
     def bias(self, decision: UnitDecision) -> np.ndarray:
         """[S] what the phase and the hand add to the scores of the lexemes, times `PlannerConfig.strength`."""

@@ -58,11 +58,13 @@ def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(b
 
 
 def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_kept(bundle: Bundle) -> None:
-    places = np.zeros((3, 2, 5, 3))
-    places[:, :, 4, 1], places[:, :, :4, 0] = 0.5, 0.5
+    places = np.zeros((4, 2, 7, 3))
+    places[:, :, 6, 1], places[:, :, :4, 0], places[:, :, 4:6, 1] = 0.5, 0.5, 0.6
     places[1, :, 0] = [0.0, 0.25, 0.07]  # half the radius from the middle of the trunk
     places[2, 0, 3] = [0.0, 0.7, 0.05]  # an elbow 20 cm over the chest
-    np.testing.assert_allclose(depth(places), [0.0, 0.5, 0.0])
+    places[3, 0, 1] = [0.27, 0.6, 0.0]  # at the edge of the shoulder's sphere
+    places[3, 1, 1] = [0.135, 0.6, 0.0]  # half its radius from the shoulder, and outside the trunk
+    np.testing.assert_allclose(depth(places), [0.0, 0.5, 0.0, 0.25], atol=1e-9)
     chooser = CandidateChooser(replace(bundle, config=with_settings(bundle.config, ["selection.clear=8"])), 0)
     past, wide = swing(bundle, 0.0)
     skeleton = representation_of(bundle.config).motion(bundle.statistics.rest_pose[:1], 1.0).skeleton

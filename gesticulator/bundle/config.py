@@ -213,6 +213,8 @@ class SelectionConfig:
     """Flow head: guidance on the lexeme; -1 (`UNTOLD`) removes the lexeme."""
     style: Annotated[float, SettingRange(0.0, 4.0)] = 1.0
     """Flow head: factor on the style codes heard in the voice; 0 for the speaker's habit."""
+    hold: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
+    """Added to the planner's logit of a hold after a stroke: what is generated holds less than people do."""
     unit_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
     """Flow head: guidance on the planner's decision, for heads that take it (`generator.units`); 0 adds none."""
     history: Share = 1.0
@@ -224,6 +226,8 @@ class SelectionConfig:
     """Flow head: standard deviation of the initial noise; below 1 is calmer."""
     trunk_noise: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
     """Factor on the noise of torso and head."""
+    finger_noise: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
+    """Factor on the noise of the fingers."""
     flow_steps: Annotated[int, SettingRange(1, 100)] = 4
     """Steps of Heun's method from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4
@@ -235,7 +239,7 @@ class SelectionConfig:
     seam: NotNegative = 0.0
     """Weight, relative to `timing`, of a smooth join to the block before."""
     clear: NotNegative = 0.0
-    """Weight, relative to `timing`, of wrists and elbows outside the trunk."""
+    """Weight, relative to `timing`, of wrists and elbows outside the trunk, and of arms that are not folded."""
     as_asked: NotNegative = 0.0
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
     returns: Annotated[float, SettingRange(0.0, 60.0)] = 0.0

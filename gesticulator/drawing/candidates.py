@@ -10,8 +10,8 @@ a small change of pose or sound rarely changes the choice:
   that hardly move from scoring high.
 - Seam: the hands' acceleration at the start over the mean within the block, at most 2, so that blocks that hardly move
   are not rejected for it.
-- Trunk: how deep wrists and elbows are inside the trunk, a capsule between hips and chest, as a share of its radius,
-  mean over the block.
+- Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest, and a wrist within a sphere
+  about its own shoulder (a folded arm), as shares of the radii, mean over the block.
 - Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their
   targets, in standard deviations of the training data.
 
@@ -48,6 +48,8 @@ _BEFORE = 4
 """Frames before a block that are needed for the speeds at its start."""
 _RADII = 0.14, 0.15
 """Radius of the trunk for a wrist and an elbow, metres: half a chest's depth, and 2 cm of air."""
+_FOLDED = 0.27
+"""Radius about a shoulder that a wrist enters where the elbow is bent by more than about 120 degrees, metres."""
 _LEXEME = 2.0
 """Weight of the lexeme: a candidate that is a twentieth nearer to another lexeme loses 0.2."""
 
@@ -62,7 +64,8 @@ class CandidateChooser:
         skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
         chest = skeleton.parents[skeleton.index("RightShoulder")]
         # The chest stands on the way to a hand: it costs nothing more.
-        self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm") for side in ("Right", "Left")]
+        self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm")
+                        for side in ("Right", "Left")]
         self._joints.append(chest)
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
@@ -97,14 +100,14 @@ class CandidateChooser:
         return bool((fastest(places[:, :, :2], times) > FASTEST).all())
 
     def _paths(self, speech: SpeechBlock, past: Array, blocks: Array) -> tuple[Array, Array]:
-        """Positions [C, T, 5, 3], metres, in the last frames before a block and in its candidates, and the times [T] of
+        """Positions [C, T, 7, 3], metres, in the last frames before a block and in its candidates, and the times [T] of
         the frames; see `_places`."""
         frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
         return self._places(frames), self._times(speech, blocks.shape[1])
 
     def _places(self, frames: Array) -> Array:
-        """Positions [C, T, 5, 3] over the hips, metres, of both hands, both elbows (the right one first) and the chest,
-        from features [C, T, D_m]."""
+        """Positions [C, T, 7, 3] over the hips, metres, of hands, elbows and shoulders (the right one first) and the
+        chest, from features [C, T, D_m]."""
         poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
         if self._arms is None:
             places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
@@ -153,13 +156,14 @@ def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
 
 
 def depth(places: Array) -> Array:
-    """[C] how deep wrists and elbows are in the trunk, as a share of its radius, summed over the joints and averaged
-    over the frames; places: as of `CandidateChooser._places`, over the hips."""
-    chest = places[:, :, 4:]
+    """[C] how deep wrists and elbows are in the trunk, and wrists in the sphere of a folded arm, as shares of the radii,
+    summed over the joints and averaged over the frames; places: as of `CandidateChooser._places`, over the hips."""
+    chest = places[:, :, 6:]
     share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
     radii = np.repeat(_RADII, 2)
-    return np.asarray(np.maximum(1.0 - away / radii, 0.0).sum(-1).mean(-1))
+    folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
+    return np.asarray((np.maximum(1.0 - away / radii, 0.0).sum(-1) + np.maximum(folded, 0.0).sum(-1)).mean(-1))
 
 
 def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:

@@ -138,8 +138,8 @@ class FlowDrawer:
         self.place = Circumstances()
         self.speaker = torch.nn.functional.one_hot(torch.tensor([speaker], device=self.device),
                                                    len(bundle.speakers)).float()
-        self.share = self._of_trunk(self.settings.trunk_guidance)
-        self.noise = self.settings.noise * self._of_trunk(self.settings.trunk_noise)
+        self.share = self._by_part(self.settings.trunk_guidance)
+        self.noise = self.settings.noise * self._by_part(self.settings.trunk_noise, self.settings.finger_noise)
         self.state: tuple[Tensor, Tensor] | None = None
         self.past: Pasts | None = None
         self.base = torch.zeros(0)
@@ -202,11 +202,12 @@ class FlowDrawer:
         coefficients = self.generator.draw(context[:, 0], pull, noise, steps)
         return coefficients, (self.base + self.generator.basis.expand(coefficients)) * self.generator.present
 
-    def _of_trunk(self, trunk: float) -> Tensor:
-        """[n] factors on the coefficients: `trunk` for torso and head, 1 for the others."""
+    def _by_part(self, trunk: float, fingers: float = 1.0) -> Tensor:
+        """[n] factors on the coefficients: `trunk` for torso and head, `fingers` for fingers, 1 for the arms."""
         basis = self.generator.basis
-        return torch.cat([torch.full((width,), trunk if name in ("torso", "head") else 1.0)
-                          for name, width in zip(basis.parts, basis.widths, strict=True)]).to(self.device)
+        factors = [trunk if name in ("torso", "head") else fingers if "finger" in name else 1.0 for name in basis.parts]
+        return torch.cat([torch.full((width,), factor)
+                          for factor, width in zip(factors, basis.widths, strict=True)]).to(self.device)
 
     def _inputs(self, place: Tensor, features: BlockFeatures, lexeme: int, past: Tensor, unit: UnitDecision | None
                 ) -> tuple[FlowInputs, list[float]]:

@@ -262,7 +262,8 @@ class Rollout:
         noise = np.random.default_rng((self.sampling.seed, _UNITS, round(_PER_SECOND * speech.start)))
         # Where lexemes are not drawn, phases are not either.
         temperature = float(self.sampling.temperature > 0)
-        unit, self._planner_state = self._planner.step(self._planner_state, features, noise, temperature)
+        unit, self._planner_state = self._planner.step(self._planner_state, features, noise, temperature,
+                                                       self.bundle.config.selection.hold)
         return unit
 
     def _still(self, unit: UnitDecision | None, direction: Direction) -> NDArray[np.bool_] | None:
