@@ -156,8 +156,8 @@ def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
 
 
 def depth(places: Array) -> Array:
-    """[C] how deep wrists and elbows are in the trunk, and wrists in the sphere of a folded arm, as shares of the radii,
-    summed over the joints and averaged over the frames; places: as of `CandidateChooser._places`, over the hips."""
+    """[C] how deep wrists and elbows are in the trunk, and wrists in the sphere of a folded arm, as shares of the
+    radii, summed over the joints and averaged over the frames; places: as of `CandidateChooser._places`."""
     chest = places[:, :, 6:]
     share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
