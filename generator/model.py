@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["BlockInputs", "Generator", "GeneratorConfig"]
 
+_BLEND = 0.1
+"""Temperature of nearly equal classes: their logits differ by a few tenths."""
 State = tuple[Tensor, Tensor]
 """Hidden and cell state of the decoder, [layers, B, width] each."""
 
@@ -208,9 +210,11 @@ class GumbelCodes(nn.Module):
         return torch.einsum("...hc,hcw->...hw", choice, self.vectors).flatten(-2), choice
 
     def best(self, hidden: Tensor) -> Tensor:
-        """The codebook vector in evaluation, [..., H * group_width] of hidden [..., width]."""
-        chosen = self.logits(hidden).unflatten(-1, (self.groups, self.classes)).argmax(-1)
-        return self.vectors[torch.arange(self.groups, device=hidden.device), chosen].flatten(-2)
+        """The codebook vector of the flow head in evaluation, [..., H * group_width] of hidden [..., width]. Classes that
+        are nearly equal are blended (a softmax at temperature `_BLEND`), or the rounding errors of a recording at another
+        level would flip a class here and there, and with it the motion."""
+        share = torch.softmax(self.logits(hidden).unflatten(-1, (self.groups, self.classes)) / _BLEND, -1)
+        return torch.einsum("...hc,hcw->...hw", share, self.vectors).flatten(-2)
 
 
 def positional_block(frames: int, width: int, beta: float = 10_000.0, direction: str = "forward") -> Tensor:
