@@ -210,9 +210,9 @@ class GumbelCodes(nn.Module):
         return torch.einsum("...hc,hcw->...hw", choice, self.vectors).flatten(-2), choice
 
     def best(self, hidden: Tensor) -> Tensor:
-        """The codebook vector of the flow head in evaluation, [..., H * group_width] of hidden [..., width]. Classes that
-        are nearly equal are blended (a softmax at temperature `_BLEND`), or the rounding errors of a recording at another
-        level would flip a class here and there, and with it the motion."""
+        """The codebook vector of the flow head in evaluation, [..., H * group_width] of hidden [..., width]. Classes
+        that are nearly equal are blended (a softmax at temperature `_BLEND`), or the rounding errors of a recording at
+        another level would flip a class here and there, and with it the motion."""
         share = torch.softmax(self.logits(hidden).unflatten(-1, (self.groups, self.classes)) / _BLEND, -1)
         return torch.einsum("...hc,hcw->...hw", share, self.vectors).flatten(-2)
 
