@@ -41,7 +41,7 @@ HURRIED = 4.0
 hand may be a little faster."""
 HURRIED_HARDEST = 100.0
 """m/s^2 of one chosen performance with hurried blocks; a jump of 3 cm between two frames would be 108."""
-HEAD_FASTEST, HEAD_HARDEST = 0.5, 8.0
+HEAD_FASTEST, HEAD_HARDEST = 0.5, 9.0
 
 
 @lru_cache(maxsize=1)

@@ -218,7 +218,7 @@ def alive(measures: RacerMeasures, by: Sequence[gesture_features.Features], real
           ) -> list[Verdict]:
     """Variety, runs, speeds, support, distance, and the figures for the eye."""
     ours, lstm, own = (measures.played[row] for row in (measures.ours, MATCHED, PERFORMER))
-    size = int(max(int(row.max()) for row in (*ours.lexemes, *own.lexemes))) + 1
+    size = int(max(int(row.max()) for row in (*ours.lexemes, *lstm.lexemes, *own.lexemes))) + 1
 
     def variety(row: PlayedFigures) -> float:
         return float(np.mean([diversity(lexemes, size).nats for lexemes in row.lexemes]))
