@@ -206,7 +206,7 @@ def test_intensity_scales_the_hands_and_keeps_them_in_range_and_out_of_the_body(
     assert beyond <= max(np.maximum(before - high[columns], low[columns] - before).max(), 0.0) + 0.16
     gaps, were = our_distances(pose_of(made.motion)), our_distances(pose_of(drawn.motion))
     for side, gap in gaps.items():
-        assert (gap - np.minimum(were[side], MARGIN)).min() > -0.02 * max(intensity, 1.0), "no deeper, but for smoothing"
+        assert (gap - np.minimum(were[side], MARGIN)).min() > -0.02 * max(intensity, 1.0), "no deeper, nearly"
 
 
 def poses_of(made: Performance, step: int = 3) -> tuple[Array, Array]:
