@@ -24,9 +24,9 @@ import torch
 from torch import Tensor, nn
 
 from data_module.errors import InputError
-from data_module.motion.kinematics import positions_of_some
+from data_module.motion.phases import hand_places
 from data_module.speech import audio
-from data_module.types import Array, Motion
+from data_module.types import Array
 from eval import stats
 from eval.runner.context import opened
 from eval.runner.renderings import AcceptanceVoice, held_out_voices
@@ -80,16 +80,6 @@ class Heard:
     r: float
 
 
-def hands_of(motion: Motion) -> Array:
-    """[T, 2, 3] places of the hands over the hips at `RATE`."""
-    joints = [motion.skeleton.index(side + "Hand") for side in ("Left", "Right")]
-    places = positions_of_some(motion, [0, *joints])
-    hands = (places[:, 1:] - places[:, :1]).reshape(len(places), -1)
-    times = np.arange(len(places)) / motion.fps
-    even = np.arange(int(times[-1] * RATE)) / RATE
-    return np.stack([np.interp(even, times, column) for column in hands.T], axis=1).reshape(-1, 2, 3)
-
-
 def speeds(hands: Array) -> Array:
     """[n] logarithm of the hands' mean speed over windows of 8 s."""
     speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean(axis=1) * RATE
@@ -100,7 +90,7 @@ def speeds(hands: Array) -> Array:
 def of_voice(gesticulator: Gesticulator, voice: AcceptanceVoice, played: Played) -> Heard:
     """Perform a voice with the codes of a mode."""
     made = gesticulator(audio.resample(voice.speech, audio.SAMPLE_RATE), seed=0)
-    hands, edges = hands_of(made.motion), made.blocks.edges
+    hands, edges = hand_places(made.motion, RATE), made.blocks.edges
     acting = units_of(hands, edges)[:, 0] != PHASES.index("rest")
     codes = np.array(played.codes[:len(acting)])
     heard, measured = [], []
@@ -111,7 +101,7 @@ def of_voice(gesticulator: Gesticulator, voice: AcceptanceVoice, played: Played)
             measured.append(style_of(own))
     r = float("nan")
     if voice.own is not None:
-        ours, theirs = speeds(hands), speeds(hands_of(voice.own))
+        ours, theirs = speeds(hands), speeds(hand_places(voice.own, RATE))
         count = min(len(ours), len(theirs))
         r = float(np.corrcoef(ours[:count], theirs[:count])[0, 1]) if count >= _FEWEST else r
     width = len(CODE)

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data_module.motion.kinematics import positions_of_some
+from data_module.motion.phases import hand_places
 from data_module.speech import audio
-from data_module.types import Array, Motion
+from data_module.types import Array
 from eval import stats
 from eval.runner.context import opened
 from eval.runner.renderings import held_out_voices
@@ -35,15 +35,6 @@ from interpreters.planner import PHASES
 
 STOPS, SLOW = 0.3, 0.08
 SIDES = ("left", "right")
-
-
-def hands_of(motion: Motion) -> Array:
-    """[T, 2, 3] places of the left and the right hand over the hips at `RATE`, metres."""
-    places = positions_of_some(motion, [0, *(motion.skeleton.index(side.title() + "Hand") for side in SIDES)])
-    hands = (places[:, 1:] - places[:, :1]).reshape(len(places), -1)
-    times = np.arange(len(places)) / motion.fps
-    even = np.arange(int(times[-1] * RATE)) / RATE
-    return np.stack([np.interp(even, times, column) for column in hands.T], axis=1).reshape(-1, 2, 3)
 
 
 def acting(unit: GestureUnit) -> Iterator[int]:
@@ -103,7 +94,7 @@ def main() -> None:
     rows = []
     for voice in held_out_voices(store, a.limit, system.bundle.config.motion.joints, seconds=a.seconds):
         made = system(audio.resample(voice.speech, audio.SAMPLE_RATE), seed=0)
-        rows.append(of_recording(hands_of(made.motion), made.plan().units, made.blocks.edges))
+        rows.append(of_recording(hand_places(made.motion, RATE), made.plan().units, made.blocks.edges))
     cells = {title: {"value": stats.mean_interval([row[key] for row in rows])} for key, title in TITLES.items()}
     publish([Table("Gesture units, planned and played", {"value": Column("mean", "", 1)}, cells, "figure", [
         f"{len(rows)} recordings of the test split, {a.seconds:g} s of each; bootstrap 95 % intervals over "

@@ -146,7 +146,7 @@ class UnitPlanner(nn.Module):
              hold: float = 0.0) -> tuple[UnitDecision, PlannerState]:
         """The decision for the next block: arg max of logits / temperature + Gumbel noise, which is a sample; the
         likeliest at temperature 0. hold: added to the logit of a hold after a stroke or a hold, where hands are up. A
-        hold lasts `LEAST_HOLD` seconds, or nobody would see it: a hand needs half of that to stop."""
+        hold lasts at least `LEAST_HOLD` seconds: a hand takes half of that to stop, so a shorter one is not visible."""
         heard, hidden = self.hear(features.low[None, None], state.speaker, state.last[:, None], state.hidden)
         seconds = 0.0 if features.durations is None else features.durations[1]
         if 0.0 < state.held < LEAST_HOLD:

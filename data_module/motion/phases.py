@@ -39,6 +39,17 @@ _HARDER = 1.1
 """A stop is harder than another if its deceleration is greater by this factor."""
 
 
+def hand_places(motion: Motion, rate: float, times: Array | None = None, count: int | None = None) -> Array:
+    """[count, 2, 3] places of the left and the right hand over the hips, metres, at `rate`. times: [T] seconds of the
+    frames; those of the motion's frame rate by default. count: frames; up to the last time by default."""
+    places = kinematics.positions_of_some(motion, [0, *(motion.skeleton.index(f"{side}Hand")
+                                                        for side in ("Left", "Right"))])
+    hands = (places[:, 1:] - places[:, :1]).reshape(len(places), -1)
+    seconds = np.arange(len(places)) / motion.fps if times is None else times
+    even = np.arange(int(seconds[-1] * rate) if count is None else count) / rate
+    return np.stack([np.interp(even, seconds, column) for column in hands.T], axis=1).reshape(len(even), 2, 3)
+
+
 class Phase(IntEnum):
     """The phases of a gesture unit, in the order of a simple one."""
 

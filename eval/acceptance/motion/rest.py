@@ -181,7 +181,7 @@ def life_clauses(bodies: Sequence[CommonBody], groups: Sequence[str], where: str
 
 
 def unbroken_clause(bodies: Sequence[CommonBody], groups: Sequence[str]) -> Verdict:
-    """Activity rises and falls where nobody pauses, too."""
+    """Activity rises and falls also in speech without pauses."""
     values = [together.variation(together.hand_speeds(body).mean(axis=1), np.ones(len(body), bool))
               for body in bodies]
     return judged("variation over 4 s, speech without pauses", stats.mean_interval(values, groups=list(groups)),

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from data_module.motion.kinematics import positions_of_some
-from data_module.motion.phases import HandPhases, Phase, phases_of
+from data_module.motion.phases import HandPhases, Phase, hand_places, phases_of
 from data_module.types import Array
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
@@ -47,14 +46,10 @@ def hands_of(corpus: Corpus, config: Config, recording: int) -> Array:
     rows = corpus.motion[torch.as_tensor(own)].double().numpy()
     poses = corpus.statistics.denormalise(rows.reshape(-1, rows.shape[-1]), speaker)
     motion = representation_of(config).motion(poses, config.rhythm.fps)
-    joints = [motion.skeleton.index(side + "Hand") for side in ("Left", "Right")]
-    places = positions_of_some(motion, [0, *joints])
-    hands = (places[:, 1:] - places[:, :1]).reshape(len(poses), -1)
     edges, frames = edges_of(corpus, recording), rows.shape[1]
     shares = np.arange(1, frames + 1) / frames
     times = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
-    even = np.arange(max(2, int(edges[-1] * RATE))) / RATE
-    return np.stack([np.interp(even, times, column) for column in hands.T], axis=1).reshape(len(even), 2, 3)
+    return hand_places(motion, RATE, times, max(2, int(edges[-1] * RATE)))
 
 
 def units_of(hands: Array, edges: Array) -> NDArray[np.int64]:
