@@ -54,6 +54,10 @@ class UnitDecision:
         return PHASES[self.phase] == "rest"
 
     @property
+    def prepares(self) -> bool:
+        return PHASES[self.phase] == "preparation"
+
+    @property
     def row(self) -> Tensor:
         """[U] one-hot (`one_hot`)."""
         return one_hot(torch.tensor([self.phase, self.hand, self.size, self.apex]))
@@ -72,6 +76,10 @@ class PlannerState:
     speaker: Tensor
     last: Tensor
     held: float = 0.0
+
+    def begins(self) -> PlannerState:
+        """The state without what was heard before the last decision, as at the start of a window of training."""
+        return replace(self, hidden=None)
 
 
 class UnitPlanner(nn.Module):
@@ -97,6 +105,11 @@ class UnitPlanner(nn.Module):
         self.heads = nn.ModuleList(nn.Linear(config.width + level * config.embedding, count)
                                    for level, count in enumerate(CLASSES))
         self.register_buffer("fit", torch.zeros(lexemes, len(PHASES) * len(HANDS)))
+
+    @property
+    def choices(self) -> int:
+        """The number of classes of all levels, each of which takes a random number."""
+        return sum(CLASSES)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -142,11 +155,12 @@ class UnitPlanner(nn.Module):
         return PlannerState(None, who, torch.tensor([CLASSES], device=device))
 
     @torch.inference_mode()
-    def step(self, state: PlannerState, features: BlockFeatures, noise: np.random.Generator, temperature: float = 1.0,
+    def step(self, state: PlannerState, features: BlockFeatures, noise: np.ndarray, temperature: float = 1.0,
              hold: float = 0.0) -> tuple[UnitDecision, PlannerState]:
         """The decision for the next block: arg max of logits / temperature + Gumbel noise, which is a sample; the
-        likeliest at temperature 0. hold: added to the logit of a hold after a stroke or a hold, where hands are up. A
-        hold lasts at least `LEAST_HOLD` seconds: a hand takes half of that to stop, so a shorter one is not visible."""
+        likeliest at temperature 0. noise: [`choices`] standard Gumbel numbers. hold: added to the logit of a hold after
+        a stroke or a hold, where hands are up. A hold lasts at least `LEAST_HOLD` seconds: a hand takes half of that to
+        stop, so a shorter one is not visible."""
         heard, hidden = self.hear(features.low[None, None], state.speaker, state.last[:, None], state.hidden)
         seconds = 0.0 if features.durations is None else features.durations[1]
         if 0.0 < state.held < LEAST_HOLD:
@@ -155,12 +169,13 @@ class UnitPlanner(nn.Module):
         after = int(state.last[0, 0])
         raised = after < len(PHASES) and PHASES[after] in ("stroke", "hold")
         decided = torch.zeros((1, 1, 0), dtype=torch.long, device=heard.device)
-        for level, count in enumerate(CLASSES):
+        each = np.split(noise, np.cumsum(CLASSES)[:-1])
+        for level in range(len(CLASSES)):
             scores = self.logits(heard, level, decided)[0, 0].double().cpu().numpy()
             if level == 0 and raised:
                 scores[PHASES.index("hold")] += hold
             if temperature > 0:
-                scores = scores / temperature + noise.gumbel(size=count)
+                scores = scores / temperature + each[level]
             chosen = torch.full((1, 1, 1), int(scores.argmax()), device=heard.device)
             decided = torch.cat([decided, chosen], dim=-1)
         phase, hand, size, apex = decided[0, 0].tolist()

@@ -7,11 +7,9 @@ import pytest
 from scipy import stats
 
 from gesticulator.drawing.keys import Keys
-from gesticulator.drawing.returns import TAKES, Returns
 from interpreters.base import select
 
 LEXEMES = 60
-EVERY = 4.0
 
 
 def gumbel(keys: Keys, times: np.ndarray) -> np.ndarray:
@@ -31,7 +29,8 @@ def test_noise_of_other_keys_blocks_and_kinds_is_independent() -> None:
     times = 0.2 * np.arange(150) + 0.05
     first = gumbel(Keys(1), times)
     motion = np.stack([Keys(1).noise(float(time), (1, LEXEMES))[0] for time in times])
-    for other in (gumbel(Keys(2), times), gumbel(Keys(1, 1), times), np.roll(first, 1, axis=0),
+    plan = np.stack([Keys(1).plan(float(time), LEXEMES) for time in times])
+    for other in (plan, gumbel(Keys(2), times), gumbel(Keys(1, 1), times), np.roll(first, 1, axis=0),
                   np.roll(first, 1, axis=1), motion):
         rank = stats.spearmanr(first.ravel(), other.ravel())
         assert abs(rank.statistic) < 4.0 / np.sqrt(first.size), "four standard errors"
@@ -70,20 +69,3 @@ def test_a_small_change_of_scores_rarely_changes_the_choice() -> None:
         p, q = (np.exp(scores) / np.exp(scores).sum() for scores in (one, two))
         apart += 0.5 * np.abs(p - q).sum()
     assert 0.7 * apart < changed < 2.2 * apart
-
-
-def test_returns_are_a_few_seconds_apart_and_keyed_by_the_seed() -> None:
-    rest = np.ones(9)
-    one, two = (Returns(seed, EVERY, ["Spine", "LeftArm", "RightArm"], rest) for seed in (1, 2))
-    times = np.arange(0.0, 120.0, 0.01)
-    ends = [times[np.flatnonzero(np.diff([each.unit(float(time)) for time in times])) + 1] for each in (one, two)]
-    for moments in ends:
-        assert moments[0] > TAKES
-        assert np.diff(moments).min() > 0.7 * EVERY and np.diff(moments).max() < 1.3 * EVERY
-    assert np.abs(ends[0][:20] - ends[1][:20]).min() > 0.0
-    unit = one.unit(10.0)
-    share = one.share(unit, times)
-    begun, there = times[share > 0][0], times[share == 1][0]
-    assert there - begun == pytest.approx(TAKES, abs=0.03) and (np.diff(share) >= 0).all()
-    assert np.array_equal(one.home(3), one.home(3)) and not np.array_equal(one.home(3), two.home(3))
-    assert (one.home(3)[:3] == 0).all(), "the trunk's home is the mean pose"

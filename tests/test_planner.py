@@ -71,6 +71,11 @@ def loud_strokes(count: int, blocks: int, rng: np.random.Generator) -> dict[str,
             "speaker": torch.eye(SPEAKERS)[torch.zeros(count, dtype=torch.long)]}
 
 
+def numbers(seed: int) -> np.ndarray:
+    """Standard Gumbel numbers for a decision."""
+    return np.random.default_rng(seed).gumbel(size=sum(CLASSES))
+
+
 def test_it_learns_what_can_be_heard_and_steps_as_it_was_trained() -> None:
     rng, model = np.random.default_rng(0), planner().train()
     optimizer = torch.optim.Adam(model.parameters(), 0.02)
@@ -84,7 +89,7 @@ def test_it_learns_what_can_be_heard_and_steps_as_it_was_trained() -> None:
     assert float(sum(model.losses(heard).values())) < 0.1, "the sound alone decides"
     state, right = model.start(0), []
     for k in range(12):
-        decision, state = model.step(state, features(heard["audio_low"][0, k]), np.random.default_rng(k), 0.0)
+        decision, state = model.step(state, features(heard["audio_low"][0, k]), numbers(k), 0.0)
         shown = (decision.phase, decision.hand, decision.size, decision.apex)
         right.append(shown == tuple(heard["units"][0, k].tolist()))
     assert sum(right[1:]) >= 10
@@ -107,10 +112,26 @@ def test_a_decision_is_a_sample_of_its_distribution() -> None:
     heard, _ = model.hear(rows[None, None], model.start(1).speaker, model.start(1).last[:, None])
     nothing = torch.zeros(1, 1, 0, dtype=torch.long)
     shares = torch.softmax(model.logits(heard, 0, nothing)[0, 0].double(), -1).detach().numpy()
-    drawn = [model.step(model.start(1), features(rows), np.random.default_rng(k))[0].phase for k in range(3000)]
+    drawn = [model.step(model.start(1), features(rows), numbers(k))[0].phase for k in range(3000)]
     counts = np.bincount(drawn, minlength=len(PHASES))
     assert chisquare(counts, shares / shares.sum() * 3000).pvalue > 1e-3
-    assert len({model.step(model.start(1), features(rows), np.random.default_rng(9))[0] for _ in range(3)}) == 1
+    assert len({model.step(model.start(1), features(rows), numbers(9))[0] for _ in range(3)}) == 1
+
+
+def test_a_new_unit_forgets_the_sound_before_its_last_decision() -> None:
+    """From there on the decisions are those of a planner that heard nothing earlier."""
+    model, rng = planner(), np.random.default_rng(3)
+    rows = [torch.as_tensor(rng.normal(size=(3 * FRAMES, WIDTH)), dtype=torch.float32) for _ in range(9)]
+    state = other = model.start(0)
+    for k in range(4):
+        _, state = model.step(state, features(rows[k]), numbers(k))
+        _, other = model.step(other, features(rows[k] + 1.0), numbers(k))
+    begun = replace(other.begins(), last=state.last, held=state.held)
+    state = state.begins()
+    for k in range(4, 9):
+        one, state = model.step(state, features(rows[k]), numbers(k))
+        two, begun = model.step(begun, features(rows[k]), numbers(k))
+        assert one == two
 
 
 def test_what_is_heard_later_changes_nothing_earlier() -> None:

@@ -83,6 +83,8 @@ class FrontEndConfig:
     "hf:NAME", hidden layers of a speech model of transformers."""
     bands: Width = 80
     """Number of mel bands, for "mel" only."""
+    robust: bool = False
+    """Whether resampling, compression and faint noise hardly change the features (`MelFrontEnd`)."""
     layers: Annotated[tuple[int, ...], SettingRange(0, 1000)] = ()
     """Layers used as the low and the high level; empty for the front end's default (2 and 8 of "vqwav2vec")."""
 
@@ -242,9 +244,9 @@ class SelectionConfig:
     """Weight, relative to `timing`, of wrists and elbows outside the trunk, and of arms that are not folded."""
     as_asked: NotNegative = 0.0
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
-    returns: Annotated[float, SettingRange(0.0, 60.0)] = 0.0
-    """Mean seconds between returns of the hands to a home pose, at which a performance forgets what was before
-    (`gesticulator.drawing.returns`; 4 works); 0 for none."""
+    fresh: bool = False
+    """Whether each preparation is generated as the first of a performance, so that takes of nearly the same sound come
+    together again (`gesticulator.drawing.fresh_starts`)."""
     activity: Share = 1.0
     """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of speech time
     that is gestured."""

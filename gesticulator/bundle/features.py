@@ -230,7 +230,7 @@ def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> Front
     return front_end(
         config.front_end.name, bands=config.front_end.bands, frames=3 * rhythm.frames,
         samples_per_frame=block_module.samples_per_frame(SAMPLE_RATE, rhythm.fps), sample_rate=SAMPLE_RATE,
-        encoder=encoder, layers=config.front_end.layers or None)
+        robust=config.front_end.robust, encoder=encoder, layers=config.front_end.layers or None)
 
 
 def tempo_column(durations: Array, longest: float, frames: int) -> Features:

@@ -24,6 +24,8 @@ from gesticulator.body.life import normal
 _MILLISECONDS = 100
 """Milliseconds between independent numbers: half of the shortest block."""
 _MOTION, _CHOICE = 0, 1
+_POSE, _PLAN = 1 << 20, (1 << 20) + 1
+"""Kinds of numbers. Each variation has its own motion; the poses and the plan do not vary."""
 _CHANNELS = 1 << 32
 """The first channel of `life.mixed` here; the idle motion and the choice of phrases use lower ones."""
 
@@ -43,9 +45,17 @@ class Keys:
         """[count] standard Gumbel noise, one for each lexeme, for the choice in the block that begins at `time`
         seconds. The arg max of log p_n + G_n has the distribution p (the Gumbel-max trick), and a small change of p
         rarely changes it."""
-        from scipy.special import log_ndtr
+        return _gumbel(self._normal(_CHOICE, time, count))
 
-        return np.asarray(-np.log(-log_ndtr(self._normal(_CHOICE, time, count))))
+    def plan(self, time: float, count: int) -> Array:
+        """[count] standard Gumbel noise for the decision of the planner of gesture units."""
+        return _gumbel(self._normal(_PLAN, time, count))
+
+    def uniform(self, time: float, count: int) -> Array:
+        """[count] numbers in (0, 1) for the preparation that begins at `time` seconds."""
+        from scipy.special import ndtr
+
+        return np.asarray(ndtr(self._normal(_POSE, time, count)))
 
     def _normal(self, kind: int, time: float, count: int) -> Array:
         """[count] standard normal numbers at a time in seconds; times within a millisecond are the same."""
@@ -54,3 +64,9 @@ class Keys:
         both = normal(self.seed, _CHANNELS + 2 * self.variation + kind, numbers)
         angle = 0.5 * pi * rest / _MILLISECONDS
         return cos(angle) * both[:count] + sin(angle) * both[count:]
+
+
+def _gumbel(normal_numbers: Array) -> Array:
+    from scipy.special import log_ndtr
+
+    return np.asarray(-np.log(-log_ndtr(normal_numbers)))

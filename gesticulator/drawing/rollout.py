@@ -19,8 +19,8 @@ from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Span, SpeechBlock, representation_of
 from gesticulator.drawing.drawer import FREE, Direction, drawer_for
+from gesticulator.drawing.fresh_starts import FirstPoses, Offset
 from gesticulator.drawing.keys import Keys
-from gesticulator.drawing.returns import TAKES, Returns
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
 from interpreters.base import BlockFeatures, Explanation, LexemeInterpreter, as_interpreter, select
 
@@ -31,13 +31,6 @@ if TYPE_CHECKING:
 BEST = 5
 """Number of alternative lexemes stored for a block."""
 
-_UNITS, _PER_SECOND = 1 << 21, 20
-"""Key of the noise of the planner of gesture units, and its time steps a second: a block that begins a little earlier
-in another export of the sound has the same noise."""
-_CONTIGUOUS = 1e-3
-"""Seconds between two blocks without a gap."""
-_AT_HOME = 1e-4
-"""Greatest difference from the home pose in a feature at the end of a return; it is greater where the body rests."""
 _BLOCKS_BEFORE_REST = 2
 """Quiet blocks that are played as generated, before rest decay begins: the arms come down in them."""
 
@@ -136,26 +129,30 @@ class Rollout:
         self._gate = b.gate if self.activity < 1 else None
         self._planner = b.planner
         self._planner_state = None if self._planner is None else self._planner.start(speaker)
-        self._past = b.rest_feature(speaker).expand(1, b.frames, -1)
+        self._drawn = self._past = b.rest_feature(speaker).expand(1, b.frames, -1)
         self._drawer = drawer_for(b, speaker, self._previous, self.sampling.keys, text)
         self._gate_state = None if self._gate is None else self._gate.start(speaker)
         self.life = Rest(b.statistics, representation_of(b.config), speaker, self.activity,
                          self.sampling.seed) if b.system.lives else None
         self._resting = _BLOCKS_BEFORE_REST  # the body is at rest at the start
-        self._returns, rest, every = None, b.statistics.rest_pose[speaker], b.config.selection.returns
-        if every and self.life is not None:
+        self._first_poses, rest = None, b.statistics.rest_pose[speaker]
+        if b.config.selection.fresh and self.life is not None:
             names = representation_of(b.config).motion(rest[None], 1.0).skeleton.names
-            self._returns = Returns(self.sampling.seed, every, names, b.statistics.normalise(rest, speaker))
-        self._unit, self._until, self._home = 0, 0.0, self._past[0, -1]
+            self._first_poses = FirstPoses(self.sampling.keys, names, b.statistics.normalise(rest, speaker))
+        self._offset: Offset | None = None
+        self._unit: UnitDecision | None = None
 
     @torch.inference_mode()
     def step(self, speech: SpeechBlock, control: NDArray[np.float32] | None = None, direction: Direction = FREE
              ) -> BlockMotion:
         """The next block. control: rows [K, 2 F], or None; direction: instructions for the block."""
         b = self.bundle
-        self._begin_unit(speech)
-        features = self._features(speech, control, self._past[0])
+        features = self._features(speech, control, self._drawn[0])
         unit = self._planned(speech, features)
+        if self._prepares(unit) and direction.keys is None:
+            self._begin_unit(speech)
+            features = replace(features, past=self._drawn[0])
+        self._unit = unit
         closed, probability = self._closed(speech, features, self._still(unit, direction))
         scores = self._within(self._scores(features), unit)
         quiet = closed or (features.silent and b.config.silence.mask)
@@ -168,37 +165,34 @@ class Rollout:
             features = replace(features, low=self._quiet_low, silent=True)
         self._drawer.keys = direction.keys or self.sampling.keys
         self._drawer.unseen = self.life is not None and self.life.rests_wholly
-        block, code = self._drawer.block(speech, features, self._previous, self._past, unit)
+        block, code = self._drawer.block(speech, features, self._previous, self._drawn, unit)
         self._resting = self._resting + 1 if quiet else 0
         rest_decay = b.config.silence.rest_decay
         if self.life is None and self._resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
             block = approach_rest(self._past[:, -1:], block, rest_decay)
-        if self._returns is not None and direction.keys is None:
-            times = speech.span.times - speech.start + speech.keyed_at
-            share = self._tensor(self._returns.share(self._unit, times))[:, None]
-            block = block + share * (self._home - block)
-        motion = self._advance(block)
+        motion = self._advance(block, speech)
         decision = decided(speech, self._previous, scores, self.interpreter.explain(self._inner), self._drawer.keys,
                            probability)
         return BlockMotion(decision, self._previous, motion, code[0].cpu().numpy(), unit)
 
+    def _prepares(self, unit: UnitDecision | None) -> bool:
+        """Whether the planner begins a preparation in this block."""
+        return (self._first_poses is not None and unit is not None and unit.prepares
+                and not (self._unit is not None and self._unit.prepares))
+
     def _begin_unit(self, speech: SpeechBlock) -> None:
-        """Forget what was before, if the body is at home after a return, and set the next return."""
-        if self._returns is None:
-            return
-        # After a gap in time a return that would have begun in it is left out.
-        gap = abs(speech.keyed_at - self._until) > _CONTIGUOUS
-        unit = max(self._returns.unit(speech.keyed_at + (TAKES if gap else 0.0)), self._unit)
-        self._until = speech.keyed_at + speech.end - speech.start
-        if unit == self._unit:
-            return
-        if self._unit and torch.allclose(self._past[0, -1], self._home, atol=_AT_HOME):
-            self._previous = self.bundle.rest_lexeme(self.speaker)
-            self._inner = self._free = self.interpreter.start(self.speaker, self._previous)
-            self._past = self._home.expand_as(self._past)
-            self._drawer.restart()
-        self._unit = unit
-        self._home = torch.clamp(self._tensor(self._returns.home(unit)), self._low, self._high)
+        """Forget what was before: the next block is generated as the first of a performance."""
+        assert self._first_poses is not None
+        shown = self._past[0]
+        velocity = (shown[-1] - shown[-2]) * (shown.shape[0] / speech.durations[0])
+        first = torch.clamp(self._tensor(self._first_poses.at(speech.keyed_at)), self._low, self._high)
+        self._offset = Offset(speech.start, shown[-1] - first, velocity)
+        self._drawn = first.expand_as(shown)[None]
+        self._previous = self.bundle.rest_lexeme(self.speaker)
+        self._inner = self._free = self.interpreter.start(self.speaker, self._previous)
+        if self._planner_state is not None:
+            self._planner_state = self._planner_state.begins()
+        self._drawer.restart()
 
     @torch.inference_mode()
     def idle(self, start: float, seconds: float, knots: int) -> NDArray[np.float32]:
@@ -211,7 +205,8 @@ class Rollout:
         past = self._past
         self.life.rest(Span(start, seconds * knots, np.ones(knots, bool)))
         motion = self._advance(past[:, -1:].expand(1, knots, -1))
-        self._past = torch.cat([past, self._past], 1)[:, -past.shape[1]:]
+        self._drawn = self._past = torch.cat([past, self._past], 1)[:, -past.shape[1]:]
+        self._offset = None
         return motion
 
     def hurry(self, on: bool) -> None:
@@ -223,7 +218,8 @@ class Rollout:
         assert self.life is not None
         frames = self.bundle.frames
         before = np.repeat(knots.poses[:1], max(frames - len(knots.poses), 0), axis=0)
-        self._past = self._tensor(np.concatenate([before, knots.poses[-frames:]]))[None]
+        self._drawn = self._past = self._tensor(np.concatenate([before, knots.poses[-frames:]]))[None]
+        self._offset = None
         self.life.break_off(knots, time)
 
     @property
@@ -251,6 +247,7 @@ class Rollout:
     def stand_as(self, other: Rollout) -> None:
         """Take over the pose, the last lexeme and the state of rest from another rollout of the same bundle."""
         self._past, self._previous, self._resting = other._past, other._previous, other._resting
+        self._drawn, self._offset = other._drawn, other._offset
         if self.life is not None and other.life is not None:
             self.life.stand_as(other.life)
 
@@ -259,7 +256,7 @@ class Rollout:
         of the block, so that a difference elsewhere in the recording does not change it."""
         if self._planner is None or self._planner_state is None:
             return None
-        noise = np.random.default_rng((self.sampling.seed, _UNITS, round(_PER_SECOND * speech.start)))
+        noise = Keys(self.sampling.seed).plan(speech.keyed_at, self._planner.choices)
         # Where lexemes are not drawn, phases are not either.
         temperature = float(self.sampling.temperature > 0)
         unit, self._planner_state = self._planner.step(self._planner_state, features, noise, temperature,
@@ -305,13 +302,20 @@ class Rollout:
         within = scores + self.bundle.planner.bias(unit)
         return within - (np.logaddexp.reduce(within) - np.logaddexp.reduce(scores))
 
-    def _advance(self, block: Tensor) -> NDArray[np.float32]:
+    def _advance(self, block: Tensor, speech: SpeechBlock | None = None) -> NDArray[np.float32]:
         """[K, D_m] final motion of a generated block [1, K, D_m], which becomes the past of the next one."""
         # Stay within the training data: the models' input must not drift away from it, pose by pose.
-        self._past = torch.clamp(block, self._low, self._high)
+        self._drawn = self._past = torch.clamp(block, self._low, self._high)
         if self.life is None:
             return np.asarray(self._past[0].cpu().numpy())
+        offset = 0.0
+        if self._offset is not None and speech is not None:
+            offset = self._offset.at(speech.span.times)
+            self._past = self._past + offset
         self._past = self._tensor(self.life.step(self._past[0].cpu().numpy()))[None]
+        self._drawn = self._past - offset
+        if self._offset is not None and speech is not None and self._offset.over(speech.end):
+            self._offset = None
         return self.life.alive(self._past[0].cpu().numpy()).astype(np.float32)
 
     def _select(self, direction: Direction, scores: NDArray[np.float64], speech: SpeechBlock,

@@ -149,7 +149,7 @@ def default() -> Config:
                                 validations=20, patience=5),
             reward=FitSettings(steps=2_400, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
             advantage=FitSettings(steps=1_000, batch=32, rate=1e-3, schedule="cosine", weight_decay=0.01)),
-        front_end=FrontEndConfig(name="mel", bands=40),
+        front_end=FrontEndConfig(name="mel", bands=40, robust=True),
         # One degree, so that the trunk counts; this smoothing does not reduce speed (0.05 did).
         motion=MotionConfig(joints=46, least_deviation=0.0175, smoothing=0.02),
         # Large movements are rare: lexemes that are revived as soon as they are used less than average leave them, and
@@ -183,7 +183,7 @@ def default() -> Config:
         # and hand speeds, then by timing and smooth joins.
         selection=SelectionConfig(temperature=1.3, guidance=4.0, audio_guidance=0.7, lexeme_guidance=0.4, noise=0.93,
                                   unit_guidance=0.5, trunk_guidance=0.3, trunk_noise=0.88, finger_noise=1.6,
-                                  interpreter_guidance=1.0, candidates=5, timing=1.0, seam=0.25, clear=16.0,
+                                  interpreter_guidance=1.0, candidates=5, timing=1.0, seam=0.25, clear=16.0, fresh=True,
                                   as_asked=2.0, hold=1.0))
 
 
