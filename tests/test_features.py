@@ -123,6 +123,32 @@ def test_level_is_kept_and_a_reference_takes_gain_off() -> None:
     assert np.allclose(MEL.encode(2 * windows, at + 20 * np.log10(2)).low, low, atol=1e-3)
 
 
+def hum(count: int) -> Samples:
+    """A tone of 200 Hz with overtones up to 6.8 kHz that comes and goes five times a second, at the typical level."""
+    time = np.arange(24000 * count) / RATE
+    tones = sum(np.sin(2 * np.pi * 200 * k * time) / k for k in range(1, 35))
+    gated = tones * np.clip(np.sin(2 * np.pi * 2.5 * time), 0.0, None) ** 2
+    level = 10 ** (TYPICAL_LEVEL / 20)
+    return (level * gated / np.sqrt(np.mean(gated ** 2))).reshape(count, -1).astype(np.float32)
+
+
+def apart(front: MelFrontEnd, one: Samples, other: Samples) -> float:
+    """Root mean square difference of the features in their own deviations."""
+    low, again = (front.encode(windows, np.full(len(windows), TYPICAL_LEVEL)).low for windows in (one, other))
+    moves = low.std((0, 1)) > 1e-3
+    return float(np.sqrt(np.mean(((low - again)[..., moves] / low.std((0, 1))[moves]) ** 2)))
+
+
+def test_robust_features_hear_the_voice_and_neither_hiss_nor_faint_noise() -> None:
+    robust, sound = MelFrontEnd(robust=True), hum(3)
+    time = np.arange(sound.size).reshape(sound.shape) / RATE
+    hissing = sound + (0.003 * np.sin(2 * np.pi * 7600 * time)).astype(np.float32)
+    assert apart(MEL, sound, hissing) > 0.2 and apart(robust, sound, hissing) < 0.03
+    noisy = sound + noise(3, 0.001)
+    assert apart(MEL, sound, noisy) > 0.4 and apart(robust, sound, noisy) < 0.1
+    assert apart(robust, sound, np.roll(sound, RATE // 10, axis=1)) > 0.5, "but it hears the voice come and go"
+
+
 def test_other_settings_fit_other_blocks() -> None:
     front = FRONT_ENDS["mel"](bands=20, frames=24, samples_per_frame=1067)
     assert front.encode(np.zeros((2, 24 * 1067), np.float32)).low.shape == (2, 24, 22)
