@@ -1,0 +1,109 @@
+"""The contact sheet and the film of docs/gestures.md: every named gesture, drawn from the shipped scripts.
+
+    python docs/pictures/make_gestures.py [FOLDER] [NAME ...]
+
+FOLDER is docs/pictures unless another is given; with names, only those are drawn. Each figure is at the apex of its
+gesture, over the rest pose, with the paths of the hands from the stroke to the end of the hold; a pale figure shows
+where the stroke began. Needs the extras `figures` (matplotlib) and, for the film, `video`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTERS
+from data_module.types import Array, Motion
+from eval.pictures.strips import save_strip
+from gesticulator.bundle.bundle import SHIPPED, load
+from gesticulator.directing.gesture_phases import longest
+from gesticulator.directing.named_gestures import laid_over
+from gesticulator.export.figure import HANDS, INK, SOFT, View, figure_points, seen
+from gesticulator.plan.gestures import REPERTOIRE
+from gesticulator.plan.plan import GestureCue
+
+HERE = Path(__file__).resolve().parent
+FPS, COLUMNS = 60.0, 12
+WIDE, LOW, HIGH = 1.06, 0.86, 1.98
+"""Metres of a cell: its width, and the heights over the floor that it shows."""
+INCH = 0.98
+"""Inches for a metre."""
+_TURN = np.radians(14.0)
+"""By which the camera stands to the character's left."""
+
+
+def look(points: Array) -> tuple[Array, Array, Array]:
+    """A view from the front and a little from the character's left, in metres."""
+    x = points[..., 0] * np.cos(_TURN) - points[..., 2] * np.sin(_TURN)
+    depth = points[..., 0] * np.sin(_TURN) + points[..., 2] * np.cos(_TURN)
+    return np.stack([x, points[..., 1]], axis=-1), np.ones(points.shape[:-1]), depth
+
+
+def rest_pose() -> Array:
+    """[3 J] the shipped character's pose at rest."""
+    pose: Array = load(SHIPPED).statistics.rest_pose[0]
+    return pose
+
+
+def motion_of(name: str, rest: Array) -> tuple[Motion, float]:
+    """A gesture over the rest pose, and the second of its apex."""
+    phases = longest(name)
+    times = np.arange(round((phases.before + phases.after + 0.4) * FPS)) / FPS
+    at = phases.before + 0.2
+    poses = laid_over(np.repeat(rest[None], len(times), axis=0), times, [(GestureCue(name), at)])
+    turns = rotation.from_exponential_map(poses.reshape(len(poses), -1, 3))
+    return Motion(CHARACTERS[turns.shape[1]], turns, np.zeros((len(poses), 3)), FPS), at
+
+
+def sheet(names: Sequence[str], rest: Array, columns: int = COLUMNS) -> Figure:
+    """All gestures in rows of cells."""
+    rows = -(-len(names) // columns)
+    tall = HIGH - LOW + 0.14
+    figure = Figure(figsize=(columns * WIDE * INCH, rows * tall * INCH), facecolor="white")
+    axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    for number, name in enumerate(names):
+        row, column = divmod(number, columns)
+        corner = np.array([(column + 0.5) * WIDE, (rows - row) * tall - HIGH - 0.02])
+        draw_cell(axis, name, rest, corner)
+    axis.set(xlim=(0.0, columns * WIDE), ylim=(0.0, rows * tall))
+    axis.axis("off")
+    return figure
+
+
+def draw_cell(axis, name: str, rest: Array, corner: Array) -> None:
+    """One gesture: the figure at its apex, and the ways of its hands."""
+    motion, at = motion_of(name, rest)
+    phases = longest(name)
+    begin = figure_points(motion, np.array([at - 0.9 * phases.stroke]), fingers=True)
+    points = figure_points(motion, np.array([at]), fingers=True)
+    clip = (corner[0] - WIDE / 2, corner[0] + WIDE / 2, corner[1] + LOW, corner[1] + HIGH)
+    for now, pale in ((begin, True), (points, False)):
+        for part in seen(now, View(look, 1.0)):
+            if not pale or part.hand:
+                for corners, colour in part.polygons("white"):
+                    axis.add_patch(Polygon(np.clip(corners[0] + corner, clip[::2], clip[1::2]), facecolor=colour,
+                                           edgecolor="none", alpha=0.22 if pale else 1.0))
+    moments = np.linspace(at - phases.stroke, at + phases.hold, 60)
+    ways = figure_points(motion, moments, fingers=True)
+    for side, colour in HANDS.items():
+        way = look(ways[f"{side}HandMiddle1"])[0] + corner
+        if np.ptp(way, axis=0).max() > 0.03:
+            axis.plot(way[:, 0], way[:, 1], color=colour, linewidth=1.0, alpha=0.75)
+    entry = REPERTOIRE[name]
+    axis.text(corner[0], clip[2] - 0.055, name, fontsize=6.6, ha="center", va="center",
+              color=INK if entry.core else SOFT, weight="bold" if entry.core else "normal")
+
+
+def main(folder: str = str(HERE), *names: str) -> None:
+    """Draw the sheet."""
+    save_strip(sheet(names or list(REPERTOIRE), rest_pose()), Path(folder) / "gestures.png", 100)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
