@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
@@ -29,8 +30,8 @@ from gesticulator.plan.gestures import REPERTOIRE
 from gesticulator.plan.plan import GestureCue
 
 HERE = Path(__file__).resolve().parent
-FPS, COLUMNS = 60.0, 12
-WIDE, LOW, HIGH = 1.06, 0.86, 1.98
+FPS, COLUMNS = 60.0, 10
+WIDE, LOW, HIGH = 1.2, 0.86, 1.98
 """Metres of a cell: its width, and the heights over the floor that it shows."""
 INCH = 0.98
 """Inches for a metre."""
@@ -76,16 +77,17 @@ def sheet(names: Sequence[str], rest: Array, columns: int = COLUMNS) -> Figure:
     return figure
 
 
-def draw_cell(axis, name: str, rest: Array, corner: Array) -> None:
+def draw_cell(axis: Axes, name: str, rest: Array, corner: Array) -> None:
     """One gesture: the figure at its apex, and the ways of its hands."""
     motion, at = motion_of(name, rest)
-    phases = longest(name)
-    begin = figure_points(motion, np.array([at - 0.9 * phases.stroke]), fingers=True)
+    entry, phases = REPERTOIRE[name], longest(name)
+    head_alone = entry.hands == "head"
+    begin = figure_points(motion, np.array([at + 0.3 if head_alone else at - 0.9 * phases.stroke]), fingers=True)
     points = figure_points(motion, np.array([at]), fingers=True)
     clip = (corner[0] - WIDE / 2, corner[0] + WIDE / 2, corner[1] + LOW, corner[1] + HIGH)
     for now, pale in ((begin, True), (points, False)):
         for part in seen(now, View(look, 1.0)):
-            if not pale or part.hand:
+            if not pale or part.hand or head_alone:
                 for corners, colour in part.polygons("white"):
                     axis.add_patch(Polygon(np.clip(corners[0] + corner, clip[::2], clip[1::2]), facecolor=colour,
                                            edgecolor="none", alpha=0.22 if pale else 1.0))
@@ -95,7 +97,6 @@ def draw_cell(axis, name: str, rest: Array, corner: Array) -> None:
         way = look(ways[f"{side}HandMiddle1"])[0] + corner
         if np.ptp(way, axis=0).max() > 0.03:
             axis.plot(way[:, 0], way[:, 1], color=colour, linewidth=1.0, alpha=0.75)
-    entry = REPERTOIRE[name]
     axis.text(corner[0], clip[2] - 0.055, name, fontsize=6.6, ha="center", va="center",
               color=INK if entry.core else SOFT, weight="bold" if entry.core else "normal")
 

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 Vector = tuple[float, float, float]
 UP, DOWN, AHEAD, BACK, IN, OUT = ((0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0),
                                   (-1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
 PALM, TIPS = 0.085, 0.165
 """Metres from the wrist to the middle of the palm, and to the tips of straight fingers."""
+HEAD: dict[str, Any] = {"faces": True, "preparation": 0.72, "retraction": 0.8}
+"""Fields of a `GestureScript` whose hand goes up to the head: a longer way takes more time."""
 
 
 @dataclass(frozen=True)
@@ -83,15 +86,24 @@ class GestureScript:
 
 
 def hand(place: Vector, fingers: Vector, palm: Vector, shape: str = "open", start: Vector = (0.0, -0.06, -0.05),
-         then: tuple[HandKey, ...] = (), **more: object) -> HandPart:
+         then: tuple[HandKey, ...] = (), **more: Any) -> HandPart:
     """A hand that comes to one pose. start: where its stroke begins, metres from `place`; then: poses after it; more:
     `before`, the fields of the pose at the start that differ, and fields of `HandPart`."""
     apex = HandKey(place, fingers, palm, shape)
-    begin = replace(apex, place=tuple(a + b for a, b in zip(place, start, strict=True)), time=-1.0)
-    begin = replace(begin, **more.pop("before", {}))  # type: ignore[arg-type]
-    return HandPart((begin, apex, *then), **more)  # type: ignore[arg-type]
+    (x, y, z), (aside, up, ahead) = place, start
+    begin = replace(apex, place=(x + aside, y + up, z + ahead), time=-1.0)
+    begin = replace(begin, **more.pop("before", {}))
+    return HandPart((begin, apex, *then), **more)
 
 
-def both(part: HandPart, **more: object) -> GestureScript:
+def both(part: HandPart, **more: Any) -> GestureScript:
     """A gesture of both hands, one the mirror image of the other. more: fields of `GestureScript`."""
-    return GestureScript(part, part, **more)  # type: ignore[arg-type]
+    return GestureScript(part, part, **more)
+
+
+def in_turn(part: HandPart, **more: Any) -> GestureScript:
+    """A gesture in which both hands repeat the same movement, the other one half a cycle later. more: fields of
+    `GestureScript`."""
+    assert part.repeat is not None
+    later = replace(part, repeat=replace(part.repeat, phase=part.repeat.phase + 0.5))
+    return GestureScript(part, later, **more)

@@ -11,6 +11,7 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
@@ -24,6 +25,8 @@ _HOME = np.array([0.03, -0.28, 0.26])
 """Where a hand is when it rests in front of the body, metres from its shoulder: larger gestures go further from it."""
 _FADE = 0.18
 """Seconds in which a repeated movement begins and ends."""
+_OVERLAP = 0.12
+"""Seconds of a stroke in which its preparation still ends, at most."""
 _SHORTER = 0.85
 """Least factor on the seconds of a phase: phases vary from here to 1, so that no gesture is longer than it says."""
 _STRAYS, _TURNS = 0.014, np.radians(5.0)
@@ -50,9 +53,9 @@ class Phases:
         return self.hold + self.retraction
 
     def weight(self, seconds: Array) -> Array:
-        """[M] share of the gesture in the motion at seconds [M]. It is whole from the middle of the stroke on, so that
+        """[M] share of the gesture in the motion at seconds [M]. It is whole a little after the stroke begins, so that
         the hand does not stop between preparation and stroke."""
-        rises = smooth((seconds + self.before) / (self.preparation + 0.5 * self.stroke))
+        rises = smooth((seconds + self.before) / (self.preparation + min(0.5 * self.stroke, _OVERLAP)))
         falls: Array = rises * smooth((self.after - seconds) / self.retraction)
         return falls
 
@@ -144,14 +147,14 @@ def apex_place(draw: GestureDraw, which: int) -> Array:
     return wrist
 
 
-def _between(times: Array, seconds: Array) -> tuple[Array, Array]:
+def _between(times: Array, seconds: Array) -> tuple[Array, NDArray[np.int64]]:
     """For M seconds: the eased share [M] of the way from one key to the next, and the number [M] of the first."""
     begin = np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, max(len(times) - 2, 0))
     ends = times[np.minimum(begin + 1, len(times) - 1)]
     return smooth((seconds - times[begin]) / np.maximum(ends - times[begin], 1e-6)), begin
 
 
-def _mixed(values: Array, begin: Array, end: Array, share: Array) -> Array:
+def _mixed(values: Array, begin: NDArray[np.int64], end: NDArray[np.int64], share: Array) -> Array:
     """[M, ...] values between those of two keys."""
     share = share.reshape(len(share), *[1] * (values.ndim - 1))
     mixed: Array = values[begin] + share * (values[end] - values[begin])

@@ -92,10 +92,13 @@ def _targets(draw: GestureDraw, seconds: Array) -> dict[str, Array]:
         arm, fingers = hand_turns(draw, which, seconds)
         if side == "Right":
             arm, fingers = arm * _FLIP, fingers * _FLIP
+        shoulder = _constant(script.adds.get(side + "Shoulder", (0.0, 0.0, 0.0)), draw.turns, seconds)
+        # The hand is placed in the frame of the chest, whatever the shoulder does.
+        arm[:, 0] = (Rotation.from_rotvec(shoulder).inv() * Rotation.from_rotvec(arm[:, 0])).as_rotvec()
         out |= {side + name: arm[:, at] for at, name in enumerate(_ARM)}
         out |= {f"{side}Hand{finger}{place + 1}": fingers[:, 3 * at + place]
                 for at, finger in enumerate(FINGERS) for place in range(3)}
-        out[side + "Shoulder"] = _constant(script.adds.get(side + "Shoulder", (0.0, 0.0, 0.0)), draw.turns, seconds)
+        out[side + "Shoulder"] = shoulder
     if script.faces:
         out |= {name: _constant(script.adds.get(name, (0.0, 0.0, 0.0)), 1.0, seconds) for name in _HEAD}
     return out

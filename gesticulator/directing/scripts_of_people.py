@@ -5,6 +5,7 @@ from __future__ import annotations
 from gesticulator.directing.gesture_parts import (
     AHEAD,
     DOWN,
+    HEAD,
     IN,
     PALM,
     TIPS,
@@ -102,8 +103,8 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
                            repeat=Repeat((0.05, 0.0, 0.0), tilt=(0.0, 0.0, -20.0), rate=2.4, count=3.0)),
                       nods={"Head": (0.0, 6.0, 0.0)}, rate=2.4),),
     "cut off": (
-        both(hand((0.28, -0.36, 0.27), (0.25, -0.1, 1.0), DOWN, "flat", (-0.42, 0.02, 0.05),
-                  before={"fingers": (-0.75, -0.1, 0.65)}), stroke=0.26, hold=0.45,
+        both(hand((0.22, -0.33, 0.27), (0.25, -0.1, 1.0), DOWN, "flat", (-0.38, 0.02, 0.05),
+                  before={"fingers": (-0.75, -0.1, 0.65)}), stroke=0.34, hold=0.45,
              nods={"Head": (0.0, 6.0, 0.0)}),),
     "stop palm": (
         GestureScript(hand((0.03, -0.02, 0.38), (0.0, 1.0, 0.1), AHEAD, "flat", (0.0, -0.05, -0.14)), hold=0.7),
@@ -123,9 +124,10 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
                            before={"fingers": (0.1, -0.9, 0.5)},
                            repeat=Repeat(tilt=(35.0, 0.0, 0.0), rate=2.6, count=2.5)), stroke=0.22),),
     "brush off": (
-        GestureScript(hand((-0.34, 0.06, 0.06), (-0.85, 0.1, -0.35), (0.0, -0.9, -0.5), "flat", (0.12, 0.02, 0.06),
+        GestureScript(hand((-0.33, 0.07, 0.12), (-0.95, 0.05, -0.2), (0.0, -0.9, -0.5), "flat", (0.12, 0.02, 0.06),
                            point=TIPS, touches=True,
-                           repeat=Repeat((-0.05, 0.0, 0.0), circle=(0.0, 0.03, 0.0), rate=2.4, count=2.0)),
+                           repeat=Repeat((-0.04, 0.0, 0.0), circle=(0.0, 0.03, 0.0), rate=1.9, count=2.0)),
+                           preparation=0.65,
                       adds={"Neck": (3.0, 10.0, 0.0), "Head": (5.0, 14.0, 0.0)}),),
     # ------------------------------------------------------------------------------------------- signs
     "wait finger": (
@@ -133,7 +135,8 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
                       adds={"Head": (2.0, 0.0, 3.0)}),),
     "idea finger": (
         GestureScript(hand((0.08, 0.14, 0.22), (0.0, 1.0, 0.05), (-0.8, 0.0, 0.6), "point", (0.0, -0.16, 0.0)),
-                      adds={"Neck": (-3.0, 0.0, 0.0), "Head": (-5.0, 0.0, 0.0)}, stroke=0.2, hold=0.6),),
+                      adds={"Neck": (-3.0, 0.0, 0.0), "Head": (-5.0, 0.0, 0.0)}, stroke=0.25, hold=0.6, preparation=0.6,
+                      retraction=0.7),),
     "thumbs up": (
         GestureScript(hand((0.03, -0.10, 0.36), (-0.45, 0.0, 0.9), (-1.0, 0.0, -0.3), "thumb", (0.0, -0.05, -0.09)),
                       hold=0.7, nods={"Head": (4.0, 0.0, 0.0)}, rate=1.4),
@@ -142,10 +145,10 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
         GestureScript(hand((0.08, -0.06, 0.36), (-0.9, -0.1, 0.5), (0.45, 0.0, 1.0), "thumb", (0.0, 0.1, -0.02),
                            lift=60.0), hold=0.7, nods={"Head": (0.0, 5.0, 0.0)}),),
     "ok ring": (
-        GestureScript(hand((0.08, -0.01, 0.31), (-0.15, 1.0, 0.15), (-0.25, 0.0, 1.0), "ring", (0.0, -0.08, -0.03)),
+        GestureScript(hand((0.08, -0.01, 0.31), (-0.15, 1.0, 0.15), (-0.8, 0.0, 0.7), "ring", (0.0, -0.08, -0.03)),
                       hold=0.7),),
     "zero ring": (
-        GestureScript(hand((0.06, -0.03, 0.31), (-0.6, 0.9, 0.1), (-0.4, 0.0, 1.0), "bunch", (0.0, -0.08, -0.03)),
+        GestureScript(hand((0.08, -0.05, 0.31), (-0.25, 1.0, 0.15), (-1.0, -0.2, 0.2), "zero", (0.0, -0.08, -0.03)),
                       hold=0.7),),
     "fingers crossed": (GestureScript(hand((0.10, 0.05, 0.24), *_RAISED[1:], "crossed"), hold=0.8,
                                       adds={"Head": (0.0, 0.0, 5.0)}),),
@@ -158,11 +161,11 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
         GestureScript(hand((0.05, -0.16, 0.36), (-0.15, 0.0, 1.0), DOWN, "spread", (0.0, -0.06, -0.08),
                            repeat=Repeat((0.015, 0.0, 0.0), roll=28.0, rate=2.2, count=3.0)),
                       adds={"Head": (0.0, 0.0, 6.0)}),),
-    "wave hello": (GestureScript(_WAVING),),
+    "wave hello": (GestureScript(_WAVING, preparation=0.6, retraction=0.7),),
     "wave goodbye": (
         GestureScript(hand((0.22, 0.2, 0.22), (0.05, 1.0, 0.1), AHEAD, "open", (-0.02, -0.1, 0.0),
                            repeat=Repeat(tilt=(28.0, 0.0, 0.0), shape="round", rate=2.4, count=3.0)),
-                      adds={"Head": (0.0, 0.0, 4.0)}),),
+                      adds={"Head": (0.0, 0.0, 4.0)}, preparation=0.7, retraction=0.75),),
     "beckon": (
         GestureScript(hand((0.08, -0.12, 0.36), (-0.1, 0.55, 0.85), (-0.1, 0.8, -0.6), "open", (0.0, -0.06, 0.0),
                            repeat=Repeat(circle=(0.0, 0.05, -0.13), tilt=(-12.0, 0.0, 0.0), shape="round", rate=1.8,
@@ -184,15 +187,15 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
                       hold=0.35, retraction=0.7),),
     "clap": (
         both(hand((-0.155, -0.12, 0.29), (-0.15, 0.5, 0.85), IN, "flat", (0.14, 0.0, 0.0), touches=True,
-                  repeat=Repeat(circle=(0.11, 0.0, 0.0), rate=3.0, count=4.0)), stroke=0.2),),
+                  repeat=Repeat(circle=(0.11, 0.0, 0.0), rate=2.7, count=4.0)), stroke=0.25),),
     "oath hand": (
         GestureScript(hand((0.17, 0.04, 0.16), (0.0, 1.0, 0.05), AHEAD, "flat", (0.0, -0.1, 0.02)), hold=0.9),),
     "salute": (
         GestureScript(hand((-0.085, 0.215, 0.115), (-0.85, 0.5, 0.1), (-0.2, -0.75, 0.6), "flat", (0.05, -0.1, 0.1),
-                           point=TIPS, touches=True, lift=55.0), faces=True, hold=0.6, stroke=0.3),),
+                           point=TIPS, touches=True, lift=55.0), **HEAD, hold=0.6, stroke=0.3),),
     "hush finger": (
         GestureScript(hand((-0.18, 0.14, 0.15), (-0.05, 1.0, 0.05), (-0.9, 0.0, -0.4), "point", (0.03, -0.08, 0.08),
-                           point=0.15, touches=True, lift=20.0), faces=True, hold=0.8),),
+                           point=0.15, touches=True, lift=20.0), **HEAD, hold=0.8),),
     # ------------------------------------------------------------------------------------------- numbers
     "number one": _count("point"),
     "number two": _count("two"),

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["ALIASES", "GESTURES", "NamedGesture", "REPERTOIRE", "mark_of", "near_gestures"]
+__all__ = ["ALIASES", "GESTURES", "REPERTOIRE", "NamedGesture", "mark_of", "near_gestures"]
 
 _TABLE = Path(__file__).with_name("gestures.csv")
 HANDS_OF_GESTURES = ("one", "two", "one or two", "head")
