@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -156,7 +157,7 @@ def test_there_is_no_seam(name: str) -> None:
         assert sizes.max() < 38.0, "no faster than people"
         jerks = np.linalg.norm(np.diff(moved, axis=0), axis=-1)
         if joint != "Head" and np.ptp(sizes) > 5.0:
-            assert jerks[near[1:]].max() < 0.6 * jerks.max(), "a seam would be the worst of it"
+            assert jerks[near[1:]].max() < 0.75 * jerks.max(), "a seam would be the worst of it"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -266,7 +267,8 @@ def test_a_pinch_closes_and_a_small_gap_stays_open(shape: str, nearest: float, f
 def test_inverse_kinematics_is_undone_by_forward_kinematics() -> None:
     random = np.random.default_rng(3)
     places = np.array([0.1, -0.15, 0.3]) + random.uniform(-0.06, 0.06, (50, 3))
-    hand = hand_rotation(np.array([0.1, 0.1, 1.0]) + random.uniform(-0.2, 0.2, (50, 3)), np.tile([-1.0, 0.0, 0.0], (50, 1)))
+    ahead = np.array([0.1, 0.1, 1.0]) + random.uniform(-0.2, 0.2, (50, 3))
+    hand = hand_rotation(ahead, np.tile([-1.0, 0.0, 0.0], (50, 1)))
     arm, forearm, wrist = arm_turns(places, hand, random.uniform(-0.2, 0.6, 50))
     upper, fore = (Rotation.from_rotvec(turn) for turn in (arm, forearm))
     lengths = [FINGERED.offsets[FINGERED.index(f"Left{part}")] for part in ("ForeArm", "Hand")]
@@ -292,3 +294,18 @@ def test_the_verb_lists_all_gestures(capsys: pytest.CaptureFixture[str]) -> None
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == sum(one.core for one in REPERTOIRE.values())
     assert any(line.startswith("wave hello (or wave): A speaker waves") for line in lines)
+
+
+def test_the_page_tells_what_the_verb_lists() -> None:
+    """docs/gestures.md has a row for every gesture, with its names, meaning, kinds and seconds."""
+    page = (Path(__file__).parents[1] / "docs" / "gestures.md").read_text(encoding="utf-8")
+    rows = {line.split("`")[1]: [cell.strip() for cell in line.strip("|").split("|")]
+            for line in page.splitlines() if line.startswith("| `")}
+    assert list(rows) == NAMES
+    for name, (names, meaning, hands, kinds, seconds) in rows.items():
+        gesture, phases = REPERTOIRE[name], longest(name)
+        assert names.replace("`", "").split(", ") == [name, *(alias for alias, of in ALIASES.items() if of == name)]
+        assert (meaning, hands) == (gesture.meaning, gesture.hands)
+        assert kinds.split(", ") == ([kind for kind in ("core", "weak", "offensive") if getattr(gesture, kind)] or [""])
+        np.testing.assert_allclose([float(one) for one in seconds.split(", ")],
+                                   [phases.before, phases.hold, phases.retraction], atol=0.006)
