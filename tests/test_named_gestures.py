@@ -153,11 +153,11 @@ def test_there_is_no_seam(name: str) -> None:
     for joint in ("LeftHand", "RightHand", "Head"):
         moved, still = (accelerations(in_chest(one, joint, "Hips")) for one in (motion, plain))
         sizes = np.linalg.norm(moved, axis=-1)
-        assert sizes[near].max() < np.linalg.norm(still, axis=-1).max() + 4.5, "it begins and ends gently"
-        assert sizes.max() < 38.0, "no faster than people"
+        assert sizes[near].max() < np.linalg.norm(still, axis=-1).max() + 2.0, "it begins and ends gently"
+        assert sizes.max() < 36.0, "no faster than people"
         jerks = np.linalg.norm(np.diff(moved, axis=0), axis=-1)
         if joint != "Head" and np.ptp(sizes) > 5.0:
-            assert jerks[near[1:]].max() < 0.75 * jerks.max(), "a seam would be the worst of it"
+            assert jerks[near[1:]].max() < 0.5 * jerks.max(), "a seam would be the worst of it"
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -15,7 +15,7 @@ UP, DOWN, AHEAD, BACK, IN, OUT = ((0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 
                                   (-1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
 PALM, TIPS = 0.085, 0.165
 """Metres from the wrist to the middle of the palm, and to the tips of straight fingers."""
-HEAD: dict[str, Any] = {"faces": True, "preparation": 0.72, "retraction": 0.8}
+HEAD: dict[str, Any] = {"faces": True, "preparation": 0.72, "retraction": 1.0}
 """Fields of a `GestureScript` whose hand goes up to the head: a longer way takes more time."""
 
 
@@ -79,10 +79,10 @@ class GestureScript:
     side: str = "Right"
     rate: float = 1.6
     faces: bool = False
-    preparation: float = 0.5
+    preparation: float = 0.55
     stroke: float = 0.25
     hold: float = 0.5
-    retraction: float = 0.6
+    retraction: float = 0.75
 
 
 def hand(place: Vector, fingers: Vector, palm: Vector, shape: str = "open", start: Vector = (0.0, -0.06, -0.05),

@@ -25,7 +25,9 @@ _HOME = np.array([0.03, -0.28, 0.26])
 """Where a hand is when it rests in front of the body, metres from its shoulder: larger gestures go further from it."""
 _FADE = 0.18
 """Seconds in which a repeated movement begins and ends."""
-_OVERLAP = 0.12
+_SINKS = np.array([0.0, -0.012, -0.006])
+"""Way of a free hand during its hold, metres."""
+_OVERLAP = 0.22
 """Seconds of a stroke in which its preparation still ends, at most."""
 _SHORTER = 0.85
 """Least factor on the seconds of a phase: phases vary from here to 1, so that no gesture is longer than it says."""
@@ -53,10 +55,10 @@ class Phases:
         return self.hold + self.retraction
 
     def weight(self, seconds: Array) -> Array:
-        """[M] share of the gesture in the motion at seconds [M]. It is whole a little after the stroke begins, so that
-        the hand does not stop between preparation and stroke."""
-        rises = smooth((seconds + self.before) / (self.preparation + min(0.5 * self.stroke, _OVERLAP)))
-        falls: Array = rises * smooth((self.after - seconds) / self.retraction)
+        """[M] share of the gesture in the motion at seconds [M]. It becomes whole during the stroke, so that the hand
+        does not stop between preparation and stroke."""
+        rises = _gentle((seconds + self.before) / (self.preparation + min(0.9 * self.stroke, _OVERLAP)))
+        falls: Array = rises * _gentle((self.after - seconds) / self.retraction)
         return falls
 
 
@@ -109,6 +111,12 @@ def smooth(s: Array) -> Array:
     return u ** 3 * (10.0 - 15.0 * u + 6.0 * u * u)
 
 
+def _gentle(s: Array) -> Array:
+    """A step like `smooth` whose change of acceleration begins and ends at zero, too, so that nobody sees the seam."""
+    u: Array = np.clip(s, 0.0, 1.0)
+    return u ** 4 * (35.0 - u * (84.0 - u * (70.0 - 20.0 * u)))
+
+
 # ---------------------------------------------------------------------------------------------------- a hand
 
 def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Array]:
@@ -131,6 +139,8 @@ def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Ar
         places, turned, fingers = _repeated(part.repeat, draw, seconds, (places, turned, fingers))
     if not part.touches:
         places, turned = places + draw.place[which], Rotation.from_rotvec(draw.turn[which]) * turned
+        # A hand that is held up sinks a little: nobody holds one still.
+        places = places + smooth(seconds / draw.phases.hold)[:, None] * (_SINKS - 0.5 * draw.place[which])
     wrists = places - part.point * turned.apply([1.0, 0.0, 0.0])
     return np.stack(arm_turns(wrists, turned, _mixed(swings, begin, end, share)), axis=1), fingers
 

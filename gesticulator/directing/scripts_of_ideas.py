@@ -48,7 +48,7 @@ IDEAS: dict[str, tuple[GestureScript, ...]] = {
                       hold=0.8, adds={"Neck": (3.0, 0.0, 0.0), "Head": (3.0, 0.0, 5.0)}),),
     "tall hand": (
         GestureScript(hand((0.26, 0.23, 0.26), (0.1, 0.0, 1.0), DOWN, "flat", (0.0, -0.24, 0.04)), stroke=0.5,
-                      preparation=0.6, retraction=0.75,
+                      preparation=0.6, retraction=0.9,
                       hold=0.7, adds={"Neck": (-4.0, -5.0, 0.0), "Head": (-8.0, -6.0, 0.0)}),),
     "low hand": (
         GestureScript(hand((0.20, -0.40, 0.2), (0.2, -0.1, 1.0), DOWN, "flat", (0.0, 0.18, 0.04)), stroke=0.4,
@@ -115,7 +115,7 @@ IDEAS: dict[str, tuple[GestureScript, ...]] = {
                   before={"fingers": (-0.1, 0.1, 1.0)}), stroke=0.35, hold=0.5),),
     "weigh options": (
         in_turn(hand((0.10, -0.24, 0.35), (0.1, 0.05, 1.0), UP, "cup",
-                     repeat=Repeat((0.0, 0.085, 0.0), rate=0.9, count=2.0)), adds={"Head": (3.0, 0.0, 5.0)}),),
+                     repeat=Repeat((0.0, 0.085, 0.0), rate=1.0, count=2.0)), adds={"Head": (3.0, 0.0, 5.0)}),),
     "contrast flip": (
         GestureScript(hand((0.26, -0.22, 0.32), (0.5, 0.05, 0.9), UP, "open", (-0.2, 0.03, 0.02),
                            before={"palm": DOWN, "fingers": (-0.3, 0.0, 1.0)}),

@@ -61,7 +61,8 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
     "point right": (GestureScript(_ASIDE, adds={"Neck": (0.0, -8.0, 0.0), "Head": (0.0, -10.0, 0.0)}),),
     "point up": (
         GestureScript(hand((0.08, 0.16, 0.24), (0.0, 1.0, 0.12), (-0.5, 0.0, 1.0), "point", (0.0, -0.14, 0.02)),
-                      adds={"Neck": (-3.0, 0.0, 0.0), "Head": (-6.0, 0.0, 0.0)}, hold=0.6),),
+                      adds={"Neck": (-3.0, 0.0, 0.0), "Head": (-6.0, 0.0, 0.0)}, hold=0.6, preparation=0.65,
+                      retraction=0.9),),
     "point down": (
         GestureScript(hand((0.16, -0.42, 0.2), (0.1, -1.0, 0.2), (-0.3, 0.0, -1.0), "point", (0.0, 0.12, 0.03)),
                       adds={"Neck": (6.0, -3.0, 0.0), "Head": (8.0, -3.0, 0.0)}, hold=0.6),),
@@ -127,7 +128,7 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
         GestureScript(hand((-0.33, 0.07, 0.12), (-0.95, 0.05, -0.2), (0.0, -0.9, -0.5), "flat", (0.12, 0.02, 0.06),
                            point=TIPS, touches=True,
                            repeat=Repeat((-0.04, 0.0, 0.0), circle=(0.0, 0.03, 0.0), rate=1.9, count=2.0)),
-                           preparation=0.65,
+                           preparation=0.7, retraction=1.0,
                       adds={"Neck": (3.0, 10.0, 0.0), "Head": (5.0, 14.0, 0.0)}),),
     # ------------------------------------------------------------------------------------------- signs
     "wait finger": (
@@ -143,7 +144,7 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
         both(hand((0.06, -0.10, 0.34), (-0.45, 0.0, 0.9), (-1.0, 0.0, -0.3), "thumb", (0.0, -0.05, -0.09)), hold=0.7)),
     "thumbs down": (
         GestureScript(hand((0.08, -0.06, 0.36), (-0.9, -0.1, 0.5), (0.45, 0.0, 1.0), "thumb", (0.0, 0.1, -0.02),
-                           lift=60.0), hold=0.7, nods={"Head": (0.0, 5.0, 0.0)}),),
+                           lift=60.0), hold=0.7, preparation=0.65, nods={"Head": (0.0, 5.0, 0.0)}),),
     "ok ring": (
         GestureScript(hand((0.08, -0.01, 0.31), (-0.15, 1.0, 0.15), (-0.8, 0.0, 0.7), "ring", (0.0, -0.08, -0.03)),
                       hold=0.7),),
@@ -165,7 +166,7 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
     "wave goodbye": (
         GestureScript(hand((0.22, 0.2, 0.22), (0.05, 1.0, 0.1), AHEAD, "open", (-0.02, -0.1, 0.0),
                            repeat=Repeat(tilt=(28.0, 0.0, 0.0), shape="round", rate=2.4, count=3.0)),
-                      adds={"Head": (0.0, 0.0, 4.0)}, preparation=0.7, retraction=0.75),),
+                      adds={"Head": (0.0, 0.0, 4.0)}, preparation=0.7, retraction=0.9),),
     "beckon": (
         GestureScript(hand((0.08, -0.12, 0.36), (-0.1, 0.55, 0.85), (-0.1, 0.8, -0.6), "open", (0.0, -0.06, 0.0),
                            repeat=Repeat(circle=(0.0, 0.05, -0.13), tilt=(-12.0, 0.0, 0.0), shape="round", rate=1.8,

@@ -22,8 +22,8 @@ THINGS: dict[str, tuple[GestureScript, ...]] = {
     # ------------------------------------------------------------------------------------------- feelings
     "cheer arms": (
         both(hand((0.16, 0.36, 0.12), (0.2, 1.0, 0.0), (-0.3, 0.0, 1.0), "spread", (0.0, -0.2, 0.06),
-                  repeat=Repeat((0.03, 0.02, 0.0), rate=2.2, count=1.5)), preparation=0.8, stroke=0.35, hold=0.7,
-                  retraction=0.85,
+                  repeat=Repeat((0.03, 0.02, 0.0), rate=2.2, count=1.5)), preparation=0.85, stroke=0.35, hold=0.7,
+                  retraction=1.0,
              adds={"Head": (-8.0, 0.0, 0.0)}),),
     "fist pump": (
         GestureScript(hand((0.10, -0.17, 0.24), (-0.15, 0.8, 0.5), (-0.5, 0.2, -0.9), "fist", (-0.02, 0.14, 0.16)),
@@ -34,7 +34,7 @@ THINGS: dict[str, tuple[GestureScript, ...]] = {
                       adds={"Head": (4.0, 0.0, 0.0)}),),
     "flex arm": (
         GestureScript(hand((0.26, 0.24, 0.03), (-0.35, 1.0, 0.0), (-1.0, -0.2, 0.0), "fist", (0.08, -0.12, 0.06),
-                           lift=80.0), hold=0.9, preparation=0.7, retraction=0.75,
+                           lift=80.0), hold=0.9, preparation=0.75, retraction=1.0,
                            adds={"Neck": (0.0, -8.0, 0.0), "Head": (0.0, -12.0, 0.0)}),),
     "hug self": (
         GestureScript(hand((-0.27, -0.10, 0.15), (-1.0, 0.25, -0.05), (0.0, 0.0, -1.0), "open", (0.16, 0.0, 0.12),
@@ -42,7 +42,7 @@ THINGS: dict[str, tuple[GestureScript, ...]] = {
                       hand((-0.27, -0.18, 0.17), (-1.0, 0.25, -0.05), (0.0, 0.0, -1.0), "open", (0.16, 0.0, 0.12),
                            point=PALM, touches=True),
                       adds={"Head": (6.0, 0.0, 8.0), "Neck": (3.0, 0.0, 4.0), "LeftShoulder": (0.0, 0.0, 6.0),
-                            "RightShoulder": (0.0, 0.0, -6.0)}, stroke=0.4, hold=0.9, preparation=0.55),),
+                            "RightShoulder": (0.0, 0.0, -6.0)}, stroke=0.4, hold=0.9, preparation=0.6),),
     "heart hands": (
         both(hand((-0.10, -0.06, 0.28), (-0.62, 0.8, 0.1), (-0.8, -0.6, 0.2), "heart", (0.1, -0.02, 0.0), touches=True),
              stroke=0.4, hold=1.0, adds={"Head": (0.0, 0.0, 6.0)}),),
@@ -54,7 +54,7 @@ THINGS: dict[str, tuple[GestureScript, ...]] = {
                       stroke=0.45, hold=1.2, preparation=0.6, retraction=0.7),),
     "hands on hips": (
         both(hand((0.02, -0.44, 0.05), (-0.45, -0.55, 0.65), (-0.8, -0.1, -0.6), "open", (0.1, 0.05, 0.04), point=0.04,
-                  touches=True, lift=70.0), stroke=0.35, hold=1.1, preparation=0.55),),
+                  touches=True, lift=70.0), stroke=0.35, hold=1.1, preparation=0.6),),
     "rub hands": (
         in_turn(hand((-0.155, -0.2, 0.27), (-0.25, 0.2, 0.95), IN, "flat", (0.1, 0.0, 0.0), touches=True,
                      repeat=Repeat((0.0, 0.0, 0.045), rate=2.6, count=3.5))),),
@@ -121,7 +121,7 @@ THINGS: dict[str, tuple[GestureScript, ...]] = {
                            repeat=Repeat(shape="snap", rate=3.0, count=4.0))),),
     "drive wheel": (
         in_turn(hand((-0.01, -0.12, 0.38), (-0.2, 0.75, 0.6), (-0.7, -0.2, 0.7), "fist", (0.0, -0.05, -0.08),
-                     repeat=Repeat((0.0, 0.09, 0.0), rate=0.9, count=2.0))),),
+                     repeat=Repeat((0.0, 0.09, 0.0), rate=1.1, count=2.0))),),
     "open door": (
         both(hand((0.24, -0.12, 0.35), (0.3, 0.5, 0.8), (0.4, 0.0, 1.0), "flat", (-0.36, 0.0, 0.03),
                   before={"fingers": (-0.15, 0.9, 0.4), "palm": (0.1, 0.0, 1.0)}), stroke=0.5, hold=0.5),),
