@@ -38,7 +38,7 @@ WIDE, LOW, HIGH = 1.2, 0.86, 1.98
 """Metres of a cell: its width, and the heights over the floor that it shows."""
 INCH = 0.98
 """Inches for a metre."""
-WHOLE, CROP, PANE, NAME, ACROSS = (150, 200), (15, 20, 135, 108), (120, 88), 16, 10
+WHOLE, CROP, PANE, NAME, ACROSS = (150, 200), (15, 16, 135, 104), (120, 88), 16, 10
 """Of the film: pixels of a whole figure, of its upper part in it, of that part's size, and of its name; figures in a
 row."""
 FILM_FPS, FILM_FRAMES, APEX = 20, 62, 1.2
@@ -125,10 +125,10 @@ def frames(names: Sequence[str], rest: Array) -> Iterator[Image.Image]:
     for number, name in enumerate(names):
         row, column = divmod(number, across)
         corner = column * PANE[0], row * (PANE[1] + NAME)
-        pen.text((corner[0] + PANE[0] / 2, corner[1] + NAME / 2 + 2), name, bt709(INK), font, "mm")
+        pen.text((corner[0] + PANE[0] / 2, corner[1] + PANE[1] + NAME / 2 - 2), name, bt709(INK), font, "mm")
         motion, at = motion_of(name, rest)
         points = figure_points(motion, at + np.arange(FILM_FRAMES) / FILM_FPS - APEX, fingers=True)
-        panes.append((pictures(points, WHOLE, bt709), (corner[0], corner[1] + NAME)))
+        panes.append((pictures(points, WHOLE, bt709), corner))
     for _ in range(FILM_FRAMES):
         for drawn, corner in panes:
             page.paste(next(drawn).crop(CROP), corner)

@@ -147,7 +147,7 @@ IDEAS: dict[str, tuple[GestureScript, ...]] = {
         GestureScript(hand((0.05, -0.12, 0.33), (-0.1, 1.0, 0.1), (-0.2, 0.0, -1.0), "bunch", (0.0, -0.08, 0.0),
                            repeat=Repeat(circle=(0.0, 0.05, -0.03), tilt=(-10.0, 0.0, 0.0), rate=2.4, count=3.0))),),
     "air quotes": (
-        both(hand((0.08, 0.04, 0.28), (-0.1, 1.0, 0.12), AHEAD, "quotes", (0.0, -0.1, 0.0),
+        both(hand((0.13, 0.04, 0.28), (-0.05, 1.0, 0.12), AHEAD, "quotes", (0.0, -0.1, 0.0),
                   repeat=Repeat(circle=(0.0, -0.015, 0.0), shape="hooked", rate=2.5, count=2.0)), hold=0.9,
              adds={"Head": (3.0, 0.0, 4.0)}),),
 }
