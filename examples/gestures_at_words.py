@@ -18,8 +18,8 @@ def main(sound: str, said: str, wanted: str, output: str) -> None:
         word, _, gesture = one.partition("=")
         cues.append(GestureCue(gesture, word))
     made = Gesticulator.from_pretrained()(sound, text=said, cues=tuple(cues))
-    print(f"{made.save(output)}: {wanted}; there are {', '.join(GESTURES)}, and the names of the lexicon, "
-          f"such as {made.plan().lexicon[0].name}")
+    print(f"{made.save(output)}: {wanted}; there are {len(GESTURES)} names (gesticulator gestures), and those of the "
+          f"lexicon, such as {made.plan().lexicon[0].name}")
 
 
 if __name__ == "__main__":

@@ -136,7 +136,7 @@ def check_choices(args: argparse.Namespace) -> None:
 
 def check_cues(system: Gesticulator, args: argparse.Namespace) -> None:
     """`InputError` for a cue that names an unknown gesture, before any recording is processed."""
-    from gesticulator.plan.plan import GESTURES
+    from gesticulator.plan.gestures import GESTURES, near_gestures
 
     unknown = [cue.gesture for cue in args.cues if cue.gesture not in GESTURES]
     if unknown:
@@ -145,11 +145,7 @@ def check_cues(system: Gesticulator, args: argparse.Namespace) -> None:
         names = [one.name for one in lexeme_names(system.bundle)]
         for gesture in unknown:
             if gesture not in names:
-                near = difflib.get_close_matches(gesture, [*GESTURES, *names], 1)
-                raise InputError(f"--cue {shown(gesture)}", "is the name of no gesture",
-                                 (f"did you mean {near[0]}? " if near else "")
-                                 + f"choose among {', '.join(GESTURES)}, or a name of the lexicon "
-                                 "(gesticulator plan names)")
+                raise InputError(f"--cue {shown(gesture)}", "is the name of no gesture", near_gestures(gesture, names))
 
 
 def controls_from_args(system: Gesticulator, args: argparse.Namespace) -> Controls | None:

@@ -154,7 +154,7 @@ class InferenceOptions:
     """Ranges (from, to) in which the hands rest, seconds."""
     cues: tuple[GestureCue, ...] = _option(
         (), "a gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug; can be "
-        "repeated (gesticulator plan names lists the gestures)", "WORD=GESTURE", many=True, name="cue")
+        "repeated (gesticulator gestures lists them)", "WORD=GESTURE", many=True, name="cue")
     """Gestures to make at words or times."""
     plan: GesturePlan | None = _option(None, "render a gesture plan (.json, .bml): unchanged blocks are replayed, "
                                        "edited ones are generated again; --seed has no effect", "FILE")

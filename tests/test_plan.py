@@ -21,7 +21,6 @@ from gesticulator.plan.exchange import PlanExchange
 from gesticulator.plan.json_lines import parse
 from gesticulator.plan.plan import (
     FORMAT,
-    GESTURES,
     VERSION,
     Block,
     BlockDraw,
@@ -118,7 +117,7 @@ def test_what_the_schema_refuses_is_refused_with_its_line(place: tuple[str | int
     ('"seed": 7,', '"seed": 7, "seed": 8,', "twice"), ('"seed": 7,', '"seed": NaN,', "not JSON"),
     ('"seed": 7,', '"seed" 7,', "lacks the colon"), ('"seed": 7,', '"seed": 07,', "lacks a comma"),
     ('"version": 2', '"version": 3', "this version reads 1 and 2"), (FORMAT, "other", "--plan-out"),
-    ('"wave"', '"wavy"', "one of wave, point left"), ('"word": "Hello"', '"word": null', "a word or a time"),
+    ('"wave"', '"wavy"', "did you mean wave"), ('"word": "Hello"', '"word": null', "a word or a time"),
     ('"time": 0.5', '"time": 99', "0 to "), ('"lexeme": 1, "silent": true', '"lexeme": 9, "silent": true', "0 to 2"),
 ])
 def test_mistakes_are_told_with_what_is_allowed(old: str, new: str, told: str) -> None:
@@ -207,12 +206,6 @@ def test_our_reader_of_json_refuses_what_pythons_does(text: str) -> None:
             parse(text, "t")
     else:
         assert parse(text, "t").value == wanted
-
-
-def test_every_gesture_has_a_script() -> None:
-    from gesticulator.directing.named_gestures import SCRIPTS
-
-    assert set(SCRIPTS) == set(GESTURES)
 
 
 _BML = '<bml xmlns="http://www.bml-initiative.org/bml/bml-1.0" xmlns:g="urn:gesticulator:plan:1">'

@@ -14,7 +14,6 @@ import soundfile
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
-from data_module.motion.skeletons import resized
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.body.mirror import mirrored_motion
@@ -37,7 +36,7 @@ from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
 from gesticulator.export.html import describe
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
-from gesticulator.plan.plan import GESTURES, Block, GestureCue, GesturePlan
+from gesticulator.plan.plan import Block, GestureCue, GesturePlan
 from gesticulator.plan.plan_file import parse_plan
 from gesticulator.serve.edits import LivePlans
 from interpreters.base import BlockFeatures
@@ -361,20 +360,20 @@ def test_a_wave_is_a_wave(system: Gesticulator, speech: Speech, drawn: Performan
     assert hand_speeds(made).max() < 3.5, "no jump"
 
 
-@pytest.mark.parametrize("name", list(GESTURES))
+@pytest.mark.parametrize("name", ["wave", "point left", "point ahead", "me", "stop", "shrug", "open palms", "nod",
+                                  "shake head", "count 3", "chin think", "arms crossed", "clap", "cut off"])
 def test_named_gestures_are_poses_of_a_body(name: str, drawn: Performance) -> None:
+    """Over generated motion, whose hands may be anywhere; all gestures over a resting body: test_named_gestures.py."""
     times = np.arange(len(drawn.rotations)) / 60
     poses = rotation.unroll(rotation.to_exponential_map(drawn.rotations)).reshape(len(times), -1)
     out = laid_over(poses, times, [(GestureCue(name), 4.0)])
-    flipped = laid_over(poses, times, [(GestureCue(name, mirror=True), 4.0)])
-    both = name in ("shrug", "open palms", "nod")
-    assert not np.array_equal(out, poses) and (both or not np.allclose(out, flipped))
     before, after = span_of_gesture(name)
     far = (times <= 4.0 - before) | (times >= 4.0 + after)
+    assert not np.array_equal(out, poses)
     np.testing.assert_array_equal(out[far], poses[far])
     assert np.abs(np.diff(out, axis=0)).max() <= max(np.abs(np.diff(poses, axis=0)).max(), 0.25), "no jump in any joint"
     motion = replace(drawn.motion, rotations=rotation.from_exponential_map(out.reshape(len(out), -1, 3)))
-    at = slice(round(4.05 * 60), round(4.3 * 60))
+    at = slice(round(4.02 * 60), round(4.2 * 60))
     names, bends = drawn.joints, rotation.to_exponential_map(motion.rotations[at])
     for side in ("Left", "Right"):
         places = positions_of(motion)[at]
@@ -386,7 +385,6 @@ def test_named_gestures_are_poses_of_a_body(name: str, drawn: Performance) -> No
         bend = np.linalg.norm(bends[:, names.index(side + "Hand"), 1:], axis=-1)
         assert np.degrees(bend).max() < 85
     assert min(gap[at].min() for gap in our_distances(pose_of(motion)).values()) > 0.0, "outside the body"
-    assert resized(motion, motion.skeleton) is motion
 
 
 def test_cues_find_their_words_and_say_what_is_said() -> None:
@@ -395,7 +393,7 @@ def test_cues_find_their_words_and_say_what_is_said() -> None:
     due = cues_at(cues, words, 3.0, tuple)
     assert [round(one.time, 3) for one in due] == [0.3, 2.1, 1.0]
     for cue, told in ((GestureCue("wave", "hello", 3), "hello, you"), (GestureCue("wave", "red"), "0 times"),
-                      (GestureCue("wavy", "you"), "wave, point left"),
+                      (GestureCue("wavy", "you"), "did you mean wave"),
                       (GestureCue("wave", time=4.0), "not within the 3")):
         with pytest.raises(InputError, match=told):
             cues_at([cue], words, 3.0, tuple)

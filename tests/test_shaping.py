@@ -38,14 +38,16 @@ def test_a_mirror_image_has_its_joints_across_the_middle_and_is_its_own_inverse(
 
 
 def test_a_gesture_is_blended_in_along_the_shortest_turn() -> None:
-    """Half of the way in, the arm has made half of the turn from where it was to where the gesture has it."""
+    """Until the stroke begins, the arm turns about one axis, from where it was to where the stroke begins, by less than
+    half a turn."""
     names = CHARACTERS[46].names
-    arm, pose = 3 * names.index("RightArm"), np.zeros((3, 3 * len(names)))
+    arm, pose = 3 * names.index("RightArm"), np.zeros((5, 3 * len(names)))
     pose[:, arm:arm + 3] = [0.3, -0.4, 1.2]
     before, _ = span_of_gesture("stop")
-    moved = laid_over(pose, 2.0 + np.array([-before, -before / 2, 0.0]), [(GestureCue("stop", 2.0), 2.0)])
-    was, half, there = (Rotation.from_rotvec(row[arm:arm + 3]) for row in moved)
+    moved = laid_over(pose, np.array([2.0 - before, 1.55, 1.62, 1.69, 1.74]), [(GestureCue("stop", time=2.0), 2.0)])
     assert np.array_equal(moved[0], pose[0])
-    whole = (was.inv() * there).as_rotvec()
-    assert 0.5 < np.linalg.norm(whole) < np.pi
-    np.testing.assert_allclose((was.inv() * half).as_rotvec(), whole / 2, atol=1e-6)
+    was = Rotation.from_rotvec(moved[0, arm:arm + 3])
+    turns = np.array([(was.inv() * Rotation.from_rotvec(row[arm:arm + 3])).as_rotvec() for row in moved[1:]])
+    sizes = np.linalg.norm(turns, axis=1)
+    assert (np.diff(sizes) > 0).all() and 0.4 < sizes[-1] < np.pi
+    np.testing.assert_allclose(turns / sizes[:, None], np.tile(turns[0] / sizes[0], (4, 1)), atol=1e-6)

@@ -1,4 +1,4 @@
-"""The pictures of docs/plan.md and docs/knobs.md, drawn from the example recording and the shipped weights.
+"""The pictures of docs/knobs.md, drawn from the example recording and the shipped weights.
 
     python docs/pictures/make_knobs.py [FOLDER]
 
@@ -21,12 +21,11 @@ from eval.pictures.strips import PAGE, Source, draw_page, save_strip
 from eval.stats import Interval
 from eval.table import load
 from gesticulator import Gesticulator
-from gesticulator.plan.plan import GESTURES, GestureCue
 
 HERE = Path(__file__).resolve().parent
 SOUND = HERE.parent.parent / "examples" / "speech.flac"
-SECONDS, AT = 10.0, 7.0
-"""Seconds of the example, and when the gesture is made."""
+SECONDS = 10.0
+"""Of the example."""
 KNOBS = ("intensity", "activity")
 FIGURES = {"eye_speed_50": "hand speed, median, m/s", "eye_speed_95": "hand speed, 95 %, m/s",
            "eye_stroke_amplitude": "stroke amplitude, cm", "moving": "a hand moves, % of time"}
@@ -36,14 +35,10 @@ def main(folder: str = str(HERE)) -> None:
     """Draw them all."""
     system, speech = Gesticulator.from_pretrained(), load_speech(SOUND)
     speech = replace(speech, samples=speech.samples[:round(SECONDS * speech.sample_rate)])
-    layout = replace(PAGE, views=("front",), line=9, spacing=1.25)
-    gestures = [Source(name, system(speech, fps=30, cues=(GestureCue(name, time=AT),)).motion)
-                for name in GESTURES if name not in ("nod", "shake head")]
-    save_strip(draw_page(gestures, np.linspace(AT - 0.6, AT + 1.8, 9), layout=layout),
-               Path(folder) / "named_gestures.png", 60)
+    layout = replace(PAGE, line=9, spacing=1.25)
     sizes = [Source(f"intensity {size:g}", system(speech, fps=30, intensity=size).motion) for size in (0.5, 1.0, 1.5)]
-    save_strip(draw_page(sizes, np.arange(2.0, 6.1, 0.5), layout=replace(layout, views=PAGE.views)),
-               Path(folder) / "intensity.png", 60)
+    save_strip(draw_page(sizes, np.arange(2.0, 6.1, 0.5), layout=layout), Path(folder) / "intensity.png",
+               60)
     save_strip(curves(), Path(folder) / "knobs.png", 80)
 
 

@@ -55,7 +55,7 @@ def _summary(path: str) -> str:
 def _print_names(bundle: str | None) -> None:
     from gesticulator.bundle.bundle import SHIPPED, load
     from gesticulator.directing.lexeme_names import lexeme_names
-    from gesticulator.plan.plan import GESTURES
+    from gesticulator.plan.gestures import GESTURES
 
     print("gestures")
     for name, about in GESTURES.items():

@@ -29,7 +29,8 @@ from gesticulator.directing.shaping import (
 )
 from gesticulator.drawing.drawer import Direction
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
-from gesticulator.plan.plan import GESTURES, GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks, sound_hash
+from gesticulator.plan.gestures import GESTURES, near_gestures
+from gesticulator.plan.plan import GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks, sound_hash
 
 Shaping = Callable[[Array, Array], Array]
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
@@ -70,10 +71,10 @@ def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
     for cue in cues:
         lexeme = None
         if cue.gesture not in GESTURES:
-            lexeme = next((entry.lexeme for entry in names() if entry.name == cue.gesture), None)
+            lexemes = {entry.name: entry.lexeme for entry in names()}
+            lexeme = lexemes.get(cue.gesture)
             if lexeme is None:
-                raise InputError(f"gesture {shown(cue.gesture)}", "is unknown", f"choose among {', '.join(GESTURES)}, "
-                                 "or a name of the lexicon (gesticulator plan names)")
+                raise InputError(f"gesture {shown(cue.gesture)}", "is unknown", near_gestures(cue.gesture, lexemes))
         out.append(CueAt(cue, _time_of(cue, words, duration), lexeme))
     return out
 
@@ -258,7 +259,7 @@ def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequ
         if cues:
             from gesticulator.directing.named_gestures import laid_over
 
-            poses = laid_over(poses, times, [(cue.cue, cue.time) for cue in cues])
+            poses = laid_over(poses, times, [(cue.cue, cue.time) for cue in cues], options.seed or 0)
         return poses
 
     return shape

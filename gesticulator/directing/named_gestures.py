@@ -1,145 +1,128 @@
-"""Named gestures, such as a wave, a shrug or a nod: procedural, and blended over the generated motion.
+"""Named gestures, such as a wave, a shrug or a nod: scripts that are blended over the generated motion.
 
-The lexicon has movements without meanings; no lexeme is a wave. So each gesture of `plan.GESTURES` is a short script:
-positions of the hands (relative to the shoulders, in the frame of the chest), directions of the palms, bends of the
-fingers, and rotations added to shoulders, neck and head. Two-bone inverse kinematics turns it into poses, and an
-envelope blends them in and out along the shortest rotation, so that there is no jump. The stroke arrives at the cue's
-time.
+The lexicon has movements without meanings; no lexeme is a wave. So each gesture of the repertoire
+(`gesticulator.plan.gestures`) is a script of key poses (`gesticulator.directing.gesture_scripts`), which inverse
+kinematics turns into poses of arms and fingers. An envelope blends them in and out along the shortest rotation, so that
+there is no jump, and hands that would pass through the trunk are led around it. The apex is at the cue's time.
 """
 
 from __future__ import annotations
 
-import functools
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
-from data_module.motion.skeletons import CHARACTERS, FINGER_JOINTS
-from data_module.types import Array
-from gesticulator.body.mirror import exchanged_joints
+from data_module.motion.skeletons import CHARACTERS, FINGERS
+from data_module.types import Array, Motion
+from gesticulator.body.mirror import SIDES, exchanged_joints
+from gesticulator.characters.contacts import MARGIN, kept_out_of_us, our_distances, pose_of
+from gesticulator.directing.gesture_parts import GestureScript, Vector
+from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
 from gesticulator.directing.shaping import nearest_turn
 from gesticulator.plan.plan import GestureCue
 
-Vector = tuple[float, float, float]
-_RISE, _FALL = 0.55, 0.7
-"""Seconds in which a gesture is blended in before its stroke, and out after its hold."""
-_NOD_RISE, _NOD_FALL = 0.2, 0.3
-"""The same for gestures of the head alone."""
-_STRETCHED = 0.97
-"""Greatest distance of a hand from the shoulder, as a share of the arm's length: an elbow that locks would jump."""
-_PRONATES = 0.6
-"""Share of the hand's twist that the forearm takes over, as pronation does in a human forearm."""
-_MOST_BEND = math.radians(60.0)
-"""Greatest bend of the wrist, radians."""
-_ELBOW = {"Left": np.array([0.45, -1.0, -0.25]), "Right": np.array([-0.45, -1.0, -0.25])}
-"""Direction in which the elbow points: down, a little outwards and back."""
-_CURL = {"Thumb": (8.0, 12.0, 12.0), "Index": (62.0, 80.0, 45.0), "Middle": (66.0, 84.0, 48.0),
-         "Ring": (68.0, 84.0, 48.0), "Pinky": (68.0, 82.0, 46.0)}
-"""Bends of the joints of a closed finger, degrees."""
-
-
-@dataclass(frozen=True)
-class HandScript:
-    """Pose of a hand at the stroke. All directions are (outwards from the body's middle, up, forward).
-
-    place: metres from the shoulder. fingers: direction in which they point; palm: direction in which it faces. curl: of
-    thumb, index and the other fingers, 0 open to 1 closed. swing: amplitude to both sides, metres, at `rate` hertz.
-    """
-
-    place: Vector
-    fingers: Vector
-    palm: Vector
-    curl: Vector = (0.1, 0.1, 0.15)
-    swing: float = 0.0
-    rate: float = 2.0
-
-
-@dataclass(frozen=True)
-class GestureScript:
-    """A gesture. hands: side -> pose; adds: joint -> rotation to add, an exponential map in degrees; shakes: joint ->
-    amplitude of its oscillation, the same, at `rate` hertz; hold: seconds after the stroke."""
-
-    hands: Mapping[str, HandScript] = field(default_factory=dict)
-    adds: Mapping[str, Vector] = field(default_factory=dict)
-    shakes: Mapping[str, Vector] = field(default_factory=dict)
-    rate: float = 1.6
-    hold: float = 0.45
-
-
-_BACKHAND = HandScript((0.40, 0.0, 0.22), (0.86, 0.05, 0.5), (0.0, -1.0, 0.1), (0.5, 0.0, 0.95))
-_OPEN = HandScript((0.10, -0.24, 0.33), (0.45, 0.1, 0.9), (0.1, 1.0, -0.1))
-_SHRUGGED = HandScript((0.20, -0.25, 0.22), (0.8, 0.1, 0.6), (0.1, 1.0, 0.1))
-SCRIPTS: dict[str, GestureScript] = {
-    "wave": GestureScript({"Right": HandScript((0.20, 0.12, 0.20), (0.0, 1.0, 0.05), (0.0, 0.0, 1.0), swing=0.085)},
-                          hold=1.3),
-    "point left": GestureScript({"Left": _BACKHAND}, {"Neck": (0.0, 8.0, 0.0), "Head": (0.0, 10.0, 0.0)}),
-    "point right": GestureScript({"Right": _BACKHAND}, {"Neck": (0.0, -8.0, 0.0), "Head": (0.0, -10.0, 0.0)}),
-    "point ahead": GestureScript({"Right": HandScript((-0.02, -0.06, 0.46), (-0.05, 0.05, 1.0), (-0.3, -1.0, 0.0),
-                                                      (0.5, 0.0, 0.95))}),
-    "me": GestureScript({"Right": HandScript((-0.08, -0.20, 0.20), (-1.0, 0.15, 0.15), (-0.1, 0.0, -1.0))}, hold=0.6),
-    "stop": GestureScript({"Right": HandScript((0.04, 0.0, 0.36), (0.0, 1.0, 0.15), (0.0, -0.1, 1.0))}, hold=0.6),
-    "shrug": GestureScript({"Left": _SHRUGGED, "Right": _SHRUGGED},
-                           {"LeftShoulder": (0.0, 0.0, 13.0), "RightShoulder": (0.0, 0.0, -13.0),
-                            "Head": (0.0, 0.0, 7.0), "Neck": (0.0, 0.0, 4.0)}, hold=0.5),
-    "open palms": GestureScript({"Left": _OPEN, "Right": _OPEN}, hold=0.6),
-    "nod": GestureScript(shakes={"Neck": (6.0, 0.0, 0.0), "Head": (9.0, 0.0, 0.0)}, rate=1.9, hold=0.75),
-    "shake head": GestureScript(shakes={"Neck": (0.0, 8.0, 0.0), "Head": (0.0, 12.0, 0.0)}, rate=1.5, hold=1.0),
-}
+_FLIP = np.array([1.0, -1.0, -1.0])
+"""A reflection keeps the x component of an exponential map and negates y and z."""
+_ARM = ("Arm", "ForeArm", "Hand")
+_HEAD = ("Neck", "Neck1", "Head")
+_TOUCH = 0.012
+"""Metres from the trunk at which a hand that lies on it stays."""
+_WHOLE = 0.5
+"""Intensity from which on a gesture is made whole; below, it is blended in by so much less, and not at all at 0."""
 
 
 def span_of_gesture(name: str) -> tuple[float, float]:
-    """Seconds from the start of a gesture to its stroke, and from its stroke to its end."""
-    script = SCRIPTS[name]
-    return (_RISE, script.hold + _FALL) if script.hands else (_NOD_RISE, script.hold + _NOD_FALL)
+    """Seconds from the start of a gesture to its apex, and from its apex to its end, at most."""
+    phases = longest(name)
+    return phases.before, phases.after
 
 
-def laid_over(poses: Array, times: Array, cues: Sequence[tuple[GestureCue, float]]) -> Array:
+def laid_over(poses: Array, times: Array, cues: Sequence[tuple[GestureCue, float]], seed: int = 0) -> Array:
     """Poses [M, 3 J] (exponential maps, radians) at seconds [M], with each gesture blended in at its time; all other
-    poses stay the same bit for bit."""
+    poses stay the same bit for bit. seed: with another one, each gesture varies in another way."""
     out = poses.copy()
     for cue, at in cues:
         before, after = span_of_gesture(cue.gesture)
         near = np.flatnonzero((times > at - before) & (times < at + after))
         if len(near):
-            out[near] = _with_gesture(out[near], times[near] - at, cue)
+            out[near] = _with_gesture(out[near], times[near] - at, cue, drawn_gesture(cue, at, seed))
     return out
 
 
-def _with_gesture(poses: Array, seconds: Array, cue: GestureCue) -> Array:
-    """Poses [M, 3 J] with one gesture blended in; seconds: [M] relative to its stroke."""
-    script = SCRIPTS[cue.gesture]
-    before, after = span_of_gesture(cue.gesture)
+def _with_gesture(poses: Array, seconds: Array, cue: GestureCue, draw: GestureDraw) -> Array:
+    """Poses [M, 3 J] with one gesture blended in; seconds: [M] relative to its apex."""
+    weight = min(cue.intensity / _WHOLE, 1.0) * draw.phases.weight(seconds)
+    script, flipped = draw.script, (draw.script.side == "Left") != cue.mirror
     names = CHARACTERS[poses.shape[1] // 3].names
-    size = min(cue.intensity, 1.0) if script.hands else cue.intensity
-    weight = size * _smooth((seconds + before) / before) * _smooth((after - seconds) / (after - script.hold))
-    targets = {name: turns for side, hand in script.hands.items()
-               for name, turns in _hand_turns(side, hand, seconds, cue.intensity).items() if name in names}
-    wave = np.sin(2.0 * np.pi * script.rate * np.clip(seconds + before, 0.0, None))
-    added = {name: weight[:, None] * np.radians(vector) for name, vector in script.adds.items()}
-    added |= {name: (weight * wave)[:, None] * np.radians(vector) for name, vector in script.shakes.items()}
     vectors = poses.reshape(len(poses), -1, 3).copy()
-    flipped = exchanged_joints(names)
-    flip = np.array([1.0, -1.0, -1.0])
+    targets = _targets(draw, seconds)
+    adds = _added(draw, seconds, weight)
     for name, turns in targets.items():
-        joint = names.index(name)
-        if cue.mirror:
-            joint, turns = int(flipped[joint]), turns * flip
-        vectors[:, joint] = _blended(vectors[:, joint], turns, weight)
-    for name, vector in added.items():
-        joint = names.index(name)
-        if cue.mirror:
-            joint, vector = int(flipped[joint]), vector * flip
-        vectors[:, joint] += vector
-    return vectors.reshape(poses.shape)
+        joint, turns = _on_side(names, name, turns, flipped)
+        if joint is not None:
+            vectors[:, joint] = _blended(vectors[:, joint], turns, weight)
+    for name, turns in adds.items():
+        joint, turns = _on_side(names, name, turns, flipped)
+        if joint is not None and name not in targets:
+            vectors[:, joint] += turns
+    moved = [side for side, part in (("Right", script.main), ("Left", script.other)) if part is not None]
+    moved = [SIDES[1 - SIDES.index(side)] if flipped else side for side in moved]
+    return _led_around(vectors.reshape(poses.shape), poses, weight, moved, _touching(script))
 
 
-def _smooth(s: Array) -> Array:
-    u: Array = np.clip(s, 0.0, 1.0)
-    return u ** 3 * (10.0 - 15.0 * u + 6.0 * u * u)
+def _on_side(names: tuple[str, ...], name: str, turns: Array, flipped: bool) -> tuple[int | None, Array]:
+    """The number of a joint of a right-handed script, None if the character lacks it, and its turns; of the other side
+    if the gesture is flipped."""
+    if name not in names:
+        return None, turns
+    joint = names.index(name)
+    return (int(exchanged_joints(names)[joint]), turns * _FLIP) if flipped else (joint, turns)
+
+
+def _targets(draw: GestureDraw, seconds: Array) -> dict[str, Array]:
+    """Joint -> [M, 3] exponential maps that a right-handed gesture leads to: arms and fingers, and the head if a hand
+    touches it."""
+    out: dict[str, Array] = {}
+    script = draw.script
+    for which, (side, part) in enumerate((("Right", script.main), ("Left", script.other))):
+        if part is None:
+            continue
+        arm, fingers = hand_turns(draw, which, seconds)
+        if side == "Right":
+            arm, fingers = arm * _FLIP, fingers * _FLIP
+        shoulder = _constant(script.adds.get(side + "Shoulder", (0.0, 0.0, 0.0)), draw.turns, seconds)
+        # The hand is placed in the frame of the chest, whatever the shoulder does.
+        arm[:, 0] = (Rotation.from_rotvec(shoulder).inv() * Rotation.from_rotvec(arm[:, 0])).as_rotvec()
+        out |= {side + name: arm[:, at] for at, name in enumerate(_ARM)}
+        out |= {f"{side}Hand{finger}{place + 1}": fingers[:, 3 * at + place]
+                for at, finger in enumerate(FINGERS) for place in range(3)}
+        out[side + "Shoulder"] = shoulder
+    if script.faces:
+        out |= {name: _constant(script.adds.get(name, (0.0, 0.0, 0.0)), 1.0, seconds) for name in _HEAD}
+    return out
+
+
+def _constant(degrees: Vector, factor: float, seconds: Array) -> Array:
+    return np.repeat(factor * np.radians(degrees)[None], len(seconds), axis=0)
+
+
+def _added(draw: GestureDraw, seconds: Array, weight: Array) -> dict[str, Array]:
+    """Joint -> [M, 3] what is added to its exponential maps."""
+    script = draw.script
+    # At its far end at the apex, whatever the rate.
+    wave = weight * np.cos(2.0 * np.pi * script.rate * draw.pace * seconds)
+    levels = ((script.adds, weight), (script.nods, wave))
+    out: dict[str, Array] = {}
+    for turns, level in levels:
+        for name, degrees in turns.items():
+            out[name] = out.get(name, np.zeros((len(seconds), 3))) + _scaled(degrees, draw.turns, level)
+    return out
+
+
+def _scaled(degrees: Vector, factor: float, level: Array) -> Array:
+    return factor * level[:, None] * np.radians(degrees)
 
 
 def _blended(now: Array, target: Array, share: Array) -> Array:
@@ -150,89 +133,30 @@ def _blended(now: Array, target: Array, share: Array) -> Array:
     return nearest_turn((begin * Rotation.from_rotvec(share[:, None] * turn)).as_rotvec(), now)
 
 
-# ---------------------------------------------------------------------------------------------------- the arms
+# ---------------------------------------------------------------------------------------------------- contacts
 
-def _hand_turns(side: str, script: HandScript, seconds: Array, size: float) -> dict[str, Array]:
-    """Joint -> [M, 3] exponential maps of an arm and its fingers for a script. seconds: [M] relative to the stroke;
-    size: factor on the swing."""
-    outwards = 1.0 if side == "Left" else -1.0
-    flip = np.array([outwards, 1.0, 1.0])
-    swing = script.swing * size * np.sin(2.0 * np.pi * script.rate * seconds)
-    places = np.array(script.place) + swing[:, None] * np.array([1.0, 0.0, 0.0])
-    # A waving hand tilts with its forearm.
-    tilt = np.array(script.fingers) + 3.0 * swing[:, None] * np.array([1.0, 0.0, 0.0])
-    arm, forearm, hand = _arm(side, places * flip, tilt * flip, np.broadcast_to(np.array(script.palm) * flip,
-                                                                               places.shape))
-    out = {f"{side}Arm": arm, f"{side}ForeArm": forearm, f"{side}Hand": hand}
-    count = len(seconds)
-    thumb, index, others = script.curl
-    for name, axis, degrees in _finger_axes(side):
-        share = thumb if "Thumb" in name else index if "Index" in name else others
-        out[name] = np.repeat((math.radians(degrees * share) * axis)[None], count, axis=0)
+def _touching(script: GestureScript) -> bool:
+    return any(part is not None and part.touches for part in (script.main, script.other))
+
+
+def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str], touches: bool) -> Array:
+    """Poses [M, 3 J] with the hands of the sides `moved` kept as far from the trunk as in the poses `before`, and in a
+    gesture at `MARGIN`, or on the trunk if it touches it. Where nothing has to move, nothing changes."""
+    if not moved:
+        return poses
+    motion, first = _motion_of(poses), our_distances(pose_of(_motion_of(before)))
+    gap = _TOUCH if touches else MARGIN
+    wanted: Mapping[str, Array] = {side: (1.0 - weight) * np.minimum(first[side], MARGIN) + weight * gap
+                                   if side in moved else np.full(len(poses), -np.inf) for side in SIDES}
+    freed = kept_out_of_us(motion, wanted)
+    changed = (freed.rotations != motion.rotations).any(axis=-1, keepdims=True)
+    reference = poses.reshape(len(poses), -1, 3)
+    turned = nearest_turn(rotation.to_exponential_map(freed.rotations), reference)
+    out: Array = np.where(changed, turned, reference).reshape(poses.shape)
     return out
 
 
-def _arm(side: str, places: Array, fingers: Array, palms: Array) -> tuple[Array, Array, Array]:
-    """Inverse kinematics of an arm: exponential maps [M, 3] of upper arm, forearm and hand that bring the wrist to
-    `places` [M, 3], metres from the shoulder, with fingers and palm in the directions `fingers` and `palms` [M, 3] as
-    far as the wrist bends. The chest is assumed upright."""
-    skeleton = CHARACTERS[16]
-    bone = np.array([1.0 if side == "Left" else -1.0, 0.0, 0.0])
-    hinge = _hinge(side)
-    upper, fore = (abs(float(skeleton.offsets[skeleton.index(side + part)][0])) for part in ("ForeArm", "Hand"))
-    far = np.clip(np.linalg.norm(places, axis=-1, keepdims=True), 0.12, _STRETCHED * (upper + fore))
-    along = places / np.linalg.norm(places, axis=-1, keepdims=True)
-    share = (upper ** 2 + far ** 2 - fore ** 2) / (2.0 * far)
-    aside = _ELBOW[side] - np.sum(_ELBOW[side] * along, axis=-1, keepdims=True) * along
-    aside = aside / np.linalg.norm(aside, axis=-1, keepdims=True)
-    elbow = share * along + np.sqrt(np.maximum(upper ** 2 - share ** 2, 1e-6)) * aside
-    first, second = elbow / upper, (along * far - elbow) / fore
-    axis = np.cross(first, second)
-    axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
-    arm, forearm = _frames(bone, hinge, first, axis), _frames(bone, hinge, second, axis)
-    fingers = fingers / np.linalg.norm(fingers, axis=-1, keepdims=True)
-    palms = palms - np.sum(palms * fingers, axis=-1, keepdims=True) * fingers
-    hand = _frames(bone, np.array([0.0, -1.0, 0.0]), fingers, palms / np.linalg.norm(palms, axis=-1, keepdims=True))
-    wrist = forearm.inv() * hand
-    quaternion = wrist.as_quat(scalar_first=True)
-    twist = rotation.unroll(rotation.to_exponential_map(rotation.yaw_of(quaternion, axis=0)))
-    turned = Rotation.from_rotvec(_PRONATES * twist)
-    bend = Rotation.from_rotvec(twist).inv() * wrist  # the hand turns first, then bends
-    left = (Rotation.from_rotvec((1.0 - _PRONATES) * twist) * _limited(bend)).as_rotvec()
-    return arm.as_rotvec(), (arm.inv() * forearm * turned).as_rotvec(), left
-
-
-def _limited(bend: Rotation) -> Rotation:
-    """Bends of the wrist, limited to `_MOST_BEND`."""
-    vectors = bend.as_rotvec()
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return Rotation.from_rotvec(vectors * np.minimum(1.0, _MOST_BEND / np.maximum(length, 1e-9)))
-
-
-def _hinge(side: str) -> Array:
-    """[3] axis of the elbow of a level arm: bending moves the forearm forward and a little up."""
-    angle = math.radians(12.0)
-    down = np.array([0.0, -math.cos(angle), -math.sin(angle)])
-    return down if side == "Left" else -down
-
-
-def _frames(rest_along: Array, rest_across: Array, along: Array, across: Array) -> Rotation:
-    """Rotations that map the orthogonal unit vectors `rest_along` and `rest_across` to `along` and `across` [M, 3]."""
-    now = np.stack([along, across, np.cross(along, across)], axis=-1)
-    rest = np.stack([rest_along, rest_across, np.cross(rest_along, rest_across)], axis=-1)
-    return Rotation.from_matrix(now @ rest.T)
-
-
-@functools.cache
-def _finger_axes(side: str) -> tuple[tuple[str, Array, float], ...]:
-    """(joint of a finger, [3] its bending axis, its bend in a closed hand, degrees); at rest the palm faces down."""
-    skeleton, out = CHARACTERS[46], []
-    for name in FINGER_JOINTS:
-        if name.startswith(side):
-            finger, place = name[len(side) + 4:-1], int(name[-1]) - 1
-            along = skeleton.offsets[skeleton.index(f"{side}Hand{finger}2")]
-            sign = 1.0 if side == "Left" else -1.0
-            goal = np.array([0.75 * sign, -0.55, -0.35]) if finger == "Thumb" else np.array([0.0, -1.0, 0.0])
-            axis = np.cross(along, goal)
-            out.append((name, axis / np.linalg.norm(axis), _CURL[finger][place]))
-    return tuple(out)
+def _motion_of(poses: Array) -> Motion:
+    skeleton = CHARACTERS[poses.shape[1] // 3]
+    rotations = rotation.from_exponential_map(poses.reshape(len(poses), -1, 3))
+    return Motion(skeleton, rotations, np.zeros((len(poses), 3)), 60.0)

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan import (
     FORMAT,
-    GESTURES,
     VERSION,
     Block,
     DrawnBlocks,

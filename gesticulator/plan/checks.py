@@ -7,8 +7,9 @@ from collections.abc import Callable
 from itertools import pairwise
 
 from data_module.errors import InputError, shown
+from gesticulator.plan.gestures import GESTURES, near_gestures
 from gesticulator.plan.json_lines import Path as Place
-from gesticulator.plan.plan import GESTURES, GesturePlan, GestureUnit, PlanMeaning, PosePin
+from gesticulator.plan.plan import GesturePlan, GestureUnit, PlanMeaning, PosePin
 
 SHORTEST, LONGEST = 0.1, 1.0
 """Allowed length of an edited block, seconds (detected blocks last 0.2 to 0.5)."""
@@ -61,10 +62,10 @@ def _is_fingerprint(text: str, duration: float) -> bool:
 
 
 def _check_gesture(plan: GesturePlan, at: int, name: str) -> None:
-    known = [*GESTURES, *(entry.name for entry in plan.lexicon)]
-    if name not in known and plan.lexicon:
-        raise plan.error(("cues", at, "gesture"), f"is {shown(name)}",
-                         f"give one of {', '.join(GESTURES)}, or a name of the lexicon")
+    lexemes = [entry.name for entry in plan.lexicon]
+    if name not in GESTURES and name not in lexemes and plan.lexicon:
+        raise plan.error(("cues", at, "gesture"), f"is {shown(name)}, the name of no gesture",
+                         near_gestures(name, lexemes))
 
 
 def _check_drawn(plan: GesturePlan) -> None:

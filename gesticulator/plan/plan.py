@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 from data_module.settings import PRIVATE, SettingChoice, SettingRange
+from gesticulator.plan.gestures import GESTURES
 
 if TYPE_CHECKING:
     from data_module.errors import InputError
@@ -34,20 +35,6 @@ HANDS = ("left", "right", "both")
 
 FLAGS = ("boundary", "onset", "loud_pseudo", "even_pseudo", "edited")
 """Kinds of beats at which a block ends: the names of `BeatFlag`, and a beat that a user moved or added."""
-GESTURES = {
-    "wave": "the right hand goes up beside the head, palm forward, and waves (procedural)",
-    "point left": "the left arm points to the character's left (procedural)",
-    "point right": "the right arm points to the character's right (procedural)",
-    "point ahead": "the right arm points forward, at the listener (procedural)",
-    "me": "the right hand comes to the chest (procedural)",
-    "stop": "the right hand goes up in front, palm forward (procedural)",
-    "shrug": "both shoulders rise, the forearms open, palms up, the head tilts (procedural)",
-    "open palms": "both hands come forward and open, palms up (procedural)",
-    "nod": "the head nods twice (procedural)",
-    "shake head": "the head turns to both sides, twice (procedural)",
-}
-"""Gestures that cues can name, besides the lexemes. The lexicon has movements without meanings, so these are procedural
-and blended over the generated motion."""
 
 SETTLES = 0.42
 """Seconds before a range of stillness in which the hands come to rest: the longest duration of a stop."""

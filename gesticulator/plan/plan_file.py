@@ -15,6 +15,7 @@ from typing import Any
 from data_module.errors import shown
 from data_module.files import read_text, write_text
 from gesticulator.plan.checks import check_plan
+from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.json_lines import LinedJson, parse
 from gesticulator.plan.plan import FORMAT, VERSION, GesturePlan
 from gesticulator.plan.schema import read_as, schema_of
@@ -73,5 +74,7 @@ def write_plan_file(path: str | os.PathLike[str], plan: GesturePlan) -> Path:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of a plan."""
-    return schema_of(GesturePlan)
+    """The JSON Schema (draft 2020-12) of a plan. Names of gestures are examples, as a cue may name a lexeme, too."""
+    whole = schema_of(GesturePlan)
+    whole["$defs"]["GestureCue"]["properties"]["gesture"]["examples"] = list(GESTURES)
+    return whole

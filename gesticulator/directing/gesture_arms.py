@@ -1,0 +1,114 @@
+"""Inverse kinematics of the arm for named gestures: from the place and the direction of a hand to its joints.
+
+Everything is computed for the left arm; the right one is its mirror image. The upper arm can swing about the line from
+shoulder to wrist, which leaves the hand where it is: that angle is chosen so that neither the forearm nor the wrist has
+to turn further than a person's.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
+from data_module.types import Array
+
+_STRETCHED = 0.97
+"""Greatest distance of a hand from the shoulder, as a share of the arm's length: an elbow that locks would jump."""
+_NEAREST = 0.15
+"""Smallest distance of a hand from the shoulder, metres: there the elbow is closed by 147 degrees."""
+_PRONATES = 0.6
+"""Share of the hand's twist that the forearm takes over, as pronation does in a human forearm."""
+MOST_BEND, MOST_TWIST = math.radians(62.0), math.radians(88.0)
+"""Greatest bend of the wrist, and greatest twist of forearm and wrist to both sides of a thumb that points up."""
+_ELBOW = np.array([0.45, -1.0, -0.25])
+"""Direction in which the elbow of a left arm points: down, a little outwards and back."""
+_SWINGS = np.radians(np.arange(-40.0, 126.0, 5.0))
+"""Angles of the elbow that are tried: from a little inwards to well above the horizontal."""
+_BONE = np.array([1.0, 0.0, 0.0])
+_PALM = np.array([0.0, -1.0, 0.0])
+_HINGE = np.array([0.0, -math.cos(math.radians(12.0)), -math.sin(math.radians(12.0))])
+"""Axis of the elbow of a level arm: bending moves the forearm forward and a little up."""
+_UPPER, _FORE = (float(CHARACTER.offsets[CHARACTER.index("Left" + part)][0]) for part in ("ForeArm", "Hand"))
+
+
+def hand_rotation(fingers: Array, palm: Array) -> Rotation:
+    """The rotation of a left hand whose fingers point and whose palm faces in two directions [3] or [M, 3]; the palm
+    gives way where they are not at right angles."""
+    along = fingers / np.linalg.norm(fingers, axis=-1, keepdims=True)
+    across = palm - np.sum(palm * along, axis=-1, keepdims=True) * along
+    return _frames(_PALM, along, across / np.linalg.norm(across, axis=-1, keepdims=True))
+
+
+def arm_turns(places: Array, hand: Rotation, swings: Array) -> tuple[Array, Array, Array]:
+    """Exponential maps [M, 3] of upper arm, forearm and hand of a left arm.
+
+    places: [M, 3] of the wrist from the shoulder, metres; hand: M rotations in the frame of the chest; swings: [M]
+    radians of the elbow, outwards and up from where it hangs.
+    """
+    arm, forearm = _bones(places, swings)
+    twist, bend = _wrist(forearm, hand)
+    turned = Rotation.from_rotvec(_PRONATES * twist[:, None] * _BONE)
+    left = Rotation.from_rotvec((1.0 - _PRONATES) * twist[:, None] * _BONE) * _limited(bend)
+    return arm.as_rotvec(), (arm.inv() * forearm * turned).as_rotvec(), left.as_rotvec()
+
+
+def best_swing(place: Array, hand: Rotation, lift: float = 0.0) -> float:
+    """The swing of the elbow, radians, at which forearm and wrist turn within a person's range and the elbow hangs.
+    place: [3] of the wrist from the shoulder; lift: the swing that is preferred, radians."""
+    count = len(_SWINGS)
+    _, forearm = _bones(np.repeat(place[None], count, axis=0), _SWINGS)
+    twist, bend = _wrist(forearm, Rotation.concatenate([hand] * count))
+    over = np.maximum(np.abs(twist) - math.radians(75.0), 0.0)
+    angle = np.linalg.norm(bend.as_rotvec(), axis=-1)
+    cost = 12.0 * over ** 2 + 1.2 * angle ** 2 + 9.0 * np.maximum(angle - 0.9, 0.0) ** 2 + 0.5 * (_SWINGS - lift) ** 2
+    return float(_SWINGS[int(np.argmin(cost))])
+
+
+def _bones(places: Array, swings: Array) -> tuple[Rotation, Rotation]:
+    """World rotations of upper arm and untwisted forearm."""
+    length = np.linalg.norm(places, axis=-1, keepdims=True)
+    far = np.clip(length, _NEAREST, _STRETCHED * (_UPPER + _FORE))
+    along = places / np.maximum(length, 1e-9)
+    share = (_UPPER ** 2 + far ** 2 - _FORE ** 2) / (2.0 * far)
+    down = _ELBOW - np.sum(_ELBOW * along, axis=-1, keepdims=True) * along
+    down = down / np.linalg.norm(down, axis=-1, keepdims=True)
+    out = np.cross(along, down)
+    aside = np.cos(swings)[:, None] * down + np.sin(swings)[:, None] * out
+    elbow = share * along + np.sqrt(np.maximum(_UPPER ** 2 - share ** 2, 1e-6)) * aside
+    first, second = elbow / _UPPER, (along * far - elbow) / _FORE
+    axis = np.cross(first, second)
+    axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
+    return _frames(_HINGE, first, axis), _frames(_HINGE, second, axis)
+
+
+def _wrist(forearm: Rotation, hand: Rotation) -> tuple[Array, Rotation]:
+    """[M] twist of a hand about its forearm, radians from -pi to pi, and the bend that is left after it."""
+    wrist = forearm.inv() * hand
+    twist = rotation.to_exponential_map(rotation.yaw_of(wrist.as_quat(scalar_first=True), axis=0))[:, 0]
+    twist = (twist + np.pi) % (2.0 * np.pi) - np.pi
+    return _eased(twist, MOST_TWIST), Rotation.from_rotvec(twist[:, None] * _BONE).inv() * wrist
+
+
+def _limited(bend: Rotation) -> Rotation:
+    vectors = bend.as_rotvec()
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return Rotation.from_rotvec(vectors * (_eased(length, MOST_BEND) / np.maximum(length, 1e-9)))
+
+
+def _eased(angles: Array, most: float) -> Array:
+    """Angles that approach a limit smoothly from four fifths of it on: a hard limit would jerk."""
+    free = 0.8 * most
+    over = np.maximum(np.abs(angles) - free, 0.0)
+    eased: Array = np.sign(angles) * (np.minimum(np.abs(angles), free) + (most - free) * np.tanh(over / (most - free)))
+    return eased
+
+
+def _frames(rest_across: Array, along: Array, across: Array) -> Rotation:
+    """Rotations that map a level arm's direction and the orthogonal `rest_across` [3] to `along`, `across` [..., 3]."""
+    now = np.stack([along, across, np.cross(along, across)], axis=-1)
+    rest = np.stack([_BONE, rest_across, np.cross(_BONE, rest_across)], axis=-1)
+    return Rotation.from_matrix(now @ rest.T)

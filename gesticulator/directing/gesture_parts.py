@@ -1,0 +1,109 @@
+"""What a script of a named gesture is made of: hands with key poses, repeated movements, and turns of head and trunk.
+
+Directions and places of a hand are (outwards from the body's middle, up, forward); places are metres from its shoulder.
+A script is written for its main hand and, where both move, for the other one; a mirrored cue exchanges them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+Vector = tuple[float, float, float]
+UP, DOWN, AHEAD, BACK, IN, OUT = ((0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0),
+                                  (-1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+PALM, TIPS = 0.085, 0.165
+"""Metres from the wrist to the middle of the palm, and to the tips of straight fingers."""
+HEAD: dict[str, Any] = {"faces": True, "preparation": 0.72, "retraction": 1.0}
+"""Fields of a `GestureScript` whose hand goes up to the head: a longer way takes more time."""
+
+
+@dataclass(frozen=True)
+class HandKey:
+    """A pose of a hand. place: of the part's `point`; fingers, palm: directions in which they point and it faces; time:
+    seconds after the apex, or a negative share of the stroke before it (-1: where the stroke begins)."""
+
+    place: Vector
+    fingers: Vector
+    palm: Vector
+    shape: str = "open"
+    time: float = 0.0
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """A movement that is repeated after the apex. way, circle: metres of its sine and of its cosine part; tilt: degrees
+    about the axes of the body, roll: about the fingers; shape: the hand's shape at its far end; rate: hertz; count:
+    times; phase: share of a cycle by which it is ahead."""
+
+    way: Vector = (0.0, 0.0, 0.0)
+    circle: Vector = (0.0, 0.0, 0.0)
+    tilt: Vector = (0.0, 0.0, 0.0)
+    roll: float = 0.0
+    shape: str = ""
+    rate: float = 2.0
+    count: float = 2.0
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class HandPart:
+    """What one hand does. keys: the first where the stroke begins, one at time 0, the rest after it; point: metres from
+    the wrist along the fingers of the point that the places tell; touches: it meets the body or the other hand, so that
+    its places are kept; lift: degrees by which the elbow is raised."""
+
+    keys: tuple[HandKey, ...]
+    point: float = 0.0
+    repeat: Repeat | None = None
+    touches: bool = False
+    lift: float = 0.0
+
+    @property
+    def apex(self) -> HandKey:
+        """The pose at the apex."""
+        return next(key for key in self.keys if key.time == 0.0)
+
+
+@dataclass(frozen=True)
+class GestureScript:
+    """A gesture. side: of the main hand; adds: joint -> turn added during the hold, an exponential map in degrees, for
+    a main hand on the right; nods: joint -> turn that is repeated, at its far end at the apex, `rate` times a second.
+    faces: the head is brought to the pose of `adds`, as a hand touches it. preparation, stroke, hold, retraction:
+    seconds; the apex is at the end of the stroke."""
+
+    main: HandPart | None = None
+    other: HandPart | None = None
+    adds: Mapping[str, Vector] = field(default_factory=dict)
+    nods: Mapping[str, Vector] = field(default_factory=dict)
+    side: str = "Right"
+    rate: float = 1.6
+    faces: bool = False
+    preparation: float = 0.55
+    stroke: float = 0.25
+    hold: float = 0.5
+    retraction: float = 0.75
+
+
+def hand(place: Vector, fingers: Vector, palm: Vector, shape: str = "open", start: Vector = (0.0, -0.06, -0.05),
+         then: tuple[HandKey, ...] = (), **more: Any) -> HandPart:
+    """A hand that comes to one pose. start: where its stroke begins, metres from `place`; then: poses after it; more:
+    `before`, the fields of the pose at the start that differ, and fields of `HandPart`."""
+    apex = HandKey(place, fingers, palm, shape)
+    (x, y, z), (aside, up, ahead) = place, start
+    begin = replace(apex, place=(x + aside, y + up, z + ahead), time=-1.0)
+    begin = replace(begin, **more.pop("before", {}))
+    return HandPart((begin, apex, *then), **more)
+
+
+def both(part: HandPart, **more: Any) -> GestureScript:
+    """A gesture of both hands, one the mirror image of the other. more: fields of `GestureScript`."""
+    return GestureScript(part, part, **more)
+
+
+def in_turn(part: HandPart, **more: Any) -> GestureScript:
+    """A gesture in which both hands repeat the same movement, the other one half a cycle later. more: fields of
+    `GestureScript`."""
+    assert part.repeat is not None
+    later = replace(part, repeat=replace(part.repeat, phase=part.repeat.phase + 0.5))
+    return GestureScript(part, later, **more)

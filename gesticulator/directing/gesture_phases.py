@@ -1,0 +1,210 @@
+"""Phases of named gestures: how a script runs over time, in which size, and what varies from one time to the next.
+
+Seconds are relative to the apex, the end of the stroke, at which the cue stands. The hand is prepared before its stroke
+and waits in a hold after it, in which repeated movements take place; then it is retracted.
+"""
+
+from __future__ import annotations
+
+import functools
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from data_module.types import Array
+from gesticulator.directing.gesture_arms import arm_turns, best_swing, hand_rotation
+from gesticulator.directing.gesture_parts import GestureScript, HandKey, HandPart, Repeat
+from gesticulator.directing.gesture_scripts import SCRIPTS
+from gesticulator.directing.hand_shapes import finger_turns
+from gesticulator.plan.plan import GestureCue
+
+_HOME = np.array([0.03, -0.28, 0.26])
+"""Where a hand is when it rests in front of the body, metres from its shoulder: larger gestures go further from it."""
+_FADE = 0.18
+"""Seconds in which a repeated movement begins and ends."""
+_SINKS = np.array([0.0, -0.012, -0.006])
+"""Way of a free hand during its hold, metres."""
+_OVERLAP = 0.22
+"""Seconds of a stroke in which its preparation still ends, at most."""
+_SHORTER = 0.85
+"""Least factor on the seconds of a phase: phases vary from here to 1, so that no gesture is longer than it says."""
+_STRAYS, _TURNS = 0.014, np.radians(5.0)
+"""Standard deviation of a hand's place, metres, and of its direction, radians, from one time to the next."""
+
+
+@dataclass(frozen=True)
+class Phases:
+    """Seconds of a gesture's phases. The apex is at the end of the stroke."""
+
+    preparation: float
+    stroke: float
+    hold: float
+    retraction: float
+
+    @property
+    def before(self) -> float:
+        """Seconds from the start to the apex."""
+        return self.preparation + self.stroke
+
+    @property
+    def after(self) -> float:
+        """Seconds from the apex to the end."""
+        return self.hold + self.retraction
+
+    def weight(self, seconds: Array) -> Array:
+        """[M] share of the gesture in the motion at seconds [M]. It becomes whole during the stroke, so that the hand
+        does not stop between preparation and stroke."""
+        rises = _gentle((seconds + self.before) / (self.preparation + min(0.9 * self.stroke, _OVERLAP)))
+        falls: Array = rises * _gentle((self.after - seconds) / self.retraction)
+        return falls
+
+
+@dataclass(frozen=True)
+class GestureDraw:
+    """How a gesture is made this time. size: 1 for intensity 1; place: [2, 3] metres and turn: [2, 3] radians added to
+    the main and the other hand; pace: factor on repeated movements' rate; turns: factor on head and trunk."""
+
+    script: GestureScript
+    phases: Phases
+    size: float
+    place: Array
+    turn: Array
+    pace: float
+    turns: float
+
+
+def longest(name: str) -> Phases:
+    """The longest phases of a gesture; what is drawn is at most so long."""
+    rows = [(script.preparation, script.stroke, _hold(script), script.retraction) for script in SCRIPTS[name]]
+    return Phases(*(max(column) for column in zip(*rows, strict=True)))
+
+
+def _hold(script: GestureScript) -> float:
+    """Seconds of a script's hold: its keys and repeated movements take place in it."""
+    parts = [part for part in (script.main, script.other) if part is not None]
+    ends = [part.repeat.count / part.repeat.rate for part in parts if part.repeat is not None]
+    return max([script.hold, *ends, *(part.keys[-1].time + 0.1 for part in parts)])
+
+
+def drawn_gesture(cue: GestureCue, at: float, seed: int) -> GestureDraw:
+    """How the gesture of a cue is made at a time, seconds. The same cue, time and seed give the same gesture."""
+    takes = SCRIPTS[cue.gesture]
+    random = np.random.default_rng([zlib.crc32(cue.gesture.encode()), round(at * 1000.0), seed])
+    script = takes[int(random.integers(len(takes)))]
+    shorter = random.uniform(_SHORTER, 1.0, 4)
+    size = float(np.clip(cue.intensity, 0.5, 1.6)) * random.uniform(0.94, 1.06)
+    place, turn = random.normal(0.0, _STRAYS, (2, 3)), random.normal(0.0, _TURNS, (2, 3))
+    pace, turns = random.uniform(1.0, 1.12), random.uniform(0.85, 1.15) * (0.45 + 0.55 * size)
+    # Two standard deviations at most: a hand that strays further would be another gesture.
+    place, turn = np.clip(place, -2 * _STRAYS, 2 * _STRAYS), np.clip(turn, -2 * _TURNS, 2 * _TURNS)
+    hold = max(_hold(script) / pace, 0.2)
+    phases = Phases(script.preparation * shorter[0], script.stroke * shorter[1], hold, script.retraction * shorter[3])
+    return GestureDraw(script, phases, size, place, turn, pace, turns)
+
+
+def smooth(s: Array) -> Array:
+    """A step from 0 to 1 with zero velocity and acceleration at both ends."""
+    u: Array = np.clip(s, 0.0, 1.0)
+    return u ** 3 * (10.0 - 15.0 * u + 6.0 * u * u)
+
+
+def _gentle(s: Array) -> Array:
+    """A step like `smooth` whose change of acceleration begins and ends at zero, too, so that nobody sees the seam."""
+    u: Array = np.clip(s, 0.0, 1.0)
+    return u ** 4 * (35.0 - u * (84.0 - u * (70.0 - 20.0 * u)))
+
+
+# ---------------------------------------------------------------------------------------------------- a hand
+
+def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Array]:
+    """[M, 3, 3] exponential maps of upper arm, forearm and hand, and [M, 15, 3] of the finger joints, of a left hand.
+    which: 0 for the main hand, 1 for the other; seconds: [M] from the apex."""
+    part = draw.script.main if which == 0 else draw.script.other
+    assert part is not None
+    times = [key.time * (draw.phases.stroke if key.time < 0 else 1.0 / draw.pace) for key in part.keys]
+    swings = np.array([_swing_of(part, number) for number in range(len(part.keys))])
+    share, begin = _between(np.array(times), seconds)
+    end = np.minimum(begin + 1, len(times) - 1)
+    hands = Rotation.concatenate([_rotation_of(key) for key in part.keys])
+    way = (hands[begin].inv() * hands[end]).as_rotvec()
+    turned = hands[begin] * Rotation.from_rotvec(share[:, None] * way)
+    keys = _points(part, draw.size)
+    places = _mixed(keys, begin, end, share)
+    shapes = np.array([finger_turns(key.shape) for key in part.keys])
+    fingers = _mixed(shapes, begin, end, share)
+    if part.repeat is not None:
+        places, turned, fingers = _repeated(part.repeat, draw, seconds, (places, turned, fingers))
+    if not part.touches:
+        places, turned = places + draw.place[which], Rotation.from_rotvec(draw.turn[which]) * turned
+        # A hand that is held up sinks a little: nobody holds one still.
+        places = places + smooth(seconds / draw.phases.hold)[:, None] * (_SINKS - 0.5 * draw.place[which])
+    wrists = places - part.point * turned.apply([1.0, 0.0, 0.0])
+    return np.stack(arm_turns(wrists, turned, _mixed(swings, begin, end, share)), axis=1), fingers
+
+
+def apex_place(draw: GestureDraw, which: int) -> Array:
+    """[3] metres from the left shoulder of the wrist at the apex."""
+    part = draw.script.main if which == 0 else draw.script.other
+    assert part is not None
+    place = _points(part, draw.size)[part.keys.index(part.apex)]
+    turned = _rotation_of(part.apex)
+    if not part.touches:
+        place, turned = place + draw.place[which], Rotation.from_rotvec(draw.turn[which]) * turned
+    wrist: Array = place - part.point * turned.apply([1.0, 0.0, 0.0])
+    return wrist
+
+
+def _between(times: Array, seconds: Array) -> tuple[Array, NDArray[np.int64]]:
+    """For M seconds: the eased share [M] of the way from one key to the next, and the number [M] of the first."""
+    begin = np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, max(len(times) - 2, 0))
+    ends = times[np.minimum(begin + 1, len(times) - 1)]
+    return smooth((seconds - times[begin]) / np.maximum(ends - times[begin], 1e-6)), begin
+
+
+def _mixed(values: Array, begin: NDArray[np.int64], end: NDArray[np.int64], share: Array) -> Array:
+    """[M, ...] values between those of two keys."""
+    share = share.reshape(len(share), *[1] * (values.ndim - 1))
+    mixed: Array = values[begin] + share * (values[end] - values[begin])
+    return mixed
+
+
+def _points(part: HandPart, size: float) -> Array:
+    """[K, 3] places of the keys in a size."""
+    apex = np.array(part.apex.place)
+    scaled = apex if part.touches else _HOME + (apex - _HOME) * (0.7 + 0.3 * size)
+    return np.array([scaled + (np.array(key.place) - apex) * (0.5 + 0.5 * size) for key in part.keys])
+
+
+def _rotation_of(key: HandKey) -> Rotation:
+    return hand_rotation(np.array(key.fingers), np.array(key.palm))
+
+
+@functools.cache
+def _swing_of(part: HandPart, number: int) -> float:
+    """The elbow's swing at a key, radians."""
+    key = part.keys[number]
+    turned = _rotation_of(key)
+    wrist = np.array(key.place) - part.point * turned.apply([1.0, 0.0, 0.0])
+    return best_swing(wrist, turned, float(np.radians(part.lift)))
+
+
+def _repeated(repeat: Repeat, draw: GestureDraw, seconds: Array,
+              pose: tuple[Array, Rotation, Array]) -> tuple[Array, Rotation, Array]:
+    """Places [M, 3], rotations and fingers [M, 15, 3] with a repeated movement."""
+    places, turned, fingers = pose
+    rate = repeat.rate * draw.pace
+    end = repeat.count / rate
+    level = smooth(seconds / _FADE) * smooth((end - seconds) / _FADE)
+    angle = 2.0 * np.pi * (rate * seconds + repeat.phase)
+    size = level * (0.4 + 0.6 * draw.size)
+    sine, cosine = (size * np.sin(angle))[:, None], (size * (1.0 - np.cos(angle)) / 2.0)[:, None]
+    places = places + sine * np.array(repeat.way) + cosine * np.array(repeat.circle)
+    turned = Rotation.from_rotvec(sine * np.radians(repeat.tilt)) * turned
+    turned = turned * Rotation.from_rotvec(sine * np.radians([repeat.roll, 0.0, 0.0]))
+    if repeat.shape:
+        share = (level * (1.0 - np.cos(angle)) / 2.0)[:, None, None]
+        fingers = fingers + share * (finger_turns(repeat.shape) - fingers)
+    return places, turned, fingers
