@@ -17,6 +17,7 @@ import numpy as np
 from data_module.errors import InputError, shown
 from data_module.files import parse_json
 from data_module.text.alignment import written_words
+from data_module.text.marks import marked_text
 from data_module.text.transcript_formats import Content, Entry, shared_in_cue, spoken_tier
 
 __all__ = ["RECOGNISERS", "Recogniser", "words_json"]
@@ -140,6 +141,11 @@ def _whole(value: object) -> int | None:
     return value if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**12 else None
 
 
+def _count(text: str) -> int:
+    """Number of words of a text without its gesture marks."""
+    return len(written_words(marked_text(text)[0]))
+
+
 # -------------------------------------------------------------------------------------------------- segments
 
 def _content(segments: Sequence[_Segment]) -> Content:
@@ -172,7 +178,7 @@ def _cue(source: str, item: object, where: str, keys: _Keys) -> Entry:
 def _seconds_or_milliseconds(content: Content) -> Content:
     """Times without a unit: whole numbers under which a word would last 20 s are milliseconds."""
     entries = content.words or content.cues
-    timed = [(entry.start, entry.end, max(1, len(written_words(entry.text)))) for entry in entries
+    timed = [(entry.start, entry.end, max(1, _count(entry.text))) for entry in entries
              if entry.start is not None and entry.end is not None and entry.text]
     whole = all(start.is_integer() and end.is_integer() for start, end, _ in timed)
     if not timed or not whole or median((end - start) / count for start, end, count in timed) <= LONGEST_WORD:
@@ -194,7 +200,7 @@ def _whisper_cpp(source: str, content: Any, speaker: str | None) -> Content:
                   for k, token in enumerate(_list(item, "tokens")) if not _is_special(token)]
         segments.append(_Segment(cue, _joined_tokens(tokens)))
     if segments and not any(segment.words for segment in segments) \
-            and all(len(written_words(segment.cue.text)) <= 1 for segment in segments):
+            and all(_count(segment.cue.text) <= 1 for segment in segments):
         return Content(words=tuple(_joined_tokens([segment.cue for segment in segments])))
     return _content([_Segment(_stripped(segment.cue), segment.words) for segment in segments])
 
@@ -230,7 +236,7 @@ def _joined_tokens(tokens: Sequence[Entry]) -> list[Entry]:
     out: list[Entry] = []
     for word in map(_stripped, words):
         # A script without spaces gives one token after the other and no word's end.
-        out += shared_in_cue(word) if len(written_words(word.text.replace("-", ""))) > 1 else [word]
+        out += shared_in_cue(word) if _count(word.text.replace("-", "")) > 1 else [word]
     return [word for word in out if word.text]
 
 
@@ -268,10 +274,8 @@ def _google(source: str, content: Any, speaker: str | None) -> Content:
     if not any(segment.words for segment in spoken) and end == 0:
         return Content(text=" ".join(texts))
     # With speakers told apart the last result repeats the words of all others.
-    last = spoken[-1] if spoken else None
-    if last is not None and len(last.words) == sum(len(segment.words) for segment in spoken[:-1]) and len(spoken) > 1:
-        spoken = [last]
-    return _content(spoken)
+    before = [word.start for segment in spoken[:-1] for word in segment.words]
+    return _content(spoken[-1:] if before and [word.start for word in spoken[-1].words] == before else spoken)
 
 
 def _google_results(content: Any) -> Iterator[tuple[str, Any]]:
@@ -359,7 +363,7 @@ def _transformers(source: str, content: Any, speaker: str | None) -> Content:
         start, end = times
         if end is None and start is not None:
             start = _seconds(source, start, f"{where}.timestamp[0]")
-            end = start + 0.3 * max(1, len(written_words(str(_of(item, "text") or ""))))
+            end = start + 0.3 * max(1, _count(str(_of(item, "text") or "")))
         entries.append(_entry(source, {"text": _of(item, "text"), "start": start, "end": end}, where))
     return _words_or_cues(source, entries)
 
@@ -367,7 +371,7 @@ def _transformers(source: str, content: Any, speaker: str | None) -> Content:
 def _words_or_cues(source: str, entries: Sequence[Entry]) -> Content:
     """Entries as words, or as cues where one has several words."""
     # "well-known" is one word, "well known" is two, and a sentence of a script without spaces has several.
-    if not any(len(written_words(entry.text.replace("-", ""))) > 1 for entry in entries):
+    if not any(_count(entry.text.replace("-", "")) > 1 for entry in entries):
         return Content(words=tuple(entries))
     for entry in entries:
         if entry.start is None or entry.end is None:

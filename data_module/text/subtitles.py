@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from data_module.errors import InputError
 from data_module.text.alignment import written_words
-from data_module.text.marks import is_mark
+from data_module.text.marks import is_mark, marked_text
 from data_module.text.transcript_formats import Content, Entry, shared_in_cue
 
 __all__ = ["srt", "vtt"]
@@ -70,7 +70,8 @@ def _cues(source: str, lines: Sequence[str], first: int, *, comments: bool) -> I
     at = first
     while at < len(lines):
         begin = at
-        while at < len(lines) and lines[at].strip():
+        # In WebVTT a line of spaces is a line; rolling captions have one above the first.
+        while at < len(lines) and (lines[at].strip() or (comments and lines[at] and "-->" in lines[at - 1] and at)):
             at += 1
         block = lines[begin:at]
         at += 1
@@ -176,8 +177,7 @@ def _pieces(line: str, cue: _Cue) -> Iterator[Entry]:
     for (start, end), first, last in zip(itertools.pairwise(starts), ends[::2], ends[1::2], strict=True):
         text = _plain(line[first:last])
         piece = Entry(text, start, max(start, end), cue.where)
-        words = written_words(text)
-        if len(words) > 1:
+        if len(written_words(marked_text(text)[0])) > 1:
             yield from shared_in_cue(piece)
         elif text:
             yield piece
