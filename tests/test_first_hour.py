@@ -127,7 +127,7 @@ def test_a_transcript_of_another_recording_is_a_warning(count: int, step: float,
 
 @pytest.mark.parametrize(("count", "step", "said"), [
     (90, 0.1, "of its 90 words come after the end"), (58, 0.05, "58 words in 2.90 s are more than anybody speaks")])
-def test_a_transcript_whose_times_cannot_be_right_is_refused(count: int, step: float, said: str, tmp_path: Path) -> None:
+def test_a_transcript_with_impossible_times_is_refused(count: int, step: float, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=said):
         as_transcript(words_file(tmp_path, count, step), Speech(voice(), RATE))
 

@@ -18,8 +18,8 @@ from data_module.text.transcript import Transcript, read_transcript, with_transc
 from data_module.types import Speech, Word
 
 RATE = 16000
-SPOKEN: Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4), ("Americans,", 1.4, 2.1),
-                 ("ask", 2.6, 2.9), ("not", 3.0, 3.4))
+SPOKEN: Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
+                 ("Americans,", 1.4, 2.1), ("ask", 2.6, 2.9), ("not", 3.0, 3.4))
 TIMED = sorted(set(FILES) - WITHOUT_TIMES)
 UNENDING = {"vtt, rolling"}
 """Samples that tell when words begin only: each lasts until the next."""
@@ -182,7 +182,7 @@ def test_subtitles_that_repeat_their_lines_are_refused(tmp_path: Path) -> None:
     line = " ".join("abcdefgh")
     cues = [f"{n}\n00:00:0{n // 5},{n % 5 * 200:03d} --> 00:00:0{(n + 1) // 5},{(n + 1) % 5 * 200:03d}\n{line}\n"
             for n in range(20)]
-    with pytest.raises(InputError, match="160 words in 4.00 s are more than anybody speaks"):
+    with pytest.raises(InputError, match=r"160 words in 4\.00 s are more than anybody speaks"):
         _read(tmp_path, ".srt", "\n".join(cues))
 
 
