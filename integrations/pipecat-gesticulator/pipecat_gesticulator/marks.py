@@ -13,8 +13,8 @@ _EMOJI = ("\U0001f937\U0001f44b\u270b\U0001f932\U0001f44d\U0001f44e"
 _MARK = re.compile(
     r"\[[^\W\d_][\w '’.:/-]{0,39}(?<![\s:])\](?!\()|</?(?:mark|bookmark)\b[^<>]{0,200}>"
     rf"|[{_EMOJI}][\U0001f3fb-\U0001f3ff]?\ufe0f?(?:\u200d[\u2640\u2642]\ufe0f?)?", re.IGNORECASE)
-LONGEST_WORD = 150
-"""Characters of a word that are sent; the server takes 200 with its marks."""
+LONGEST = 200
+"""Characters of a word that the server takes."""
 
 
 def without_marks(text: str) -> str:
@@ -28,15 +28,16 @@ async def spoken_text(text: str, text_type: str = "") -> str:
 
 
 def timed_words(text: str, start: float, letter: float) -> list[tuple[str, float, float]]:
-    """The words of a text, each behind the marks before it, with estimated times: a letter takes `letter` seconds, as
-    does the space after a word. Marks after the last word are a word of their own."""
+    """The words of a text and its marks, which stand between them and take no time. A letter takes `letter` seconds, as
+    does the space after a word."""
     words: list[tuple[str, float, float]] = []
-    marks, at = "", 0
+    at = 0
     for match in [*_MARK.finditer(text), None]:
         for word in text[at:match.start() if match else len(text)].split():
             end = start + letter * len(word)
-            words.append((marks + word[:LONGEST_WORD], start, end))
-            start, marks = end + letter, ""
+            words.append((word[:LONGEST], start, end))
+            start = end + letter
         if match:
-            at, marks = match.end(), marks + match.group() if len(marks) < 40 else marks
-    return [*words, (marks, start, start)] if marks else words
+            at = match.end()
+            words += [(match.group(), start, start)] if at - match.start() <= LONGEST else []
+    return words
