@@ -51,9 +51,10 @@ def _bracket(name: str) -> str:
     return f"[{kind}:{value}]" if space and kind in _KINDS else f"[{name}]"
 
 
-def prompt() -> str:
-    """Instructions for a language model that writes what a character says, in a hundred words."""
-    marks = " ".join(_bracket(name) for name in GESTURES)
+def prompt(gestures: Iterable[str] = GESTURES) -> str:
+    """Instructions for a language model that writes what a character says: a hundred words, and the marks of these
+    gestures."""
+    marks = " ".join(_bracket(name) for name in gestures)
     return ("Your words are spoken by a character with a body. You may mark a gesture by its name in square brackets, "
             "directly before the word it belongs to: \"[shrug] I have no idea.\" The marks are not spoken. Use one "
             "where a person would gesture: once in two or three sentences, never two in one, and none in lists or "
