@@ -110,11 +110,13 @@ class Motion:
 
 @dataclass(frozen=True)
 class Word:
-    """A word as spoken, seconds. An empty text is a silence."""
+    """A word as spoken, seconds. An empty text is a silence. marks: names of the gesture marks before it
+    (`data_module.text.marks`)."""
 
     text: str
     start: float
     end: float
+    marks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.start) and np.isfinite(self.end) and self.end >= self.start):

@@ -29,7 +29,7 @@ from gesticulator.body.head_turns import HeadTurns
 from gesticulator.body.motion_path import HISTORY, LONGEST_HISTORY, MotionPath
 from gesticulator.body.rest import RestKnots
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.features import SpeechBlock
+from gesticulator.bundle.features import SpeechBlock, representation_of
 from gesticulator.drawing.cutter import TICK, BlockCutter
 from gesticulator.drawing.drawer import FREE
 from gesticulator.drawing.driver import BlockRequest, Cast, Driver, controls_at
@@ -38,6 +38,7 @@ from gesticulator.plan.plan import Block
 
 if TYPE_CHECKING:
     from gesticulator.directing.directions import Director
+    from gesticulator.directing.stream_marks import StreamMarks
 
 __all__ = ["Stream", "StreamFrames", "StreamState"]
 
@@ -121,6 +122,11 @@ class Stream:
 
             self._director = directing.Director(bundle, options, (), math.inf)
             shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]))
+        self._marks: StreamMarks | None = None
+        if self._text:
+            from gesticulator.directing.stream_marks import StreamMarks
+
+            shaping = self._marks = StreamMarks(shaping, representation_of(bundle.config).name == "rotations")
         self._path = MotionPath(bundle, cast.speaker, options, self._cutter.latency == "low", shaping)
         self._path.history = HISTORY
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
@@ -221,15 +227,22 @@ class Stream:
         self._begin(self.time + seconds)
         return self._frames(first, self._advance(self._begun))
 
-    def add_words(self, words: Sequence[Word]) -> None:
+    def add_words(self, words: Sequence[Word]) -> tuple[Word, ...]:
         """Add words with their media time, seconds. They may come before their sound, late or never: a block is
-        generated with the words that are known by then. The words of one call are encoded together. `InputError` if the
-        stream was opened without text."""
+        generated with the words that are known by then. The words of one call are encoded together.
+
+        Gesture marks in them (`data_module.text.marks`) are made at the word after them, if that comes at least .6 s
+        before its motion is final; up to .6 s later, the gesture is as much late; beyond, it is not made. Returns the
+        words as they are spoken, without marks. `InputError` if the stream was opened without text.
+        """
         self._check_open()
         if not self._text:
             raise InputError("words", "are not read by this stream", "open it with text=True")
+        assert self._marks is not None
+        words = self._marks.take(words, self._committed)
         self._utterance().add_words([replace(word, start=word.start - self._begun, end=word.end - self._begun)
                                      for word in words])
+        return words
 
     def idle(self, seconds: float) -> StreamFrames:
         """Advance media time by seconds without sound: the character comes to rest, with idle motion. Returns the
@@ -261,6 +274,8 @@ class Stream:
             raise InputError(f"interrupt at {at:g} s", f"is not between {knots.times[0]:.2f} and {final:.2f} s",
                              "give the media time of the last frame that was played")
         at = min(at, final)
+        if self._marks is not None:
+            self._marks.interrupt(at)
         # The knots of the earlier frames stay, and one knot more, from which the character goes to rest.
         last = min(int(np.searchsorted(knots.times, at + self._path.reach)) + 2, len(knots.times))
         # Drop knots beyond the history here: the remaining ones become one entry, which is dropped as a whole later.

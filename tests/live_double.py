@@ -77,8 +77,9 @@ class TellingStream:
             self.time += 0.25  # of hands that come down
         return self._all(StreamState.IDLE)
 
-    def add_words(self, words: list[Word]) -> None:
+    def add_words(self, words: list[Word]) -> tuple[Word, ...]:
         self.words += words
+        return tuple(words)
 
     def finish(self) -> StreamFrames:
         return self._until(self.time)

@@ -19,6 +19,7 @@ import numpy as np
 import published
 import published_bvh
 import pytest
+import recogniser_samples
 import soundfile
 from hypothesis import strategies as st
 
@@ -254,7 +255,9 @@ TRANSCRIPTS = {
     ".json": json.dumps({"segments": [{"start": 0.1, "end": 0.5, "text": "hello there", "words": [
         {"word": word, "start": start, "end": end} for word, start, end in WORDS if word]}, {
         "start": 0.7, "end": 0.95, "text": "friend"}]}),
+    ".tsv": "start\tend\ttext\n100\t500\thello [nod] there\n700\t950\tfriend\n",
 }
+MARKED = [("[shrug]hello", 0.1, 0.3), ("there", 0.3, 0.5), ("[count:3]", 0.5, 0.5), ("friend", 0.7, 0.95)]
 
 
 def _store(mutated: str) -> Callable[[Path], Path]:
@@ -790,6 +793,9 @@ READERS: dict[str, Case] = {
     "smartbody, motion": Case(_smartbody("a.skm"), _read_smartbody),
     **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH))
        for suffix, text in TRANSCRIPTS.items()},
+    **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
+                                     examples=0.3)
+       for name, (suffix, write) in recogniser_samples.FILES.items()},
     "control curve": Case(_written("a.csv", "# from a tool\ntime;height;speed\n0;0,1;0,3\n1,5;0,2;0,4\n"),
                           lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
     "store, listing": Case(_store("store.json"), _read_store),

@@ -107,19 +107,29 @@ def test_a_cue_at_a_word_without_words_is_refused(g: Gesticulator) -> None:
         g(voice(), RATE, cues=(GestureCue("wave", "bread"),))
 
 
-@pytest.mark.parametrize(("count", "step", "doubt"), [
-    (90, 0.1, "of its 90 words come after the end"), (58, 0.05, "too many for speech"), (10, 0.3, ""),
-])
-def test_a_transcript_of_another_recording_is_a_warning(count: int, step: float, doubt: str, tmp_path: Path) -> None:
-    speech = Speech(voice(), RATE)
-    file = tmp_path / "words.json"
+def words_file(folder: Path, count: int, step: float) -> Path:
+    """Words of one length, one after the other."""
+    file = folder / "words.json"
     file.write_text(json.dumps({"words": [
         {"word": "a", "start": step * n, "end": step * (n + 1)} for n in range(count)]}))
+    return file
+
+
+@pytest.mark.parametrize(("count", "step", "doubt"), [(30, 0.099, "too many for speech"), (10, 0.3, "")])
+def test_a_transcript_of_another_recording_is_a_warning(count: int, step: float, doubt: str, tmp_path: Path) -> None:
+    speech = Speech(voice(), RATE)
     with warnings.catch_warnings(record=True) as given:
         warnings.simplefilter("always")
-        with_transcript(speech, as_transcript(file, speech))
+        with_transcript(speech, as_transcript(words_file(tmp_path, count, step), speech))
     lines = [str(one.message) for one in given if issubclass(one.category, TranscriptWarning)]
     assert any(doubt in line for line in lines) if doubt else not lines
+
+
+@pytest.mark.parametrize(("count", "step", "said"), [
+    (90, 0.1, "of its 90 words come after the end"), (58, 0.05, "58 words in 2.90 s are more than anybody speaks")])
+def test_a_transcript_with_impossible_times_is_refused(count: int, step: float, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said):
+        as_transcript(words_file(tmp_path, count, step), Speech(voice(), RATE))
 
 
 def test_a_performance_is_one_line_and_a_figure_in_a_notebook(g: Gesticulator) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -196,7 +196,7 @@ def write_recording(folder: Path, recording: Recording) -> None:
     info, words = recording.info, recording.speech.words
     write_text(folder / f"{info.name}.bvh", bvh_text(recording.motion))
     fields: dict[str, Any] = {
-        "words": [asdict(word) for word in words] if words is not None else None,
+        "words": None if words is None else [{"text": w.text, "start": w.start, "end": w.end} for w in words],
         "performer": info.speaker, "voice": info.voice, "language": info.language, "split": info.split,
         "group": info.group, "stands": recording.stands, "filled": list(recording.motion.filled),
     }

@@ -1,7 +1,8 @@
 """Transcripts from files, and the times of their words in the recording.
 
-A file may contain the times of words (TextGrid, JSON), of cues (SRT, VTT) or none (plain text). Missing times come from
-the aligner, for English, or are estimates; the result says which.
+A file may contain the times of words (TextGrid, JSON), of cues (SRT, VTT, TSV) or none (plain text). Missing times come
+from the aligner, for English, or are estimates; the result says which. Word times that no speaker can have spoken are
+refused. Marks of gestures (`data_module.text.marks`) are taken out of the text and noted on the word after them.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import itertools
 import math
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -21,14 +22,17 @@ from data_module.errors import InputError
 from data_module.files import read_text
 from data_module.text import alignment as aligner
 from data_module.text import transcript_formats as formats
+from data_module.text.marks import marked_text, marked_words, with_marks
+from data_module.text.recognisers import words_json
+from data_module.text.subtitles import srt, vtt
 from data_module.text.transcript_formats import Content, Entry
-from data_module.types import Speech, Word
+from data_module.types import Samples, Speech, Word
 
 __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "with_transcript"]
 
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
-    ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": formats.srt, ".vtt": formats.vtt,
-    ".json": formats.words_json,
+    ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": srt, ".vtt": vtt, ".tsv": formats.tsv,
+    ".json": words_json,
 }
 """Readers by suffix: (file, its text, speaker) to its content."""
 
@@ -49,7 +53,8 @@ class Transcript:
 
     words: with their times, None if the file has none. timing: "words" (the file has their times), "cues" (the file has
     the times of cues; `words` are spread over them by length, until `with_transcript` aligns them) or "none". cues: the
-    text of each cue and its time. guessed: number of words without a time in the file. notes: corrections.
+    text of each cue and its time. guessed: number of words without a time in the file. notes: corrections. marks:
+    (offset in `text`, name) of each gesture mark, where the file has no word times; else they are on the words.
     """
 
     words: tuple[Word, ...] | None
@@ -59,10 +64,17 @@ class Transcript:
     cues: tuple[Word, ...] = ()
     guessed: int = 0
     notes: tuple[str, ...] = ()
+    marks: tuple[tuple[int, str], ...] = ()
 
 
 MOST_WORDS = 8.0
 """Most plausible words per second; fast talkers reach five or six."""
+IMPOSSIBLE = 15.0
+"""Words per second that nobody speaks: a file with more has other times than it seems, and is refused."""
+LONGEST_MEDIAN = 5.0
+"""Seconds that the median word lasts at most: beyond, the times are not in seconds, or not of words."""
+_FEW = 8
+"""Words below which a rate says nothing."""
 _ENGLISH_ONLY = "the aligner supports English only"
 
 
@@ -82,11 +94,12 @@ class Timing:
 
 
 def read_transcript(path: str | os.PathLike[str], speech: Speech | None = None) -> Transcript:
-    """Read .txt, .TextGrid (long or short), .srt, .vtt or .json (word times, or whisper's segments).
+    """Read .txt, .TextGrid (long or short), .srt, .vtt, .tsv, or .json of any recogniser of
+    `data_module.text.recognisers`.
 
     speech: the recording, if it is known: its speaker selects among the tiers of several, and words beyond its end are
-    left out. `InputError` names the file and the line of an error, and a file without words or only with words beyond
-    the recording.
+    left out. `InputError` names the file and the line of an error, a file without words, one whose words nobody could
+    speak in their times, and one with most of its words beyond the recording.
     """
     name = Path(path)
     reader = FORMATS.get(name.suffix.lower())
@@ -108,9 +121,10 @@ def as_transcript(text: Text, speech: Speech) -> Transcript:
     if names_file:
         raise InputError(f"text {text!r}", "is the name of a file, but a str must be the spoken text",
                          "give pathlib.Path(...) for a file")
-    if not any(letter.isalnum() for letter in text):
+    plain, marks = marked_text(text)
+    if not any(letter.isalnum() for letter in plain):
         raise InputError("text", "has no words", "give the spoken text, or leave it out")
-    return Transcript(None, text, "none", "text")
+    return Transcript(None, plain, "none", "text", marks=marks)
 
 
 def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Timing]:
@@ -122,11 +136,11 @@ def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Tim
     if transcript.timing == "words":
         words, how, guessed, reason = transcript.words or (), "given", transcript.guessed, ""
     elif transcript.timing == "cues":
-        words, guessed = _in_cues(speech, transcript.cues)
+        words, guessed = _in_cues(speech, transcript)
         how = "guessed" if 2 * guessed > len(words) else "heard"
         reason = "they are spread over their cues" if guessed else ""
     else:
-        words, reason = _without_times(speech, transcript.text)
+        words, reason = _without_times(speech, transcript)
         guessed = len(words) if reason else 0
         how = "guessed" if reason else "heard"
     count = _spoken(words)
@@ -165,16 +179,27 @@ def _spoken(words: Sequence[Word]) -> int:
 
 
 def _transcript(source: str, content: Content) -> Transcript:
-    """A transcript from a file's content, its times checked and sorted."""
+    """A transcript from a file's content, its times checked and sorted, the marks out of its words."""
     if content.cues:
-        cues, notes = _in_order(source, content.cues)
-        words = tuple(word for cue in cues for word in _as_words(formats.shared_in_cue(_entry_of(cue))))
-        return Transcript(words, " ".join(cue.text for cue in cues), "cues", source, cues, len(words), notes)
-    text = content.text or " ".join(entry.text for entry in content.words if entry.text)
-    if all(entry.start is None for entry in content.words):
-        return Transcript(None, text, "none", source)
-    filled = _filled(content.words)
+        raw, notes = _in_order(source, content.cues)
+        parts = [marked_text(cue.text) for cue in raw]
+        cues = tuple(replace(cue, text=text) for cue, (text, _) in zip(raw, parts, strict=True))
+        starts = itertools.accumulate((len(text) + 1 for text, _ in parts), initial=0)
+        marks = tuple((start + at, name) for start, (_, named) in zip(starts, parts, strict=False)
+                      for at, name in named)
+        words = _as_words(_unmarked([word for cue in raw for word in formats.shared_in_cue(_entry_of(cue))]))
+        _check_rate(source, words)
+        return Transcript(words, " ".join(cue.text for cue in cues), "cues", source, cues, len(words), notes, marks)
+    if not content.words:
+        text, marks = marked_text(content.text)
+        return Transcript(None, text, "none", source, marks=marks)
+    entries = _unmarked(content.words)
+    text = " ".join(entry.text for entry in entries if entry.text)
+    if all(entry.start is None for entry in entries):
+        return Transcript(None, text, "none", source, marks=_in_text(entries))
+    filled = _filled(entries)
     words, notes = _in_order(source, filled)
+    _check_rate(source, words)
     return Transcript(words, text, "words", source, guessed=sum(e.guessed for e in filled), notes=notes)
 
 
@@ -183,7 +208,42 @@ def _entry_of(cue: Word) -> Entry:
 
 
 def _as_words(entries: Sequence[Entry]) -> tuple[Word, ...]:
-    return tuple(Word(e.text, e.start, e.end) for e in entries if e.start is not None and e.end is not None)
+    return tuple(Word(e.text, e.start, e.end, e.marks) for e in entries if e.start is not None and e.end is not None)
+
+
+def _unmarked(entries: Sequence[Entry]) -> list[Entry]:
+    """Entries without marks in their texts, and each mark on the word after it, or on the last word."""
+    parts, late = marked_words([entry.text for entry in entries])
+    out = [replace(entry, text=text, marks=(*entry.marks, *marks))
+           for entry, (text, marks) in zip(entries, parts, strict=True) if text or not entry.text]
+    last = next((at for at in reversed(range(len(out))) if out[at].text), None)
+    if late and last is not None:
+        out[last] = replace(out[last], marks=(*out[last].marks, *late))
+    return out
+
+
+def _in_text(entries: Sequence[Entry]) -> tuple[tuple[int, str], ...]:
+    """The marks of entries, by their offset in the text that joins the entries."""
+    marks, at = [], 0
+    for entry in entries:
+        marks += [(at, name) for name in entry.marks]
+        at += len(entry.text) + 1 if entry.text else 0
+    return tuple(marks)
+
+
+def _check_rate(source: str, words: Sequence[Word]) -> None:
+    """`InputError` for words that nobody could speak in their times."""
+    spoken = [word for word in words if word.text]
+    if len(spoken) < 3:
+        return
+    lasts = float(np.median([word.end - word.start for word in spoken]))
+    seconds = max(word.end for word in spoken) - spoken[0].start
+    if lasts > LONGEST_MEDIAN:
+        raise InputError(source, f"half of its words last over {lasts:.0f} s, which nobody speaks",
+                         "give the times of words in seconds")
+    if len(spoken) >= _FEW and len(spoken) > IMPOSSIBLE * seconds:
+        raise InputError(source, f"{len(spoken)} words in {seconds:.2f} s are more than anybody speaks",
+                         "give each word once, with its time in seconds")
 
 
 def _filled(entries: Sequence[Entry]) -> list[Entry]:
@@ -215,7 +275,7 @@ def _in_order(source: str, entries: Sequence[Entry]) -> tuple[tuple[Word, ...], 
     early = sum(e.start is not None and e.start < 0 for e in entries)
     if early:
         notes.append(f"{_times(early)} began before the recording")
-    words = [Word(w.text, max(0.0, w.start), w.end) for w in _as_words(inside)]
+    words = [replace(word, start=max(0.0, word.start)) for word in _as_words(inside)]
     if any(a.start > b.start for a, b in itertools.pairwise(words)):
         notes.append("the times were not in order and were sorted")
         words.sort(key=lambda word: word.start)
@@ -242,37 +302,70 @@ def _within(transcript: Transcript, duration: float) -> Transcript:
         raise InputError(transcript.source, f"all its words come after the end of the recording ({duration:.1f} s)",
                          "give the transcript of this recording, its times in seconds")
     if lost > _spoken(words):
-        _warn(transcript.source, f"{lost} of its {lost + _spoken(words)} words come after the end of the recording")
+        raise InputError(transcript.source, f"{lost} of its {lost + _spoken(words)} words come after the end of the "
+                         f"recording ({duration:.1f} s)", "give the transcript of this recording, its times in seconds")
     note = f"{lost} {'word' if lost == 1 else 'words'} after the end of the recording left out"
     return replace(transcript, words=words, cues=cues, notes=(*transcript.notes, note))
 
 
-def _in_cues(speech: Speech, cues: Sequence[Word]) -> tuple[tuple[Word, ...], int]:
+def _in_cues(speech: Speech, transcript: Transcript) -> tuple[tuple[Word, ...], int]:
     """The words of all cues, aligned or spread within their cue, and the number of the latter."""
     out: list[Word] = []
-    guessed = 0
-    for cue in cues:
-        samples = speech.samples[math.floor(cue.start * speech.sample_rate):math.ceil(cue.end * speech.sample_rate)]
+    guessed, late = 0, tuple[str, ...]()
+    for cue, marks in _cues_with_marks(transcript):
+        piece = _piece(speech, cue)
         written = aligner.written_words(cue.text)
-        if not written or len(samples) == 0:
+        marks = [*((0, name) for name in late), *marks]
+        late = tuple(name for _, name in marks)
+        if not written or len(piece) == 0:
             continue
-        piece = replace(speech, samples=samples, words=None)
-        result = None
-        if aligner.can_follow(cue.text) and aligner.aligner_installed():
-            result = aligner.alignment(piece, cue.text, warn=False)
-        if result is not None and result.aligned:
-            words = result.words
-        else:
-            words = aligner.shared_out(piece, written)
-            guessed += len(words)
-        out += [Word(w.text, w.start + cue.start, min(w.end + cue.start, max(cue.end, w.start + cue.start)))
+        words, heard = _in_cue(replace(speech, samples=piece, words=None), cue.text, written)
+        guessed += 0 if heard else len(words)
+        words, late = with_marks(words, cue.text, marks, aligner.spoken_words if heard else aligner.written_words)
+        out += [replace(w, start=w.start + cue.start, end=min(w.end + cue.start, max(cue.end, w.start + cue.start)))
                 for w in words]
-    return tuple(out), guessed
+    return _with_late(out, late), guessed
 
 
-def _without_times(speech: Speech, text: str) -> tuple[tuple[Word, ...], str]:
+def _cues_with_marks(transcript: Transcript) -> Iterator[tuple[Word, list[tuple[int, str]]]]:
+    """Each cue with its marks, whose offsets are in its text."""
+    marks, start, at = transcript.marks, 0, 0
+    for cue in transcript.cues:
+        end, first = start + len(cue.text) + 1, at
+        while at < len(marks) and marks[at][0] < end:
+            at += 1
+        yield cue, [(offset - start, name) for offset, name in marks[first:at]]
+        start = end
+
+
+def _piece(speech: Speech, cue: Word) -> Samples:
+    """The samples of a cue."""
+    return speech.samples[math.floor(cue.start * speech.sample_rate):math.ceil(cue.end * speech.sample_rate)]
+
+
+def _in_cue(piece: Speech, text: str, written: Sequence[str]) -> tuple[tuple[Word, ...], bool]:
+    """The words of a cue, seconds from its start, and whether the aligner heard them."""
+    if aligner.can_follow(text) and aligner.aligner_installed():
+        result = aligner.alignment(piece, text, warn=False)
+        if result.aligned:
+            return result.words, True
+    return aligner.shared_out(piece, written), False
+
+
+def _with_late(words: Sequence[Word], late: tuple[str, ...]) -> tuple[Word, ...]:
+    """The words, with the marks after the last one on it."""
+    if not words or not late:
+        return tuple(words)
+    return (*words[:-1], replace(words[-1], marks=(*words[-1].marks, *late)))
+
+
+def _without_times(speech: Speech, transcript: Transcript) -> tuple[tuple[Word, ...], str]:
     """The words of a plain text, and why their times are estimates ("" if they are aligned)."""
+    text = transcript.text
     if not aligner.can_follow(text):
-        return aligner.shared_out(speech, aligner.written_words(text)), _ENGLISH_ONLY
+        words, late = with_marks(aligner.shared_out(speech, aligner.written_words(text)), text, transcript.marks,
+                                 aligner.written_words)
+        return _with_late(words, late), _ENGLISH_ONLY
     result = aligner.alignment(speech, text, warn=False)
-    return result.words, result.doubt
+    words, late = with_marks(result.words, text, transcript.marks, aligner.spoken_words)
+    return _with_late(words, late), result.doubt

@@ -92,8 +92,12 @@ def _time_of(cue: GestureCue, words: Sequence[Word], duration: float) -> float:
     if len(matches) < cue.occurrence:
         raise InputError(f"cue at the word {shown(cue.word)}, occurrence {cue.occurrence}",
                          f"is impossible: the word is spoken {len(matches)} times", "choose among " + _listed(words))
-    word = matches[cue.occurrence - 1]
-    # The stroke should arrive at the stressed syllable, which a transcript does not mark: assume a third of the word.
+    return stroke_of_word(matches[cue.occurrence - 1])
+
+
+def stroke_of_word(word: Word) -> float:
+    """Seconds at which a stroke arrives with a word."""
+    # It should arrive at the stressed syllable, which a transcript does not mark: assume a third of the word.
     return word.start + (word.end - word.start) / 3.0
 
 

@@ -166,7 +166,7 @@ def _block(gesture: _Element, row: dict[str, Any], numbers: dict[Any, Any], sour
 
 def _cue(gesture: _Element, source: str) -> dict[str, Any]:
     cue: dict[str, Any] = {"gesture": gesture.attributes.get("lexeme", "")}
-    cue |= _our_values(gesture, ("word", "occurrence", "intensity", "mirror"), source)
+    cue |= _our_values(gesture, ("word", "occurrence", "intensity", "mirror", "source"), source)
     if "word" not in cue:
         cue["time"] = _seconds(gesture.attributes.get("stroke", ""), source, gesture.line, "stroke of a gesture")
     return cue
@@ -175,7 +175,7 @@ def _cue(gesture: _Element, source: str) -> dict[str, Any]:
 def _our_values(gesture: _Element, names: Sequence[str], source: str) -> dict[str, Any]:
     """The values of the attributes in our namespace, of those with these names."""
     texts = {name: gesture.attributes[f"{OURS} {name}"] for name in names if f"{OURS} {name}" in gesture.attributes}
-    return {name: text if name in ("flag", "word") else _json(text, source, gesture.line, name)
+    return {name: text if name in ("flag", "word", "source") else _json(text, source, gesture.line, name)
             for name, text in texts.items()}
 
 

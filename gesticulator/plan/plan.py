@@ -239,6 +239,8 @@ class GestureCue:
     """Size of the gesture, as the intensity of a block."""
     mirror: bool = False
     """True makes the gesture with the other hand."""
+    source: str | None = None
+    """Where the cue comes from: "mark" for a mark in the text; null for one of the user."""
 
 
 @dataclass(frozen=True)

@@ -145,8 +145,8 @@ class Session:
             raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
         if len(self._words) + len(words) > _MOST_WORDS:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {_MOST_WORDS} words wait for their sound")
-        self._stream.add_words(words)
-        self._words = sorted([*self._words, *words], key=lambda word: word.start)
+        spoken = self._stream.add_words(words)
+        self._words = sorted([*self._words, *spoken], key=lambda word: word.start)
         return SessionAnswer()
 
     def _answer(self, frames: StreamFrames) -> SessionAnswer:

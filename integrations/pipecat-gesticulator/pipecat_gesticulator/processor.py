@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pipecat.frames.frames import (
+    AggregatedTextFrame,
     CancelFrame,
     DataFrame,
     EndFrame,
@@ -25,6 +26,7 @@ from pipecat.frames.frames import (
     StartFrame,
     TTSAudioRawFrame,
     TTSStoppedFrame,
+    TTSTextFrame,
     UserStartedSpeakingFrame,
     UserStoppedSpeakingFrame,
 )
@@ -32,6 +34,7 @@ from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 from websockets.exceptions import WebSocketException
 
 from pipecat_gesticulator.client import GestureStream, connect
+from pipecat_gesticulator.marks import timed_words, without_marks
 from pipecat_gesticulator.protocol import Hello, Poses, Welcome
 
 TICK_SECONDS = 0.05
@@ -40,6 +43,12 @@ REST_SECONDS = 10.0
 """How long the rest of the poses may take at the end."""
 MOST_ORDERS = 5000
 """Messages that may wait for the server: minutes of sound, while it starts."""
+MOST_WORDS = 500
+"""Words in one message."""
+FEW_LETTERS = 12
+"""Letters below which a sentence says little about the voice."""
+LETTER_SECONDS = 0.065
+"""How long a voice takes for a letter, before it is known."""
 _Order = Callable[[GestureStream], Awaitable[None]]
 
 
@@ -56,6 +65,10 @@ class GesticulatorProcessor(FrameProcessor):
 
     An interruption takes back the poses that were not played yet. While the user speaks the avatar listens, then it
     thinks until it is answered. A server that cannot be reached costs an error frame and nothing else.
+
+    With the option "text" the server gets the words, too, before their sound, at times that are estimated from how fast
+    the voice spoke so far; gesture marks in them are made. The voice leaves the marks out if the synthesiser has the
+    text transform `marks.spoken_text`.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765/stream", *, fps: float = 60.0, seed: int = 0,
@@ -75,6 +88,11 @@ class GesticulatorProcessor(FrameProcessor):
         """time.monotonic() at which all of it will have been played."""
         self._user_speaks = False
         self._waits = "idle"
+        self._text = bool((options or {}).get("text", False))
+        self._letter, self._letters, self._said_at = LETTER_SECONDS, 0, 0.0
+        """Seconds per letter; letters of the sentence that is spoken now, and the media time at which it began."""
+        self._sentence = ""
+        """The sentence that was announced and has no sound yet."""
 
     def media_time(self) -> float:
         """The media time that is played now, seconds, where sound is played as it comes."""
@@ -107,12 +125,19 @@ class GesticulatorProcessor(FrameProcessor):
     def _tell(self, frame: Frame) -> None:
         if isinstance(frame, TTSAudioRawFrame):
             self._waits = "idle"
+            self._say()
             self._send(frame)
+        elif isinstance(frame, AggregatedTextFrame) and not isinstance(frame, TTSTextFrame):
+            if self._text and frame.will_be_spoken:
+                self._measure()
+                self._sentence = frame.text
         elif isinstance(frame, TTSStoppedFrame):
+            self._measure()
             self._order(lambda stream: stream.idle(0.0))  # the last poses wait for sound that does not come
         elif isinstance(frame, InterruptionFrame):
             at = self.media_time()
-            self._sent, self._play_end = at, time.monotonic()
+            self._sent, self._play_end, self._letters = at, time.monotonic(), 0
+            self._sentence = ""
             self._order(lambda stream: stream.interrupt(at))
         elif isinstance(frame, UserStartedSpeakingFrame):
             self._user_speaks = True
@@ -122,6 +147,23 @@ class GesticulatorProcessor(FrameProcessor):
             self._order(lambda stream: stream.speak())
         elif isinstance(frame, InputAudioRawFrame) and self._user_speaks and self._play_end <= time.monotonic():
             self._send(frame)
+
+    def _say(self) -> None:
+        """Have the words of the announced sentence sent, whose sound begins."""
+        text, self._sentence = self._sentence, ""
+        if not text:
+            return
+        self._letters, self._said_at = len(without_marks(text).strip()), self._sent
+        words = timed_words(text, self._sent, self._letter)
+        for first in range(0, len(words), MOST_WORDS):
+            self._order(_words(words[first:first + MOST_WORDS]))
+
+    def _measure(self) -> None:
+        """Learn how long a letter takes from the sentence that was spoken."""
+        seconds = self._sent - self._said_at
+        if self._letters >= FEW_LETTERS and seconds > 0:
+            self._letter += 0.5 * (min(max(seconds / self._letters, 0.03), 0.2) - self._letter)
+        self._letters = 0
 
     def _send(self, frame: TTSAudioRawFrame | InputAudioRawFrame) -> None:
         samples = _mono(frame.audio, frame.num_channels, frame.sample_rate, self._rate)
@@ -191,6 +233,10 @@ class GesticulatorProcessor(FrameProcessor):
 def _wait(how: str, seconds: float) -> _Order:
     """Idle motion, or the motion of one who thinks."""
     return (lambda stream: stream.think(seconds)) if how == "think" else (lambda stream: stream.idle(seconds))
+
+
+def _words(words: list[tuple[str, float, float]]) -> _Order:
+    return lambda stream: stream.add_words(words)
 
 
 def _mono(sound: bytes, channels: int, rate: int, wanted: int) -> NDArray[np.int16]:

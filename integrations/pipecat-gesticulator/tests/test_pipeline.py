@@ -29,6 +29,7 @@ from pipecat.pipeline.pipeline import Pipeline
 from pipecat.services.settings import TTSSettings
 from pipecat.services.tts_service import TTSService
 from pipecat.tests.utils import SleepFrame, run_test
+from pipecat_gesticulator.marks import spoken_text
 from pipecat_gesticulator.processor import GesticulatorProcessor, PoseFrame
 
 RATE = 22050
@@ -39,13 +40,16 @@ class EspeakService(TTSService):
     """espeak-ng as a synthesiser, which delivers much faster than it speaks."""
 
     def __init__(self) -> None:
+        self.said: list[str] = []
         super().__init__(sample_rate=RATE, push_start_frame=True, push_stop_frames=True, stop_frame_timeout_s=0.2,
+                         text_transforms=[("*", spoken_text)],
                          settings=TTSSettings(model=None, voice=None, language=None))
 
     def can_generate_metrics(self) -> bool:
         return False
 
     async def run_tts(self, text: str, context_id: str) -> AsyncGenerator[Frame | None, None]:
+        self.said.append(text)
         done = await asyncio.to_thread(subprocess.run, ["espeak-ng", "--stdout", text], capture_output=True, check=True)
         with wave.open(io.BytesIO(done.stdout)) as sound:
             samples = sound.readframes(10**7)
@@ -71,9 +75,10 @@ class Clocked(GesticulatorProcessor):
         await super().push_frame(frame, *args)
 
 
-def through(processor: GesticulatorProcessor, *frames: Frame) -> list[Frame]:
+def through(processor: GesticulatorProcessor, *frames: Frame, voice: EspeakService | None = None) -> list[Frame]:
     """What comes out of a pipeline of espeak-ng and the processor."""
-    down, _ = asyncio.run(run_test(Pipeline([EspeakService(), processor]), frames_to_send=frames, start_timeout=10.0))
+    pipeline = Pipeline([voice or EspeakService(), processor])
+    down, _ = asyncio.run(run_test(pipeline, frames_to_send=frames, start_timeout=10.0))
     return list(down)
 
 
@@ -145,3 +150,25 @@ def test_without_a_server_the_agent_still_speaks() -> None:
     down = through(GesticulatorProcessor("ws://127.0.0.1:9/stream"), TTSSpeakFrame("Hello."), SleepFrame(1.0))
     assert any(isinstance(frame, TTSAudioRawFrame) for frame in down)
     assert not any(isinstance(frame, PoseFrame) for frame in down)
+
+
+def shoulder_turns(frames: list[PoseFrame], state: str = "speaking") -> np.ndarray:
+    """[T] degrees by which the left shoulder is turned up, while the avatar is in a state."""
+    number = [joint.name for joint in frames[0].welcome.joints].index("LeftShoulder")
+    turns = np.concatenate([one.poses.rotations[:, number] for one in frames if one.poses.state == state])
+    degrees: np.ndarray = np.degrees(2 * np.arctan2(turns[:, 3], turns[:, 0]))
+    return degrees
+
+
+def test_a_mark_makes_a_gesture_and_is_not_spoken(url: str) -> None:
+    said, turns = [], []
+    for mark in ("", "[shrug] ", "\N{SHRUG}"):
+        voice = EspeakService()
+        processor = GesticulatorProcessor(url, seed=3, options={"text": True})
+        text = f"When you ask me for the reason of it all, {mark}I honestly have no idea about that."
+        down = through(processor, TTSSpeakFrame(text), SleepFrame(5.0), voice=voice)
+        assert not any(isinstance(frame, ErrorFrame) for frame in down)
+        said.append(" ".join(voice.said).split())
+        turns.append(shoulder_turns([frame for frame in down if isinstance(frame, PoseFrame)]).max())
+    assert said[0] == said[1] == said[2]
+    assert turns[1] > turns[0] + 6 and turns[2] > turns[0] + 6, "both shoulders rise by 13 degrees in a shrug"

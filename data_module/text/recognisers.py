@@ -1,0 +1,449 @@
+"""Readers of JSON transcripts: one for each recogniser, found by the shape of the file.
+
+`RECOGNISERS` lists them, the more specific shapes first. Times become seconds: recognisers count in seconds,
+milliseconds, ticks of 100 ns, or write "1.400s". Errors name the place in the JSON.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from data_module.errors import InputError, shown
+from data_module.files import parse_json
+from data_module.text.alignment import written_words
+from data_module.text.marks import marked_text
+from data_module.text.transcript_formats import Content, Entry, shared_in_cue, spoken_tier
+
+__all__ = ["RECOGNISERS", "Recogniser", "words_json"]
+
+MILLISECOND, TICK = 1e-3, 1e-7
+"""Seconds."""
+LONGEST_WORD = 20.0
+"""Seconds per word above which whole numbers are milliseconds: a word of 20 ms would be as short."""
+_TIME = re.compile(r"\d{1,9}(?:\.\d{1,9})?s")
+
+
+@dataclass(frozen=True)
+class Recogniser:
+    """A recogniser or aligner. shape: whether a JSON value is its output; read: (file, value, speaker) to content."""
+
+    name: str
+    shape: Callable[[Any], bool]
+    read: Callable[[str, Any, str | None], Content]
+
+
+class _Segment(NamedTuple):
+    """A stretch of speech: its text with its time, and its words, if the file has them."""
+
+    cue: Entry
+    words: list[Entry]
+
+
+@dataclass(frozen=True)
+class _Keys:
+    """The keys of a word or a segment, for each the first that is there. unit: seconds in a unit of time; lasts: the
+    second time is a duration; from_zero: a start that is left out is 0."""
+
+    text: tuple[str, ...] = ("word", "text")
+    start: tuple[str, ...] = ("start",)
+    end: tuple[str, ...] = ("end",)
+    unit: float = 1.0
+    lasts: bool = False
+    from_zero: bool = False
+
+
+_PLAIN = _Keys()
+_DEEPGRAM = _Keys(("punctuated_word", "word"))
+_UTTERANCE = _Keys(("transcript",))
+_ASSEMBLY = _Keys(unit=MILLISECOND)
+_GOOGLE = _Keys(("word",), ("startTime", "startOffset", "start_time", "start_offset"),
+                ("endTime", "endOffset", "end_time", "end_offset"), from_zero=True)
+_AZURE = _Keys(("word", "text", "Word", "display", "Display", "DisplayText"), ("offsetInTicks", "Offset"),
+               ("durationInTicks", "Duration"), TICK, lasts=True)
+_AZURE_FAST = _Keys(("text",), ("offsetMilliseconds", "offset"), ("durationMilliseconds", "duration"), MILLISECOND,
+                    lasts=True)
+
+
+def words_json(source: str, text: str, speaker: str | None = None) -> Content:
+    """Words or segments with times, of any recogniser of `RECOGNISERS`. `InputError` for any other JSON."""
+    content = parse_json(text, source, "write it again")
+    for recogniser in RECOGNISERS:
+        if recogniser.shape(content):
+            return recogniser.read(source, content, speaker)
+    raise InputError(source, "holds neither words nor segments of a known recogniser",
+                     'write {"words": [{"word": "hello", "start": 0.1, "end": 0.4}]}')
+
+
+# ---------------------------------------------------------------------------------------------------- values
+
+def _of(item: object, *keys: str) -> Any:
+    """The first of the keys that an object has, or None."""
+    return next((item[key] for key in keys if item.get(key) is not None), None) if isinstance(item, Mapping) else None
+
+
+def _list(item: object, *keys: str) -> list[Any]:
+    """The list at the first of the keys, or an empty one."""
+    value = _of(item, *keys)
+    return value if isinstance(value, list) else []
+
+
+def _has_list(content: object, *keys: str) -> bool:
+    """Whether an object has a list at one of the keys."""
+    return any(isinstance(_of(content, key), list) for key in keys)
+
+
+def _entry(source: str, item: object, where: str, keys: _Keys = _PLAIN) -> Entry:
+    """A JSON object as a word or a segment; both times may be missing (for a word that was not aligned)."""
+    if not isinstance(item, Mapping):
+        raise InputError(source, f"{where}: is not an object with a word and its times", "write it again")
+    text = _of(item, *keys.text)
+    if not isinstance(text, str):
+        raise InputError(source, f"{where}: has no word", "give it a 'word' or a 'text'")
+    start, end = _of(item, *keys.start), _of(item, *keys.end)
+    text = " ".join(text.split())
+    if end is None and (start is None or keys.from_zero):
+        return Entry(text, None, None, where)
+    first = 0.0 if start is None and keys.from_zero else _seconds(source, start, f"{where}.{keys.start[0]}", keys.unit)
+    last = _seconds(source, end, f"{where}.{keys.end[0]}", keys.unit)
+    return Entry(text, first, first + last if keys.lasts else last, where)
+
+
+def _entries(source: str, items: Iterable[object], where: str, keys: _Keys = _PLAIN) -> list[Entry]:
+    return [_entry(source, item, f"{where}[{n}]", keys) for n, item in enumerate(items)]
+
+
+def _seconds(source: str, value: object, where: str, unit: float = 1.0) -> float:
+    """A time in seconds: a number in a unit, "1.400s", or {"seconds": 1, "nanos": 400000000}."""
+    if isinstance(value, str) and _TIME.fullmatch(value):
+        return float(value[:-1])
+    if isinstance(value, Mapping) and value.keys() <= {"seconds", "nanos"}:
+        parts = [_whole(value.get(name, 0)) for name in ("seconds", "nanos")]
+        if parts[0] is not None and parts[1] is not None:
+            return parts[0] + parts[1] * 1e-9
+    try:
+        if isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(float(value)):
+            return float(value) * unit if unit != 1.0 else float(value)
+    except OverflowError:
+        pass
+    raise InputError(source, f"{where}: {shown(value, 30)!r} is not a time", "give seconds")
+
+
+def _whole(value: object) -> int | None:
+    """A whole number from 0, or its text, as protocol buffers write large ones."""
+    if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 12:
+        return int(value)
+    return value if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**12 else None
+
+
+def _count(text: str) -> int:
+    """Number of words of a text without its gesture marks."""
+    return len(written_words(marked_text(text)[0]))
+
+
+# -------------------------------------------------------------------------------------------------- segments
+
+def _content(segments: Sequence[_Segment]) -> Content:
+    """Segments as cues; if some have words, the words, and those of the other segments spread by their length."""
+    if not any(segment.words for segment in segments):
+        return Content(cues=tuple(segment.cue for segment in segments))
+    words: list[Entry] = []
+    for segment in segments:
+        words += segment.words or shared_in_cue(segment.cue)
+    return Content(words=tuple(words))
+
+
+def _segments(source: str, items: Sequence[Any], name: str, keys: _Keys = _PLAIN, words: _Keys = _PLAIN) -> Content:
+    """Segments with a text, their times and perhaps their words."""
+    found = []
+    for n, item in enumerate(items):
+        where = f"{name}[{n}]"
+        inner = _entries(source, _list(item, "words"), f"{where}.words", words)
+        found.append(_Segment(Entry("", None, None, where) if inner else _cue(source, item, where, keys), inner))
+    return _content(found)
+
+
+def _cue(source: str, item: object, where: str, keys: _Keys) -> Entry:
+    cue = _entry(source, item, where, keys)
+    if cue.start is None or cue.end is None:
+        raise InputError(source, f"{where}: has no times", "give it 'start' and 'end' in seconds")
+    return cue
+
+
+def _seconds_or_milliseconds(content: Content) -> Content:
+    """Times without a unit: whole numbers under which a word would last 20 s are milliseconds."""
+    entries = content.words or content.cues
+    timed = [(entry.start, entry.end, max(1, _count(entry.text))) for entry in entries
+             if entry.start is not None and entry.end is not None and entry.text]
+    whole = all(start.is_integer() and end.is_integer() for start, end, _ in timed)
+    if not timed or not whole or median((end - start) / count for start, end, count in timed) <= LONGEST_WORD:
+        return content
+    scaled = tuple(entry if entry.start is None or entry.end is None else
+                   replace(entry, start=entry.start * MILLISECOND, end=entry.end * MILLISECOND) for entry in entries)
+    return replace(content, words=scaled) if content.words else replace(content, cues=scaled)
+
+
+# ------------------------------------------------------------------------------------------------ recognisers
+
+def _whisper_cpp(source: str, content: Any, speaker: str | None) -> Content:
+    """whisper.cpp: segments with offsets in milliseconds, with `-ojf` their tokens, too; with `-ml 1` a token each."""
+    segments = []
+    for n, item in enumerate(content["transcription"]):
+        where = f"transcription[{n}]"
+        cue = _whisper_cpp_part(source, item, where)
+        tokens = [_whisper_cpp_part(source, token, f"{where}.tokens[{k}]")
+                  for k, token in enumerate(_list(item, "tokens")) if not _is_special(token)]
+        segments.append(_Segment(cue, _joined_tokens(tokens)))
+    if segments and not any(segment.words for segment in segments) \
+            and all(_count(segment.cue.text) <= 1 for segment in segments):
+        return Content(words=tuple(_joined_tokens([segment.cue for segment in segments])))
+    return _content([_Segment(_stripped(segment.cue), segment.words) for segment in segments])
+
+
+def _is_special(token: object) -> bool:
+    """Whether a token is a mark of whisper's, such as [_BEG_] or <|endoftext|>."""
+    text = _of(token, "text")
+    return isinstance(text, str) and text.strip().startswith(("[_", "<|"))
+
+
+def _whisper_cpp_part(source: str, item: object, where: str) -> Entry:
+    """A segment or a token, with the space before it, which begins a word."""
+    text, offsets = _of(item, "text"), _of(item, "offsets")
+    if not isinstance(text, str) or not isinstance(offsets, Mapping):
+        raise InputError(source, f"{where}: has no text with offsets", "write it again with whisper.cpp's -oj or -ojf")
+    start, end = (_seconds(source, offsets.get(name), f"{where}.offsets.{name}", MILLISECOND)
+                  for name in ("from", "to"))
+    return Entry(text, start, end, where)
+
+
+def _stripped(entry: Entry) -> Entry:
+    return replace(entry, text=" ".join(entry.text.split()))
+
+
+def _joined_tokens(tokens: Sequence[Entry]) -> list[Entry]:
+    """The words of tokens: each token without a space before it continues the word."""
+    words: list[Entry] = []
+    for token in tokens:
+        if words and token.text and not token.text[0].isspace():
+            words[-1] = replace(words[-1], text=words[-1].text + token.text, end=token.end)
+        else:
+            words.append(token)
+    out: list[Entry] = []
+    for word in map(_stripped, words):
+        # A script without spaces gives one token after the other and no word's end.
+        out += shared_in_cue(word) if _count(word.text.replace("-", "")) > 1 else [word]
+    return [word for word in out if word.text]
+
+
+def _deepgram(source: str, content: Any, speaker: str | None) -> Content:
+    """Deepgram: channels with alternatives, of which the first has the words."""
+    results = content["results"]
+    found = []
+    for n, channel in enumerate(results["channels"]):
+        where = f"results.channels[{n}].alternatives[0]"
+        best = (_list(channel, "alternatives") or [None])[0]
+        found.append((_entries(source, _list(best, "words"), f"{where}.words", _DEEPGRAM), _of(best, "transcript")))
+    spoken = [(words, text) for words, text in found if words or text]
+    if len(spoken) > 1:
+        raise InputError(source, f"holds the words of {len(spoken)} channels", "leave one channel in it")
+    words, text = spoken[0] if spoken else ([], "")
+    if not words and _list(results, "utterances"):
+        return _segments(source, _list(results, "utterances"), "results.utterances", _UTTERANCE, _DEEPGRAM)
+    return Content(words=tuple(words), text="" if words else str(text or ""))
+
+
+def _google(source: str, content: Any, speaker: str | None) -> Content:
+    """Google: results with alternatives, of which the first has the words; times as "1.400s"."""
+    segments: list[_Segment] = []
+    texts, end = [], 0.0
+    for where, result in _google_results(content):
+        best = (_list(result, "alternatives") or [None])[0]
+        words = _entries(source, _list(best, "words"), f"{where}.alternatives[0].words", _GOOGLE)
+        until = _of(result, "resultEndTime", "resultEndOffset", "result_end_time", "result_end_offset")
+        until = end if until is None else _seconds(source, until, f"{where}.resultEndTime")
+        text = _of(best, "transcript")
+        texts.append(text if isinstance(text, str) else "")
+        segments.append(_Segment(Entry(" ".join(texts[-1].split()), end, max(end, until), where), words))
+        end = max(end, until)
+    spoken = [segment for segment in segments if segment.words or segment.cue.text]
+    if not any(segment.words for segment in spoken) and end == 0:
+        return Content(text=" ".join(texts))
+    # With speakers told apart the last result repeats the words of all others.
+    before = [word.start for segment in spoken[:-1] for word in segment.words]
+    return _content(spoken[-1:] if before and [word.start for word in spoken[-1].words] == before else spoken)
+
+
+def _google_results(content: Any) -> Iterator[tuple[str, Any]]:
+    """The results of an answer, of a long operation, of a batch (by file), or of a bare list."""
+    if isinstance(content, list):
+        yield from ((f"[{n}]", result) for n, result in enumerate(content))
+        return
+    for outer in (content, _of(content, "response")):
+        results = _of(outer, "results")
+        if isinstance(results, Mapping):
+            results = [one for file in results.values() for inner in (file, _of(file, "inlineResult"))
+                       for one in _list(_of(inner, "transcript"), "results")]
+        if isinstance(results, list):
+            yield from ((f"results[{n}]", result) for n, result in enumerate(results))
+            return
+
+
+def _is_google(content: Any) -> bool:
+    results = list(_google_results(content))
+    return bool(results) and all(isinstance(one, Mapping) for _, one in results) and any(
+        _has_list(one, "alternatives") and not any(_has_list(inner, "result") for inner in one["alternatives"])
+        for _, one in results)
+
+
+def _azure(source: str, content: Any, speaker: str | None) -> Content:
+    """Azure: phrases of a batch or of the SDK's detailed results, in ticks of 100 ns; or of the fast transcription, in
+    milliseconds."""
+    if _has_list(content, "phrases"):
+        return _segments(source, content["phrases"], "phrases", _AZURE_FAST, _AZURE_FAST)
+    name, phrases = ("recognizedPhrases", content["recognizedPhrases"]) if _has_list(content, "recognizedPhrases") \
+        else ("", content if isinstance(content, list) else [content])
+    segments = []
+    for n, phrase in enumerate(phrases):
+        where = f"{name}[{n}]"
+        best = (_list(phrase, "nBest", "NBest") or [None])[0]
+        if best is None and _of(phrase, "DisplayText") is None:
+            continue  # nothing was recognised
+        words = _entries(source, _list(best, "words", "Words"), f"{where}.words", _AZURE)
+        # The time of a phrase stands beside its alternatives.
+        cue = {**phrase, **{key: best[key] for key in ("display", "Display") if _of(best, key)}} \
+            if isinstance(best, Mapping) else phrase
+        segments.append(_Segment(Entry("", None, None, where) if words else _cue(source, cue, where, _AZURE), words))
+    return _content(segments)
+
+
+def _is_azure(content: Any) -> bool:
+    if isinstance(content, list):
+        return any(_has_list(one, "NBest") for one in content)
+    return _has_list(content, "recognizedPhrases", "NBest") or (
+        _has_list(content, "phrases") and _has_list(content, "combinedPhrases")) or (
+        _of(content, "RecognitionStatus") is not None)
+
+
+def _vosk(source: str, content: Any, speaker: str | None) -> Content:
+    """vosk: a result, or a list of them; of several alternatives the first counts; or the monologues of its program."""
+    if _has_list(content, "monologues"):
+        terms = [[term for term in _list(one, "terms") if _of(term, "type") in (None, "WORD")]
+                 for one in content["monologues"]]
+        return Content(words=tuple(entry for n, inner in enumerate(terms)
+                                   for entry in _entries(source, inner, f"monologues[{n}].terms")))
+    words: list[Entry] = []
+    texts = []
+    for n, result in enumerate(content if isinstance(content, list) else [content]):
+        best = (_list(result, "alternatives") or [result])[0]
+        words += _entries(source, _list(best, "result"), f"[{n}].result")
+        texts.append(str(_of(best, "text") or ""))
+    return Content(words=tuple(words), text="" if words else " ".join(texts))
+
+
+def _is_vosk(content: Any) -> bool:
+    if isinstance(content, list):
+        return any(_is_vosk(one) for one in content if isinstance(one, Mapping))
+    return _has_list(content, "result", "monologues") or (
+        any(_has_list(one, "result") for one in _list(content, "alternatives")))
+
+
+def _transformers(source: str, content: Any, speaker: str | None) -> Content:
+    """The speech recognition pipeline of transformers: chunks, which are words or phrases; the last may have no end."""
+    entries = []
+    for n, item in enumerate(content["chunks"]):
+        where = f"chunks[{n}]"
+        times = _of(item, "timestamp", "timestamps")
+        if not isinstance(times, list) or len(times) != 2:
+            raise InputError(source, f"{where}: has no timestamp of two times", "write it again with return_timestamps")
+        start, end = times
+        if end is None and start is not None:
+            start = _seconds(source, start, f"{where}.timestamp[0]")
+            end = start + 0.3 * max(1, _count(str(_of(item, "text") or "")))
+        entries.append(_entry(source, {"text": _of(item, "text"), "start": start, "end": end}, where))
+    return _words_or_cues(source, entries)
+
+
+def _words_or_cues(source: str, entries: Sequence[Entry]) -> Content:
+    """Entries as words, or as cues where one has several words."""
+    # "well-known" is one word, "well known" is two, and a sentence of a script without spaces has several.
+    if not any(_count(entry.text.replace("-", "")) > 1 for entry in entries):
+        return Content(words=tuple(entries))
+    for entry in entries:
+        if entry.start is None or entry.end is None:
+            raise InputError(source, f"{entry.where}: has no times", "give it 'start' and 'end' in seconds")
+    return Content(cues=tuple(entries))
+
+
+def _gentle(source: str, content: Any, speaker: str | None) -> Content:
+    """gentle: words with a case; those that it did not find have no times."""
+    spoken = [word for word in content["words"] if _of(word, "word") is not None or _of(word, "case") is None]
+    return Content(words=tuple(_entries(source, spoken, "words")))
+
+
+def _whisper(source: str, content: Any, speaker: str | None) -> Content:
+    """OpenAI's whisper and its interface, faster-whisper, whisperX: segments, perhaps with words."""
+    if _list(content, "words"):
+        return _plain_words(source, content, speaker)
+    return _seconds_or_milliseconds(_segments(source, content["segments"], "segments"))
+
+
+def _plain_words(source: str, content: Any, speaker: str | None) -> Content:
+    return _seconds_or_milliseconds(Content(words=tuple(_entries(source, content["words"], "words"))))
+
+
+def _assembly(source: str, content: Any, speaker: str | None) -> Content:
+    """AssemblyAI: words in milliseconds."""
+    if content.get("words") is None and _list(content, "utterances"):
+        return _segments(source, content["utterances"], "utterances", _ASSEMBLY, _ASSEMBLY)
+    words = _entries(source, _list(content, "words"), "words", _ASSEMBLY)
+    return Content(words=tuple(words), text="" if words else str(content.get("text") or ""))
+
+
+def _plain_list(source: str, content: Any, speaker: str | None) -> Content:
+    """A bare list of words or of segments."""
+    if any(_has_list(item, "words") for item in content):
+        return _seconds_or_milliseconds(_segments(source, content, ""))
+    timed = all(isinstance(item, Mapping) and _of(item, *_GOOGLE.end) is not None for item in content)
+    return _seconds_or_milliseconds(_words_or_cues(source, _entries(source, content, "",
+                                                                   _GOOGLE if timed and content else _PLAIN)))
+
+
+def _tiers(source: str, content: Any, speaker: str | None) -> Content:
+    """The Montreal Forced Aligner's JSON: tiers of [start, end, word]."""
+    tiers = {}
+    for name, tier in content["tiers"].items():
+        rows = _of(tier, "entries")
+        if isinstance(rows, list) and all(isinstance(row, list) and len(row) == 3 for row in rows):
+            tiers[name] = [_entry(source, {"start": a, "end": b, "word": word}, f"tiers.{name}[{n}]")
+                           for n, (a, b, word) in enumerate(rows)]
+    return Content(words=spoken_tier(source, tiers, speaker))
+
+
+_OF_ASSEMBLY = frozenset({"audio_duration", "audio_url", "acoustic_model", "language_model", "speech_model",
+                          "utterances", "webhook_status_code", "speaker_labels"})
+"""Keys of AssemblyAI's answers."""
+
+RECOGNISERS = (
+    Recogniser("whisper.cpp", lambda content: _has_list(content, "transcription"), _whisper_cpp),
+    Recogniser("Deepgram", lambda content: _has_list(_of(content, "results"), "channels"), _deepgram),
+    Recogniser("Azure", _is_azure, _azure),
+    Recogniser("vosk", _is_vosk, _vosk),
+    Recogniser("Google", _is_google, _google),
+    Recogniser("transformers", lambda content: _has_list(content, "chunks"), _transformers),
+    Recogniser("AssemblyAI", lambda content: _has_list(content, "words", "utterances")
+               and bool(_OF_ASSEMBLY & content.keys()) and not _has_list(content, "segments"), _assembly),
+    Recogniser("gentle", lambda content: any(_of(word, "case") is not None for word in _list(content, "words")),
+               _gentle),
+    Recogniser("whisper", lambda content: _has_list(content, "segments"), _whisper),
+    Recogniser("words", lambda content: _has_list(content, "words"), _plain_words),
+    Recogniser("MFA", lambda content: isinstance(_of(content, "tiers"), Mapping), _tiers),
+    Recogniser("list", lambda content: isinstance(content, list), _plain_list),
+    Recogniser("text", lambda content: isinstance(_of(content, "text"), str),
+               lambda source, content, speaker: Content(text=content["text"])),
+)
+"""The readers, in the order in which shapes are compared."""

@@ -1,0 +1,300 @@
+"""The files that recognisers write for the same words, as their documentation describes them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+Words: TypeAlias = Sequence[tuple[str, float, float]]
+"""(word, start, end), seconds; times of whole milliseconds."""
+
+
+def _ms(seconds: float) -> int:
+    return round(seconds * 1000)
+
+
+def _ticks(seconds: float) -> int:
+    return round(seconds * 1000) * 10_000
+
+
+def _text(words: Words) -> str:
+    return " ".join(word for word, _, _ in words)
+
+
+def _plain(words: Words, key: str = "word", **more: Any) -> list[dict[str, Any]]:
+    return [{key: word, "start": start, "end": end, **more} for word, start, end in words]
+
+
+def _parts(words: Words) -> list[Words]:
+    """Two segments, as all but short recordings have."""
+    half = (len(words) + 1) // 2
+    return [part for part in (words[:half], words[half:]) if part]
+
+
+def _clock(seconds: float, comma: str = ",") -> str:
+    milliseconds = _ms(seconds)
+    whole, rest = divmod(milliseconds, 1000)
+    return f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}{comma}{rest:03d}"
+
+
+def openai_words(words: Words) -> Any:
+    """The interface's verbose_json with times of words."""
+    return {"task": "transcribe", "language": "english", "duration": words[-1][2], "text": _text(words),
+            "words": _plain(words), "segments": None, "usage": {"type": "duration", "seconds": 4}}
+
+
+def whisper(words: Words) -> Any:
+    """The program whisper with --word_timestamps True."""
+    segments = [{"id": n, "seek": 0, "start": part[0][1], "end": part[-1][2], "text": " " + _text(part),
+                 "tokens": [50364, 2425], "temperature": 0.0, "avg_logprob": -0.3, "compression_ratio": 1.1,
+                 "no_speech_prob": 0.01, "words": [{"word": " " + word, "start": start, "end": end,
+                                                    "probability": 0.9} for word, start, end in part]}
+                for n, part in enumerate(_parts(words))]
+    return {"text": " " + _text(words), "segments": segments, "language": "en"}
+
+
+def faster_whisper(words: Words) -> Any:
+    """Its segments as dictionaries, in a list."""
+    return [{**segment, "words": [{**word} for word in segment["words"]]} for segment in whisper(words)["segments"]]
+
+
+def whisperx(words: Words) -> Any:
+    return {"segments": [{"start": part[0][1], "end": part[-1][2], "text": _text(part),
+                          "words": _plain(part, score=0.9)} for part in _parts(words)],
+            "word_segments": _plain(words, score=0.9), "language": "en"}
+
+
+def _cpp(text: str, start: float, end: float, **more: Any) -> dict[str, Any]:
+    return {"timestamps": {"from": _clock(start), "to": _clock(end)}, "offsets": {"from": _ms(start), "to": _ms(end)},
+            "text": text, **more}
+
+
+def _halves(word: str, start: float, end: float) -> list[dict[str, Any]]:
+    """The tokens of a word: its first letter and the rest, as the byte pairs of whisper cut words."""
+    middle = _ms((start + end) / 2) / 1000
+    return [_cpp(" " + word[:1], start, middle if word[1:] else end, id=1, p=0.9)] + (
+        [_cpp(word[1:], middle, end, id=2, p=0.9)] if word[1:] else [])
+
+
+def whisper_cpp(words: Words) -> Any:
+    """With -ojf: tokens, some of which are marks."""
+    segments = []
+    for part in _parts(words):
+        start, end = part[0][1], part[-1][2]
+        tokens = [_cpp("[_BEG_]", start, start, id=50363, p=0.8),
+                  *(token for word in part for token in _halves(*word)), _cpp("[_TT_150]", end, end, id=50513, p=0.1)]
+        segments.append(_cpp(" " + _text(part), start, end, tokens=tokens))
+    return {"systeminfo": "AVX = 1", "model": {"type": "base"}, "params": {"model": "ggml-base.en.bin"},
+            "result": {"language": "en"}, "transcription": segments}
+
+
+def whisper_cpp_words(words: Words) -> Any:
+    """With -oj -ml 1: each token is a segment."""
+    return {"result": {"language": "en"}, "transcription": [token for word in words for token in _halves(*word)]}
+
+
+def vosk(words: Words) -> Any:
+    return {"result": _plain(words, conf=1.0), "text": _text(words)}
+
+
+def vosk_results(words: Words) -> Any:
+    """The results of a long recording in a list."""
+    return [{"result": _plain(part, conf=1.0), "text": _text(part)} for part in _parts(words)] + [{"text": ""}]
+
+
+def vosk_alternatives(words: Words) -> Any:
+    return {"alternatives": [{"confidence": 211.0, "result": _plain(words), "text": _text(words)},
+                             {"confidence": 201.0, "result": _plain([("other", 0.0, 0.1)]), "text": "other"}]}
+
+
+def transformers(words: Words) -> Any:
+    return {"text": " " + _text(words),
+            "chunks": [{"text": " " + word, "timestamp": [start, end]} for word, start, end in words]}
+
+
+def deepgram(words: Words) -> Any:
+    spoken = [{"word": word.lower().strip(".,"), "start": start, "end": end, "confidence": 0.99,
+               "punctuated_word": word} for word, start, end in words]
+    return {"metadata": {"request_id": "a", "duration": words[-1][2], "channels": 1},
+            "results": {"channels": [{"alternatives": [{"transcript": _text(words), "confidence": 0.99,
+                                                        "words": spoken}]}]}}
+
+
+def assemblyai(words: Words) -> Any:
+    return {"id": "a", "status": "completed", "acoustic_model": "assemblyai_default", "audio_duration": 4,
+            "text": _text(words), "utterances": None,
+            "words": [{"text": word, "start": _ms(start), "end": _ms(end), "confidence": 0.97, "speaker": None}
+                      for word, start, end in words]}
+
+
+def assemblyai_words(words: Words) -> Any:
+    """Its words alone, which nothing but their size shows to be in milliseconds."""
+    return {"words": assemblyai(words)["words"]}
+
+
+def google(words: Words) -> Any:
+    """Version 1, of a long operation; a start at 0 s may be left out."""
+    return {"name": "6212202767953098955", "done": True, "response": {
+        "@type": "type.googleapis.com/google.cloud.speech.v1.LongRunningRecognizeResponse",
+        "results": [{"alternatives": [{"transcript": _text(part), "confidence": 0.9, "words": [
+            {**({"startTime": f"{start:.3f}s"} if start else {}), "endTime": f"{end:.3f}s", "word": word}
+            for word, start, end in part]}], "resultEndTime": f"{part[-1][2]:.3f}s", "languageCode": "en-us"}
+            for part in _parts(words)]}}
+
+
+def google_2(words: Words) -> Any:
+    """Version 2, of a batch, by file."""
+    results = [{"alternatives": [{"transcript": _text(part), "words": [
+        {"startOffset": f"{start:.3f}s", "endOffset": f"{end:.3f}s", "word": word} for word, start, end in part]}],
+        "resultEndOffset": f"{part[-1][2]:.3f}s"} for part in _parts(words)]
+    return {"results": {"gs://a/b.wav": {"inlineResult": {"transcript": {"results": results}}}}}
+
+
+def google_speakers(words: Words) -> Any:
+    """With speakers told apart: the last result has all words once more."""
+    content = google(words)
+    results = content["response"]["results"]
+    spoken = [{**word, "speakerTag": 1} for result in results for word in result["alternatives"][0]["words"]]
+    return {"results": [*results, {"alternatives": [{"words": spoken}]}]}
+
+
+def google_protobuf(words: Words) -> Any:
+    """As the Python package turns messages to dictionaries."""
+    def time(seconds: float) -> dict[str, Any]:
+        return {"seconds": str(_ms(seconds) // 1000), "nanos": _ms(seconds) % 1000 * 1_000_000}
+
+    return {"results": [{"alternatives": [{"transcript": _text(words), "words": [
+        {"word": word, "start_time": time(start), "end_time": time(end)} for word, start, end in words]}]}]}
+
+
+def azure(words: Words) -> Any:
+    """The SDK's detailed result."""
+    return {"Id": "a", "RecognitionStatus": "Success", "Offset": _ticks(words[0][1]),
+            "Duration": _ticks(words[-1][2] - words[0][1]), "Channel": 0, "DisplayText": _text(words),
+            "NBest": [{"Confidence": 0.9, "Lexical": _text(words), "Display": _text(words), "Words": [
+                {"Word": word, "Offset": _ticks(start), "Duration": _ticks(end) - _ticks(start)}
+                for word, start, end in words]}]}
+
+
+def azure_batch(words: Words) -> Any:
+    def times(start: float, end: float) -> dict[str, Any]:
+        return {"offset": f"PT{start}S", "duration": f"PT{end - start}S", "offsetInTicks": float(_ticks(start)),
+                "durationInTicks": float(_ticks(end) - _ticks(start))}
+
+    return {"source": "https://example.com/a.wav", "duration": "PT4S", "combinedRecognizedPhrases": [{
+        "channel": 0, "lexical": _text(words)}], "recognizedPhrases": [{
+            "recognitionStatus": "Success", "channel": 0, "speaker": 1, **times(part[0][1], part[-1][2]),
+            "nBest": [{"confidence": 0.9, "lexical": _text(part), "display": _text(part), "words": [
+                {"word": word, **times(start, end), "confidence": 0.9} for word, start, end in part]}]}
+            for part in _parts(words)]}
+
+
+def azure_fast(words: Words) -> Any:
+    def times(start: float, end: float) -> dict[str, Any]:
+        return {"offsetMilliseconds": _ms(start), "durationMilliseconds": _ms(end) - _ms(start)}
+
+    return {"durationMilliseconds": 4000, "combinedPhrases": [{"text": _text(words)}], "phrases": [
+        {**times(part[0][1], part[-1][2]), "text": _text(part), "locale": "en-US", "confidence": 0.9,
+         "words": [{"text": word, **times(start, end)} for word, start, end in part]} for part in _parts(words)]}
+
+
+def gentle(words: Words) -> Any:
+    """Offsets are of letters in the transcript."""
+    return {"transcript": _text(words), "words": [
+        {"alignedWord": word.lower(), "case": "success", "start": start, "end": end, "startOffset": 5 * n,
+         "endOffset": 5 * n + 4, "word": word, "phones": [{"duration": end - start, "phone": "oov_S"}]}
+        for n, (word, start, end) in enumerate(words)]}
+
+
+def mfa(words: Words) -> Any:
+    return {"start": 0, "end": 4.0, "tiers": {
+        "words": {"type": "interval", "entries": [[start, end, word] for word, start, end in words]},
+        "phones": {"type": "interval", "entries": [[0.0, 0.1, "spn"]]}}}
+
+
+JSON: dict[str, tuple[str, Callable[[Words], Any]]] = {
+    "openai": ("words", openai_words), "whisper": ("whisper", whisper), "faster-whisper": ("list", faster_whisper),
+    "whisperx": ("whisper", whisperx), "whisper.cpp": ("whisper.cpp", whisper_cpp),
+    "whisper.cpp -ml 1": ("whisper.cpp", whisper_cpp_words), "vosk": ("vosk", vosk),
+    "vosk, results": ("vosk", vosk_results), "vosk, alternatives": ("vosk", vosk_alternatives),
+    "transformers": ("transformers", transformers), "deepgram": ("Deepgram", deepgram),
+    "assemblyai": ("AssemblyAI", assemblyai), "assemblyai, words": ("words", assemblyai_words),
+    "google": ("Google", google), "google, version 2": ("Google", google_2),
+    "google, speakers": ("Google", google_speakers), "google, protobuf": ("Google", google_protobuf),
+    "azure": ("Azure", azure), "azure, batch": ("Azure", azure_batch), "azure, fast": ("Azure", azure_fast),
+    "gentle": ("gentle", gentle), "mfa": ("MFA", mfa), "list": ("list", lambda words: _plain(words, "text")),
+    "text": ("text", lambda words: {"text": _text(words)}),
+}
+"""Sample -> the reader of `RECOGNISERS` that is meant, and what writes it; all but "text" have the times of words."""
+
+
+# ---------------------------------------------------------------------------------------------------- subtitles
+
+def _cue(number: int, start: float, end: float, text: str, comma: str) -> str:
+    return f"{number}\n{_clock(start, comma)} --> {_clock(end, comma)}\n{text}\n"
+
+
+def _highlighted(words: Words, opened: str, closed: str, comma: str) -> str:
+    """As whisper highlights words: a cue for each word, and one without a highlight for each pause between."""
+    cues: list[tuple[float, float, str]] = []
+    for part in _parts(words):
+        last = part[0][1]
+        for n, (_, start, end) in enumerate(part):
+            if last != start:
+                cues.append((last, start, _text(part)))
+            line = " ".join(f"{opened}{word}{closed}" if k == n else word for k, (word, _, _) in enumerate(part))
+            cues.append((start, end, line))
+            last = end
+    return "\n".join(_cue(n, *cue, comma) for n, cue in enumerate(cues, 1))
+
+
+def srt_highlighted(words: Words) -> str:
+    return _highlighted(words, "<u>", "</u>", ",")
+
+
+def srt_coloured(words: Words) -> str:
+    """As stable-ts highlights words."""
+    return _highlighted(words, '<font color="#00ff00">', "</font>", ",")
+
+
+def vtt_highlighted(words: Words) -> str:
+    return "WEBVTT\n\n" + _highlighted(words, "<u>", "</u>", ".")
+
+
+def vtt_rolling(words: Words) -> str:
+    """Rolling captions: a time before each word but the first, and the line before above each."""
+    out, above = ["WEBVTT\nKind: captions\nLanguage: en\n"], " "
+    for part in _parts(words):
+        line = part[0][0] + "".join(f"<{_clock(start, '.')}><c> {word}</c>" for word, start, _ in part[1:])
+        start, end = part[0][1], part[-1][2]
+        out.append(f"{_clock(start, '.')} --> {_clock(end, '.')} align:start position:0%\n{above}\n{line}\n")
+        out.append(f"{_clock(end, '.')} --> {_clock(end, '.')} align:start position:0%\n{_text(part)}\n \n")
+        above = _text(part)
+    return "\n".join(out)
+
+
+def srt(words: Words) -> str:
+    return "\n".join(_cue(n, part[0][1], part[-1][2], _text(part), ",") for n, part in enumerate(_parts(words), 1))
+
+
+def vtt(words: Words) -> str:
+    return "WEBVTT\n\n" + "\n".join(_cue(n, part[0][1], part[-1][2], _text(part), ".")
+                                   for n, part in enumerate(_parts(words), 1))
+
+
+def tsv(words: Words) -> str:
+    """As whisper writes it: milliseconds."""
+    return "start\tend\ttext\n" + "".join(f"{_ms(part[0][1])}\t{_ms(part[-1][2])}\t{_text(part)}\n"
+                                          for part in _parts(words))
+
+
+FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
+    **{name: (".json", lambda words, write=write: json.dumps(write(words))) for name, (_, write) in JSON.items()},
+    "srt, highlighted": (".srt", srt_highlighted), "srt, coloured": (".srt", srt_coloured),
+    "vtt, highlighted": (".vtt", vtt_highlighted), "vtt, rolling": (".vtt", vtt_rolling),
+    "srt": (".srt", srt), "vtt": (".vtt", vtt), "tsv": (".tsv", tsv),
+}
+"""Sample -> its suffix, and what writes it."""
+WITHOUT_TIMES = {"srt", "vtt", "tsv", "text"}
+"""Samples without the times of words."""

@@ -1,0 +1,218 @@
+"""Every recogniser's transcript: the same words give the same words and times, whatever program wrote them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recogniser_samples import FILES, JSON, WITHOUT_TIMES, Words, assemblyai, google, srt_highlighted, whisper, whisperx
+
+from data_module.errors import InputError
+from data_module.text.recognisers import RECOGNISERS
+from data_module.text.transcript import Transcript, read_transcript, with_transcript
+from data_module.types import Speech, Word
+
+RATE = 16000
+SPOKEN: Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
+                 ("Americans,", 1.4, 2.1), ("ask", 2.6, 2.9), ("not", 3.0, 3.4))
+TIMED = sorted(set(FILES) - WITHOUT_TIMES)
+UNENDING = {"vtt, rolling"}
+"""Samples that tell when words begin only: each lasts until the next."""
+
+
+def _read(folder: Path, suffix: str, content: str, seconds: float | None = None) -> Transcript:
+    path = folder / f"a{suffix}"
+    path.write_text(content, encoding="utf-8")
+    speech = None if seconds is None else Speech(np.full(round(seconds * RATE), 0.1, np.float32), RATE)
+    return read_transcript(path, speech)
+
+
+def _sample(folder: Path, name: str, words: Words) -> Transcript:
+    suffix, write = FILES[name]
+    return _read(folder, suffix, write(words))
+
+
+def _same(found: Transcript, words: Words, ends: bool = True) -> None:
+    assert found.timing == "words" and found.words is not None and found.guessed == 0
+    assert [word.text for word in found.words] == [word for word, _, _ in words]
+    np.testing.assert_allclose([word.start for word in found.words], [start for _, start, _ in words], atol=1e-9)
+    if ends:
+        np.testing.assert_allclose([word.end for word in found.words], [end for _, _, end in words], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", TIMED)
+def test_words_and_times_of_each_recogniser(name: str, tmp_path: Path) -> None:
+    _same(_sample(tmp_path, name, SPOKEN), SPOKEN, name not in UNENDING)
+
+
+WORD = st.from_regex(r"[A-Za-z]{1,9}[a-z]", fullmatch=True)
+
+
+@settings(max_examples=8)
+@given(st.lists(st.tuples(WORD, st.integers(0, 900), st.integers(80, 900)), min_size=3, max_size=20))
+def test_any_words_read_the_same_from_every_recogniser(tmp_path_factory: pytest.TempPathFactory,
+                                                       drawn: list[tuple[str, int, int]]) -> None:
+    words, at = [], 0
+    for word, pause, length in drawn:
+        words.append((word, (at + pause) / 1000, (at + pause + length) / 1000))
+        at += pause + length
+    folder = tmp_path_factory.mktemp("words")
+    for name in TIMED:
+        _same(_sample(folder, name, words), words, name not in UNENDING)
+
+
+@pytest.mark.parametrize("name", JSON)
+def test_a_file_is_found_by_its_shape(name: str) -> None:
+    meant, write = JSON[name]
+    content = json.loads(json.dumps(write(SPOKEN)))
+    assert next(reader.name for reader in RECOGNISERS if reader.shape(content)) == meant
+
+
+def test_every_reader_has_a_sample() -> None:
+    assert {meant for meant, _ in JSON.values()} == {reader.name for reader in RECOGNISERS}
+
+
+@pytest.mark.parametrize("name", sorted(WITHOUT_TIMES - {"text"}))
+def test_lines_are_cues_and_their_words_are_spread(name: str, tmp_path: Path) -> None:
+    found = _sample(tmp_path, name, SPOKEN)
+    assert found.timing == "cues" and [cue.text for cue in found.cues] == ["And so, my fellow", "Americans, ask not"]
+    np.testing.assert_allclose([(cue.start, cue.end) for cue in found.cues], [(0.0, 1.4), (1.4, 3.4)], atol=1e-9)
+
+
+def _without_words(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {key: _without_words(value) for key, value in content.items() if key not in ("words", "Words")}
+    return [_without_words(item) for item in content] if isinstance(content, list) else content
+
+
+@pytest.mark.parametrize("name", ["whisper", "whisperx", "faster-whisper", "google", "azure", "azure, batch",
+                                  "azure, fast", "deepgram"])
+def test_a_file_without_word_times_gives_its_lines_or_its_text(name: str, tmp_path: Path) -> None:
+    content = _without_words(JSON[name][1](SPOKEN))
+    found = _read(tmp_path, ".json", json.dumps(content))
+    assert found.timing == ("none" if name == "deepgram" else "cues")
+    assert found.text == "And so, my fellow Americans, ask not"
+
+
+def test_milliseconds_are_read_as_such(tmp_path: Path) -> None:
+    """79 words of a real length: 78 of them fell behind the end of the recording, as seconds."""
+    words = [(f"word{chr(97 + n % 26)}", 0.4 * n, 0.4 * n + 0.3) for n in range(79)]
+    for content in (assemblyai(words), {"words": assemblyai(words)["words"]}, assemblyai(words)["words"]):
+        found = _read(tmp_path, ".json", json.dumps(content), 35.0)
+        _same(found, words)
+        speech, timing = with_transcript(Speech(np.zeros(35 * RATE, np.float32), RATE), found)
+        assert timing.words == len(speech.words or ()) == 79 and timing.how == "given"
+
+
+def test_highlighted_words_come_once(tmp_path: Path) -> None:
+    """79 words were 889 where each cue of the line counted."""
+    words = [(f"word{n % 7}", 0.4 * n, 0.4 * n + 0.3) for n in range(79)]
+    parts = [words[n:n + 10] for n in range(0, 79, 10)]
+    cues = [cue for part in parts for cue in srt_highlighted(part).split("\n\n")]
+    text = "\n\n".join(cue.strip() for cue in cues)
+    assert sum(len(cue.split("\n")[-1].split()) for cue in text.split("\n\n")) > 700
+    _same(_read(tmp_path, ".srt", text, 35.0), words)
+
+
+def test_the_same_line_twice_is_spoken_twice(tmp_path: Path) -> None:
+    again = [("no", 0.0, 0.3), ("no", 0.4, 0.7), ("no", 1.0, 1.3), ("no", 1.4, 1.7)]
+    _same(_read(tmp_path, ".srt", srt_highlighted(again)), again)
+
+
+def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
+    """Italics, and one underlined word in a line that is shown once."""
+    text = ("1\n00:00:00,000 --> 00:00:02,000\nI <u>really</u> mean <i>it</i>\n\n"
+            "2\n00:00:02,000 --> 00:00:04,000\n<b>you</b> do not\n")
+    found = _read(tmp_path, ".srt", text)
+    assert found.timing == "cues" and found.text == "I really mean it you do not"
+
+
+def test_words_that_were_not_aligned_lie_between(tmp_path: Path) -> None:
+    """whisperX leaves out the times of numbers, gentle those of words that it does not hear."""
+    for name in ("whisperx", "gentle"):
+        content = JSON[name][1](SPOKEN)
+        item = (content["segments"][0] if name == "whisperx" else content)["words"][2]
+        del item["start"], item["end"]
+        item["case"] = "not-found-in-audio"
+        found = _read(tmp_path, ".json", json.dumps(content))
+        assert found.words is not None and found.guessed == 1
+        assert [word.text for word in found.words] == [word for word, _, _ in SPOKEN]
+        assert found.words[2] == Word("my", 0.55, 0.9)
+
+
+def test_phrases_of_transformers_are_cues_and_the_last_may_be_open(tmp_path: Path) -> None:
+    chunks = [{"text": " Well then.", "timestamp": [0.0, 1.1]}, {"text": " So be it.", "timestamp": [2.0, None]}]
+    found = _read(tmp_path, ".json", json.dumps({"text": " Well then. So be it.", "chunks": chunks}))
+    assert found.timing == "cues" and [cue.start for cue in found.cues] == [0.0, 2.0]
+    assert found.cues[1].end == pytest.approx(2.9)
+
+
+def test_what_was_not_recognised_is_passed_over(tmp_path: Path) -> None:
+    content = [JSON["azure"][1](SPOKEN), {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 4 * 10**7,
+                                          "Duration": 10**7}]
+    _same(_read(tmp_path, ".json", json.dumps(content)), SPOKEN)
+
+
+@pytest.mark.parametrize(("content", "said"), [
+    # Hundredths of seconds, minutes, and a list whose words come many times.
+    ([{"word": "a", "start": 40.5 * n, "end": 40.5 * n + 30.5} for n in range(20)], "half of its words last over 30 s"),
+    ([{"word": "a", "start": n / 150, "end": (n + 1) / 150} for n in range(79)], "79 words in 0.53 s are more than"),
+    ({"results": {"channels": [{"alternatives": [{"words": [{"word": "a", "start": 0, "end": 1}]}]}] * 2}},
+     "the words of 2 channels"),
+    ({"results": {"channels": [{"alternatives": [{"words": [{"word": "a", "start": "x", "end": 1}]}]}]}},
+     "results.channels[0].alternatives[0].words[0].start: 'x' is not a time"),
+    ({"transcription": [{"text": " a"}]}, "transcription[0]: has no text with offsets"),
+    ({"chunks": [{"text": "a", "timestamp": 3}]}, "chunks[0]: has no timestamp"),
+    ({"results": [{"alternatives": [{"words": [{"word": "a", "endTime": "1.5"}]}]}]}, "'1.5' is not a time"),
+    ({"chapters": []}, "neither words nor segments"),
+])
+def test_what_cannot_be_used_is_refused(content: Any, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        _read(tmp_path, ".json", json.dumps(content))
+    assert said in str(caught.value)
+
+
+def test_subtitles_that_repeat_their_lines_are_refused(tmp_path: Path) -> None:
+    """Word by word, with nothing highlighted: nobody can tell which word is meant."""
+    line = " ".join("abcdefgh")
+    cues = [f"{n}\n00:00:0{n // 5},{n % 5 * 200:03d} --> 00:00:0{(n + 1) // 5},{(n + 1) % 5 * 200:03d}\n{line}\n"
+            for n in range(20)]
+    with pytest.raises(InputError, match=r"160 words in 4\.00 s are more than anybody speaks"):
+        _read(tmp_path, ".srt", "\n".join(cues))
+
+
+@pytest.mark.parametrize(("content", "said"), [
+    ("begin\tend\ttext\n", "line 1: does not name"), ("start\tend\ttext\n1\t2\n", "line 2: is not a start"),
+    ("start\tend\ttext\n1\tx\ta\n", "line 2: is not a start"), ("start\tend\ttext\n", "has no words"),
+    ("start\tend\ttext\n1\t1" + "0" * 400 + "\ta\n", "line 2: 1000"),
+])
+def test_broken_tables_are_named_by_line(content: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        _read(tmp_path, ".tsv", content)
+    assert said in str(caught.value)
+
+
+def test_a_table_of_seconds(tmp_path: Path) -> None:
+    found = _read(tmp_path, ".tsv", "start\tend\ttext\n0.0\t1.5\twell then\n2.0\t3.5\tso\n")
+    assert [(cue.start, cue.end) for cue in found.cues] == [(0.0, 1.5), (2.0, 3.5)]
+
+
+def test_the_last_of_repeated_results_counts_once(tmp_path: Path) -> None:
+    """A result with as many words as all before it, and none of them twice, is no repetition without them."""
+    content = google(SPOKEN[:6])
+    assert len(content["response"]["results"]) == 2
+    found = _read(tmp_path, ".json", json.dumps(content))
+    assert found.words is not None and [word.text for word in found.words] == [word for word, _, _ in SPOKEN[:6]]
+
+
+def test_texts_in_a_script_without_spaces_are_spread_over_their_tokens(tmp_path: Path) -> None:
+    part = whisper([("今天天气很好", 0.0, 1.2)])
+    found = _read(tmp_path, ".json", json.dumps(part))
+    assert found.words is not None and found.words[0].start == 0.0 and found.words[-1].end == 1.2
+    assert "".join(word.text for word in found.words) == "今天天气很好"
+    assert _read(tmp_path, ".json", json.dumps(whisperx(SPOKEN))).timing == "words"
