@@ -8,7 +8,9 @@ for themselves. A number in front of a pattern is its weight.
 
 from __future__ import annotations
 
+import functools
 import re
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -32,6 +34,16 @@ class SpokenText:
 
     text: str
     owners: dict[int, int] = field(repr=False)
+
+    @functools.cached_property
+    def places(self) -> list[int]:
+        """Characters of `text` at which words begin, rising."""
+        return list(self.owners)
+
+    def words(self, start: int, end: int) -> tuple[int, int]:
+        """The first and the last written word between two characters."""
+        return (self.owners[self.places[bisect_left(self.places, start)]],
+                self.owners[self.places[bisect_left(self.places, end) - 1]])
 
     @property
     def tokens(self) -> frozenset[str]:
@@ -96,9 +108,9 @@ class CuePattern:
     length: int
     _regex: re.Pattern[str] = field(repr=False)
 
-    def matches(self, spoken: SpokenText) -> Iterator[tuple[int, int, int]]:
-        """(start, end, place of the stroke's word) of each match, characters of the text."""
-        for match in self._regex.finditer(spoken.text):
+    def matches(self, spoken: SpokenText, first: int = 0, last: int | None = None) -> Iterator[tuple[int, int, int]]:
+        """(start, end, place of the stroke's word) of each match between two characters of the text."""
+        for match in self._regex.finditer(spoken.text, first, len(spoken.text) if last is None else last):
             yield match.start(), match.end(), match.start("stroke") if "stroke" in match.groupdict() else match.start()
 
 

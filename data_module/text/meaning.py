@@ -22,6 +22,8 @@ LANGUAGES = ("en", "de", "es")
 """Languages with cue phrases of their own."""
 _SCOPE = 4
 """Words after a negation that it may concern."""
+_NEAR = 80
+"""Characters around a phrase in which its guards are sought."""
 _LONGER = 0.01
 """What each further word of a cue phrase adds to its score: the more specific phrase wins."""
 
@@ -95,16 +97,15 @@ class MeaningCues:
 
     def _matched(self, one: MeaningClass, cue: CuePattern, spoken: SpokenText) -> Iterator[CalledGesture]:
         for start, end, stroke in cue.matches(spoken):
-            if _guarded(one, spoken, start, end) or not one.negated and self._negated(spoken, start):
+            if _guarded(one, spoken, start, end) or (not one.negated and self._negated(spoken, start)):
                 continue
-            inside = [owner for place, owner in spoken.owners.items() if start <= place < end]
-            yield CalledGesture(spoken.owners[stroke], inside[0], inside[-1], one.label, one.gesture,
+            yield CalledGesture(spoken.owners[stroke], *spoken.words(start, end), one.label, one.gesture,
                                 round(min(cue.weight + _LONGER * (cue.length - 1), 1.0), 3), cue.source)
 
     def _negated(self, spoken: SpokenText, start: int) -> bool:
         """Whether a negation stands in the same clause within `_SCOPE` words before a place."""
         before: list[str] = []
-        for token in reversed(spoken.text[:start].split()):
+        for token in reversed(spoken.text[max(start - _NEAR, 0):start].split()):
             if token in (",", ".", "?") or len(before) == _SCOPE:
                 break
             before.append(token)
@@ -115,7 +116,8 @@ class MeaningCues:
 
 
 def _guarded(one: MeaningClass, spoken: SpokenText, start: int, end: int) -> bool:
-    return any(a < end and start < b for guard in one.unless for a, b, _ in guard.matches(spoken))
+    first, last = max(start - _NEAR, 0), end + _NEAR
+    return any(a < end and start < b for guard in one.unless for a, b, _ in guard.matches(spoken, first, last))
 
 
 def _best(found: list[CalledGesture]) -> list[CalledGesture]:
