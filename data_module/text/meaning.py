@@ -2,13 +2,15 @@
 
 `meaning_cues.json` holds, for each meaning, cue phrases in English, German and Spanish (`cue_patterns`), and phrases in
 which they do not count: idioms, homonyms and other parts of speech. After a negation in the same clause only meanings
-that are themselves negative or questions count. Where two meanings are equally good, there is none.
+that are themselves negative or questions count. Where two meanings are equally good, there is none. In English prose
+that was written to be read, cue phrases are worth less than in talk: it has more "of" and "which", and less "you".
 """
 
 from __future__ import annotations
 
 import functools
 import importlib.resources
+import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,6 +34,12 @@ def _set(words: str) -> frozenset[str]:
     return frozenset(words.split())
 
 
+_TALK = _set("i me my you your we us our am let going got want know think get look well okay yeah yes thank do not what "
+             "why that this just really so")
+_PROSE = _set("of the which by upon such")
+_AROUND, _FEWEST, _LEAST_TALK, _WRITTEN = 35, 25, -0.05, 0.15
+"""Words on both sides that tell talk from prose, and how many are needed; the least share of words of talk minus those
+of prose; what is taken off the scores in prose."""
 _NEGATIONS = {"en": _set("not no never nobody none nothing without hardly neither nor cannot"),
               "de": _set("nicht kein keine keinen keiner nie niemals niemand ohne weder"),
               "es": _set("no nunca nadie nada sin jamás ni tampoco")}
@@ -83,11 +91,15 @@ class MeaningCues:
 
         pauses: seconds of silence after each word, where they are known.
         """
-        return _best(sorted(self.candidates(words, pauses), key=lambda one: (one.first, one.word, one.label)))
-
-    def candidates(self, words: Sequence[str], pauses: Sequence[float] = ()) -> Iterator[CalledGesture]:
-        """Every cue phrase that its guards let pass; they may overlap."""
         spoken = spoken_text(words, pauses)
+        found = sorted(self._candidates(spoken), key=lambda one: (one.first, one.word, one.label))
+        if self.language == "en" and found:
+            written = _written(spoken, len(words))
+            found = [replace(one, score=round(one.score - _WRITTEN, 3)) if written[one.word] else one for one in found]
+        return _best(found)
+
+    def _candidates(self, spoken: SpokenText) -> Iterator[CalledGesture]:
+        """Every cue phrase that its guards let pass; they may overlap."""
         asked: set[tuple[int, str]] = set()
         for key in (*spoken.tokens, ""):
             for one, cue in self._by_key.get(key, ()):
@@ -113,6 +125,22 @@ class MeaningCues:
         # "not only", "not just" say more, not less.
         return any(token in negations and before[at - 1:at] not in (["only"], ["just"])
                    for at, token in enumerate(before))
+
+
+def _written(spoken: SpokenText, count: int) -> list[bool]:
+    """Of `count` words, whether each stands in prose: by the common words around it."""
+    worth, number = [0] * (count + 1), [0] * (count + 1)
+    for place, word in spoken.owners.items():
+        token = spoken.text[place:spoken.text.index(" ", place)]
+        worth[word + 1] += (token in _TALK) - (token in _PROSE)
+        number[word + 1] += 1
+    worth, number = list(itertools.accumulate(worth)), list(itertools.accumulate(number))
+    out = []
+    for word in range(count):
+        first, last = max(word - _AROUND, 0), min(word + _AROUND + 1, count)
+        around = number[last] - number[first]
+        out.append(around >= _FEWEST and worth[last] - worth[first] < _LEAST_TALK * around)
+    return out
 
 
 def _guarded(one: MeaningClass, spoken: SpokenText, start: int, end: int) -> bool:
