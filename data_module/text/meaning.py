@@ -34,8 +34,8 @@ def _set(words: str) -> frozenset[str]:
     return frozenset(words.split())
 
 
-_TALK = _set("i me my you your we us our am let going got want know think get look well okay yeah yes thank do not what "
-             "why that this just really so")
+_TALK = _set("i me my you your we us our am let going got want know think get look well okay yeah yes thank do not "
+             "what why that this just really so")
 _PROSE = _set("of the which by upon such")
 _AROUND, _FEWEST, _LEAST_TALK, _WRITTEN = 35, 25, -0.05, 0.15
 """Words on both sides that tell talk from prose, and how many are needed; the least share of words of talk minus those
