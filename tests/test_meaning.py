@@ -179,7 +179,7 @@ def spread(text: str) -> tuple[Word, ...]:
 
 IDEA = "well and I have no idea"
 """The last word begins at 3.5 s."""
-TEXT = (f"{IDEA} about it and then he came in and said stop! and then I said yes of course we went on and so it was "
+TEXT = (f"{IDEA} about it and then he came in and said stop! and then I said yes, of course, we went on and so it was "
         "and all of them had seen it and nobody knew what to do and who knows. and then he left")
 
 
