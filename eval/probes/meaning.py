@@ -115,7 +115,7 @@ def spoken_part(text: str) -> str:
 def read_talk(path: Path) -> list[Talk]:
     """The speeches of the package, in order of their hashes; InputError for another file."""
     members = _member(path, "--talk", _TALK)
-    parties = parse_json(members[0], path, _ADVICE["--talk"]) if members else None
+    parties: Any = parse_json(members[0], path, _ADVICE["--talk"]) if members else None
     try:
         texts = {hashlib.sha256(text.encode()).hexdigest(): text for party in parties for text in party["speeches"]}
     except (KeyError, TypeError, AttributeError, IndexError) as error:
