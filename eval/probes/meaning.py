@@ -33,15 +33,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, sosfiltfilt
 
 from data_module.errors import InputError
 from data_module.files import parse_json, read_table
-from data_module.performer.syllables import find_phrases, find_syllables
 from data_module.settings import whole_number
 from data_module.speech.audio import load_speech
 from data_module.text.meaning import CalledGesture, meaning_cues
 from data_module.text.transcript import as_transcript, with_transcript
-from data_module.types import Word
+from data_module.types import Array, Speech, Word
 from eval.claim import Verdict, at_least, at_most, judged, skipped, verdict_table
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
@@ -49,6 +50,7 @@ from gesticulator.directing.meanings import LEVELS, Called, chosen, stroke_time
 
 WORDS_A_MINUTE = 150.0
 _LEVEL = "normal"
+_HOP = 0.01
 _NEAR = 2
 """Words by which a gesture may miss a marked site."""
 _MOST_BYTES = 64 << 20
@@ -240,16 +242,32 @@ def of_sentences(path: Path) -> dict[str, float]:
 
 
 def stroke_errors(sound: Path, text: Path) -> list[float]:
-    """Seconds from the loudest syllable's vowel of each word of four letters or more to its stroke."""
+    """Seconds from the vowel of the loudest syllable of each word of four letters or more to its stroke."""
     speech = load_speech(sound)
     speech, _ = with_transcript(speech, as_transcript(text, speech))
-    spoken = find_syllables(sound.stem, speech, "reader", "en") if find_phrases(speech) else None
-    out = []
-    for word in speech.words or ():
-        inside = [one for one in (spoken.syllables if spoken else ()) if word.start - 0.02 <= one.vowel < word.end]
-        if inside and len(word.text) >= 4:
-            out.append(stroke_time(word) - max(inside, key=lambda one: one.prominence).vowel)
-    return out
+    level = vowel_level(speech)
+    return [stroke_time(word) - vowel_onset(level, word) for word in speech.words or ()
+            if len(word.text) >= 4 and word.end - word.start >= 0.1]
+
+
+def vowel_level(speech: Speech) -> Array:
+    """[T] decibels between 300 and 2500 Hz, where vowels are loud, every `_HOP` seconds."""
+    band = butter(2, (300, 2500), "bandpass", fs=speech.sample_rate, output="sos")
+    power = sosfiltfilt(band, speech.samples.astype(np.float64)) ** 2
+    hop = round(_HOP * speech.sample_rate)
+    frames = power[:len(power) // hop * hop].reshape(-1, hop).mean(axis=1)
+    level: Array = gaussian_filter1d(10.0 * np.log10(frames + 1e-9), 2.0)
+    return level
+
+
+def vowel_onset(level: Array, word: Word) -> float:
+    """Seconds at which the loudest vowel of a word begins: the steepest rise in the .15 s before its peak."""
+    first = min(max(round(word.start / _HOP), 0), len(level) - 2)
+    last = max(min(round(word.end / _HOP), len(level)), first + 2)
+    peak = first + int(np.argmax(level[first:last]))
+    begin = max(peak - round(0.15 / _HOP), first, 0)
+    rises = np.diff(level[begin:peak + 1])
+    return (begin + (int(np.argmax(rises)) + 1 if len(rises) else 0)) * _HOP
 
 
 # ---------------------------------------------------------------------------------------------------------- probe
