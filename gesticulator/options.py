@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
 from data_module.errors import InputError
-from gesticulator.plan.plan import ENERGIES, HANDS, PlanKnobs, shapes
+from gesticulator.plan.plan import ENERGIES, HANDS, PlanKnobs, shapes, shows_meanings
 
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
@@ -24,6 +24,8 @@ __all__ = ["FPS", "RANGES", "HandControl", "InferenceOptions", "Range"]
 
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
 
+MEANING_LEVELS = ("off", "few", "normal", "rich")
+"""How many of the gestures that the words call for are shown."""
 FPS = 60.0
 """Default frames per second of a performance: the models' 20 fps frames, interpolated."""
 
@@ -156,6 +158,9 @@ class InferenceOptions:
         (), "a gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug; can be "
         "repeated (gesticulator gestures lists them)", "WORD=GESTURE", many=True, name="cue")
     """Gestures to make at words or times."""
+    meaning: str = _option("normal", "with --text: how many of the gestures that the words call for are shown: off, "
+                           "few, normal (default) or rich", "LEVEL", choices=MEANING_LEVELS)
+    """With words: how many of the gestures that they call for are shown, "off", "few", "normal" or "rich"."""
     plan: GesturePlan | None = _option(None, "render a gesture plan (.json, .bml): unchanged blocks are replayed, "
                                        "edited ones are generated again; --seed has no effect", "FILE")
     """Render this plan: unchanged blocks are replayed, edited ones are generated again. Seed, variation, speaker,
@@ -183,6 +188,8 @@ class InferenceOptions:
             raise InputError(f"energy {self.energy}", "is unknown", f"choose among {', '.join(ENERGIES)}")
         if self.handedness not in (None, *HANDS):
             raise InputError(f"handedness {self.handedness}", "is unknown", f"choose among {', '.join(HANDS)}")
+        if self.meaning not in MEANING_LEVELS:
+            raise InputError(f"meaning {self.meaning}", "is unknown", f"choose among {', '.join(MEANING_LEVELS)}")
         if (self.retime and self.plan is None) or (self.retime_from is not None and not self.retime):
             raise InputError(*(("retime", "moves a plan, and none is given", "give the plan, too") if self.retime else
                                ("retime_from", "is for retime alone", "add retime, or leave it out")))
@@ -222,7 +229,8 @@ class InferenceOptions:
     def shaped(self) -> bool:
         """Whether options change the generated poses."""
         resized = self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0
-        return bool(self.cues or self.handedness or resized or (self.plan is not None and shapes(self.plan)))
+        return bool(self.cues or self.handedness or resized
+                    or (self.plan is not None and (shapes(self.plan) or shows_meanings(self.plan))))
 
     @property
     def mirrored(self) -> bool:
@@ -265,6 +273,7 @@ class InferenceArguments(TypedDict, total=False):
     handedness: str | None
     hold_still: tuple[tuple[float, float], ...]
     cues: tuple[GestureCue, ...]
+    meaning: str
     plan: GesturePlan | None
     retime: bool
     retime_from: str | os.PathLike[str] | None

@@ -21,7 +21,7 @@ from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator.body.motion_path import MotionPath
 from gesticulator.bundle.bundle import SHIPPED, Bundle
 from gesticulator.bundle.bundle import load as load_bundle
-from gesticulator.bundle.features import SpeechFeatures, front_end_for
+from gesticulator.bundle.features import SpeechFeatures, front_end_for, representation_of
 from gesticulator.bundle.files import lexicon_hash
 from gesticulator.drawing.cutter import BlockCutter, encode_speech
 from gesticulator.drawing.driver import Cast, ControlRows, Driver, GeneratedMotion, OnBlock, controls_at, requests
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from gesticulator.directing.lexeme_names import LexemeName
     from gesticulator.directing.retiming import Retimed
     from gesticulator.directing.retiming_report import RetimingReport
-    from gesticulator.plan.plan import GesturePlan
+    from gesticulator.plan.plan import GesturePlan, PlanMeaning
     from gesticulator.stream import Stream
     from interpreters.base import Interpreter, LexemeInterpreter
 
@@ -305,21 +305,44 @@ class Gesticulator:
         from gesticulator.directing.record import Origin, plan_of, rendered_plan
 
         encoded, blocks, shaping = rendering.encoded, rendering.blocks, None
-        if options.shaped:
+        meanings = self._meanings(speech, options)
+        if options.shaped or meanings:
             from gesticulator.directing import directions as directing
+            from gesticulator.directing.meanings import played_meanings
 
-            shaping = directing.shaping(self.bundle, options, cast.speaker, speech.words or (), encoded.blocks.edges)
+            played = played_meanings(meanings)
+            shaping = directing.shaping(self.bundle, options, cast.speaker, speech.words or (), encoded.blocks.edges,
+                                        lambda until: played)
         motion = self.to_motion(rendering.motion, encoded, cast.speaker, options, shaping)
         used = replace(options, speaker=self.speakers[cast.speaker],
                        interpreter=options.interpreter or self.interpreters[0],
                        temperature=cast.sampling.temperature, beta=cast.beta,
                        activity=self.bundle.config.selection.activity if options.activity is None else options.activity,
                        controls=cast.controls, hand_height=None, hand_speed=None, hand_radius=None)
-        origin = Origin(used, self._program(), self._settings(used, self._reads(speech)), cast.score_is)
+        origin = Origin(used, self._program(), self._settings(used, self._reads(speech)), cast.score_is, meanings)
         plan = (plan_of(speech, encoded.blocks, blocks, origin) if options.plan is None else
                 rendered_plan(options.plan, speech, blocks, origin))
         return Performance(motion, speech, encoded.blocks, np.array([block.lexeme for block in blocks], np.int64),
                            np.stack([block.code for block in blocks]), plan, used, self.lexeme_names)
+
+    def _meanings(self, speech: Speech, options: InferenceOptions) -> tuple[PlanMeaning, ...]:
+        """The meanings of the plan, or those that the words call for."""
+        if options.plan is not None:
+            return options.plan.meanings
+        if not speech.words or not self._shows_meanings:
+            return ()
+        from gesticulator.directing.meanings import track_of
+
+        track = track_of(options, speech.words, speech.duration)
+        if track is None:
+            return ()
+        track.add(speech.words)
+        return track.meanings()
+
+    @property
+    def _shows_meanings(self) -> bool:
+        """Whether named gestures can be blended over the motion of this bundle."""
+        return representation_of(self.bundle.config).name == "rotations"
 
     def _one(self, speech: SpeechInput, sample_rate: float | None, text: Text | None, options: InferenceOptions,
              encoded: SpeechFeatures | None, on_block: OnBlock | None) -> Performance:

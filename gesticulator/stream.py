@@ -38,6 +38,7 @@ from gesticulator.plan.plan import Block
 
 if TYPE_CHECKING:
     from gesticulator.directing.directions import Director
+    from gesticulator.directing.meanings import MeaningTrack
     from gesticulator.directing.stream_marks import StreamMarks
 
 __all__ = ["Stream", "StreamFrames", "StreamState"]
@@ -117,16 +118,19 @@ class Stream:
             raise InputError("plan", "needs a whole recording", "render it without a stream")
         self._director: Director | None = None
         shaping = None
-        if options.shaped or options.directed:
+        self._meanings = self._meaning_track(options)
+        if options.shaped or options.directed or self._meanings is not None:
             from gesticulator.directing import directions as directing
 
             self._director = directing.Director(bundle, options, (), math.inf)
-            shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]))
+            shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]),
+                                        None if self._meanings is None else self._meanings.cues)
         self._marks: StreamMarks | None = None
         if self._text:
             from gesticulator.directing.stream_marks import StreamMarks
 
-            shaping = self._marks = StreamMarks(shaping, representation_of(bundle.config).name == "rotations")
+            shaping = self._marks = StreamMarks(shaping, representation_of(bundle.config).name == "rotations",
+                                                options.seed or 0)
         self._path = MotionPath(bundle, cast.speaker, options, self._cutter.latency == "low", shaping)
         self._path.history = HISTORY
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
@@ -224,6 +228,8 @@ class Stream:
         _check_seconds(seconds)
         first = self._path.next
         self._speak()
+        if self._meanings is not None:
+            self._meanings.forget(self._committed)
         self._begin(self.time + seconds)
         return self._frames(first, self._advance(self._begun))
 
@@ -240,6 +246,8 @@ class Stream:
             raise InputError("words", "are not read by this stream", "open it with text=True")
         assert self._marks is not None
         words = self._marks.take(words, self._committed)
+        if self._meanings is not None:
+            self._meanings.add(words)
         self._utterance().add_words([replace(word, start=word.start - self._begun, end=word.end - self._begun)
                                      for word in words])
         return words
@@ -284,6 +292,8 @@ class Stream:
         recent = RestKnots(knots.times[old:last], knots.poses[old:last], knots.gains[old:last])
         features = features[old:last]
         if last > 1:
+            if self._meanings is not None:
+                self._meanings.forget(at)
             self._driver.break_off(recent, at)
             self._path.rewind(recent.times, features, min(math.ceil(at * self.fps - 1e-6), self._path.next))
         self._shown = deque([(recent, features)])
@@ -304,6 +314,14 @@ class Stream:
         return self._frames(first, parts)
 
     # --------------------------------------------------------------------------------------------------- internals
+
+    def _meaning_track(self, options: InferenceOptions) -> MeaningTrack | None:
+        """The gestures that the words call for; None in a stream without words."""
+        if not self._text or representation_of(self._bundle.config).name != "rotations":
+            return None
+        from gesticulator.directing.meanings import track_of
+
+        return track_of(options)
 
     def _check_open(self) -> None:
         if self._finished:

@@ -53,9 +53,11 @@ class UnitDecision:
     def rests(self) -> bool:
         return PHASES[self.phase] == "rest"
 
-    @property
-    def prepares(self) -> bool:
-        return PHASES[self.phase] == "preparation"
+    def begins_after(self, before: UnitDecision | None) -> bool:
+        """Whether the hands set out here: to prepare a stroke, or to make one that was not prepared. before: the
+        decision for the block before."""
+        phase, last = PHASES[self.phase], "rest" if before is None else PHASES[before.phase]
+        return phase != last and (phase == "preparation" or (phase == "stroke" and last != "preparation"))
 
     @property
     def row(self) -> Tensor:

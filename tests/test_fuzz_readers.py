@@ -134,7 +134,8 @@ NO_CASE = {
     "Gesticulator.read, whose transcripts have a case": """
         eval/probes/stability.py:_words_changed""",
     "a file of the installation": """
-        gesticulator/batch/ray_pool.py:_runs_here gesticulator/serve/page.py:pages gesticulator/version.py:_is_ours""",
+        gesticulator/batch/ray_pool.py:_runs_here gesticulator/serve/page.py:pages gesticulator/version.py:_is_ours
+        eval/probes/meaning.py:judgements""",
     "a model that another library reads": """
         data_module/speech/front_ends.py:_open data_module/text/alignment.py:_loaded_decoder
         data_module/text/word_vectors.py:_load""",

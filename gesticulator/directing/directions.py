@@ -25,6 +25,7 @@ from gesticulator.directing.shaping import (
     Shaper,
     eased_levels,
     levels_at,
+    nearest_turn,
     rest_share,
 )
 from gesticulator.drawing.drawer import Direction
@@ -33,6 +34,10 @@ from gesticulator.plan.gestures import GESTURES, near_gestures
 from gesticulator.plan.plan import GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks, sound_hash
 
 Shaping = Callable[[Array, Array], Array]
+MeantCues = Callable[[float], Sequence["MeantCue"]]
+"""Gives the gestures that begin up to a time."""
+_BROKEN_OFF = 1.2
+"""Seconds in which a gesture ends that an interruption breaks off."""
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
 
 
@@ -58,6 +63,15 @@ class CueAt:
     cue: GestureCue
     time: float
     lexeme: int | None = None
+
+
+@dataclass(frozen=True)
+class MeantCue:
+    """A gesture that the words call for. time: of its stroke; broken_off: when an interruption ended it, seconds."""
+
+    cue: GestureCue
+    time: float
+    broken_off: float | None = None
 
 
 def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
@@ -171,6 +185,8 @@ def planned(options: InferenceOptions) -> InferenceOptions:
         "handedness": options.handedness or knobs.handedness,
         "hold_still": tuple(dict.fromkeys((*knobs.hold_still, *options.hold_still)))}
     plan = replace(plan, knobs=PlanKnobs(**combined), cues=(*plan.cues, *options.cues))
+    if options.meaning == "off":
+        plan = replace(plan, meanings=tuple(one for one in plan.meanings if one.gesture is None))
     if options.variation:
         plan = replace(plan, blocks=tuple(block if block.locked else replace(block, draw=replace(
             block.draw, variation=int(options.variation))) for block in plan.blocks))
@@ -240,10 +256,12 @@ def check_plan_of(bundle: Bundle, plan: GesturePlan, speech: Speech) -> None:
 
 # ------------------------------------------------------------------------------------------------------- shaping
 
-def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array) -> Shaping:
+def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array,
+            meant: MeantCues | None = None) -> Shaping:
     """A function that applies intensity, mirroring and named gestures to generated poses [M, D_m] at seconds [M].
 
     edges: [N + 1] seconds of the blocks; without a plan, the start and the end (infinity for a stream) are enough.
+    meant: called with the last of the seconds, gives the gestures that the words call for.
     """
     representation = representation_of(bundle.config)
     if representation.name != "rotations":
@@ -260,13 +278,36 @@ def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequ
             np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in shares], axis=1),
             levels_at(edges, both, times, REST_FADE, locked)))
         poses = shaper.mirrored(poses, levels_at(edges, mirrored, times, MIRROR_FADE, locked))
-        if cues:
-            from gesticulator.directing.named_gestures import laid_over
-
-            poses = laid_over(poses, times, [(cue.cue, cue.time) for cue in cues], options.seed or 0)
-        return poses
+        named = [(cue.cue, cue.time) for cue in cues]
+        called = meant(float(times[-1])) if meant is not None and len(times) else ()
+        named = sorted([*named, *((one.cue, one.time) for one in called if one.broken_off is None)], key=_by_time)
+        return _with_gestures(poses, times, named, [one for one in called if one.broken_off is not None],
+                              options.seed or 0)
 
     return shape
+
+
+def _by_time(cue: tuple[GestureCue, float]) -> float:
+    return cue[1]
+
+
+def _with_gestures(poses: Array, times: Array, named: Sequence[tuple[GestureCue, float]], broken: Sequence[MeantCue],
+                   seed: int) -> Array:
+    """Poses [M, D] at seconds [M] with named gestures, and with those that were broken off as they end; seed: of their
+    variation."""
+    if not named and not broken:
+        return poses
+    from gesticulator.directing.named_gestures import laid_over
+
+    for one in broken:
+        assert one.broken_off is not None
+        whole = laid_over(poses, times, [(one.cue, one.time)], seed)
+        share = np.clip((times - one.broken_off) / _BROKEN_OFF, 0.0, 1.0)
+        share = share * share * (3.0 - 2.0 * share)
+        poses = np.where(share[:, None] == 1.0, poses, np.where(share[:, None] == 0.0, whole, whole + share[:, None] * (
+            nearest_turn(poses.reshape(len(poses), -1, 3), whole.reshape(len(poses), -1, 3)).reshape(poses.shape)
+            - whole)))
+    return laid_over(poses, times, named, seed)
 
 
 def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array, NDArray[np.bool_]]:

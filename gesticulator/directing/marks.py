@@ -14,7 +14,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from data_module.text.marks import EMOJI, NONE, mark_name
-from gesticulator.plan.plan import GESTURES, GestureCue
+from gesticulator.plan.gestures import GESTURES, REPERTOIRE, mark_of
+from gesticulator.plan.plan import GestureCue
 
 if TYPE_CHECKING:
     from data_module.types import Word
@@ -24,8 +25,6 @@ __all__ = ["SOURCE", "MarkWarning", "gesture_of_mark", "is_kept_free", "names_of
 
 SOURCE = "mark"
 """The source of a cue in a plan that comes from a mark."""
-_KINDS = ("count", "size", "point")
-"""Gestures whose marks are written with a colon: [count:3], [size:big], [point:left]."""
 
 
 class MarkWarning(UserWarning):
@@ -42,19 +41,15 @@ def names_of_marks() -> dict[str, tuple[str, ...]]:
     """Each gesture of `plan.GESTURES` with the ways to mark it in a text, the shortest first: brackets, SSML, and an
     emoji if it has one."""
     emoji = {gesture: sign for sign, gesture in EMOJI.items()}
-    return {name: (_bracket(name), f'<mark name="gesture.{name.replace(" ", "_")}"/>',
+    return {name: (mark_of(name), f'<mark name="gesture.{name.replace(" ", "_")}"/>',
                    *((emoji[name],) if name in emoji else ())) for name in GESTURES}
 
 
-def _bracket(name: str) -> str:
-    kind, space, value = name.partition(" ")
-    return f"[{kind}:{value}]" if space and kind in _KINDS else f"[{name}]"
-
-
-def prompt(gestures: Iterable[str] = GESTURES) -> str:
+def prompt(gestures: Iterable[str] | None = None) -> str:
     """Instructions for a language model that writes what a character says: a hundred words, and the marks of these
-    gestures."""
-    marks = " ".join(_bracket(name) for name in gestures)
+    gestures (default: those that talk often calls for)."""
+    gestures = [name for name, one in REPERTOIRE.items() if one.core] if gestures is None else gestures
+    marks = " ".join(mark_of(name) for name in gestures)
     return ("Your words are spoken by a character with a body. You may mark a gesture by its name in square brackets, "
             "directly before the word it belongs to: \"[shrug] I have no idea.\" The marks are not spoken. Use one "
             "where a person would gesture: once in two or three sentences, never two in one, and none in lists or "
@@ -108,4 +103,4 @@ def warn_of_unknown(names: Iterable[str], known: set[str] | None = None) -> None
     listed = ", ".join(f"[{name[:40]}]" for name in unknown[:8]) + (" ..." if len(unknown) > 8 else "")
     one = len(unknown) == 1
     warnings.warn(MarkWarning(f"{listed} {'names' if one else 'name'} no gesture and {'is' if one else 'are'} left out"
-                              + (f"; did you mean {_bracket(near[0])}?" if near else "")), stacklevel=3)
+                              + (f"; did you mean {mark_of(near[0])}?" if near else "")), stacklevel=3)

@@ -18,6 +18,7 @@ from gesticulator.plan.plan import (
     GestureUnit,
     KnobCurve,
     PlanKnobs,
+    PlanMeaning,
     PlanWord,
     PosePin,
     SoundAlignment,
@@ -55,7 +56,7 @@ def moved_sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] 
         "words": now, "cues": tuple(_within(cue, duration) for cue, _, _ in cues if cue is not None),
         "pins": tuple(pin for pin in pins if pin is not None), "knobs": moved_knobs(plan.knobs, beats),
         "units": tuple(unit for unit in (_unit(unit, beats) for unit in plan.units) if unit is not None),
-        "meanings": tuple(replace(one, start=_at(beats, one.start), end=_at(beats, one.end)) for one in plan.meanings
+        "meanings": tuple(_meaning(one, beats, duration) for one in plan.meanings
                           if beats.moment((one.start + one.end) / 2) is not None),
         "curves": tuple(_curve(curve, beats) for curve in plan.curves), "made_by": made_by,
         "alignment": alignment_of(beats, plan)}
@@ -118,6 +119,11 @@ def _unit(unit: GestureUnit, beats: BeatMap) -> GestureUnit | None:
     phases = [(phase.kind, _range(beats, phase.start, phase.end)) for phase in unit.phases]
     return replace(unit, start=times[0], end=times[1], phases=tuple(
         GesturePhase(kind, *range_) for kind, range_ in phases if range_ is not None))
+
+
+def _meaning(one: PlanMeaning, beats: BeatMap, duration: float) -> PlanMeaning:
+    time = None if one.time is None else min(_at(beats, one.time), duration)
+    return replace(one, start=_at(beats, one.start), end=_at(beats, one.end), time=time)
 
 
 def moved_knobs(knobs: PlanKnobs, beats: BeatMap) -> PlanKnobs:

@@ -17,6 +17,7 @@ from gesticulator.plan.plan import (
     GesturePlan,
     GestureUnit,
     LexemeName,
+    PlanMeaning,
     PlanSound,
     PlanWord,
     sound_hash,
@@ -37,12 +38,14 @@ _GESTURES = tuple(GestureName(name, about) for name, about in GESTURES.items())
 @dataclass(frozen=True)
 class Origin:
     """Provenance of a performance. options: with the bundle's defaults filled in; program: version and bundle, in plain
-    values; settings: everything that the generation depends on; score_is: the kind of the scores."""
+    values; settings: everything that the generation depends on; score_is: the kind of the scores; meanings: what the
+    words call for."""
 
     options: InferenceOptions
     program: Mapping[str, Any]
     settings: Mapping[str, Any]
     score_is: str
+    meanings: tuple[PlanMeaning, ...] = ()
 
 
 def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: Origin) -> GesturePlan:
@@ -56,7 +59,7 @@ def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: 
         FORMAT, VERSION, made_by, PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
         int(settings["seed"]), int(settings["variation"]), str(settings["speaker"]), str(settings["interpreter"]),
         drawn, decisions, drawn.knobs, tuple(origin.options.cues), words_of(speech), (), _GESTURES, origin.score_is,
-        units=units_of_blocks(blocks))
+        units=units_of_blocks(blocks), meanings=origin.meanings)
 
 
 def rendered_plan(plan: GesturePlan, speech: Speech, blocks: Sequence[BlockMotion], origin: Origin) -> GesturePlan:

@@ -37,9 +37,10 @@ class _Planned:
 class StreamMarks:
     """The marked gestures of a stream: `take` them from words, then call with poses."""
 
-    def __init__(self, shaping: Callable[[Array, Array], Array] | None, rotations: bool) -> None:
-        """shaping: applied to the poses first; rotations: whether poses are joint rotations, which gestures need."""
-        self._shaping, self._rotations = shaping, rotations
+    def __init__(self, shaping: Callable[[Array, Array], Array] | None, rotations: bool, seed: int = 0) -> None:
+        """shaping: applied to the poses first; rotations: whether poses are joint rotations, which gestures need; seed:
+        of the gestures' variation."""
+        self._shaping, self._rotations, self._seed = shaping, rotations, seed
         self._planned: deque[_Planned] = deque()
         self._late: tuple[str, ...] = ()
         self._known: set[str] = set()
@@ -94,7 +95,7 @@ class StreamMarks:
             if not len(times) or times[-1] <= one.time - before or times[0] >= min(one.time + after,
                                                                                  one.cut + BREAKS_OFF):
                 continue
-            laid = laid_over(out, times, [(one.cue, one.time)])
+            laid = laid_over(out, times, [(one.cue, one.time)], self._seed)
             left = np.clip((one.cut + BREAKS_OFF - times) / BREAKS_OFF, 0.0, 1.0)
             share = (left * left * (3.0 - 2.0 * left))[:, None]
             out = np.where(share == 1.0, laid, out + share * (laid - out))

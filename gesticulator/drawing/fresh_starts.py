@@ -1,15 +1,15 @@
 """Fresh starts: each stroke is prepared anew, and what was before is forgotten.
 
 People decide stroke by stroke: a preparation begins where the hand happens to be, but what is prepared does not depend
-on how the hand came there. So where the planner begins a preparation, the block is generated as the first of a
-performance, from a pose h that is keyed by seed and time, at rest. What is shown is the generated motion g plus an
+on how the hand came there. So where the planner lets the hands set out (a preparation begins, or a stroke that was not
+prepared), the block is generated as the first of a performance, from a pose h that is keyed by seed and time, at rest. What is shown is the generated motion g plus an
 offset that fades from the difference of the pose p and the velocity v last shown (inertialisation, as in games):
 
     x(t) = g(t) + (p - h) a(s) + v T b(s),   s = (t - t_0) / T,
     a(s) = 1 - s^3 (10 - 15 s + 6 s^2),   b(s) = s - 6 s^3 + 8 s^4 - 3 s^5
 
 a and b have no jump in value, speed or acceleration at either end. Two performances of nearly the same sound that
-parted are one again T seconds after the next preparation.
+parted are one again T seconds after the hands set out next.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from data_module.types import Array
 from gesticulator.body.life import SIDES, eased
 from gesticulator.drawing.keys import Keys
 
-FADES = 0.9
-"""T, seconds."""
+FADES = 0.6
+"""T, seconds: as long as a preparation takes."""
 _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 

@@ -149,7 +149,7 @@ class Rollout:
         b = self.bundle
         features = self._features(speech, control, self._drawn[0])
         unit = self._planned(speech, features)
-        if self._prepares(unit) and direction.keys is None:
+        if self._sets_out(unit) and direction.keys is None:
             self._begin_unit(speech)
             features = replace(features, past=self._drawn[0])
         self._unit = unit
@@ -175,10 +175,9 @@ class Rollout:
                            probability)
         return BlockMotion(decision, self._previous, motion, code[0].cpu().numpy(), unit)
 
-    def _prepares(self, unit: UnitDecision | None) -> bool:
-        """Whether the planner begins a preparation in this block."""
-        return (self._first_poses is not None and unit is not None and unit.prepares
-                and not (self._unit is not None and self._unit.prepares))
+    def _sets_out(self, unit: UnitDecision | None) -> bool:
+        """Whether what was before is forgotten in this block, in which the planner lets the hands set out."""
+        return self._first_poses is not None and unit is not None and unit.begins_after(self._unit)
 
     def _begin_unit(self, speech: SpeechBlock) -> None:
         """Forget what was before: the next block is generated as the first of a performance."""
@@ -308,11 +307,9 @@ class Rollout:
         self._drawn = self._past = torch.clamp(block, self._low, self._high)
         if self.life is None:
             return np.asarray(self._past[0].cpu().numpy())
-        offset = 0.0
-        if self._offset is not None and speech is not None:
-            offset = self._offset.at(speech.span.times)
-            self._past = self._past + offset
-        self._past = self._tensor(self.life.step(self._past[0].cpu().numpy()))[None]
+        offset = torch.zeros_like(block) if self._offset is None or speech is None else self._offset.at(
+            speech.span.times)
+        self._past = self._tensor(self.life.step((self._past + offset)[0].cpu().numpy()))[None]
         self._drawn = self._past - offset
         if self._offset is not None and speech is not None and self._offset.over(speech.end):
             self._offset = None

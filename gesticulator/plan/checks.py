@@ -124,11 +124,16 @@ def check_units(units: tuple[GestureUnit, ...], error: Callable[[Place, str, str
 
 
 def check_meanings(meanings: tuple[PlanMeaning, ...], error: Callable[[Place, str, str], InputError]) -> None:
-    """`InputError` for a meaning that ends before it begins."""
+    """`InputError` for a meaning that ends before it begins, and for a gesture without a time or an unknown one."""
     for at, meaning in enumerate(meanings):
         if not meaning.start <= meaning.end:
             raise error(("meanings", at), f"is {meaning.start:g} to {meaning.end:g} s",
                         "give from and to, the smaller first")
+        if meaning.gesture is not None and meaning.gesture not in GESTURES:
+            raise error(("meanings", at, "gesture"), f"is {shown(meaning.gesture)}",
+                        f"give one of {', '.join(GESTURES)}, or null")
+        if (meaning.gesture is None) != (meaning.time is None):
+            raise error(("meanings", at), "has either a gesture or a time alone", "give both, or neither")
 
 
 def check_pins(pins: tuple[PosePin, ...], error: Callable[[Place, str, str], InputError]) -> None:

@@ -284,7 +284,19 @@ class PlanMeaning:
     about: str = ""
     """The meaning in words."""
     certainty: Annotated[float, SettingRange(0.0, 1.0)] | None = None
-    """Probability that the meaning is right."""
+    """Probability that the meaning is right, or the score of the words that tell it."""
+    source: str = ""
+    """Where the meaning comes from: "words" if it was found in the spoken words."""
+    word: str | None = None
+    """The word that carries it, as written."""
+    gesture: str | None = None
+    """The gesture that shows it, a name of `gestures`; null shows none. Delete the entry to leave it out."""
+    time: Seconds | None = None
+    """Time of the gesture's stroke, seconds."""
+    intensity: Intensity = 1.0
+    """Size of the gesture, as the intensity of a block."""
+    mirror: bool = False
+    """True makes the gesture with the other hand."""
 
 
 @dataclass(frozen=True)
@@ -446,3 +458,8 @@ def shapes(plan: GesturePlan) -> bool:
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)
+
+
+def shows_meanings(plan: GesturePlan) -> bool:
+    """Whether a meaning of the plan is shown by a gesture."""
+    return any(meaning.gesture is not None for meaning in plan.meanings)

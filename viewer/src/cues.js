@@ -1,4 +1,4 @@
-// Gestures asked for at a word or at a time. A plan with other cues is a new plan.
+// Gestures asked for at a word or at a time, and those that words call for. A plan with other ones is a new plan.
 
 const plain = (text) => text.replace(/^[\p{P}\s]+|[\p{P}\s]+$/gu, "").toLowerCase();
 
@@ -10,7 +10,11 @@ export function cueTime(plan, cue) {
   return word ? word.start + (word.end - word.start) / 3 : null;
 }
 
-export const cuesOf = (plan) => plan.cues ?? [];
+const asked = (plan) => plan.cues ?? [];
+const meant = (plan) => (plan.meanings ?? []).filter(({ gesture }) => gesture != null);
+
+/** The gestures of a plan: those that were asked for, then those that words call for. */
+export const cuesOf = (plan) => [...asked(plan), ...meant(plan)];
 
 /** The word under a time as a cue names it: { word, occurrence }; null between words. */
 function wordAt(plan, time) {
@@ -23,7 +27,12 @@ function wordAt(plan, time) {
 /** Ask for a gesture at a time: at the word there, where one is said. */
 export function addCue(plan, gesture, time) {
   const at = wordAt(plan, time) ?? { time: Math.round(time * 1000) / 1000 };
-  return { ...plan, cues: [...cuesOf(plan), { gesture, ...at }] };
+  return { ...plan, cues: [...asked(plan), { gesture, ...at }] };
 }
 
-export const removeCue = (plan, index) => ({ ...plan, cues: cuesOf(plan).filter((_, k) => k !== index) });
+/** Remove the gesture at an index of `cuesOf`. */
+export function removeCue(plan, index) {
+  const gone = cuesOf(plan)[index];
+  if (index < asked(plan).length) return { ...plan, cues: asked(plan).filter((cue) => cue !== gone) };
+  return { ...plan, meanings: plan.meanings.filter((meaning) => meaning !== gone) };
+}

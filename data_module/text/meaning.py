@@ -1,0 +1,195 @@
+"""Which words of a speech call for a gesture with a meaning, and for which one: cue phrases with guards.
+
+`meaning_cues.json` holds, for each meaning, cue phrases in English, German and Spanish (`cue_patterns`), and phrases in
+which they do not count: idioms, homonyms and other parts of speech. After a negation in the same clause only meanings
+that are themselves negative or questions count. Where two meanings are equally good, there is none. In English prose
+that was written to be read, cue phrases are worth less than in talk: it has more "of" and "which", and less "you".
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.resources
+import itertools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from data_module.text.cue_patterns import CuePattern, SpokenText, cue_pattern, spoken_text
+
+__all__ = ["LANGUAGES", "CalledGesture", "MeaningCues", "language_of", "meaning_cues"]
+
+LANGUAGES = ("en", "de", "es")
+"""Languages with cue phrases of their own."""
+_SCOPE = 4
+"""Words after a negation that it may concern."""
+_NEAR = 80
+"""Characters around a phrase in which its guards are sought."""
+_LONGER = 0.01
+"""What each further word of a cue phrase adds to its score: the more specific phrase wins."""
+
+
+def _set(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+_TALK = _set("i me my you your we us our am let going got want know think get look well okay yeah yes thank do not "
+             "what why that this just really so")
+_PROSE = _set("of the which by upon such")
+_AROUND, _FEWEST, _LEAST_TALK, _WRITTEN = 35, 25, -0.05, 0.15
+"""Words on both sides that tell talk from prose, and how many are needed; the least share of words of talk minus those
+of prose; what is taken off the scores in prose."""
+_NEGATIONS = {"en": _set("not no never nobody none nothing without hardly neither nor cannot"),
+              "de": _set("nicht kein keine keinen keiner nie niemals niemand ohne weder"),
+              "es": _set("no nunca nadie nada sin jamás ni tampoco")}
+
+
+@dataclass(frozen=True)
+class CalledGesture:
+    """A word that calls for a gesture. word: its index; first, last: the words of its phrase; label: the meaning;
+    gesture: the name of its gesture; score: how sure it is, 0 to 1; source: the cue phrase."""
+
+    word: int
+    first: int
+    last: int
+    label: str
+    gesture: str
+    score: float
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class MeaningClass:
+    """The cues of a meaning in one language. negated: they count after a negation, too."""
+
+    label: str
+    gesture: str
+    negated: bool
+    cues: tuple[CuePattern, ...]
+    unless: tuple[CuePattern, ...]
+
+
+class MeaningCues:
+    """The cue phrases of one language."""
+
+    def __init__(self, classes: Sequence[MeaningClass], language: str = "en") -> None:
+        self.classes, self.language = tuple(classes), language
+        self._by_key: dict[str, list[tuple[MeaningClass, CuePattern]]] = {}
+        for one in self.classes:
+            for cue in one.cues:
+                for key in cue.keys or ("",):
+                    self._by_key.setdefault(key, []).append((one, cue))
+
+    @property
+    def gestures(self) -> Mapping[str, str]:
+        """Meaning -> the name of its gesture."""
+        return {one.label: one.gesture for one in self.classes}
+
+    def called(self, words: Sequence[str], pauses: Sequence[float] = ()) -> list[CalledGesture]:
+        """The words that call for a gesture, in their order; of phrases that overlap the best one, or none on a tie.
+
+        pauses: seconds of silence after each word, where they are known.
+        """
+        spoken = spoken_text(words, pauses)
+        found = sorted(self._candidates(spoken), key=lambda one: (one.first, one.word, one.label))
+        if self.language == "en" and found:
+            written = _written(spoken, len(words))
+            found = [replace(one, score=round(one.score - _WRITTEN, 3)) if written[one.word] else one for one in found]
+        return _best(found)
+
+    def _candidates(self, spoken: SpokenText) -> Iterator[CalledGesture]:
+        """Every cue phrase that its guards let pass; they may overlap."""
+        asked: set[tuple[int, str]] = set()
+        for key in (*spoken.tokens, ""):
+            for one, cue in self._by_key.get(key, ()):
+                if (id(cue), "") not in asked:
+                    asked.add((id(cue), ""))
+                    yield from self._matched(one, cue, spoken)
+
+    def _matched(self, one: MeaningClass, cue: CuePattern, spoken: SpokenText) -> Iterator[CalledGesture]:
+        for start, end, stroke in cue.matches(spoken):
+            if _guarded(one, spoken, start, end) or (not one.negated and self._negated(spoken, start)):
+                continue
+            yield CalledGesture(spoken.owners[stroke], *spoken.words(start, end), one.label, one.gesture,
+                                round(min(cue.weight + _LONGER * (cue.length - 1), 1.0), 3), cue.source)
+
+    def _negated(self, spoken: SpokenText, start: int) -> bool:
+        """Whether a negation stands in the same clause within `_SCOPE` words before a place."""
+        before: list[str] = []
+        for token in reversed(spoken.text[max(start - _NEAR, 0):start].split()):
+            if token in (",", ".", "?") or len(before) == _SCOPE:
+                break
+            before.append(token)
+        negations = _NEGATIONS[self.language]
+        # "not only", "not just" say more, not less.
+        return any(token in negations and before[at - 1:at] not in (["only"], ["just"])
+                   for at, token in enumerate(before))
+
+
+def _written(spoken: SpokenText, count: int) -> list[bool]:
+    """Of `count` words, whether each stands in prose: by the common words around it."""
+    worth, number = [0] * (count + 1), [0] * (count + 1)
+    for place, word in spoken.owners.items():
+        token = spoken.text[place:spoken.text.index(" ", place)]
+        worth[word + 1] += (token in _TALK) - (token in _PROSE)
+        number[word + 1] += 1
+    worth, number = list(itertools.accumulate(worth)), list(itertools.accumulate(number))
+    out = []
+    for word in range(count):
+        first, last = max(word - _AROUND, 0), min(word + _AROUND + 1, count)
+        around = number[last] - number[first]
+        out.append(around >= _FEWEST and worth[last] - worth[first] < _LEAST_TALK * around)
+    return out
+
+
+def _guarded(one: MeaningClass, spoken: SpokenText, start: int, end: int) -> bool:
+    first, last = max(start - _NEAR, 0), end + _NEAR
+    return any(a < end and start < b for guard in one.unless for a, b, _ in guard.matches(spoken, first, last))
+
+
+def _best(found: list[CalledGesture]) -> list[CalledGesture]:
+    """Of entries that share a word the best; none where two labels are equally good."""
+    out: list[CalledGesture] = []
+    for one in sorted(found, key=lambda one: (-one.score, one.word, one.label)):
+        rivals = [other for other in out if other.first <= one.last and one.first <= other.last]
+        if not rivals:
+            tied = any(other.score == one.score and other.label != one.label and other.word == one.word
+                       for other in found)
+            out.append(replace(one, score=0.0) if tied else one)
+    return sorted((one for one in out if one.score > 0.0), key=lambda one: one.word)
+
+
+@functools.cache
+def meaning_cues(language: str = "en") -> MeaningCues:
+    """The cue phrases of a language; those of English for a language without its own."""
+    language = language if language in LANGUAGES else "en"
+    return MeaningCues([_class(row, language) for row in _table() if row.get(language)], language)
+
+
+@functools.cache
+def _table() -> tuple[Mapping[str, Any], ...]:
+    text = (importlib.resources.files("data_module.text") / "meaning_cues.json").read_text("utf-8")
+    return tuple(json.loads(text)["classes"])
+
+
+def _class(row: Mapping[str, Any], language: str) -> MeaningClass:
+    unless = row.get("unless", ()) if language == "en" else ()
+    weight = row["weight"]
+    return MeaningClass(row["label"], row.get("gesture", row["label"].replace("_", " ")), row.get("negated", False),
+                        tuple(cue_pattern(cue, weight) for cue in row[language]),
+                        tuple(cue_pattern(guard) for guard in unless))
+
+
+_FUNCTION_WORDS = {
+    "en": _set("the and of to a in is that it you i we for on with this was are be have not at they but"),
+    "de": _set("der die das und ich nicht ist zu es wir ein eine mit den auf sie auch dass für von"),
+    "es": _set("el la los las que de y no en es un una con por para lo se del como más")}
+
+
+def language_of(words: Sequence[str]) -> str:
+    """The language of `LANGUAGES` whose commonest words are most frequent here; English where none is clearly so."""
+    counts = {language: sum(word.lower().strip(".,;:!?¿¡\"'") in common for word in words)
+              for language, common in _FUNCTION_WORDS.items()}
+    best = max(counts, key=lambda language: counts[language])
+    return best if counts[best] >= 2 and counts[best] > counts["en"] else "en"

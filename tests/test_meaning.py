@@ -1,0 +1,318 @@
+"""What words call for: cue phrases and their guards, the budget, and the gestures in files, plans and streams."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module.errors import InputError
+from data_module.speech.audio import SAMPLE_RATE, load_speech
+from data_module.text.cue_patterns import cue_pattern, spoken_text
+from data_module.text.meaning import CalledGesture, language_of, meaning_cues
+from data_module.types import Speech, Word
+from gesticulator.directing.meanings import AGAIN, LEVELS, Called, Level, MeaningTrack, chosen, stroke_time
+from gesticulator.directing.named_gestures import span_of_gesture
+from gesticulator.options import MEANING_LEVELS, InferenceOptions
+from gesticulator.performance import Performance
+from gesticulator.pipeline import Gesticulator
+from gesticulator.plan.plan import GestureCue
+from gesticulator.plan.plan_file import parse_plan
+
+
+def labels(text: str, language: str = "en", score: float = 0.7) -> dict[str, str]:
+    """Label -> the word that carries it."""
+    words = text.split()
+    return {one.label: words[one.word] for one in meaning_cues(language).called(words) if one.score >= score}
+
+
+# ------------------------------------------------------------------------------------------------------- patterns
+
+@pytest.mark.parametrize(("pattern", "text", "stroke"), [
+    ("do not *know", "Well, I don't know.", "know"),
+    ("a|the *cat", "here is THE cat!", "cat"),
+    ("^ *stop", "Wait. Stop it", "stop"),
+    ("*stop $", "stop it now, stop", "stop"),
+    ("so? *tired", "I am tired", "tired"),
+    ("keep _ing *on", "they keep going on", "on"),
+    ("*increas~", "it increased", "increased"),
+    ("*have_to go", "we have to go", "have"),
+    ("no *way", "There's no\u2019 way", "way"),
+])
+def test_a_pattern_marks_the_word_that_carries_the_stroke(pattern: str, text: str, stroke: str) -> None:
+    spoken = spoken_text(text.split())
+    starts = [at for _, _, at in cue_pattern(pattern).matches(spoken)]
+    assert [spoken.text[at:spoken.text.index(" ", at)] for at in starts[-1:]] == [stroke]
+
+
+@pytest.mark.parametrize(("pattern", "text"), [
+    ("^ *stop", "do stop"), ("*stop $", "stop it"), ("no *idea", "no good idea"), ("*cat", "concat cats"),
+    ("*right ?", "right, he said"),
+])
+def test_a_pattern_does_not_match_across_other_words(pattern: str, text: str) -> None:
+    assert not list(cue_pattern(pattern).matches(spoken_text(text.split())))
+
+
+def test_a_pause_is_a_boundary_where_there_are_no_marks() -> None:
+    words = ["so", "we", "stop", "then", "go"]
+    pattern = cue_pattern("*stop $")
+    assert not list(pattern.matches(spoken_text(words)))
+    assert list(pattern.matches(spoken_text(words, [0.0, 0.0, 0.6, 0.0, 0.0])))
+
+
+def test_a_pattern_without_a_word_is_refused() -> None:
+    with pytest.raises(ValueError, match="no word"):
+        cue_pattern("^ _ $")
+
+
+@given(st.lists(st.text(min_size=0, max_size=8), max_size=30))
+def test_any_words_are_read_and_every_call_lies_within_them(words: list[str]) -> None:
+    for one in meaning_cues("en").called(words):
+        assert 0 <= one.first <= one.word <= one.last < len(words)
+        assert 0.0 < one.score <= 1.0
+
+
+# ------------------------------------------------------------------------------------------------------- meanings
+
+@pytest.mark.parametrize(("text", "label", "word"), [
+    ("I honestly have no idea.", "shrug", "idea."),
+    ("There are three reasons for it.", "number_three", "three"),
+    ("Not a single one came.", "sweep_no", "single"),
+    ("It changed the whole thing.", "surround", "whole"),
+    ("Hold on, let me check.", "stop_palm", "on,"),
+    ("Thank you so much for coming.", "hands_over_heart", "Thank"),
+    ("But nobody asked me.", "contrast_flip", "But"),
+    ("On the other hand it is slow.", "weigh_options", "hand"),
+])
+def test_what_is_said_calls_for_its_meaning_at_its_word(text: str, label: str, word: str) -> None:
+    assert labels(text).get(label) == word
+
+
+@pytest.mark.parametrize(("text", "label"), [
+    ("Feel free to stop by.", "stop_palm"), ("She hates small talk.", "small_pinch"),
+    ("I don't love it.", "hands_over_heart"), ("We did not grow this year.", "increase"),
+    ("The stock exchange is closed.", "exchange"), ("I will let you know.", "shrug"),
+    ("He left his keys on the left-handed shelf.", "point_left"), ("It did not work at all.", "surround"),
+])
+def test_idioms_homonyms_and_negations_do_not_call(text: str, label: str) -> None:
+    assert label not in labels(text)
+
+
+def test_a_negation_ends_with_its_clause() -> None:
+    assert "increase" not in labels("It did not grow.")
+    assert "increase" in labels("It did not help, prices grow.")
+
+
+@pytest.mark.parametrize(("text", "language", "label"), [
+    ("Ich habe keine Ahnung, warum das so ist.", "de", "shrug"), ("Das war früher, vor vielen Jahren.", "de",
+                                                                  "point_back"),
+    ("No tengo ni idea de lo que pasa.", "es", "shrug"), ("Muchas gracias por todo.", "es", "hands_over_heart"),
+])
+def test_german_and_spanish_have_cues_of_their_own(text: str, language: str, label: str) -> None:
+    assert label in labels(text, language)
+
+
+@pytest.mark.parametrize(("text", "language"), [
+    ("the cat is in the house", "en"), ("ich weiß nicht was das ist", "de"), ("no sé lo que es eso de la casa", "es"),
+    ("", "en"), ("hm", "en"),
+])
+def test_the_language_is_told_by_its_common_words(text: str, language: str) -> None:
+    assert language_of(text.split()) == language
+
+
+def test_prose_that_was_written_to_be_read_gets_fewer() -> None:
+    cue = "however, the growth of the port was the same."
+    prose = ("the duties of the collector of the port of the city, upon which the amount of the revenue depends, and "
+             "the state of the law by which the sum of the fees of the office is fixed, are of such weight")
+    talk = ("you know what I think, we just really do not get what you want, so let me look at that, okay, you and I "
+            "know what this is and why we do it, thank you")
+    assert len(labels(f"{talk}. {cue} {talk}")) > len(labels(f"{prose}. {cue} {prose}"))
+
+
+def test_no_meaning_is_offensive_and_every_row_has_its_gesture() -> None:
+    shown = set(meaning_cues("en").gestures)
+    assert not shown & {"middle_finger", "forearm_jerk", "throat_cut", "ok_ring", "shoo", "crazy_circle", "victory_v"}
+    assert meaning_cues("en").gestures["point_self"] == "me"
+    assert all(set(meaning_cues(language).gestures) <= shown for language in ("de", "es"))
+
+
+# --------------------------------------------------------------------------------------------------------- budget
+
+def call(at: float, score: float = 0.75, label: str = "nod") -> Called:
+    return Called(CalledGesture(0, 0, 0, label, "nod", score), Word("yes", at, at + 0.3), at)
+
+
+calls = st.lists(st.builds(call, st.floats(0.0, 120.0), st.sampled_from([0.6, 0.7, 0.8, 0.9]),
+                           st.sampled_from(["nod", "shrug", "stop_palm"])), max_size=40)
+
+
+@given(calls, st.lists(st.floats(0.0, 120.0), max_size=4), st.sampled_from([LEVELS["few"], LEVELS["normal"]]))
+def test_the_budget_keeps_its_distances(found: list[Called], taken: list[float], level: Level) -> None:
+    out = chosen(found, level, taken=taken, begin=1.0, preparation=lambda gesture: 0.55)
+    assert all(b.time - a.time >= level.apart for a, b in zip(out, out[1:], strict=False))
+    for n, one in enumerate(out):
+        assert one.gesture.score >= level.score and one.time - 0.55 >= 1.0
+        assert all(abs(one.time - other) >= level.apart for other in taken)
+        assert not any(other.gesture.label == one.gesture.label and one.time - other.time < AGAIN for other in out[:n])
+
+
+def test_a_better_one_near_wins_and_a_worse_one_does_not() -> None:
+    assert [one.time for one in chosen([call(5.0, 0.7), call(6.0, 0.9, "shrug")], LEVELS["normal"])] == [6.0]
+    assert [one.time for one in chosen([call(5.0, 0.9), call(6.0, 0.7, "shrug")], LEVELS["normal"])] == [5.0]
+
+
+@given(calls)
+def test_more_is_shown_at_a_richer_level(found: list[Called]) -> None:
+    counts = [len(chosen(found, LEVELS[level])) for level in ("off", "few")]
+    assert counts[0] == 0 <= counts[1]
+
+
+def spread(text: str) -> tuple[Word, ...]:
+    """Two words a second from 1 s on, without pauses that count."""
+    return tuple(Word(word, 1.0 + 0.5 * n, 1.4 + 0.5 * n) for n, word in enumerate(text.split()))
+
+
+IDEA = "well and I have no idea"
+"""The last word begins at 3.5 s."""
+TEXT = (f"{IDEA} about it and then he came in and said stop! and then I said yes, of course, we went on and so it was "
+        "and all of them had seen it and nobody knew what to do and who knows. and then he left")
+
+
+@given(st.lists(st.integers(1, 6), min_size=1, max_size=12))
+def test_words_that_come_in_pieces_well_ahead_give_the_gestures_of_a_file(pieces: list[int]) -> None:
+    words = spread(TEXT)
+    whole = MeaningTrack("normal")
+    whole.add(words)
+    expected = [(one.cue.gesture, one.time) for one in whole.cues(100.0)]
+    track, now = MeaningTrack("normal"), 0.0
+    track.add(words)
+    for step in pieces * 20:
+        now += step / 4
+        track.cues(now)
+    assert [(one.cue.gesture, one.time) for one in track.cues(100.0)] == expected
+    assert {name for name, _ in expected} >= {"shrug", "nod"}
+
+
+def test_words_that_come_too_late_are_left_out() -> None:
+    track = MeaningTrack("normal")
+    track.cues(30.0)
+    track.add(spread(TEXT))
+    assert all(one.time > 30.0 for one in track.cues(100.0))
+
+
+def test_a_forbidden_word_shows_nothing_and_a_cue_outranks() -> None:
+    words = spread(IDEA)
+    free, barred, cued = MeaningTrack("normal"), MeaningTrack("normal"), MeaningTrack("normal", [6.0])
+    free.add(words)
+    barred.add(words, forbidden={5})
+    cued.add(words)
+    assert [one.gesture for one in free.meanings()] == ["shrug"]
+    assert not barred.meanings() and not cued.meanings()
+
+
+def test_hands_that_rest_show_nothing() -> None:
+    track = MeaningTrack("normal", still=[(3.2, 3.4)])
+    track.add(spread(IDEA))
+    assert not track.meanings()
+
+
+def test_an_interruption_breaks_off_what_has_begun_and_drops_the_rest() -> None:
+    track = MeaningTrack("normal")
+    track.add(spread(TEXT))
+    begun = track.cues(3.6)
+    assert [one.cue.gesture for one in begun] == ["shrug"]
+    track.forget(3.7)
+    assert [(one.cue.gesture, one.broken_off) for one in track.cues(100.0)] == [("shrug", 3.7)]
+
+
+@given(st.floats(0.0, 100.0), st.floats(0.05, 1.5))
+def test_a_stroke_lies_around_the_beginning_of_its_word(start: float, lasts: float) -> None:
+    at = stroke_time(Word("idea", start, start + lasts))
+    assert max(start - 0.2, 0.0) <= at <= start + 0.5 * lasts
+
+
+def test_an_unknown_level_is_refused() -> None:
+    with pytest.raises(InputError, match="off, few, normal, rich"):
+        InferenceOptions(meaning="much")
+    assert tuple(LEVELS) == MEANING_LEVELS
+
+
+# ------------------------------------------------------------------------------------- files, plans and streams
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
+
+
+@lru_cache(maxsize=1)
+def system() -> Gesticulator:
+    return Gesticulator.from_pretrained()
+
+
+@lru_cache(maxsize=1)
+def spoken() -> Speech:
+    """Eight seconds in which "idea" is said at 3.5 s."""
+    sound = load_speech(EXAMPLE)
+    return Speech(sound.samples[:8 * SAMPLE_RATE], SAMPLE_RATE, spread(IDEA))
+
+
+@lru_cache(maxsize=2)
+def take(level: str) -> Performance:
+    return system()(spoken(), meaning=level)
+
+
+def test_words_move_the_body_at_their_gesture_and_nowhere_else() -> None:
+    plain, shown = take("off").rotations, take("normal").rotations
+    moved = np.flatnonzero((plain != shown).any(axis=(1, 2))) / 60.0
+    entry, = take("normal").plan().meanings
+    before, after = span_of_gesture("shrug")
+    assert entry.source == "words" and (entry.kind, entry.gesture, entry.word) == ("shrug", "shrug", "idea")
+    assert entry.time is not None and 3.3 <= entry.time <= 3.55
+    assert entry.time - before - 0.5 <= moved[0] <= entry.time and moved[-1] <= entry.time + after + 0.5
+    assert not take("off").plan().meanings
+
+
+def test_a_plan_replays_its_meanings_and_what_is_deleted_is_left_out() -> None:
+    plan = parse_plan(take("normal").plan().to_json())
+    assert plan == take("normal").plan()
+    assert np.array_equal(system()(spoken(), plan=plan).rotations, take("normal").rotations)
+    assert np.array_equal(system()(spoken(), plan=replace(plan, meanings=())).rotations, take("off").rotations)
+    assert np.array_equal(system()(spoken(), plan=plan, meaning="off").rotations, take("off").rotations)
+
+
+def test_a_cue_at_the_place_outranks_the_words() -> None:
+    cued = system()(spoken(), cues=(GestureCue("wave", time=3.0),))
+    assert not cued.plan().meanings and [cue.gesture for cue in cued.plan().cues] == ["wave"]
+
+
+def test_a_stream_whose_words_come_first_shows_what_a_file_shows() -> None:
+    stream = system().stream(text=True)
+    stream.add_words(spoken().words or ())
+    parts = [stream.feed(piece) for piece in np.array_split(spoken().samples, 50)]
+    made = np.concatenate([part.rotations for part in (*parts, stream.finish())])
+    assert np.array_equal(made, take("normal").rotations)
+
+
+def test_an_interruption_ends_a_gesture_softly() -> None:
+    stream = system().stream(text=True)
+    stream.add_words(spoken().words or ())
+    before = stream.feed(spoken().samples[:6 * SAMPLE_RATE])
+    cut = int(3.4 * 60)
+    assert len(before) > cut, "the shrug is under way in frames that were returned"
+    after = stream.interrupt(3.4)
+    rest = [stream.idle(3.0)]
+    made = np.concatenate([before.rotations[:after.first], after.rotations, *(part.rotations for part in rest)])
+    turns = 2.0 * np.arccos(np.clip(np.abs((made[1:] * made[:-1]).sum(axis=-1)), 0.0, 1.0))
+    assert turns[after.first - 2:].max() <= 1.5 * turns[:after.first].max() + 0.02
+
+
+def test_a_meaning_with_an_unknown_gesture_is_refused() -> None:
+    plan = take("normal").plan()
+    wrong = replace(plan, meanings=(replace(plan.meanings[0], gesture="juggle"),))
+    with pytest.raises(InputError, match="juggle"):
+        parse_plan(wrong.to_json())
+    with pytest.raises(InputError, match="give both, or neither"):
+        parse_plan(replace(plan, meanings=(replace(plan.meanings[0], time=None),)).to_json())
