@@ -2,8 +2,9 @@
 
 People decide stroke by stroke: a preparation begins where the hand happens to be, but what is prepared does not depend
 on how the hand came there. So where the planner lets the hands set out (a preparation begins, or a stroke that was not
-prepared), the block is generated as the first of a performance, from a pose h that is keyed by seed and time, at rest. What is shown is the generated motion g plus an
-offset that fades from the difference of the pose p and the velocity v last shown (inertialisation, as in games):
+prepared), the block is generated as the first of a performance, from a pose h that is keyed by seed and time, at rest.
+What is shown is the generated motion g plus an offset that fades from the difference of the pose p and the velocity v
+last shown (inertialisation, as in games):
 
     x(t) = g(t) + (p - h) a(s) + v T b(s),   s = (t - t_0) / T,
     a(s) = 1 - s^3 (10 - 15 s + 6 s^2),   b(s) = s - 6 s^3 + 8 s^4 - 3 s^5
