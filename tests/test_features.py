@@ -150,14 +150,11 @@ def test_robust_features_hear_the_voice_and_neither_hiss_nor_faint_noise() -> No
 
 
 def test_other_settings_fit_other_blocks() -> None:
-    front = FRONT_ENDS["mel"](bands=20, frames=24, samples_per_frame=1067)
+    front = FRONT_ENDS["mel"](MelFrontEnd(20, 24, 1067), None, None)
     assert front.encode(np.zeros((2, 24 * 1067), np.float32)).low.shape == (2, 24, 22)
     assert front.name == "mel"
     with pytest.raises(ValueError, match="windows"):
         MEL.encode(np.zeros((2, 8000), np.float32))
-
-
-SIZE = {"bands": 32, "frames": 30, "samples_per_frame": 800, "sample_rate": RATE}
 
 
 def stack() -> SpeechEncoder:
@@ -196,7 +193,7 @@ KINDS = ("mel", "vqwav2vec", "fairseq", "hf")
 
 def made(kind: str, models: Path) -> FrontEnd:
     name = {"fairseq": f"fairseq:{models / 'vq-wav2vec.pt'}", "hf": f"hf:{models / 'normalising'}"}.get(kind, kind)
-    front = front_end(name, encoder=stack(), **SIZE)
+    front = front_end(name, MEL, encoder=stack())
     assert front.name == name
     return front
 
@@ -252,7 +249,7 @@ def test_the_levels_asked_for_are_the_ones_given() -> None:
     encoder, windows = stack(), speech_like(2)
     levels = encoder.levels(torch.from_numpy(windows), 30, range(1, 9))
     for layers, low, high in ((None, 2, 8), ((1, 5), 1, 5)):
-        heard = front_end("vqwav2vec", encoder=encoder, layers=layers, **SIZE).encode(windows)
+        heard = front_end("vqwav2vec", MEL, encoder=encoder, layers=layers).encode(windows)
         assert np.allclose(heard.low[..., :-2], levels[low - 1].detach().numpy(), atol=1e-5)
         assert np.allclose(heard.high[..., :-2], levels[high - 1].detach().numpy(), atol=1e-5)
 
@@ -263,7 +260,7 @@ def test_a_model_of_transformers_gives_the_means_of_its_hidden_layers(models: Pa
     from transformers import AutoModel
 
     windows = speech_like(2) + np.float32(0.2)
-    heard = front_end(f"hf:{models / folder}", layers=layers, **SIZE).encode(windows)
+    heard = front_end(f"hf:{models / folder}", MEL, layers=layers).encode(windows)
     if folder == "normalising":
         windows = (windows - windows.mean(1, keepdims=True)) / windows.std(1, keepdims=True)
     with torch.no_grad():
@@ -290,10 +287,10 @@ def test_a_front_end_that_is_not_to_be_had_is_refused_by_name(models: Path, tmp_
             (f"hf:{models / 'slow'}", None, "8000 Hz"),
             (f"hf:{models / 'plain'}", (1, 5), r"layers: is \[1, 5\]; give two numbers from 0 to 4")):
         with pytest.raises(InputError, match=message):
-            front_end(name, layers=layers, **SIZE)
+            front_end(name, MEL, layers=layers)
     for layers in ((0, 8), (2, 9), (2,), (1, 2, 3)):
         with pytest.raises(InputError, match="two numbers from 1 to 8"):
-            front_end("vqwav2vec", encoder=stack(), layers=layers, **SIZE)
+            front_end("vqwav2vec", MEL, encoder=stack(), layers=layers)
 
 
 def voice(gains: Array, block: float = 0.4) -> Samples:

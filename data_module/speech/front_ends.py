@@ -282,35 +282,31 @@ def _open(name: str, subject: str) -> tuple[Any, bool, int]:
 
 # ---------------------------------------------------------------------------------------------------- by name
 
-def _vqwav2vec(encoder: SpeechEncoder | None = None, layers: Sequence[int] | None = None, **size: Any) -> FrontEnd:
+def _vqwav2vec(mel: MelFrontEnd, encoder: SpeechEncoder | None, layers: Sequence[int] | None) -> FrontEnd:
     if encoder is None:
         raise InputError("front end 'vqwav2vec'", "needs a trained speech encoder", "use a bundle that has one")
-    return encoder_front_end(encoder, MelFrontEnd(**size), layers)
+    return encoder_front_end(encoder, mel, layers)
 
 
-FRONT_ENDS: dict[str, Callable[..., FrontEnd]] = {"mel": MelFrontEnd, "vqwav2vec": _vqwav2vec}
-"""Front ends by name; each takes frames, samples_per_frame and sample_rate, and what is its own by keyword."""
+FRONT_ENDS: dict[str, Callable[[MelFrontEnd, SpeechEncoder | None, Sequence[int] | None], FrontEnd]] = {
+    "mel": lambda mel, encoder, layers: mel, "vqwav2vec": _vqwav2vec}
+"""Front ends by name."""
 
 
-def front_end(name: str, *, bands: int, frames: int, samples_per_frame: int, sample_rate: int,
-              robust: bool = False, encoder: SpeechEncoder | None = None, layers: Sequence[int] | None = None
-              ) -> FrontEnd:
+def front_end(name: str, mel: MelFrontEnd, *, encoder: SpeechEncoder | None = None,
+              layers: Sequence[int] | None = None) -> FrontEnd:
     """A front end by name: one of `FRONT_ENDS`, "fairseq:PATH" or "hf:NAME" (a folder or a cached model).
 
-    bands: of "mel" only (a learned one uses only onsets and loudness). robust: see `MelFrontEnd`. frames: rows per
-    window (3K). encoder: for "vqwav2vec". layers: those of the low and the high level; None for the default. InputError
-    for an unknown name or a missing model.
+    mel: the mel front end, of which a learned one uses the sizes, the onsets and the loudness. encoder: for
+    "vqwav2vec". layers: those of the low and the high level; None for the default. InputError for an unknown name or a
+    missing model.
     """
-    size: dict[str, Any] = {"frames": frames, "samples_per_frame": samples_per_frame, "sample_rate": sample_rate,
-                            "robust": robust}
-    if name == "mel":
-        return FRONT_ENDS[name](bands=bands, **size)
     if name in FRONT_ENDS:
-        return FRONT_ENDS[name](encoder=encoder, layers=layers, **size)
+        return FRONT_ENDS[name](mel, encoder, layers)
     kind, _, where = name.partition(":")
     if not where or kind not in ("fairseq", "hf"):
         raise InputError("front end", f"there is no {name!r}",
                          f"choose from {', '.join(FRONT_ENDS)}, fairseq:PATH, hf:NAME_OR_FOLDER")
     if kind == "hf":
-        return transformers_front_end(where, MelFrontEnd(**size), layers)
-    return encoder_front_end(load_fairseq(where), MelFrontEnd(**size), layers, name=name)
+        return transformers_front_end(where, mel, layers)
+    return encoder_front_end(load_fairseq(where), mel, layers, name=name)

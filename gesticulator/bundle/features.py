@@ -20,7 +20,7 @@ from data_module import controls
 from data_module.errors import InputError
 from data_module.motion.representation import REPRESENTATIONS, Representation, representation
 from data_module.speech.audio import SAMPLE_RATE
-from data_module.speech.front_ends import FrontEnd, front_end
+from data_module.speech.front_ends import FrontEnd, MelFrontEnd, front_end
 from data_module.types import Array, BeatFlag, Blocks, Samples
 from gesticulator.bundle.config import Config
 
@@ -227,10 +227,10 @@ class SpeechBlock:
 def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:
     """The audio front end of the settings; encoder: that of the bundle, for "vqwav2vec"."""
     rhythm = config.rhythm
-    return front_end(
-        config.front_end.name, bands=config.front_end.bands, frames=3 * rhythm.frames,
-        samples_per_frame=block_module.samples_per_frame(SAMPLE_RATE, rhythm.fps), sample_rate=SAMPLE_RATE,
-        robust=config.front_end.robust, encoder=encoder, layers=config.front_end.layers or None)
+    settings = config.front_end
+    mel = MelFrontEnd(settings.bands, 3 * rhythm.frames, block_module.samples_per_frame(SAMPLE_RATE, rhythm.fps),
+                      SAMPLE_RATE, robust=settings.robust)
+    return front_end(settings.name, mel, encoder=encoder, layers=settings.layers or None)
 
 
 def tempo_column(durations: Array, longest: float, frames: int) -> Features:
