@@ -21,6 +21,7 @@ from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.options import MEANING_LEVELS, InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
+from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE
 from gesticulator.plan.plan import GestureCue
 from gesticulator.plan.plan_file import parse_plan
 
@@ -213,6 +214,23 @@ def test_a_forbidden_word_shows_nothing_and_a_cue_outranks() -> None:
     cued.add(words)
     assert [one.gesture for one in free.meanings()] == ["shrug"]
     assert not barred.meanings() and not cued.meanings()
+
+
+@pytest.mark.parametrize(("marks", "at"), [(("none",), 5), (("wave",), 5), (("wave",), 3)])
+def test_a_mark_outranks_what_the_words_call_for(marks: tuple[str, ...], at: int) -> None:
+    words = list(spread(IDEA))
+    words[at] = replace(words[at], marks=marks)
+    track = MeaningTrack("normal")
+    track.add(words)
+    assert not track.meanings()
+
+
+def test_every_meaning_with_a_gesture_has_one_that_offends_nobody() -> None:
+    gestures = [meaning_cues(language).gestures.values() for language in ("en", "de", "es")]
+    unknown = {name for names in gestures for name in names if name not in GESTURES}
+    assert len(unknown) <= 5, unknown
+    assert not [name for names in gestures for name in names
+                if name in GESTURES and REPERTOIRE[ALIASES.get(name, name)].offensive]
 
 
 def test_hands_that_rest_show_nothing() -> None:
