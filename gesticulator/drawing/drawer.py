@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.motion.movement import PAST, Pasts
+from data_module.types import Array
 from generator.flow import Circumstances, FlowGenerator, FlowInputs, alone
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import UNTOLD
@@ -75,10 +76,11 @@ class Drawer(Protocol):
         """Forget the blocks before, but not for how long speech or silence has lasted."""
 
     def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor,
-              unit: UnitDecision | None = None) -> tuple[Tensor, Tensor]:
+              unit: UnitDecision | None = None, shift: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """The next block [1, K, D_m] and its style code [1, d_z], after the motion past [1, K, D_m].
 
-        speech: the block's timing and sound; features: its inputs of the models; unit: the planner's decision, or None.
+        speech: the block's timing and sound; features: its inputs of the models; unit: the planner's decision, or None;
+        shift: [2 K, D_m] what will be added to the past and to the block where they are shown, or None.
         """
 
 
@@ -111,7 +113,7 @@ class RegressionDrawer:
         self.state = self.free = self.generator.first_state(rest[None], self.bundle.vectors[[lexeme]])
 
     def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor,
-              unit: UnitDecision | None = None) -> tuple[Tensor, Tensor]:
+              unit: UnitDecision | None = None, shift: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """See `Drawer.block`; this generator does not take the planner's decision."""
         code = past.new_zeros(1, self.bundle.config.generator.style_width)
         if self.style is not None:
@@ -159,7 +161,7 @@ class FlowDrawer:
         self.state = self.past = None
 
     def block(self, speech: SpeechBlock, features: BlockFeatures, lexeme: int, past: Tensor,
-              unit: UnitDecision | None = None) -> tuple[Tensor, Tensor]:
+              unit: UnitDecision | None = None, shift: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """See `Drawer.block`."""
         added = past.new_zeros(1, self.generator.basis.width)
         if self.past is not None:  # the motion may differ from the sampled block: rest, clamping
@@ -181,10 +183,13 @@ class FlowDrawer:
             # One candidate, few steps, no guidance. The guidance states above advance all the same, for later blocks.
             steps, context, pull = min(steps, HURRIED_STEPS), context[:1], pull[:0]
             _, block = self._sample(speech.keyed_at, 1, context, pull, steps)
-            if not self.chooser.too_fast(speech, past[0].cpu().numpy(), block.cpu().numpy()):
+            if not self.chooser.too_fast(speech, *_shown(past, block, shift)):
                 return block, code
         coefficients, blocks = self._sample(speech.keyed_at, self.settings.candidates, context, pull, steps)
-        best = self._best(speech, lexeme, coefficients, blocks, past, features)
+        distances = self.lexicon.distances(coefficients)
+        apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
+        control = None if features.control is None else features.control.cpu().numpy()
+        best = self.chooser.choose(speech, *_shown(past, blocks, shift), apart.cpu().numpy(), control)
         return blocks[best:best + 1], code
 
     def _code(self, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
@@ -239,12 +244,10 @@ class FlowDrawer:
             torch.tensor([condition == "history" for condition in left_out], device=self.device), row), list(
                 gains.values())
 
-    def _best(self, speech: SpeechBlock, lexeme: int, coefficients: Tensor, blocks: Tensor, past: Tensor,
-              features: BlockFeatures) -> int:
-        """The index of the best candidate, of coefficients [C, n] and their blocks [C, K, D_m]."""
-        if len(blocks) == 1:
-            return 0
-        distances = self.lexicon.distances(coefficients)
-        apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
-        control = None if features.control is None else features.control.cpu().numpy()
-        return self.chooser.choose(speech, past[0].cpu().numpy(), blocks.cpu().numpy(), apart.cpu().numpy(), control)
+
+def _shown(past: Tensor, blocks: Tensor, shift: Tensor | None) -> tuple[Array, Array]:
+    """[P, D_m] and [C, K, D_m]: the past [1, P, D_m] and the blocks [C, K, D_m] as they are shown; shift: [P + K, D_m]
+    to add, or None."""
+    if shift is not None:
+        past, blocks = past + shift[:past.shape[1]], blocks + shift[past.shape[1]:]
+    return past[0].cpu().numpy(), blocks.cpu().numpy()

@@ -165,12 +165,16 @@ class Rollout:
             features = replace(features, low=self._quiet_low, silent=True)
         self._drawer.keys = direction.keys or self.sampling.keys
         self._drawer.unseen = self.life is not None and self.life.rests_wholly
-        block, code = self._drawer.block(speech, features, self._previous, self._drawn, unit)
+        shift = None if self._offset is None else self._offset.at(speech.span.times)
+        block, code = self._drawer.block(speech, features, self._previous, self._drawn, unit,
+                                         None if shift is None else torch.cat([(self._past - self._drawn)[0], shift]))
         self._resting = self._resting + 1 if quiet else 0
         rest_decay = b.config.silence.rest_decay
         if self.life is None and self._resting > _BLOCKS_BEFORE_REST and rest_decay > 0:
             block = approach_rest(self._past[:, -1:], block, rest_decay)
-        motion = self._advance(block, speech)
+        motion = self._advance(block, shift)
+        if self._offset is not None and self._offset.over(speech.end):
+            self._offset = None
         decision = decided(speech, self._previous, scores, self.interpreter.explain(self._inner), self._drawer.keys,
                            probability)
         return BlockMotion(decision, self._previous, motion, code[0].cpu().numpy(), unit)
@@ -301,18 +305,16 @@ class Rollout:
         within = scores + self.bundle.planner.bias(unit)
         return within - (np.logaddexp.reduce(within) - np.logaddexp.reduce(scores))
 
-    def _advance(self, block: Tensor, speech: SpeechBlock | None = None) -> NDArray[np.float32]:
-        """[K, D_m] final motion of a generated block [1, K, D_m], which becomes the past of the next one."""
+    def _advance(self, block: Tensor, shift: Tensor | None = None) -> NDArray[np.float32]:
+        """[K, D_m] final motion of a generated block [1, K, D_m], which becomes the past of the next one; shift: [K,
+        D_m] to add to it, or None."""
         # Stay within the training data: the models' input must not drift away from it, pose by pose.
         self._drawn = self._past = torch.clamp(block, self._low, self._high)
         if self.life is None:
             return np.asarray(self._past[0].cpu().numpy())
-        offset = torch.zeros_like(block) if self._offset is None or speech is None else self._offset.at(
-            speech.span.times)
-        self._past = self._tensor(self.life.step((self._past + offset)[0].cpu().numpy()))[None]
-        self._drawn = self._past - offset
-        if self._offset is not None and speech is not None and self._offset.over(speech.end):
-            self._offset = None
+        shown = self._past if shift is None else self._past + shift
+        self._past = self._tensor(self.life.step(shown[0].cpu().numpy()))[None]
+        self._drawn = self._past if shift is None else self._past - shift
         return self.life.alive(self._past[0].cpu().numpy()).astype(np.float32)
 
     def _select(self, direction: Direction, scores: NDArray[np.float64], speech: SpeechBlock,
