@@ -177,9 +177,10 @@ class Gesticulator:
         """`perform` for speech that was resampled to `SAMPLE_RATE` and amplified (`_prepared`)."""
         if options.plan is not None:
             return self.render(speech, options, on_block=on_block)
-        from gesticulator.directing.marks import with_mark_cues
+        if any(word.marks for word in speech.words or ()):
+            from gesticulator.directing.marks import with_mark_cues
 
-        options = with_mark_cues(options, speech.words or ())
+            options = with_mark_cues(options, speech.words or ())
         cast = self.cast(options, self._reads(speech))
         encoded = self.encode_speech(speech) if encoded is None else encoded
         directions = None

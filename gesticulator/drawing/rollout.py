@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 BEST = 5
 """Number of alternative lexemes stored for a block."""
 
+_CONTIGUOUS = 1e-3
+"""Seconds between two blocks without a gap."""
 _BLOCKS_BEFORE_REST = 2
 """Quiet blocks that are played as generated, before rest decay begins: the arms come down in them."""
 
@@ -140,6 +142,7 @@ class Rollout:
             names = representation_of(b.config).motion(rest[None], 1.0).skeleton.names
             self._first_poses = FirstPoses(self.sampling.keys, names, b.statistics.normalise(rest, speaker))
         self._offset: Offset | None = None
+        self._until = 0.0
         self._unit: UnitDecision | None = None
 
     @torch.inference_mode()
@@ -147,6 +150,9 @@ class Rollout:
              ) -> BlockMotion:
         """The next block. control: rows [K, 2 F], or None; direction: instructions for the block."""
         b = self.bundle
+        if abs(speech.start - self._until) > _CONTIGUOUS:  # what has passed unseen has not faded an offset
+            self._drawn, self._offset = self._past, None
+        self._until = speech.end
         features = self._features(speech, control, self._drawn[0])
         unit = self._planned(speech, features)
         if self._sets_out(unit) and direction.keys is None:
