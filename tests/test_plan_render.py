@@ -127,7 +127,8 @@ def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: LivePla
     first, last = changed(made, drawn)
     assert begin - REACH <= first < block.end and first < last <= end + blend + REACH
     # A hand that was fast is faster by the intensity, and by the way there and back.
-    assert hand_speeds(made).max() < (2.1 if what == "intensity" else 1.1) * max(hand_speeds(drawn).max(), 3.2), "no jump"
+    fastest = (2.1 if what == "intensity" else 1.1) * max(hand_speeds(drawn).max(), 3.2)
+    assert hand_speeds(made).max() < fastest, "no jump"
     if what == "silence":
         inside = slice(round((block.start + 0.3) * 60), round(block.end * 60))
         assert hand_speeds(made)[inside].mean() < 0.5 * hand_speeds(drawn)[inside].mean()
