@@ -192,7 +192,7 @@ def recalled(talks: Sequence[Talk], played: bool) -> Interval:
 
 
 def precision_of(talks: Sequence[Talk], judge: int) -> tuple[Interval, int]:
-    """Precision of the gestures that are shown and were judged, by column `judge` of the judgements; and their number."""
+    """Precision of the gestures that are shown and were judged, by column `judge` of the judgements; their number."""
     shown = {(talk.name, one.word, one.label) for talk in talks for one in talk.shown()}
     found = [row for row in judgements()["judged"] if tuple(row[:3]) in shown]
     return share(sum(row[judge] for row in found), len(found)), len(found)
