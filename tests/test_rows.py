@@ -141,7 +141,9 @@ def context_of(config: configs.Config) -> RgRows:
 
 def test_the_preset_is_the_papers_system_made_short_and_hears_what_the_shipped_one_hears() -> None:
     ours, theirs, shipped = rg.ablation(), presets.preset("regression"), presets.preset("default")
-    assert ours.front_end == shipped.front_end and "speech" not in [stage.name for stage in wanted(ours)]
+    # But for the robust features, which are younger than the rows' figures.
+    assert ours.front_end == dataclasses.replace(shipped.front_end, robust=False)
+    assert "speech" not in [stage.name for stage in wanted(ours)]
     assert (ours.lexicon, ours.rhythm, ours.silence, ours.selection) == (
         theirs.lexicon, theirs.rhythm, theirs.silence, theirs.selection)
     for name in ("lexicon", "generator", "interpreter", "interpreter_text", "style"):

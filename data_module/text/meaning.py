@@ -9,13 +9,13 @@ that was written to be read, cue phrases are worth less than in talk: it has mor
 from __future__ import annotations
 
 import functools
-import importlib.resources
 import itertools
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+from data_module.files import read_object
 from data_module.text.cue_patterns import CuePattern, SpokenText, cue_pattern, spoken_text
 
 __all__ = ["LANGUAGES", "CalledGesture", "MeaningCues", "language_of", "meaning_cues"]
@@ -169,8 +169,7 @@ def meaning_cues(language: str = "en") -> MeaningCues:
 
 @functools.cache
 def _table() -> tuple[Mapping[str, Any], ...]:
-    text = (importlib.resources.files("data_module.text") / "meaning_cues.json").read_text("utf-8")
-    return tuple(json.loads(text)["classes"])
+    return tuple(read_object(Path(__file__).with_name("meaning_cues.json"), "install the program again")["classes"])
 
 
 def _class(row: Mapping[str, Any], language: str) -> MeaningClass:

@@ -21,8 +21,6 @@ from __future__ import annotations
 import argparse
 import functools
 import hashlib
-import importlib.resources
-import json
 import re
 import struct
 import time
@@ -38,7 +36,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from data_module.errors import InputError
-from data_module.files import parse_json, read_table
+from data_module.files import parse_json, read_object, read_table
 from data_module.settings import whole_number
 from data_module.speech.audio import load_speech
 from data_module.text.meaning import CalledGesture, meaning_cues
@@ -151,9 +149,7 @@ def _member(path: Path, option: str, name: str | re.Pattern[str]) -> list[str]:
 def judgements() -> Mapping[str, Any]:
     """Sites [(speech, word, labels)], judged gestures [(speech, word, label, fired, author, rater, rater)], and traps
     [(label, sentence)]."""
-    text = (importlib.resources.files("eval.probes") / "meaning_judgements.json").read_text("utf-8")
-    held: Mapping[str, Any] = json.loads(text)
-    return held
+    return read_object(Path(__file__).with_name("meaning_judgements.json"), "install the program again")
 
 
 # -------------------------------------------------------------------------------------------------------- figures
