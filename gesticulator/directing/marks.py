@@ -59,8 +59,6 @@ def prompt(gestures: Iterable[str] | None = None) -> str:
 
 def with_mark_cues(options: InferenceOptions, words: Sequence[Word]) -> InferenceOptions:
     """The options with a cue for each mark of the words. Warns (`MarkWarning`), once, of marks that name no gesture."""
-    if not any(word.marks for word in words):
-        return options
     warn_of_unknown(name for word in words for name in word.marks)
     return replace(options, cues=(*options.cues, *mark_cues(words)))
 

@@ -25,7 +25,7 @@ _MILLISECONDS = 100
 """Milliseconds between independent numbers: half of the shortest block."""
 _MOTION, _CHOICE = 0, 1
 _POSE, _PLAN = 1 << 20, (1 << 20) + 1
-"""Kinds of numbers. Each variation has its own motion; the poses and the plan do not vary."""
+"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses and of the planner."""
 _CHANNELS = 1 << 32
 """The first channel of `life.mixed` here; the idle motion and the choice of phrases use lower ones."""
 

@@ -7,11 +7,12 @@ whether its picture alone says little (`weak`), whether it may offend, and what 
 
 from __future__ import annotations
 
-import csv
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+from data_module.files import read_table
 
 __all__ = ["ALIASES", "GESTURES", "REPERTOIRE", "NamedGesture", "mark_of", "near_gestures"]
 
@@ -42,10 +43,11 @@ class NamedGesture:
 
 
 def _read_table() -> dict[str, NamedGesture]:
-    with _TABLE.open(encoding="utf-8", newline="") as file:
-        return {row["name"]: NamedGesture(
-            row["name"], tuple(row["category"].split()), row["hands"], row["core"] == "yes", row["weak"] == "yes",
-            row["offensive"] == "yes", row["meaning"]) for row in csv.DictReader(file)}
+    table = read_table(_TABLE, "install the program again")
+    rows = ({key: cell or "" for key, cell in row.items()} for _, row in table)
+    return {row["name"]: NamedGesture(
+        row["name"], tuple(row["category"].split()), row["hands"], row["core"] == "yes", row["weak"] == "yes",
+        row["offensive"] == "yes", row["meaning"]) for row in rows}
 
 
 REPERTOIRE: Mapping[str, NamedGesture] = _read_table()
