@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gesticulator.drawing.keys import Keys
+from gesticulator.drawing.drawer import Keys
 from interpreters.base import select
 
 LEXEMES = 60
