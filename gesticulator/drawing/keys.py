@@ -24,8 +24,10 @@ from gesticulator.body.life import normal
 _MILLISECONDS = 100
 """Milliseconds between independent numbers: half of the shortest block."""
 _MOTION, _CHOICE = 0, 1
-_POSE, _PLAN = 1 << 20, (1 << 20) + 1
-"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses and of the planner."""
+_POSE, _PLAN, _ACTIVITY = 1 << 20, (1 << 20) + 1, (1 << 20) + 2
+"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses, of the planner and of activity."""
+_WAXES = 3000
+"""Milliseconds between independent numbers of activity: people's gestures wax and wane over a few seconds."""
 _CHANNELS = 1 << 32
 """The first channel of `life.mixed` here; the idle motion and the choice of phrases use lower ones."""
 
@@ -57,12 +59,17 @@ class Keys:
 
         return np.asarray(ndtr(self._normal(_POSE, time, count)))
 
-    def _normal(self, kind: int, time: float, count: int) -> Array:
-        """[count] standard normal numbers at a time in seconds; times within a millisecond are the same."""
-        cell, rest = divmod(round(time * 1000), _MILLISECONDS)
+    def activity(self, time: float) -> float:
+        """A standard normal number that changes over seconds: how lively the gestures are at `time`."""
+        return float(self._normal(_ACTIVITY, time, 1, _WAXES)[0])
+
+    def _normal(self, kind: int, time: float, count: int, apart: int = _MILLISECONDS) -> Array:
+        """[count] standard normal numbers at a time in seconds; times within a millisecond are the same. apart:
+        milliseconds between independent numbers."""
+        cell, rest = divmod(round(time * 1000), apart)
         numbers = cell * count + np.arange(2 * count)
         both = normal(self.seed, _CHANNELS + 2 * self.variation + kind, numbers)
-        angle = 0.5 * pi * rest / _MILLISECONDS
+        angle = 0.5 * pi * rest / apart
         return cos(angle) * both[:count] + sin(angle) * both[count:]
 
 

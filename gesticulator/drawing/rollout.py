@@ -23,6 +23,7 @@ from gesticulator.drawing.fresh_starts import FirstPoses, Offset
 from gesticulator.drawing.keys import Keys
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
 from interpreters.base import BlockFeatures, Explanation, LexemeInterpreter, as_interpreter, select
+from interpreters.planner import PHASES
 
 if TYPE_CHECKING:
     from interpreters.planner import UnitDecision
@@ -33,6 +34,8 @@ BEST = 5
 
 _CONTIGUOUS = 1e-3
 """Seconds between two blocks without a gap."""
+AFRESH = 1.6
+"""Seconds of strokes after which the next one is prepared anew."""
 _BLOCKS_BEFORE_REST = 2
 """Quiet blocks that are played as generated, before rest decay begins: the arms come down in them."""
 
@@ -144,6 +147,7 @@ class Rollout:
         self._offset: Offset | None = None
         self._until = 0.0
         self._unit: UnitDecision | None = None
+        self._set_out = 0.0
 
     @torch.inference_mode()
     def step(self, speech: SpeechBlock, control: NDArray[np.float32] | None = None, direction: Direction = FREE
@@ -155,7 +159,7 @@ class Rollout:
         self._until = speech.end
         features = self._features(speech, control, self._drawn[0])
         unit = self._planned(speech, features)
-        if self._sets_out(unit) and direction.keys is None:
+        if self._sets_out(speech, unit) and direction.keys is None:
             self._begin_unit(speech)
             features = replace(features, past=self._drawn[0])
         self._unit = unit
@@ -185,9 +189,12 @@ class Rollout:
                            probability)
         return BlockMotion(decision, self._previous, motion, code[0].cpu().numpy(), unit)
 
-    def _sets_out(self, unit: UnitDecision | None) -> bool:
-        """Whether what was before is forgotten in this block, in which the planner lets the hands set out."""
-        return self._first_poses is not None and unit is not None and unit.begins_after(self._unit)
+    def _sets_out(self, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
+        """Whether what was before is forgotten in this block: the planner lets the hands set out, or one stroke has
+        followed another for long."""
+        if self._first_poses is None or unit is None:
+            return False
+        return unit.begins_after(self._unit) or (unit.follows(self._unit) and speech.start - self._set_out >= AFRESH)
 
     def _begin_unit(self, speech: SpeechBlock) -> None:
         """Forget what was before: the next block is generated as the first of a performance."""
@@ -195,6 +202,7 @@ class Rollout:
         shown = self._past[0]
         velocity = (shown[-1] - shown[-2]) * (shown.shape[0] / speech.durations[0])
         first = torch.clamp(self._tensor(self._first_poses.at(speech.keyed_at)), self._low, self._high)
+        self._set_out = speech.start
         self._offset = Offset(speech.start, shown[-1] - first, velocity)
         self._drawn = first.expand_as(shown)[None]
         self._previous = self.bundle.rest_lexeme(self.speaker)
@@ -269,8 +277,17 @@ class Rollout:
         # Where lexemes are not drawn, phases are not either.
         temperature = float(self.sampling.temperature > 0)
         unit, self._planner_state = self._planner.step(self._planner_state, features, noise, temperature,
-                                                       self.bundle.config.selection.hold)
+                                                       self._phrasing(speech))
         return unit
+
+    def _phrasing(self, speech: SpeechBlock) -> NDArray[np.float64]:
+        """[5] what is added to the planner's logits of the phases: holds, above all at the end of a phrase, and
+        preparations just before the voice returns."""
+        settings, bias = self.bundle.config.selection, np.zeros(len(PHASES))
+        bias[PHASES.index("hold")] = settings.hold
+        if speech.quiet.mean() >= 0.5 and speech.ahead is not None:
+            bias[PHASES.index("hold" if speech.ahead.all() else "preparation")] += settings.phrasing
+        return bias
 
     def _still(self, unit: UnitDecision | None, direction: Direction) -> NDArray[np.bool_] | None:
         """[K] frames in which the hands hold still, by the instructions or by the planner; None for none. A gesture
