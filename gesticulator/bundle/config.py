@@ -252,6 +252,8 @@ class SelectionConfig:
     """Weight, relative to `timing`, of wrists and elbows outside the trunk, and of arms that are not folded."""
     as_asked: NotNegative = 0.0
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
+    together: NotNegative = 0.0
+    """Weight, relative to `timing`, of a head that turns as fast as goes with the speed of the hands."""
     as_styled: NotNegative = 0.0
     """Weight, relative to `timing`, of hands that are as fast, high and far as the unit's style code says."""
     fresh: bool = False

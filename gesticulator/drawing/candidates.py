@@ -15,6 +15,8 @@ a small change of pose or sound rarely changes the choice:
   the radii, mean over the block.
 - Style: sum over speed, height and reach of the hands of z m / s, with z the style code of the unit
   (`interpreters.unit_style`), m the mean over the block, and s its deviation in the training data.
+- Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
+  hands over the block, and h_0 and s_0 what they are in speech: the head moves when the hands do.
 - Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their
   targets, in standard deviations of the training data.
 
@@ -33,6 +35,7 @@ from data_module import controls
 from data_module.motion.kinematics import chains, positions_of_some
 from data_module.motion.rotation import from_exponential_map
 from data_module.types import Array, Motion
+from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
 
@@ -57,6 +60,8 @@ _FACE, _FACE_AT, _HAND = 0.22, (0.0, 0.09, 0.08), 0.36
 """Radius about the middle of the face that arms keep out of, and where that is from the joint of the head, metres; and
 how far a hand reaches beyond the wrist, as a share of the forearm. Arms of people come within 18 cm of it in at most
 1 % of the time."""
+_HEAD_TURNS, _HANDS_MOVE, _LEAST = 0.4, 0.5, 0.1
+"""h_0, rad/s, and s_0, m/s; and what is added to a share of them, so that stillness has a logarithm."""
 _LEXEME = 2.0
 """Weight of the lexeme: a candidate that is a twentieth nearer to another lexeme loses 0.2."""
 
@@ -74,6 +79,7 @@ class CandidateChooser:
         self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm")
                         for side in ("Right", "Left")]
         self._joints += [chest, skeleton.index("Head")]
+        self._head = np.flatnonzero(np.repeat([name in HEAD for name in skeleton.names], 3))
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
@@ -87,7 +93,8 @@ class CandidateChooser:
         """
         if len(blocks) == 1:
             return 0
-        places, times = self._paths(speech, past, blocks)
+        poses, times = self._poses(past, blocks), self._times(speech, blocks.shape[1])
+        places = self._places(poses)
         allowed = slow_enough(places[:, :, :2], times)
         hands = places[allowed, :, :2]
         score = -_LEXEME * np.log(apart[allowed].astype(np.float64))
@@ -95,6 +102,8 @@ class CandidateChooser:
             score -= self._settings.clear * depth(places[allowed, _BEFORE:])
         if self._settings.timing and len(speech.onsets) > 0:
             score += self._settings.timing * in_time(hands, times, speech.start, speech.onsets)
+        if self._settings.together:
+            score -= self._settings.together * apart_from_hands(poses[allowed][..., self._head], hands, times)
         if self._settings.seam:
             score -= self._settings.seam * jolt(hands, times)
         if code is not None and self._settings.as_styled:
@@ -105,19 +114,19 @@ class CandidateChooser:
 
     def too_fast(self, speech: SpeechBlock, past: Array, blocks: Array) -> bool:
         """Whether a hand is faster than `FASTEST` in every candidate; shapes as in `choose`."""
-        places, times = self._paths(speech, past, blocks)
+        places, times = self._places(self._poses(past, blocks)), self._times(speech, blocks.shape[1])
         return bool((fastest(places[:, :, :2], times) > FASTEST).all())
 
-    def _paths(self, speech: SpeechBlock, past: Array, blocks: Array) -> tuple[Array, Array]:
-        """Positions [C, T, 8, 3], metres, in the last frames before a block and in its candidates, and the times [T] of
-        the frames; see `_places`."""
+    def _poses(self, past: Array, blocks: Array) -> Array:
+        """[C, T, D_m] features in radians or metres, in the last frames before a block and in its candidates."""
         frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
-        return self._places(frames), self._times(speech, blocks.shape[1])
+        poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
+        return np.asarray(poses.reshape(frames.shape))
 
     def _places(self, frames: Array) -> Array:
         """Positions [C, T, 8, 3] over the hips, metres, of hands, elbows and shoulders (the right one first), the
-        chest and the head, from features [C, T, D_m]."""
-        poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
+        chest and the head, from poses [C, T, D_m]."""
+        poses = frames.reshape(-1, frames.shape[-1])
         if self._arms is None:
             places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
         else:
@@ -215,6 +224,20 @@ def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
     near = np.exp(-0.5 * (distance / _NEAR) ** 2)
     braking, near = braking[:, counts], near[counts]
     return np.asarray((braking * near).sum(1) / (braking.sum(1) + _STILL))
+
+
+def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
+    """[C] how far the head's turning speed in each block is from what goes with the speed of the hands, in natural
+    logarithms.
+
+    head: [C, T, 3 n] rotations of the joints of neck and head as exponential maps, whose sum turns as the head does
+    while they are small; hands, times: see `fastest`.
+    """
+    seconds = times[-1] - times[_BEFORE - 1]
+    turns = head[:, _BEFORE - 1:].reshape(*head[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
+    turned = np.linalg.norm(np.diff(turns, axis=1), axis=-1).sum(1) / seconds
+    moved = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1).sum(1) / seconds
+    return np.asarray(np.abs(np.log(turned / _HEAD_TURNS + _LEAST) - np.log(moved / _HANDS_MOVE + _LEAST)))
 
 
 def jolt(hands: Array, times: Array) -> Array:
