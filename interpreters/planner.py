@@ -165,9 +165,9 @@ class UnitPlanner(nn.Module):
     def step(self, state: PlannerState, features: BlockFeatures, noise: np.ndarray, temperature: float = 1.0,
              bias: np.ndarray | None = None) -> tuple[UnitDecision, PlannerState]:
         """The decision for the next block: arg max of logits / temperature + Gumbel noise, which is a sample; the
-        likeliest at temperature 0. noise: [`choices`] standard Gumbel numbers. bias: [5] added to the logits of
-        the phases, that of a hold only after a stroke or a hold, where hands are up. A hold lasts at least `LEAST_HOLD` seconds: a hand takes half of that to
-        stop, so a shorter one is not visible."""
+        likeliest at temperature 0. noise: [`choices`] standard Gumbel numbers. bias: [5] added to the logits of the
+        phases, that of a hold only after a stroke or a hold, where hands are up. A hold lasts at least `LEAST_HOLD`
+        seconds: a hand takes half of that to stop, so a shorter one is not visible."""
         heard, hidden = self.hear(features.low[None, None], state.speaker, state.last[:, None], state.hidden)
         seconds = 0.0 if features.durations is None else features.durations[1]
         if 0.0 < state.held < LEAST_HOLD:

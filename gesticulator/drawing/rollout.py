@@ -26,6 +26,7 @@ from interpreters.base import BlockFeatures, Explanation, LexemeInterpreter, as_
 from interpreters.planner import PHASES
 
 if TYPE_CHECKING:
+    from gesticulator.bundle.config import SelectionConfig
     from interpreters.planner import UnitDecision
     from lexicon.racer import RacerCodec
 
@@ -104,6 +105,16 @@ def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
     frames = block.shape[1]
     steps = torch.arange(1, frames + 1, dtype=block.dtype, device=block.device)[:, None] / frames
     return last + share * steps * (block.mean(dim=1, keepdim=True) - last)
+
+
+def phrasing(settings: SelectionConfig, speech: SpeechBlock) -> NDArray[np.float64]:
+    """[5] what is added to the planner's logits of the phases: holds, above all where a pause goes on, and preparations
+    just before the voice returns."""
+    bias = np.zeros(len(PHASES))
+    bias[PHASES.index("hold")] = settings.hold
+    if speech.quiet.mean() >= 0.5 and speech.ahead is not None:
+        bias[PHASES.index("hold" if speech.ahead.all() else "preparation")] += settings.phrasing
+    return bias
 
 
 class Rollout:
@@ -277,17 +288,8 @@ class Rollout:
         # Where lexemes are not drawn, phases are not either.
         temperature = float(self.sampling.temperature > 0)
         unit, self._planner_state = self._planner.step(self._planner_state, features, noise, temperature,
-                                                       self._phrasing(speech))
+                                                       phrasing(self.bundle.config.selection, speech))
         return unit
-
-    def _phrasing(self, speech: SpeechBlock) -> NDArray[np.float64]:
-        """[5] what is added to the planner's logits of the phases: holds, above all at the end of a phrase, and
-        preparations just before the voice returns."""
-        settings, bias = self.bundle.config.selection, np.zeros(len(PHASES))
-        bias[PHASES.index("hold")] = settings.hold
-        if speech.quiet.mean() >= 0.5 and speech.ahead is not None:
-            bias[PHASES.index("hold" if speech.ahead.all() else "preparation")] += settings.phrasing
-        return bias
 
     def _still(self, unit: UnitDecision | None, direction: Direction) -> NDArray[np.bool_] | None:
         """[K] frames in which the hands hold still, by the instructions or by the planner; None for none. A gesture
