@@ -149,8 +149,8 @@ def _wrists(wrists: NDArray[np.float64] | None) -> dict[str, float]:
 
 
 FIGURES = ("eye_splay", "eye_splay_both", "eye_azimuth", "eye_elbow", "eye_folded", "eye_face", "eye_hands_apart",
-           "eye_shoulder", "eye_wrist_50", "eye_wrist_95", "eye_finger_bend", "eye_finger_over_time", "eye_finger_between",
-           "eye_thumb_index")
+           "eye_shoulder", "eye_wrist_50", "eye_wrist_95", "eye_finger_bend", "eye_finger_over_time",
+           "eye_finger_between", "eye_thumb_index")
 
 
 def figures(body: CommonBody) -> dict[str, float]:
