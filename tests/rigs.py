@@ -27,6 +27,7 @@ class Rig:
     """A character, and what is true of it.
 
     truth: our joint -> node; spine and neck: their chains. axes: [3, 3] ours = axes @ file's. unit: metres per unit.
+    bind: [N, 4, 4] the pose that the mesh was bound in, where it is not the rest pose.
     """
 
     character: Character
@@ -39,6 +40,11 @@ class Rig:
     pose: str
     size: float
     torso: tuple[float, float]
+    bind: np.ndarray | None = None
+
+    def bound(self) -> np.ndarray:
+        """[N, 4, 4] the nodes in the pose that the mesh was bound in, where `axes` hold."""
+        return self.character.world_matrices() if self.bind is None else self.bind
 
 
 @dataclass
@@ -474,19 +480,23 @@ class _Builder:
                    self.style, pose, self.size, torso)
 
 
-def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None) -> bytes:
+def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None, above: np.ndarray | None = None,
+           mesh: np.ndarray | None = None) -> bytes:
     """The rig as a GLB with a skin, its inverse bind matrices, a mesh of points and, where it has one, the VRM table.
 
     turned: node -> [4] local rotation, w first, that the file stands in, other than the pose of the inverse matrices.
+    above: [4, 4] matrix of a node that holds all others. mesh: [4, 4] from the mesh's space to that node's.
     """
     character = rig.character
     joints = np.flatnonzero(character.skinned).tolist()
-    inverse = np.linalg.inv(character.world_matrices()[joints]).transpose(0, 2, 1).astype("<f4")
+    mesh = np.eye(4) if mesh is None else mesh
+    inverse = (np.linalg.inv(character.world_matrices()[joints]) @ mesh).transpose(0, 2, 1).astype("<f4")
+    points = (character.flesh - mesh[:3, 3]) @ np.linalg.inv(mesh[:3, :3]).T
     weights = np.zeros((len(character.flesh), 4), "<f4")
     weights[:, 0] = 1.0
     which = np.zeros((len(character.flesh), 4), "<u2")
     which[:, 0] = [joints.index(int(node)) for node in character.flesh_nodes]
-    parts = [inverse.tobytes(), character.flesh.astype("<f4").tobytes(), which.tobytes(), weights.tobytes()]
+    parts = [inverse.tobytes(), points.astype("<f4").tobytes(), which.tobytes(), weights.tobytes()]
     starts = np.cumsum([0, *map(len, parts)]).tolist()
     kinds = ((5126, "MAT4", len(joints)), (5126, "VEC3", len(which)), (5123, "VEC4", len(which)),
              (5126, "VEC4", len(which)))
@@ -497,7 +507,10 @@ def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None) -> bytes:
                       "scale": character.scales[node].tolist()})
         below = [child for child, parent in enumerate(character.parents) if parent == node]
         nodes[-1] |= {"children": below} if below else {}
-    nodes.append({"name": "mesh", "mesh": 0, "skin": 0})
+    nodes.append({"name": "mesh", "mesh": 0, "skin": 0, "matrix": mesh.T.ravel().tolist()})
+    if above is not None:
+        tops = [node for node, parent in enumerate(character.parents) if parent < 0]
+        nodes.append({"name": "Scene", "matrix": above.T.ravel().tolist(), "children": [*tops, len(character)]})
     document: dict[str, Any] = {
         "asset": {"version": "2.0"}, "nodes": nodes, "skins": [{"joints": joints, "inverseBindMatrices": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "JOINTS_0": 2, "WEIGHTS_0": 3}, "mode": 0}]}],
@@ -515,6 +528,73 @@ def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None) -> bytes:
     binary += b"\0" * (-len(binary) % 4)
     return (struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary)) + struct.pack("<I4s", len(text), b"JSON")
             + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+
+
+PLACES = ("as bound", "everywhere", "one limb", "hips turned", "turned", "leaning", "lying", "small", "large",
+          "mirrored", "mesh in centimetres, Z up")
+"""How a file may stand other than in the pose that its mesh was bound in, or place it."""
+
+
+def placed(rig: Rig, place: str, rng: np.random.Generator, path: Path) -> Rig:
+    """The rig as it is read from a GLB that stands or is placed as one of `PLACES` says, and what is true of it."""
+    above, mesh, turned = np.eye(4), np.eye(4), {}
+    axes, bound = rig.axes, rig.character.world_matrices()
+    if place in ("everywhere", "one limb", "hips turned"):
+        turned = _posed(rig, place, rng)
+    elif place in ("turned", "leaning", "lying"):
+        turn = {"turned": Rotation.from_euler("Y", float(rng.uniform(-180, 180)), degrees=True),
+                "leaning": Rotation.from_euler("X", float(rng.choice([-35, -20, 25, 40])), degrees=True),
+                "lying": Rotation.from_euler(str(rng.choice(["X", "Z"])), float(rng.choice([-90, 90])), degrees=True)}[
+                    place].as_matrix()
+        above[:3, :3] = turn
+        if place == "turned":
+            axes, bound = axes @ turn.T, above @ bound
+        elif place == "lying":  # set upright, facing as the format defines it
+            bound[:, :3, :3] = axes @ bound[:, :3, :3]
+            axes = np.eye(3)
+    elif place in ("small", "large"):
+        above[:3, :3] *= 0.01 if place == "small" else 100.0
+    elif place == "mirrored":
+        above[0, 0] = -1.0
+        bound, axes = above @ bound, axes @ np.diag([-1.0, 1.0, 1.0]) * np.array([[-1.0], [1.0], [1.0]])
+    elif place != "as bound":
+        mesh[:3, :3] = Rotation.from_euler("X", -90.0, degrees=True).as_matrix() * 0.01
+        if rng.random() < 0.5:
+            turned = _posed(rig, "everywhere", rng)
+    path.write_bytes(as_glb(rig, turned, above, mesh))
+    return _read_again(rig, path, axes, bound, {"small": 100.0, "large": 0.01}.get(place, 1.0), place == "mirrored")
+
+
+def _posed(rig: Rig, place: str, rng: np.random.Generator) -> dict[int, np.ndarray]:
+    """Node -> local rotation of another pose: of all joints, of those of one arm, or of the hips."""
+    most = {"Arm": 70, "ForeArm": 60, "Hand": 30, "UpLeg": 35, "Leg": 40, "Foot": 20}
+    joints = rig.truth | {f"Spine{i}": node for i, node in enumerate([*rig.spine, *rig.neck])}
+    if place != "everywhere":
+        side = str(rng.choice(SIDES))
+        kept = ("Hips",) if place == "hips turned" else tuple(side + part for part in ("Arm", "ForeArm", "Hand"))
+        joints = {name: node for name, node in rig.truth.items() if name.startswith(kept)}
+    out = {}
+    for name, node in joints.items():
+        largest = 90 if place == "hips turned" else most.get(_sided(name)[1], 12)
+        turn = Rotation.from_rotvec(rng.uniform(-1, 1, 3) / np.sqrt(3) * np.radians(largest))
+        out[node] = (Rotation.from_quat(rig.character.rotations[node], scalar_first=True) * turn).as_quat(
+            scalar_first=True)
+    return out
+
+
+def _read_again(rig: Rig, path: Path, axes: np.ndarray, bound: np.ndarray, unit: float, swapped: bool) -> Rig:
+    """The rig with the character of the file, its nodes in the order in which they are read."""
+    from gesticulator.characters.reading import read_character
+
+    character = read_character(path)
+    at = {number: node for node, number in enumerate(character.node_ids)}
+    other = {"Left": "Right", "Right": "Left"} if swapped else {side: side for side in SIDES}
+    truth = {other.get(_sided(name)[0], "") + _sided(name)[1]: at[node] for name, node in rig.truth.items()}
+    whole = character.world_matrices()
+    for node in range(len(rig.character)):
+        whole[at[node]] = bound[node]
+    return Rig(character, truth, [at[node] for node in rig.spine], [at[node] for node in rig.neck], axes, unit,
+               rig.style, rig.pose, rig.size, rig.torso, whole)
 
 
 def _is_ours(key: str) -> bool:

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.files import read_json
 from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.bvh_rig import turns_of
-from gesticulator.characters.rig import Character
+from gesticulator.characters.rig import Character, decomposed
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 _LARGEST = 1 << 28
@@ -51,8 +50,7 @@ def from_bones(path: Path, bones: list[dict[str, Any]]) -> Character:
     skinned = np.ones(n, dtype=bool)
     skinned[0] = False
     return Character(
-        tuple(node["name"] for node in bones), tuple(node["parent"] for node in bones), matrices[:, :3, 3],
-        Rotation.from_matrix(turns_of(matrices)).as_quat(scalar_first=True),
-        np.linalg.norm(matrices[:, :3, :3], axis=1), path, "fbx", skinned, unit=1.0,
+        tuple(node["name"] for node in bones), tuple(node["parent"] for node in bones), *decomposed(matrices), path,
+        "fbx", skinned, space=turns_of(matrices[0]), unit=1.0,
         tips={index: np.array([0.0, float(node["length"]), 0.0]) for index, node in enumerate(bones)
               if index and not any(other["parent"] == index for other in bones)})

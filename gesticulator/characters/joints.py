@@ -18,7 +18,7 @@ from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, NEEDED, SIDES, RigMapping, ancestors
 from gesticulator.characters.names import Label, label
-from gesticulator.characters.rig import Character
+from gesticulator.characters.rig import UPS, Character
 
 _VRM_PARTS = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
               "Leg": "LowerLeg", "Foot": "Foot", "ToeBase": "Toes"}
@@ -31,6 +31,8 @@ _LONGEST_PATH = 14
 _METACARPAL = 0.45
 """A finger starts with a metacarpal if its first joint is nearer to the wrist than this share of the distance to its
 second joint: knuckles are at 0.65 in hands, bases of metacarpals at 0.3 in rigs."""
+_BACKWARDS = 0.5
+"""Cosine between feet and backwards above which the sides in names are taken for exchanged."""
 _BY_NAME, _BY_SECOND_NAME, _BY_SHAPE = 1.0, 0.95, 0.7
 """Confidence of a joint with a matching name, a name that other tools give to its neighbour, or no known name."""
 
@@ -71,11 +73,12 @@ def find_joints(character: Character) -> RigMapping:
     labels = tuple(label(name) for name in character.names)
     places = shape.bind_matrices(character)[:, :3, 3]
     # glTF and Blender define the up axis; BVH does not.
-    ups = {"glb": [(0.0, 1.0, 0.0)], "fbx": [(0.0, 0.0, 1.0)]}.get(
-        character.kind, [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
+    ups = list(np.eye(3)[[1, 2, 0]])
+    if character.kind in UPS:  # and those of a body that lies where the file places it
+        ups = [UPS[character.kind], *(sign * axis for axis in character.space.T for sign in (1.0, -1.0))]
     candidates = []
     for up in ups:
-        search = Search(character, labels, places, np.array(up))
+        search = Search(character, labels, places, up)
         candidates.append(_found(search))
         if candidates[-1].confidence >= 0.9:
             break
@@ -131,8 +134,8 @@ def _found(search: Search) -> RigMapping:
     for side in SIDES:
         if side + "Hand" in joints:
             joints |= _fingers(search, side, joints[side + "Hand"])
-    if not any(search.labels[node].side for name, node in ends.items() if name != "Head"):
-        joints = _turned_round(search, joints, doubts)
+    joints = _turned_round(search, joints, any(search.labels[node].side for name, node in ends.items()
+                                               if name != "Head"), doubts)
     confidence = _confidence(search, joints, sure, doubts)
     family = _family(search.character.names, [*joints.values(), *spine, *neck])
     return RigMapping(joints, spine, neck, family, confidence, tuple(doubts))
@@ -323,13 +326,16 @@ def _one_line(search: Search, nodes: Sequence[int]) -> list[int]:
     return best
 
 
-def _turned_round(search: Search, joints: dict[str, int], doubts: list[str]) -> dict[str, int]:
-    """Joints without sides in their names: exchanges left and right if the toes show that the character faces
-    backwards."""
-    doubts.append("its names do not distinguish left from right")
-    ahead = shape.toes_ahead(search.places, search.up, joints)
-    if ahead is None or ahead > 0.0:
+def _turned_round(search: Search, joints: dict[str, int], named: bool, doubts: list[str]) -> dict[str, int]:
+    """Exchanges left and right if the feet show that the character faces backwards: its names do not give the sides, or
+    give them for the mirror image. named: whether they give any."""
+    if not named:
+        doubts.append("its names do not distinguish left from right")
+    ahead = shape.feet_ahead(search.character, search.places, search.up, joints)
+    if ahead is None or ahead > (-_BACKWARDS if named else 0.0):
         return joints
+    if named:
+        doubts.append("its names have left and right exchanged, as its feet show")
     other = {"Left": "Right", "Right": "Left"}
     return {next((other[side] + name.removeprefix(side) for side in SIDES if name.startswith(side)), name): node
             for name, node in joints.items()}
@@ -353,7 +359,7 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
     if not 0.15 < arm / max(trunk, 1e-9) < 1.2:
         doubts.append(f"an upper arm is {arm / max(trunk, 1e-9):.2f} of the height from hips to head")
         value *= 0.7
-    ahead = shape.toes_ahead(search.places, search.up, joints)
+    ahead = shape.feet_ahead(search.character, search.places, search.up, joints)
     if ahead is not None and ahead < -0.3:
         doubts.append("its toes point backwards, given the sides in its names")
         value *= 0.7

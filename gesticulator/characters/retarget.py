@@ -137,10 +137,9 @@ class Retargeter:
         ankles = np.stack([ours.places[side + "Foot"] for side in SIDES], axis=1)
         travel = body.leg_ratio * (ankles - ankles.mean(axis=0))
         reached = np.stack([body.place(turns, joints[side + "Foot"]) for side in SIDES], axis=1)
-        rest = np.stack([body.rest_places[joints[side + "Foot"]] for side in SIDES])
         start = body.rest_places[joints["Hips"]].copy()
         stance = (reached + start).mean(axis=0)  # over the place where the character stands at rest
-        stance[:, 1] = rest[:, 1] + body.lift
+        stance[:, 1] = body.ankles
         wanted = stance + travel
         root = (wanted - reached).mean(axis=1)
         for place, side in enumerate(SIDES):
@@ -180,7 +179,9 @@ class Retargeter:
             above = world.get(parent, body.rest_turns[parent] if parent >= 0 else body.axes)
             if node in turns:
                 world[node] = turns[node]
-                local.append(np.swapaxes(above, -1, -2) @ turns[node])
+                # A node that mirrors does so in the file: the rotation is what is left.
+                mirror = np.where(character.scales[node] < 0.0, -1.0, 1.0)
+                local.append(np.swapaxes(above, -1, -2) @ turns[node] * mirror)
             elif parent in world:
                 world[node] = above @ body.local_turns[node]
         moved = tuple(sorted(turns))
