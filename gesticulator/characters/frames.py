@@ -21,6 +21,7 @@ from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.mapping import SIDES, RigMapping, ancestors
+from gesticulator.characters.names import labels
 from gesticulator.characters.rig import UPS, Character
 
 _UPRIGHT = np.radians(30.0)
@@ -86,9 +87,15 @@ class Body:
     @property
     def sits(self) -> bool:
         """Whether the character sits in the rest pose of its file: thighs ahead and about level, shins down."""
+        hips = self.mapping.joints["Hips"]
+        bound = self.rest_turns[hips]
+        if self.character.bind is not None:
+            bound = self.bind_axes @ turns_of(self.character.bind[hips])
+        upright = bound @ self.rest_turns[hips].T  # a body that leans as a whole does not sit
+
         def way(above: str, below: str) -> Array:
             bone = self.rest_places[self.mapping.joints[below]] - self.rest_places[self.mapping.joints[above]]
-            return np.asarray(bone / max(float(np.linalg.norm(bone)), 1e-9))
+            return np.asarray(upright @ bone / max(float(np.linalg.norm(bone)), 1e-9))
 
         return self.mapping.legs and all(
             way(side + "UpLeg", side + "Leg")[2] > _AHEAD and way(side + "Leg", side + "Foot")[1] < -_DOWN
@@ -373,8 +380,18 @@ class _Rig:
                 # A hand without fingers has the roll of its forearm.
                 hand = _turn(fore @ along, ours_along) @ fore
             out += [self._segment(side + "ForeArm", fore), self._segment(side + "Hand", hand)]
+            out += [BoneSegment(node, side + "Hand", hand @ self.bind[node]) for node in self._rest_of_hand(side)]
             out += self._fingers(side, along, back, ours_back, hand)
         return out
+
+    def _rest_of_hand(self, side: str) -> list[int]:
+        """The nodes beside the hand's that are parts of it, in characters with one bone for each finger's palm."""
+        parents, hand = self.character.parents, self.joints[side + "Hand"]
+        found = labels(self.character.names)
+        taken = {*self.joints.values(), *self.mapping.spine, *self.mapping.neck}
+        return [node for node, parent in enumerate(parents) if parent == parents[hand] and node not in taken
+                and not found[node].aid and not found[node].tip
+                and (found[node].parts[:1] == ("Hand",) or found[node].finger)]
 
     def _palm(self, side: str, sign: float, forearm: Array) -> tuple[Array, Array | None, Array, Array]:
         """Direction along the hand and out of its back in the bind pose (None without fingers), and those of ours."""

@@ -17,6 +17,7 @@ from data_module.errors import InputError, shown
 from data_module.types import Array
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.gltf_file import AGAIN, FARTHEST, GltfFile, read_gltf
+from gesticulator.characters.gltf_skin import read_skin
 from gesticulator.characters.mapping import ancestors
 from gesticulator.characters.rig import Character, decomposed
 
@@ -34,8 +35,7 @@ _SAME_PLACE, _SAME_TURN = 1e-3, float(np.radians(0.5))
 _LEVEL = float(np.radians(1.0))
 """An axis within this angle of the vertical is vertical."""
 _AS_AT_REST = float(np.radians(60.0))
-"""Largest median angle between the joints at rest and in the bind pose: arms that hang turn by 50 to 90 degrees, the
-trunk and legs by 20 at most."""
+"""Largest median angle between trunk and legs at rest and in the bind pose: a stride turns them by 30 degrees."""
 _AS_TURNED = float(np.radians(100.0))
 """The same for a body whose joints all rest in the bind pose but for one that turns the whole of it."""
 _SKINNED = ("POSITION", "JOINTS_0", "WEIGHTS_0")
@@ -83,7 +83,7 @@ def _character(file: GltfFile) -> Character:
     bind, to_world = _bind(character, inverse, _mesh_nodes(file, place))
     flesh, flesh_nodes = _flesh(file, place, to_world)
     return Character(**{**vars(character), "bind": bind, "space": turns_of(to_world), "flesh": flesh,
-                        "flesh_nodes": flesh_nodes})
+                        "flesh_nodes": flesh_nodes, "skin": read_skin(file, place, to_world)})
 
 
 def _mesh_nodes(file: GltfFile, place: Mapping[int, int]) -> list[int]:
@@ -208,7 +208,7 @@ def _is_level(to_world: Array) -> bool:
 def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, meshes: Sequence[int], most: float
                      ) -> Array | None:
     """[4, 4] from mesh space to the world as the nodes say that carry the meshes, or the skeleton; None if none of
-    them has the size of the skeleton and leaves the body within `most` radians of its rest pose (in the median)."""
+    them has the size of the skeleton and leaves the trunk within `most` radians of its rest pose (in the median)."""
     rest = character.world_matrices()
     place = {node: index for index, node in enumerate(joints)}
     bones = [(place[node], place[character.parents[node]]) for node in joints if character.parents[node] in place]
@@ -219,13 +219,15 @@ def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, 
     long = bound > 0.1 * bound.max()
     scale = float(np.median(here[long] / bound[long]))
     tops = [character.parents[node] for node in joints if character.parents[node] not in place]
+    depth = [len(ancestors(character.parents, node)) for node in joints]
+    trunk = np.argsort(depth, kind="stable")[:max(3, len(joints) // 3)]  # the others are mostly fingers
     best, best_angle = None, most
     for node in dict.fromkeys([*meshes, *tops]):
         to_world = rest[node] if node >= 0 else np.eye(4)
         size = float(np.cbrt(abs(np.linalg.det(to_world[:3, :3]))))
         if not (size > 0.0 and abs(np.log(size / scale)) < 0.02 and _is_level(to_world)):
             continue
-        angle = float(np.median(_angles(to_world @ there, rest[joints])))
+        angle = float(np.median(_angles(to_world @ there[trunk], rest[joints][trunk])))
         if angle < best_angle - 1e-6:
             best, best_angle = to_world, angle
     return best

@@ -16,8 +16,9 @@ import numpy as np
 from data_module.motion.skeletons import FINGERS, NAME_TABLES
 from data_module.types import Array
 from gesticulator.characters import shape
+from gesticulator.characters.conventions import conventional
 from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, NEEDED, SIDES, RigMapping, ancestors
-from gesticulator.characters.names import Label, label
+from gesticulator.characters.names import Label
 from gesticulator.characters.rig import UPS, Character
 
 _VRM_PARTS = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
@@ -70,7 +71,7 @@ def find_joints(character: Character) -> RigMapping:
     """
     if character.humanoid:
         return _from_vrm(character)
-    labels = tuple(label(name) for name in character.names)
+    labels = conventional(character)
     places = shape.bind_matrices(character)[:, :3, 3]
     # glTF and Blender define the up axis; BVH does not.
     ups = list(np.eye(3)[[1, 2, 0]])
@@ -102,8 +103,11 @@ def _from_vrm(character: Character) -> RigMapping:
                     joints[f"{side}Hand{finger}{place + 1}"] = table[f"{side.lower()}{theirs}{kind}"]
     spine = tuple(table[bone] for bone in ("spine", "chest", "upperChest") if bone in table)
     neck = (table["neck"],) if "neck" in table else ()
+    exchanged: list[str] = []
+    up = UPS.get(character.kind, np.eye(3)[1])
+    joints = _turned_round(Search(character, (), shape.bind_matrices(character)[:, :3, 3], up), joints, True, exchanged)
     lacking = [name for name in NEEDED if name not in joints]
-    doubts = (f"its VRM table lacks {', '.join(lacking)}",) if lacking else ()
+    doubts = (*exchanged, *((f"its VRM table lacks {', '.join(lacking)}",) if lacking else ()))
     return RigMapping(joints, spine, neck, "vrm humanoid", 0.0 if lacking else 1.0, doubts)
 
 
@@ -114,6 +118,7 @@ def _found(search: Search) -> RigMapping:
     joints: dict[str, int] = {}
     sure: dict[str, float] = {}
     doubts: list[str] = []
+    joints |= _legs_without_feet(search, ends)
     for kind, parts, least in (("Hand", ARM_PARTS, 3), ("Foot", LEG_PARTS, 3)):
         pair = [ends.get(side + kind) for side in SIDES]
         if pair[0] is None or pair[1] is None:
@@ -139,6 +144,19 @@ def _found(search: Search) -> RigMapping:
     confidence = _confidence(search, joints, sure, doubts)
     family = _family(search.character.names, [*joints.values(), *spine, *neck])
     return RigMapping(joints, spine, neck, family, confidence, tuple(doubts))
+
+
+def _legs_without_feet(search: Search, ends: Mapping[str, int]) -> dict[str, int]:
+    """Thighs and shins by name of legs whose feet hang elsewhere, as controls of inverse kinematics do."""
+    out: dict[str, int] = {}
+    for side in SIDES:
+        for part in ("UpLeg", "Leg"):
+            nodes = [node for node, entry in enumerate(search.labels) if entry.side == side and not entry.aid
+                     and not entry.tip and entry.parts[:1] == (part,)]
+            if len(nodes) != 1 or nodes[0] in ancestors(search.character.parents, ends.get(side + "Foot", -1)):
+                return {}
+            out[side + part] = nodes[0]
+    return out
 
 
 def _ends(search: Search) -> dict[str, int]:

@@ -68,15 +68,20 @@ class Retargeter:
         """mapping: detected if None. contacts: keep hands out of the trunk.
 
         legs: False keeps hips and legs at rest (a seated character), True makes the character stand; None: it stands
-        unless it sits in its file. `InputError` if the joints cannot be identified reliably.
+        unless it sits in its file. `InputError` if the joints cannot be identified reliably, or if what comes out is
+        not sound (`gesticulator.characters.soundness`). Attribute doubts: what is odd about it, in words.
         """
         from gesticulator.characters.joints import find_joints
+        from gesticulator.characters.soundness import require_sound
 
         self.character = character
         self.mapping = mapping or find_joints(character)
         check(self.mapping, character)
         self.body: Body = measure(character, self.mapping)
-        self.contacts, self.legs = contacts, not self.body.sits if legs is None else legs
+        # Legs whose feet hang elsewhere would be torn from them by hips that move.
+        whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
+        self.contacts, self.legs = contacts, whole and (not self.body.sits if legs is None else legs)
+        self.doubts = (*self.mapping.doubts, *require_sound(self))
 
     def __call__(self, motion: Motion) -> CharacterMotion:
         """The motion on the character. ValueError if the motion is not on one of our skeletons."""

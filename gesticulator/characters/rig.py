@@ -12,10 +12,36 @@ from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
 
-__all__ = ["Character", "CharacterMotion", "decomposed"]
+__all__ = ["Character", "CharacterMotion", "Skin", "decomposed"]
 
 UPS = {"glb": np.array([0.0, 1.0, 0.0]), "fbx": np.array([0.0, 0.0, 1.0])}
 """What is up, by format, where the format defines it (BVH does not)."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Triangles of the meshes of a character, in the world of its bind pose.
+
+    points: [V, 3]; joints: [V, K] the nodes that move each, and weights: [V, K] their shares, which add up to 1;
+    triangles: [F, 3] their corners.
+    """
+
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    joints: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 1), np.int64))
+    weights: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    triangles: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+
+    def posed(self, bind: Array, world: Array) -> Array:
+        """[T, V, 3] where the points are when the nodes, bound at `bind` [N, 4, 4], are at `world` [T, N, 4, 4]."""
+        used = np.unique(self.joints)
+        moves = np.zeros((len(world), world.shape[1], 4, 4))
+        moves[:, used] = world[:, used] @ np.linalg.inv(bind[used])
+        out = np.zeros((len(world), len(self.points), 3))
+        for column in range(self.joints.shape[1]):
+            move = moves[:, self.joints[:, column]]
+            out += self.weights[:, column, None] * (
+                np.einsum("tvij,vj->tvi", move[..., :3, :3], self.points) + move[..., :3, 3])
+        return out
 
 
 @dataclass(frozen=True)
@@ -38,7 +64,7 @@ class Character:
     tips: node -> [3] the end of its bone in its frame, if given (End Site of BVH).
     channels: N tuples of BVH channel names in the file's order ("Zrotation"); empty for other formats.
     flesh: [V, 3] vertices in the bind pose's world, and flesh_nodes: [V] the node with the largest weight of each; both
-        empty without a mesh.
+        empty without a mesh. skin: a sample of the triangles of the meshes.
     """
 
     names: tuple[str, ...]
@@ -59,6 +85,7 @@ class Character:
     channels: tuple[tuple[str, ...], ...] = ()
     flesh: Array = field(default_factory=lambda: np.zeros((0, 3)))
     flesh_nodes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    skin: Skin = field(default_factory=Skin)
 
     def __post_init__(self) -> None:
         n = len(self.names)
