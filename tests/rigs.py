@@ -123,6 +123,78 @@ _SNAKE = {"Hips": "hips", "Head": "head", "Shoulder": "shoulder", "Arm": "upper_
           **{f"Spine{i or ''}": f"spine.{i + 1:03d}" for i in range(6)},
           **{f"Neck{i or ''}": f"neck.{i + 1:03d}" for i in range(3)}, **{f: f.lower() for f in FINGERS}}
 
+
+
+def _named(names: str, pattern: str, fingers: str, sides: Sequence[str] = SIDES, numbers: dict[str, str] | None = None
+           ) -> Callable[[str], str]:
+    """Names of a tool: hips, head, spine and neck (with a place for their number), shoulder, arm, forearm, hand, thigh,
+    shin, foot, toes and the five fingers, in this order."""
+    hips, head, spine, neck, *rest = names.split()
+    parts = {"Hips": hips, "Head": head, **{f"Spine{i or ''}": spine.format(i + 1) for i in range(6)},
+             **{f"Neck{i or ''}": neck.format(i + 1) for i in range(3)}}
+    keys = ("Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot", "ToeBase", *FINGERS)
+    return _table(parts | dict(zip(keys, rest, strict=True)), pattern, fingers, sides, numbers)
+
+
+def _rigify(key: str) -> str:
+    """Rigify's deforming bones: three joints of the trunk, two of the neck and the head are all named spine."""
+    places = {"Hips": "", "Spine": ".001", "Spine1": ".002", "Spine2": ".003", "Neck": ".004", "Neck1": ".005",
+              "Head": ".006"}
+    if key in places:
+        return "DEF-spine" + places[key]
+    return _table(_SNAKE, "DEF-{part}.{side}", "DEF-f_{finger}.0{place}.{side}", "LR")(key)
+
+
+_LANGUAGES = {
+    "german": _named("Becken Kopf Wirbelsäule{} Hals{} Schlüsselbein Oberarm Unterarm Hand Oberschenkel Unterschenkel "
+                     "Fuß Zehen Daumen Zeigefinger Mittelfinger Ringfinger KleinerFinger", "{part}_{side}",
+                     "{finger}{place}_{side}", ("links", "rechts")),
+    "french": _named("Bassin Tête Colonne{} Cou{} Clavicule Bras Avant-Bras Main Cuisse Jambe Pied Orteils Pouce Index "
+                     "Majeur Annulaire Auriculaire", "{part}_{side}", "{finger}{place}_{side}", ("gauche", "droite")),
+    "french g": _named("Bassin Tête Colonne{} Cou{} Épaule Bras Avant-Bras Main Cuisse Jambe Pied Orteils Pouce Index "
+                       "Majeur Annulaire Auriculaire", "{part}.{side}", "{finger}{place}.{side}", ("G", "D")),
+    "spanish": _named("Cadera Cabeza Columna{} Cuello{} Clavícula Brazo Antebrazo Mano Muslo Pantorrilla Pie DedosPie "
+                      "Pulgar Índice Medio Anular Meñique", "{part}_{side}", "{finger}{place}_{side}",
+                      ("izquierda", "derecha")),
+    "italian": _named("Bacino Testa Colonna{} Collo{} Clavicola Braccio Avambraccio Mano Coscia Gamba Piede DitaPiede "
+                      "Pollice Indice Medio Anulare Mignolo", "{part}_{side}", "{finger}{place}_{side}", ("sx", "dx")),
+    "portuguese": _named("Quadril Cabeça Coluna{} Pescoço{} Clavícula Braço Antebraço Mão Coxa Canela Pé DedosPé "
+                         "Polegar Indicador Médio Anelar Mindinho", "{part}_{side}", "{finger}{place}_{side}",
+                         ("esquerda", "direita")),
+    "russian": _named("Таз Голова Позвоночник{} Шея{} Ключица Плечо Предплечье Кисть Бедро Голень Стопа Носок Большой "
+                      "Указательный Средний Безымянный Мизинец", "{part}_{side}", "{finger}{place}_{side}",
+                      ("Левая", "Правая")),
+    "japanese": _named("センター 頭 上半身{} 首{} 肩 腕 ひじ 手首 足 ひざ 足首 つま先 親指 人指 中指 薬指 小指",
+                       "{side}{part}", "{side}{finger}{place}", "左右"),
+    "chinese": _named("骨盆 头 脊柱{} 脖子{} 锁骨 上臂 前臂 手 大腿 小腿 脚 脚趾 拇指 食指 中指 无名指 小指",
+                      "{side}{part}", "{side}{finger}{place}", "左右"),
+}
+_TOOLS = {
+    "rigify": _rigify,
+    "auto-rig": _named("root.x head.x spine_{:02d}.x neck_{:02d}.x shoulder arm_stretch forearm_stretch hand "
+                       "thigh_stretch leg_stretch foot toes_01 thumb index middle ring pinky", "{part}.{side}",
+                       "{finger}{place}.{side}", "lr"),
+    "second life": _named("mPelvis mHead mSpine{} mNeck{} Collar Shoulder Elbow Wrist Hip Knee Ankle Foot Thumb Index "
+                          "Middle Ring Pinky", "m{part}{side}", "mHand{finger}{place}{side}"),
+    "source": _named("ValveBiped.Bip01_Pelvis ValveBiped.Bip01_Head1 ValveBiped.Bip01_Spine{} ValveBiped.Bip01_Neck{} "
+                     "Clavicle UpperArm Forearm Hand Thigh Calf Foot Toe0 0 1 2 3 4", "ValveBiped.Bip01_{side}_{part}",
+                     "ValveBiped.Bip01_{side}_Finger{finger}{place}", "LR", {"1": "", "2": "1", "3": "2"}),
+    "r15": _named("LowerTorso Head UpperTorso{} Neck{} Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes "
+                  "Thumb Index Middle Ring Little", "{side}{part}", "{side}{finger}{place}"),
+    "makehuman": _named("pelvis head spine{:02d} neck{:02d} clavicle upperarm01 lowerarm01 wrist upperleg01 lowerleg01 "
+                        "foot toe1-1 1 2 3 4 5", "{part}.{side}", "finger{finger}-{place}.{side}", "LR"),
+    "daz 9": _named("hip head spine{} neck{} shoulder upperarm forearm hand thigh shin foot toes thumb index mid ring "
+                    "pinky", "{side}_{part}", "{side}_{finger}{place}", "lr"),
+    "kaykit": _named("hips head spine{} neck{} shoulder upperarm lowerarm wrist upperleg lowerleg foot toes thumb "
+                     "index middle ring pinky", "{part}.{side}", "{finger}{place}.{side}", "lr"),
+    "quaternius": _named("Hips Head Torso{} Neck{} Shoulder UpperArm LowerArm Wrist UpperLeg LowerLeg Foot Toes Thumb "
+                         "Index Middle Ring Pinky", "{part}{side}", "{finger}{place}{side}", "LR"),
+    "unity": _named("Hips Head Spine{} Neck{} Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes Thumb Index "
+                    "Middle Ring Pinky", "{side}_{part}", "{side}_{finger}{place}",
+                    numbers={"1": "Proximal", "2": "Intermediate", "3": "Distal"}),
+    "ethan": lambda key: "Ethan" + key,
+}
+
 STYLES: dict[str, Callable[[str], str]] = {
     "mixamo": _camel("mixamorig:"), "mixamo plain": _camel(), "mixamo 7": _camel("mixamorig7:"),
     "ready player me": _camel(), "trinity": _camel(), "beat": _camel(), "zeroeggs": _camel(), "ours": _camel(),
@@ -142,6 +214,7 @@ STYLES: dict[str, Callable[[str], str]] = {
     "daz": _table(_DAZ, "{side}{part}", "{side}{finger}{place}", "lr"),
     "blender": _table(_SNAKE, "DEF-{part}.{side}", "DEF-f_{finger}.0{place}.{side}", "LR"),
     "unknown": lambda key: "",
+    **_TOOLS, **_LANGUAGES,
 }
 """Tool -> name of each of our joints there."""
 _VRM_BONES = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
@@ -198,9 +271,11 @@ class _Builder:
         self.add("Hips", top, hips)
         fewest = 2 if self.style.startswith("rocketbox") else 1  # of its spine's joints the first carries the legs
         count = {"cmu": 3, "smplx": 3, "vrm": 3, "soma": 3, "beat": 4, "trinity": 4, "ours": 4, "zeroeggs": 4,
-                 "manny": 5, "metahuman": 5, "mixamo": 3, "vrm table": 3}.get(self.style, int(rng.integers(fewest, 6)))
+                 "manny": 5, "metahuman": 5, "mixamo": 3, "vrm table": 3, "rigify": 3}.get(
+                     self.style, int(rng.integers(fewest, 6)))
         necks = {"cmu": 2, "smplx": 1, "vrm": 1, "vrm table": 1, "mixamo": 1, "soma": 2, "manny": 2, "metahuman": 2,
-                 "beat": 2, "trinity": 2, "ours": 2, "zeroeggs": 2}.get(self.style, int(rng.integers(1, 4)))
+                 "beat": 2, "trinity": 2, "ours": 2, "zeroeggs": 2, "rigify": 2}.get(
+                     self.style, int(rng.integers(1, 4)))
         chest = hips + np.array([0.0, 0.40, -0.02]) * trunk * s
         neck = chest + np.array([0.0, 0.13, 0.01]) * trunk * s
         head = neck + np.array([0.0, 0.08, 0.015]) * s

@@ -52,7 +52,7 @@ _LATIN = {english: words.split() for english, words in {
     "knee": "knie genou rodilla ginocchio joelho",
     "foot": "fuss pied pie piede pe",
     "ankle": "knochel knoechel cheville tobillo caviglia tornozelo",
-    "toe": "zeh zehe zehen orteil orteils",
+    "toe": "zeh zehe zehen orteil orteils dedospie ditapiede dedospe",
 }.items()}
 WORDS = {word: english for english, words in _LATIN.items() for word in words}
 """Word in the Latin alphabet, without accents -> the English word."""

@@ -12,8 +12,7 @@ from gesticulator.characters.languages import LEFT, RIGHT, WORDS, english, split
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _SIDES = {"l": "Left", "left": "Left", "lf": "Left", "lft": "Left", "r": "Right", "right": "Right", "rt": "Right",
           "rgt": "Right", **dict.fromkeys(LEFT, "Left"), **dict.fromkeys(RIGHT, "Right")}
-_FRENCH = {"g": "Left", "d": "Right"}
-"""Sides beside a word that is not English."""
+_FRENCH = {"g": "left", "d": "right"}
 _NOISE = {"mixamorig", "bip", "j", "c", "cc", "base", "def", "org", "character", "bone", "joint", "jnt", "jt", "bn",
           "b", "bind", "skin", "sk", "bend", "stretch", "x", "m", "valve", "biped", "reference", "armature"}
 _AIDS = split("twist roll ik ctrl ctl control pole target corrective helper attach attachment socket slot holder prop",
@@ -97,24 +96,27 @@ def labels(names: Sequence[str]) -> tuple[Label, ...]:
     word, count = firsts.most_common(1)[0] if firsts else ("", 0)
     known = word in _SIDES or word in _PARTS or word in _DOUBLE or word in _FINGERS or word in WORDS
     noise = frozenset() if known or count < max(4, _MOST * len(names)) else frozenset((word,))
-    return tuple(label(name, noise) for name in names)
+    sided = [set(found) for found in map(words, names) if set(found) & set(_FRENCH)]
+    french = sum(bool(found & set(WORDS)) for found in sided) >= _FEW
+    return tuple(label(name, noise, french) for name in names)
 
 
+_FEW = 3
+"""Names with a word that is not English beside a "g" or "d" that make these the French sides."""
 _MOST = 0.6
 """Share of the names that begin with a word above which it is the name of the character."""
 
 
-def label(name: str, noise: frozenset[str] = frozenset()) -> Label:
-    """The label of a name; an empty `Label` if nothing is recognised. noise: words that say nothing.
+def label(name: str, noise: frozenset[str] = frozenset(), french: bool = False) -> Label:
+    """The label of a name; an empty `Label` if nothing is recognised.
+
+    noise: words that say nothing. french: whether "g" and "d" are sides.
 
     >>> label("upperarm_l").parts, label("upperarm_l").side, label("Bip01 R Finger01").number
     (('Arm',), 'Left', '1')
     """
     tokens = [word for word in words(name) if word not in _NOISE and word not in noise]
-    if any(word in WORDS for word in tokens):
-        tokens = [_FRENCH.get(word, word) for word in tokens]
-        tokens = [word.lower() for word in tokens]
-    tokens = _in_english(tokens)
+    tokens = _in_english([_FRENCH.get(word, word) for word in tokens] if french else tokens)
     side = next((_SIDES[word] for word in tokens if word in _SIDES), "")
     tokens = [word for word in tokens if word not in _SIDES]
     if not side and tokens:
@@ -127,6 +129,9 @@ def label(name: str, noise: frozenset[str] = frozenset()) -> Label:
     number = kind or (digits[-1] if digits else "")
     if key in ("finger", "handfinger") and digits and side:  # Biped: finger 0 is the thumb, its joints 0, 01 and 02
         which = digits[-1]
+        after = tokens[tokens.index("finger") + 1:] if "finger" in tokens else []
+        if len(after) == 2 and after[0] in "12345":  # MakeHuman: the thumb is finger 1, its joints 1-1, 1-2 and 1-3
+            which = str(int(after[0]) - 1) + after[1]
         return Label((tuple(dict.fromkeys(_FINGERS.values()))[min(int(which[0]), 4)],), side, which[1:], tip, aid)
     for short, finger in _FINGERS.items():
         if side and key in (short, "hand" + short, short + "finger", "finger" + short, "f" + short, "in" + short):

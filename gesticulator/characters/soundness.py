@@ -20,6 +20,7 @@ from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator.characters.mapping import SIDES, ancestors, node_keys
 from gesticulator.characters.names import label
+from gesticulator.characters.rig import UPS
 from gesticulator.characters.shape import bind_matrices
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ _BEHIND = 100.0
 """Smallest angle between feet, or eyes, and forward that counts as facing elsewhere, degrees."""
 _FLOOR = 0.06
 """Largest height of the soles over the floor of the bind pose, and of anything below them, as a share of the height."""
+_LIES = 50.0
+"""Angle of the trunk of the bind pose from the vertical, degrees, above which it lies."""
 _ON_FOURS = 125.0
 """Degrees between the trunk and the legs of the bind pose below which a body whose arms and legs are parallel stands on
 four legs; 180 is straight, and a horse has 90."""
@@ -47,11 +50,17 @@ _STRETCH, _LONG, _TORN = 4.0, 0.08, 0.01
 mesh is torn if this share of its edges (by number) is."""
 
 
+Remedy = str | tuple[str, ...]
+"""What to do about a fault, or the joints to correct in a mapping."""
+Check = Iterable[tuple[bool, str, Remedy]]
+_ANOTHER = "give a human character"
+
+
 @dataclass(frozen=True)
 class Findings:
-    """What is wrong with a moved character. faults: (reason, our joints to correct); doubts: reasons."""
+    """What is wrong with a moved character. faults: (reason, what to do, or our joints to correct); doubts: reasons."""
 
-    faults: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    faults: tuple[tuple[str, Remedy], ...] = ()
     doubts: tuple[str, ...] = ()
 
 
@@ -79,14 +88,13 @@ def require_sound(retargeter: Retargeter) -> tuple[str, ...]:
     fault."""
     found = examine(retargeter)
     if found.faults:
-        reason, joints = found.faults[0]
-        keys = node_keys(retargeter.character)
-        mapping = retargeter.mapping
-        line = ", ".join(f'"{name}": {_quoted(keys[mapping.joints[name]]) if name in mapping.joints else "null"}'
-                         for name in joints)
-        raise InputError(retargeter.character.path, f"would come out wrong: {reason}",
-                         f"name the right nodes in a mapping (--save-mapping FILE.json, correct {line}, --mapping "
-                         "FILE.json)" if line else "this is no human body; give another character")
+        reason, remedy = found.faults[0]
+        if not isinstance(remedy, str):
+            keys, joints = node_keys(retargeter.character), retargeter.mapping.joints
+            lines = [f'"{name}": {_quoted(keys[joints[name]]) if name in joints else "null"}' for name in remedy]
+            remedy = ("name the right nodes in a mapping: --save-mapping FILE.json, correct the line "
+                      f"{', '.join(lines)}, then --mapping FILE.json")
+        raise InputError(retargeter.character.path, f"would come out wrong: {reason}", remedy)
     return found.doubts
 
 
@@ -97,15 +105,15 @@ def _quoted(key: str) -> str:
 def examine(retargeter: Retargeter) -> Findings:
     """What is wrong with the character when it takes the poses of `probe_motion`."""
     seen = _Seen(retargeter)
-    faults: list[tuple[str, tuple[str, ...]]] = []
+    faults: list[tuple[str, Remedy]] = []
     doubts: list[str] = []
-    checks: tuple[Callable[[], Iterable[tuple[bool, str, tuple[str, ...]]]], ...] = (
-        seen.on_four_legs, seen.upright, seen.sides, seen.facing, seen.proportions, seen.directions, seen.feet,
-        seen.following, seen.tears)
+    checks: tuple[Callable[[], Check], ...] = (
+        seen.connected, seen.on_four_legs, seen.upright, seen.sides, seen.facing, seen.proportions, seen.directions,
+        seen.feet, seen.following, seen.tears)
     for check in checks:
-        for grave, reason, joints in check():
+        for grave, reason, remedy in check():
             if grave:
-                faults.append((reason, joints))
+                faults.append((reason, remedy))
             else:
                 doubts.append(reason)
     return Findings(tuple(faults), tuple(doubts))
@@ -114,7 +122,7 @@ def examine(retargeter: Retargeter) -> Findings:
 class _Seen:
     """A character in the poses of the probe, measured in our axes (Y up, facing +Z) and in metres.
 
-    Each check yields (whether it is a fault, the reason, the joints to correct).
+    Each check yields (whether it is a fault, the reason, what to do or the joints to correct).
     """
 
     def __init__(self, retargeter: Retargeter) -> None:
@@ -143,19 +151,34 @@ class _Seen:
 
     # ------------------------------------------------------------------------------------------------ the checks
 
-    def on_four_legs(self) -> Iterable[tuple[bool, str, tuple[str, ...]]]:
-        """Arms and legs of the bind pose that are parallel, and square to the trunk."""
-        if not self.mapping.legs:
-            return
-        bound, at = self.bound, self.joints
-        arms, legs = (np.mean([bound[at[side + low]] - bound[at[side + top]] for side in SIDES], axis=0)
-                      for top, low in (("Arm", "Hand"), ("UpLeg", "Foot")))
-        shoulders = np.mean([bound[at[side + "Arm"]] for side in SIDES], axis=0)
-        trunk = shoulders - np.mean([bound[at[side + "UpLeg"]] for side in SIDES], axis=0)
-        if _degrees(trunk, legs) < _ON_FOURS and _degrees(arms, legs) < 45.0:
-            yield True, "it stands on four legs", ()
+    def connected(self) -> Check:
+        """The arms hang on the spine."""
+        for side in SIDES:
+            arm = self.joints[side + "Arm"]
+            if self.mapping.spine and not set(self.mapping.spine) & set(ancestors(self.character.parents, arm)):
+                chest, name = (shown(self.character.names[node]) for node in (self.mapping.spine[-1], arm))
+                yield (True, f"{name} does not hang on its spine, and would stay behind",
+                       f"put the bones into one tree before the export: make {chest} the parent of the shoulders, and "
+                       "the hips that of the thighs")
+                return
 
-    def upright(self) -> Iterable[tuple[bool, str, tuple[str, ...]]]:
+    def on_four_legs(self) -> Check:
+        """Arms and legs of the bind pose that are parallel, and square to the trunk."""
+        bound, at = self.bound, self.joints
+        pairs = [("Arm", "Hand"), ("UpLeg", "Foot")] if self.mapping.legs else [("Arm", "Hand")]
+        arms, *legs = (np.mean([bound[at[side + low]] - bound[at[side + top]] for side in SIDES], axis=0)
+                       for top, low in pairs)
+        shoulders = np.mean([bound[at[side + "Arm"]] for side in SIDES], axis=0)
+        if legs:
+            trunk = shoulders - np.mean([bound[at[side + "UpLeg"]] for side in SIDES], axis=0)
+            if _degrees(trunk, legs[0]) < _ON_FOURS and _degrees(arms, legs[0]) < 45.0:
+                yield True, "it stands on four legs", _ANOTHER
+            return
+        up = self.body.bind_axes @ UPS.get(self.character.kind, self.body.bind_axes[1])
+        if _degrees(shoulders - bound[at["Hips"]], up) > _LIES and _degrees(arms, -up) < 45.0:
+            yield True, "its trunk lies and its arms reach the floor: it stands on four legs", _ANOTHER
+
+    def upright(self) -> Check:
         """The head is over the hips."""
         way = self.place("Head") - self.place("Hips")
         angle = max(_degrees(one, np.array([0.0, 1.0, 0.0])) for one in way[:2])
@@ -166,7 +189,7 @@ class _Seen:
             if (self.place("Head")[:, 1] < sockets[:, 1] + 0.15 * self.height).any():
                 yield True, "its head is not above its legs", ("Hips", "Head")
 
-    def sides(self) -> Iterable[tuple[bool, str, tuple[str, ...]]]:
+    def sides(self) -> Check:
         """Left is on the left, when the arms are stretched out."""
         for part in ("Arm", "Hand", "UpLeg", "Foot"):
             if "Left" + part in self.joints and "Right" + part in self.joints and (
@@ -176,7 +199,7 @@ class _Seen:
                     yield True, f"its left {_PLAIN[part]} is on the right", ("Left" + part, "Right" + part)
                     return
 
-    def facing(self) -> Iterable[tuple[bool, str, tuple[str, ...]]]:
+    def facing(self) -> Check:
         """Feet and eyes point ahead."""
         ahead = np.array([0.0, 0.0, 1.0])
         toes = [self.place(side + "ToeBase")[1] - self.place(side + "Foot")[1] for side in SIDES
@@ -192,7 +215,7 @@ class _Seen:
             if np.linalg.norm(way) > 0.01 * self.height and _degrees(way, ahead) > _BEHIND:
                 yield True, "its eyes look backwards", ("LeftArm", "RightArm")
 
-    def proportions(self) -> Iterable[tuple[bool, str, tuple[str, ...]]]:
+    def proportions(self) -> Check:
         """Limbs as long, against each other, as those of a human or a toy."""
         found: list[tuple[str, float, tuple[str, ...]]] = []
         trunk = self.length("Hips", "Head")
@@ -218,7 +241,7 @@ class _Seen:
                 grave = not self.mapping.given and not low ** 2 < ratio < high ** 2
                 yield grave, f"its {_SIDE.get(joints[0][:4], '')}{what} is {ratio:.2f}, not {low:g} to {high:g}", joints
 
-    def directions(self) -> Iterable[tuple[bool, str, tuple[str, ...]]]:
+    def directions(self) -> Check:
         """Arms and legs point where those of the motion point."""
         from gesticulator.characters.contacts import pose_of
 
@@ -237,7 +260,7 @@ class _Seen:
                     yield (True, f"its {_SIDE[side[:4]]}{_PLAIN[above]} points {angle:.0f} degrees elsewhere",
                            (side + above, side + below))
 
-    def feet(self) -> Iterable[tuple[bool, str, tuple[str, ...]]]:
+    def feet(self) -> Check:
         """The feet are lowest, and on the floor."""
         if not self.stands:
             return
@@ -258,7 +281,7 @@ class _Seen:
             yield (True, f"a part of its mesh hangs {100 * (soles - lowest) / self.height:.0f} % of its height below "
                    "its feet", ("LeftFoot", "RightFoot", "Hips"))
 
-    def following(self) -> Iterable[tuple[bool, str, tuple[str, ...]]]:
+    def following(self) -> Check:
         """The mesh of each limb is where its bone is."""
         if not len(self.skin.points):
             return
@@ -279,7 +302,7 @@ class _Seen:
                     yield (True, f"the mesh of its {_SIDE.get(side[:4], '')}{_PLAIN[top]} is not where the bone is",
                            (side + top, side + low))
 
-    def tears(self) -> Iterable[tuple[bool, str, tuple[str, ...]]]:
+    def tears(self) -> Check:
         """Edges of the mesh do not become much longer."""
         if not len(self.skin.triangles):
             return
