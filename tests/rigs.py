@@ -556,25 +556,30 @@ class _Builder:
 
 
 def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None, above: np.ndarray | None = None,
-           mesh: np.ndarray | None = None) -> bytes:
+           mesh: np.ndarray | None = None, tubes: bool = False) -> bytes:
     """The rig as a GLB with a skin, its inverse bind matrices, a mesh of points and, where it has one, the VRM table.
 
     turned: node -> [4] local rotation, w first, that the file stands in, other than the pose of the inverse matrices.
-    above: [4, 4] matrix of a node that holds all others. mesh: [4, 4] from the mesh's space to that node's.
+    above: [4, 4] matrix of a node that holds all others. mesh: [4, 4] from the mesh's space to that node's. tubes: a
+    mesh of triangles around trunk and limbs instead of points around the trunk.
     """
     character = rig.character
     joints = np.flatnonzero(character.skinned).tolist()
     mesh = np.eye(4) if mesh is None else mesh
     inverse = (np.linalg.inv(character.world_matrices()[joints]) @ mesh).transpose(0, 2, 1).astype("<f4")
-    points = (character.flesh - mesh[:3, 3]) @ np.linalg.inv(mesh[:3, :3]).T
-    weights = np.zeros((len(character.flesh), 4), "<f4")
+    points, which, weights = (character.flesh, np.zeros((len(character.flesh), 4), "<u2"),
+                              np.zeros((len(character.flesh), 4), "<f4"))
     weights[:, 0] = 1.0
-    which = np.zeros((len(character.flesh), 4), "<u2")
     which[:, 0] = [joints.index(int(node)) for node in character.flesh_nodes]
+    corners = np.zeros(0, "<u2")
+    if tubes:
+        points, which, weights, corners = _tubes(rig, joints)
+    points = (points - mesh[:3, 3]) @ np.linalg.inv(mesh[:3, :3]).T
     parts = [inverse.tobytes(), points.astype("<f4").tobytes(), which.tobytes(), weights.tobytes()]
+    parts += [corners.tobytes()] if tubes else []
     starts = np.cumsum([0, *map(len, parts)]).tolist()
     kinds = ((5126, "MAT4", len(joints)), (5126, "VEC3", len(which)), (5123, "VEC4", len(which)),
-             (5126, "VEC4", len(which)))
+             (5126, "VEC4", len(which)), (5123, "SCALAR", len(corners)))
     nodes: list[dict[str, Any]] = []
     for node, name in enumerate(character.names):
         w, x, y, z = (turned or {}).get(node, character.rotations[node]).tolist()
@@ -588,12 +593,13 @@ def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None, above: np.ndar
         nodes.append({"name": "Scene", "matrix": above.T.ravel().tolist(), "children": [*tops, len(character)]})
     document: dict[str, Any] = {
         "asset": {"version": "2.0"}, "nodes": nodes, "skins": [{"joints": joints, "inverseBindMatrices": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "JOINTS_0": 2, "WEIGHTS_0": 3}, "mode": 0}]}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "JOINTS_0": 2, "WEIGHTS_0": 3},
+                                    **({"indices": 4} if tubes else {"mode": 0})}]}],
         "buffers": [{"byteLength": starts[-1]}],
         "bufferViews": [{"buffer": 0, "byteOffset": start, "byteLength": len(part)}
                         for start, part in zip(starts, parts, strict=False)],
         "accessors": [{"bufferView": view, "componentType": component, "type": kind, "count": count}
-                      for view, (component, kind, count) in enumerate(kinds)]}
+                      for view, (component, kind, count) in enumerate(kinds[:len(parts)])]}
     if character.humanoid:
         bones = {bone: {"node": node} for bone, node in character.humanoid.items()}
         document["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
@@ -605,12 +611,38 @@ def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None, above: np.ndar
             + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
 
 
+def _tubes(rig: Rig, joints: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points [V, 3], joints and weights [V, 4] and corners of triangles of tubes along trunk, arms and legs."""
+    world = rig.character.world_matrices()[:, :3, 3]
+    chains = [[rig.truth["Hips"], *rig.spine, *rig.neck, rig.truth["Head"]]]
+    for side in SIDES:
+        names = ("Arm", "ForeArm", "Hand", "HandMiddle1"), ("UpLeg", "Leg", "Foot", "ToeBase")
+        chains += [[rig.truth[side + name] for name in limb if side + name in rig.truth] for limb in names]
+    points, which, shares, corners = [], [], [], []
+    for chain in chains:
+        width = 0.04 * rig.size / rig.unit
+        for place, (node, below) in enumerate(zip(chain, [*chain[1:], chain[-1]], strict=True)):
+            way = world[below] - world[node] if below != node else world[node] - world[chain[place - 1]]
+            x = np.cross(way, [0.3, 0.5, 0.8]) / np.linalg.norm(np.cross(way, [0.3, 0.5, 0.8])) * width
+            y = np.cross(way, x) / np.linalg.norm(np.cross(way, x)) * width
+            for step in range(4):
+                first, before = len(points), chain[place - 1] if place and step == 0 else node
+                points += [world[node] + way * step / 4 * (0.5 if below == node else 1.0) + a for a in (x, y, -x, -y)]
+                which += [[joints.index(node), joints.index(before), 0, 0]] * 4
+                shares += [[0.5, 0.5, 0.0, 0.0] if before != node else [1.0, 0.0, 0.0, 0.0]] * 4
+                if place or step:
+                    corners += [row for i in range(4) for row in (
+                        first + i, first + (i + 1) % 4, first + i - 4, first + (i + 1) % 4, first + (i + 1) % 4 - 4,
+                        first + i - 4)]
+    return np.array(points), np.array(which, "<u2"), np.array(shares, "<f4"), np.array(corners, "<u2")
+
+
 PLACES = ("as bound", "everywhere", "one limb", "hips turned", "turned", "leaning", "lying", "small", "large",
           "mirrored", "mesh in centimetres, Z up")
 """How a file may stand other than in the pose that its mesh was bound in, or place it."""
 
 
-def placed(rig: Rig, place: str, rng: np.random.Generator, path: Path) -> Rig:
+def placed(rig: Rig, place: str, rng: np.random.Generator, path: Path, tubes: bool = True) -> Rig:
     """The rig as it is read from a GLB that stands or is placed as one of `PLACES` says, and what is true of it."""
     above, mesh, turned = np.eye(4), np.eye(4), {}
     axes, bound = rig.axes, rig.character.world_matrices()
@@ -636,7 +668,7 @@ def placed(rig: Rig, place: str, rng: np.random.Generator, path: Path) -> Rig:
         mesh[:3, :3] = Rotation.from_euler("X", -90.0, degrees=True).as_matrix() * 0.01
         if rng.random() < 0.5:
             turned = _posed(rig, "everywhere", rng)
-    path.write_bytes(as_glb(rig, turned, above, mesh))
+    path.write_bytes(as_glb(rig, turned, above, mesh, tubes))
     return _read_again(rig, path, axes, bound, {"small": 100.0, "large": 0.01}.get(place, 1.0), place == "mirrored")
 
 

@@ -40,7 +40,8 @@ _CLEAR = {
     "ToeBase": ("toe", "toes", "toebase", "ball"),
 }
 # Names that mean different parts in different tools: SMPL-X's shoulder is Mixamo's arm.
-_DOUBLE = {"shoulder": ("Shoulder", "Arm"), "arm": ("Arm", "ForeArm"), "leg": ("Leg", "UpLeg"), "hip": ("UpLeg",),
+_DOUBLE = {"shoulder": ("Shoulder", "Arm"), "arm": ("Arm", "ForeArm"), "leg": ("Leg", "UpLeg"),
+           "hip": ("HipJoint", "UpLeg"),  # a node above the thigh in some tools
            "ude": ("Arm", "Hand"), "ashi": ("UpLeg", "Foot"),  # the arm in Japanese is the wrist in Chinese
            "foot": ("Foot", "ToeBase"), "forefoot": ("Foot", "ToeBase"), "hand": ("Hand",), "palm": ("Hand",)}
 _FINGERS = {"thumb": "Thumb", "index": "Index", "pointer": "Index", "mid": "Middle", "middle": "Middle",

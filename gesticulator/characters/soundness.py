@@ -43,6 +43,8 @@ four legs; 180 is straight, and a horse has 90."""
 _RATIOS = {"upper arm to forearm": (0.4, 2.5), "thigh to shin": (0.4, 2.5), "arm to trunk": (0.25, 2.5),
            "leg to trunk": (0.1, 4.0), "left to right": (0.8, 1.25)}
 """Human proportions, generously: toys have legs of a quarter of the trunk, some robots arms of twice its length."""
+_EVEN = (0.7, 1.43)
+"""Lengths of a bone on the left and on the right, against each other: a longer one is another bone."""
 _FAR = 1.5
 """Distance of the middle of a bone's mesh from the bone beyond that of the bind pose, as a share of its length."""
 _STRETCH, _LONG, _TORN = 4.0, 0.08, 0.01
@@ -235,6 +237,12 @@ class _Seen:
                       for side, both in legs.items()]
             found.append(("left to right", sum(legs["Left"]) / max(sum(legs["Right"]), 1e-9),
                           ("LeftUpLeg", "RightUpLeg")))
+        for above, below in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
+            if all(side + name in self.joints for side in SIDES for name in (above, below)):
+                left, right = (self.length(side + above, side + below) for side in SIDES)
+                if not _EVEN[0] < left / max(right, 1e-9) < _EVEN[1]:
+                    yield (not self.mapping.given, f"its {_PLAIN[above]} is {left / max(right, 1e-9):.2f} times as long "
+                           "on the left as on the right", tuple(side + name for side in SIDES for name in (above, below)))
         for what, ratio, joints in found:
             low, high = _RATIOS[what]
             if not low < ratio < high:
@@ -292,7 +300,9 @@ class _Seen:
                     continue
                 own = np.isin(movers, self._between(side + top, side + low))
                 if own.sum() < 8:
-                    yield False, f"its mesh has nothing that follows {_SIDE.get(side[:4], '')}{_PLAIN[top]}", ()
+                    yield (top == "Head" and not self.mapping.given,
+                           f"its mesh has nothing that follows the {_SIDE.get(side[:4], '')}{_PLAIN[top]}",
+                           (side + top,))
                     continue
                 before = self._gap(self.mesh_bound[own], self.bound, side + top, side + low)
                 after = max(self._gap(self.mesh[frame][own], self.places[frame], side + top, side + low)
