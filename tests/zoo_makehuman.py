@@ -25,7 +25,7 @@ SCALE = 0.1
 BODIES: Mapping[str, Mapping[str, float]] = {
     "woman": {"caucasian-female-young": 1.0, "universal-female-young-averagemuscle-averageweight": 1.0},
     "man": {"african-male-young": 1.0, "universal-male-young-averagemuscle-averageweight": 1.0},
-    "stout man": {"caucasian-male-young": 1.0, "universal-male-young-averagemuscle-maxweight": 1.0},
+    "heavy man": {"caucasian-male-young": 1.0, "universal-male-young-averagemuscle-maxweight": 1.0},
     "strong man": {"asian-male-young": 1.0, "universal-male-young-maxmuscle-averageweight": 1.0},
     "child": {"asian-female-child": 1.0, "universal-female-child-averagemuscle-averageweight": 1.0},
     "old woman": {"african-female-old": 1.0, "universal-female-old-averagemuscle-averageweight": 1.0},

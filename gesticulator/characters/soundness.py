@@ -240,9 +240,11 @@ class _Seen:
         for above, below in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
             if all(side + name in self.joints for side in SIDES for name in (above, below)):
                 left, right = (self.length(side + above, side + below) for side in SIDES)
-                if not _EVEN[0] < left / max(right, 1e-9) < _EVEN[1]:
-                    yield (not self.mapping.given, f"its {_PLAIN[above]} is {left / max(right, 1e-9):.2f} times as long "
-                           "on the left as on the right", tuple(side + name for side in SIDES for name in (above, below)))
+                share = left / max(right, 1e-9)
+                if not _EVEN[0] < share < _EVEN[1]:
+                    joints = tuple(side + name for side in SIDES for name in (above, below))
+                    yield (not self.mapping.given,
+                           f"its {_PLAIN[above]} is {share:.2f} times as long on the left as on the right", joints)
         for what, ratio, joints in found:
             low, high = _RATIOS[what]
             if not low < ratio < high:
