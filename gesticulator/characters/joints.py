@@ -83,7 +83,7 @@ def find_joints(character: Character) -> RigMapping:
         candidates.append(_found(search))
         if candidates[-1].confidence >= 0.9:
             break
-    return max(candidates, key=lambda mapping: mapping.confidence)
+    return max(candidates, key=lambda mapping: (round(mapping.confidence, 2), len(mapping.joints)))
 
 
 # ---------------------------------------------------------------------------------------------------- by the table
