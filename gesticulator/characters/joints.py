@@ -275,8 +275,8 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
         return None
     fork = search.meeting(arms[0], arms[-1])
     head_sure = _BY_NAME
-    if head is not None and any(search.labels[node].parts[:1] == ("Spine",) and search.character.skinned[node]
-                                for node in search.path(search.meeting(fork, head), fork)):
+    if head is not None and not search.character.skinned[head] and any(
+            search.labels[node].parts[:1] == ("Spine",) for node in search.path(search.meeting(fork, head), fork)):
         head = None  # a mesh or a control of this name beside the spine
     if head is None:
         head = shape.head_above(search.character, search.places, search.up, fork, joints.values())
