@@ -210,7 +210,8 @@ def _makehuman(animal: Animal, opened: Path) -> Path:
     points = human.body(body)
     bones = human.bones(bones_file, points)
     bones = deforming(bones) if rig == "Rigify DEF" else bones
-    out.write_bytes(glb(bones, points, human.triangles, human.weights(weights_file, list(bones))))
+    out.write_bytes(glb(bones, points, human.triangles, human.weights(weights_file, list(bones)),
+                        human.dressed))
     return out
 
 

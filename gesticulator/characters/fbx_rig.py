@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from data_module.errors import InputError, shown
 from data_module.files import read_json
 from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.bvh_rig import turns_of
-from gesticulator.characters.rig import Character, decomposed
+from gesticulator.characters.rig import Character, Skin, decomposed
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 _LARGEST = 1 << 28
@@ -34,10 +35,16 @@ def read_fbx_character(path: str | os.PathLike[str]) -> Character:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "rig.json"
         run_in_blender(source, SCRIPT, str(source.resolve()), str(target))
-        bones: list[dict[str, Any]] = read_json(target, "export it again", _LARGEST)
+        document: dict[str, Any] = read_json(target, "export it again", _LARGEST)
+    bones = document["bones"]
     if len(bones) < 2:
         raise InputError(path, "holds no armature", "export the armature, too")
-    return from_bones(source, bones)
+    character = from_bones(source, bones)
+    if not document["triangles"]:
+        return character
+    joints, weights = np.array(document["joints"], dtype=np.int64), np.array(document["weights"])
+    skin = Skin(np.array(document["points"]), joints, weights, np.array(document["triangles"], dtype=np.int64))
+    return replace(character, skin=skin, flesh=skin.points, flesh_nodes=joints[:, 0])
 
 
 def from_bones(path: Path, bones: list[dict[str, Any]]) -> Character:
