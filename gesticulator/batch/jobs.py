@@ -206,6 +206,8 @@ def retargeter_for(args: argparse.Namespace) -> Retargeter | None:
     character, mapping = choose(args.character, args.mapping, args.save_mapping)
     legs = False if args.seated else True if args.legs else None
     retargeter = Retargeter(character, mapping, contacts=not args.no_contacts, legs=legs)
+    for doubt in () if args.quiet else retargeter.doubts:
+        complain(f"{PROGRAM}: {args.character}: {doubt}; look at the result")
     if legs is None and not retargeter.legs and not args.quiet:
         complain(f"{PROGRAM}: {args.character}: is seated, so hips and legs stay as they are; --legs makes it stand")
     return retargeter
