@@ -22,7 +22,7 @@ def write_fbx(path: Path, scene: Scene) -> Path:
     """
     character = own_character(scene)
     if character is not None:
-        return write_animated(path, character)
+        return write_animated(path, character, scene.clip)
     rate = max(1, round(scene.fps))
     if scene.fps != rate:
         scene = replace(scene, motion=resample(scene.motion, float(rate)))

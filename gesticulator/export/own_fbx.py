@@ -12,6 +12,7 @@ from data_module.files import write_bytes
 from data_module.motion import rotation
 from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.rig import CharacterMotion
+from gesticulator.export.clip import ClipLayout
 from gesticulator.export.scene import Scene
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
@@ -23,7 +24,7 @@ def own_character(scene: Scene) -> CharacterMotion | None:
     return character if character is not None and character.character.kind == "fbx" else None
 
 
-def write_animated(path: Path, moved: CharacterMotion) -> Path:
+def write_animated(path: Path, moved: CharacterMotion, clip: ClipLayout) -> Path:
     """Write the character's file with our animation as `.glb` or `.fbx`, atomically. Returns `path`.
 
     Animations in the file are omitted. `InputError` without Blender or if it fails.
