@@ -208,10 +208,14 @@ def retargeter_for(args: argparse.Namespace) -> Retargeter | None:
         return None
     from gesticulator.characters.reading import choose
     from gesticulator.characters.retarget import Retargeter
+    from gesticulator.characters.several import note_of
 
     character, mapping = choose(args.character, args.mapping, args.save_mapping)
     upper = args.mask is not None or args.layer is not None
     legs = False if args.seated or upper else True if args.legs else None
+    note = note_of(character, mapping.joints["Hips"])
+    if note and not args.quiet:
+        complain(f"{PROGRAM}: {args.character}: {note}")
     retargeter = Retargeter(character, mapping, contacts=not args.no_contacts, legs=legs)
     if legs is None and not retargeter.legs and not args.quiet:
         complain(f"{PROGRAM}: {args.character}: is seated, so hips and legs stay as they are; --legs makes it stand")

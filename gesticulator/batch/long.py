@@ -53,7 +53,8 @@ class FrameWriter(Protocol):
 class BvhFile:
     """A .bvh file. Its header holds the number of frames, so frames are kept in a temporary file until it is known."""
 
-    def __init__(self, path: Path, skeleton: Skeleton, fps: float, unit: str = "cm", clip: ClipLayout | None = None) -> None:
+    def __init__(self, path: Path, skeleton: Skeleton, fps: float, unit: str = "cm",
+                 _clip: ClipLayout | None = None) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._path, self._text = path, BvhWriter(skeleton, fps, UNITS[unit])
         self._rows: IO[bytes] = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - closed by `close`
@@ -92,7 +93,8 @@ def _glb(path: Path, skeleton: Skeleton, fps: float, unit: str, clip: ClipLayout
     return GlbFile(path, skeleton, fps, clip or ClipLayout())
 
 
-WRITERS: dict[str, Callable[[Path, Skeleton, float, str, ClipLayout | None], FrameWriter]] = {".bvh": BvhFile, ".glb": _glb}
+WRITERS: dict[str, Callable[[Path, Skeleton, float, str, ClipLayout | None], FrameWriter]] = {
+    ".bvh": BvhFile, ".glb": _glb}
 """Suffix -> writer that takes frames in pieces: (path, skeleton, frames per second, unit of a BVH file, clip)."""
 
 
