@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from data_module.errors import InputError, shown
+from data_module.motion.skeletons import LEG_JOINTS
 
 NAME = "gesture"
 """Default name of a clip."""
@@ -17,6 +18,10 @@ CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".parquet", ".usda", ".usdc", ".vrma")
 REDUCED = (".fbx", ".glb", ".vrma")
 """Suffixes of formats with keys of their own for every track."""
 _LONGEST_NAME = 100
+
+
+STEADY = frozenset({"Hips", *LEG_JOINTS})
+"""Our joints whose errors add up at the feet."""
 
 
 @dataclass(frozen=True)

@@ -10,17 +10,14 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
-from data_module.motion.skeletons import LEG_JOINTS
 from gesticulator.characters.rig import CharacterMotion
-from gesticulator.export.clip import ClipLayout
+from gesticulator.export.clip import STEADY, ClipLayout
 from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree, open_gltf, transform
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.own_fbx import write_animated
 from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import figure
 
-STEADY = frozenset({"Hips", *LEG_JOINTS})
-"""Our joints whose errors add up at the feet."""
 _COLOUR = [0.24, 0.45, 0.47, 1.0]
 """Colour of the figure: linear red, green, blue, opacity."""
 
