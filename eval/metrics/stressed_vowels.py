@@ -22,7 +22,7 @@ from data_module.types import Speech, Word
 
 __all__ = ["available", "stressed_vowels"]
 
-_VOWELS = frozenset("AA AE AH AO AW AY EH ER EY IH IY OW OY UH UW".split())
+_VOWELS = frozenset(["AA", "AE", "AH", "AO", "AW", "AY", "EH", "ER", "EY", "IH", "IY", "OW", "OY", "UH", "UW"])
 _IPA_VOWELS = frozenset("aɐɑɒæʌəɚɜɝeɛiɪoɔuʊʉyøœɨɵɘᵻ")
 _FRAME = 0.01
 _PAUSE, _LONGEST, _MARGIN = 0.15, 8.0, 0.1

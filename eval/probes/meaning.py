@@ -204,14 +204,14 @@ def _most_played(calls: Sequence[tuple[float, Sequence[str]]]) -> int:
     """Of calls (second, labels of which one is shown) the most that fit in the budget, by dynamic programming over
     those shown within the last `AGAIN` seconds."""
     states: dict[tuple[tuple[float, str], ...], int] = {(): 0}
-    for time, labels in calls:
+    for at, labels in calls:
         after: dict[tuple[tuple[float, str], ...], int] = {}
         for shown, count in states.items():
-            recent = tuple(one for one in shown if time - one[0] < AGAIN)
+            recent = tuple(one for one in shown if at - one[0] < AGAIN)
             after[recent] = max(after.get(recent, 0), count)
             for label in labels:
-                if all(time - before >= LEVELS[_LEVEL].apart and label != other for before, other in recent):
-                    longer = (*recent, (time, label))
+                if all(at - before >= LEVELS[_LEVEL].apart and label != other for before, other in recent):
+                    longer = (*recent, (at, label))
                     after[longer] = max(after.get(longer, 0), count + 1)
         states = after
     return max(states.values())
