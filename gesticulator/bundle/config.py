@@ -225,9 +225,6 @@ class SelectionConfig:
     returns in the next block, since people prepare before they speak."""
     unit_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
     """Flow head: guidance on the planner's decision, for heads that take it (`generator.units`); 0 adds none."""
-    style_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
-    """Flow head: guidance on the style code of the unit, away from the speaker's habit (a code of zeros); 0 adds
-    none."""
     history: Share = 1.0
     """Flow head: weight of past motion, from v without history (0) to v (1), for heads trained with history dropout
     (`generator.history_dropout`)."""

@@ -298,8 +298,6 @@ class FlowDrawer:
         row = None if unit is None or not self.generator.unit_width else unit.row.to(self.device)
         if row is not None:
             gains["unit"] = settings.unit_guidance
-        if self.style is not None:
-            gains["style"] = settings.style_guidance
         if control is not None:
             gains["control"] = settings.guidance - 1.0
         gains = {condition: gain for condition, gain in gains.items() if gain}
@@ -312,14 +310,11 @@ class FlowDrawer:
                                 for condition in left_out], device=self.device)
         if row is not None:
             row = torch.stack([row * (condition != "unit") for condition in left_out])[:, None]
-        style = None
-        if self.style is not None:
-            style = torch.stack([code * (condition != "style") for condition in left_out])
         return FlowInputs(
             features.low[None, None], lexemes, past[:, None], cast(Pasts, self.past).ratio[None], place[None, None],
             self.speaker, control, torch.tensor([condition == "audio" for condition in left_out], device=self.device),
             torch.tensor([condition == "history" for condition in left_out], device=self.device), row,
-            style), list(gains.values())
+            None if self.style is None else code[:, None]), list(gains.values())
 
 
 def _shown(past: Tensor, blocks: Tensor, shift: Tensor | None) -> tuple[Array, Array]:
