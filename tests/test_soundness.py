@@ -55,7 +55,7 @@ def test_a_mapping_that_is_wrong_is_refused_with_the_line_to_correct(tmp_path: P
         ({**joints, "RightForeArm": joints["RightHand"], "RightHand": joints["RightHandIndex3"]}, "upper arm",
          '"RightForeArm": "mixamorig:RightHand"'),
         ({**joints, "LeftUpLeg": joints["LeftLeg"], "LeftLeg": joints["LeftFoot"], "LeftFoot": joints["LeftToeBase"]},
-         "", '"LeftUpLeg"'),
+         "shin", '"LeftLeg": "mixamorig:LeftFoot"'),
     ]
     for wrong, reason, line in cases:
         kept = {name: node for name, node in wrong.items() if name == "RightHand"
