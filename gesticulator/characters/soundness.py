@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
@@ -343,9 +344,10 @@ class _Seen:
 
     # ------------------------------------------------------------------------------------------------ the mesh
 
-    def _movers(self) -> Array:
+    def _movers(self) -> NDArray[np.int64]:
         """[V] the node with the largest weight of each point of the mesh."""
-        return np.take_along_axis(self.skin.joints, self.skin.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+        largest = self.skin.weights.argmax(axis=1)[:, None]
+        return np.asarray(np.take_along_axis(self.skin.joints, largest, axis=1)[:, 0])
 
     def _between(self, top: str, low: str) -> list[int]:
         """The nodes that move with a bone: below its joint, but not below another joint."""
