@@ -21,10 +21,14 @@ def run(args: argparse.Namespace) -> int:
     from gesticulator.characters.mapping import check, described, load_mapping, save_mapping
     from gesticulator.characters.reading import read_character
     from gesticulator.characters.retarget import Retargeter
+    from gesticulator.characters.several import note_of
 
     character = read_character(args.character)
     mapping = find_joints(character) if args.mapping is None else load_mapping(args.mapping, character)
     print(described(mapping, character), flush=True)
+    note = note_of(character, mapping.joints["Hips"]) if "Hips" in mapping.joints else ""
+    if note:
+        print(note, flush=True)
     if args.save_mapping is not None:
         Path(args.save_mapping).parent.mkdir(parents=True, exist_ok=True)
         save_mapping(args.save_mapping, mapping, character)
