@@ -17,7 +17,7 @@ from gesticulator.characters.mapping import RigMapping
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
 from gesticulator.characters.rig import Character, decomposed
-from gesticulator.characters.soundness import examine
+from gesticulator.characters.soundness import examine, probe_motion
 from tests.rigs import PLACES, Rig, as_glb, draw, placed
 
 
@@ -55,7 +55,7 @@ def test_a_mapping_that_is_wrong_is_refused_with_the_line_to_correct(tmp_path: P
         ({**joints, "RightForeArm": joints["RightHand"], "RightHand": joints["RightHandIndex3"]}, "upper arm",
          '"RightForeArm": "mixamorig:RightHand"'),
         ({**joints, "LeftUpLeg": joints["LeftLeg"], "LeftLeg": joints["LeftFoot"], "LeftFoot": joints["LeftToeBase"]},
-         "", '"LeftUpLeg"'),
+         "shin", '"LeftLeg": "mixamorig:LeftFoot"'),
     ]
     for wrong, reason, line in cases:
         kept = {name: node for name, node in wrong.items() if name == "RightHand"
@@ -99,28 +99,48 @@ def test_four_legs_are_refused() -> None:
         Retargeter(horse)
 
 
-def test_limbs_that_hang_beside_the_trunk_are_refused_with_what_to_do() -> None:
-    """Deforming bones that were exported without the controls that tie them together."""
-    rig = draw(3, "rigify", "A").character
-    whole = rig.world_matrices()
-    root = next(node for node, name in enumerate(rig.names) if name == "DEF-spine")
-    parents = list(rig.parents)
-    if parents[root] < 0:
-        pytest.skip("this seed has no node above the hips")
-    cut = [node for node, name in enumerate(rig.names) if name.startswith(("DEF-shoulder", "DEF-upper_arm"))
-           and not rig.names[parents[node]].startswith("DEF-shoulder")]
+def hung(rig: Character, nodes: list[int], on: int) -> Character:
+    """The character with some nodes hung on another one, where they are."""
+    whole, parents = rig.world_matrices(), list(rig.parents)
     translations, rotations = rig.translations.copy(), rig.rotations.copy()
-    for node in cut:
-        parents[node] = parents[root]
-        translations[node], rotations[node], _ = decomposed(np.linalg.inv(whole[parents[root]]) @ whole[node])
+    for node in nodes:
+        parents[node] = on
+        translations[node], rotations[node], _ = decomposed(np.linalg.inv(whole[on]) @ whole[node])
     order = sorted(range(len(rig)), key=lambda node: _depth(parents, node))
     back = {node: place for place, node in enumerate(order)}
-    flat = replace(rig, names=tuple(rig.names[node] for node in order), node_ids=tuple(range(len(rig))),
+    return replace(rig, names=tuple(rig.names[node] for node in order), node_ids=tuple(range(len(rig))),
                    parents=tuple(back[parents[node]] if parents[node] >= 0 else -1 for node in order),
                    translations=translations[order], rotations=rotations[order], scales=rig.scales[order],
                    skinned=rig.skinned[order], flesh=np.zeros((0, 3)), flesh_nodes=np.zeros(0, np.int64))
+
+
+def rooted(style: str) -> Rig:
+    """A rig of a style with a node above the hips."""
+    return next(rig for rig in (draw(seed, style, "A") for seed in range(20))
+                if rig.character.kind == "glb" and rig.character.parents[rig.truth["Hips"]] >= 0)
+
+
+def test_limbs_that_hang_beside_the_trunk_are_refused_with_what_to_do() -> None:
+    """Deforming bones that were exported without the controls that tie them together."""
+    rig = rooted("rigify")
+    tops = [rig.truth.get(side + "Shoulder", rig.truth[side + "Arm"]) for side in ("Left", "Right")]
+    flat = hung(rig.character, tops, rig.character.parents[rig.truth["Hips"]])
     with pytest.raises(InputError, match="one tree"):
         Retargeter(flat)
+
+
+def test_legs_whose_feet_hang_beside_them_stay_and_the_rest_gestures() -> None:
+    """Toys whose feet are targets of inverse kinematics."""
+    rig = rooted("quaternius")
+    names = rig.character.names
+    toy = hung(rig.character, [rig.truth[side + "Foot"] for side in ("Left", "Right")],
+               rig.character.parents[rig.truth["Hips"]])
+    moved = Retargeter(toy)
+    assert not moved.legs and toy.names[moved.mapping.joints["LeftUpLeg"]] == names[rig.truth["LeftUpLeg"]]
+    assert toy.names[moved.mapping.joints["LeftHand"]] == names[rig.truth["LeftHand"]]
+    motion = moved(probe_motion())
+    assert motion.translations is None and motion.hips not in motion.moved
+    assert moved.mapping.joints["LeftForeArm"] in motion.moved
 
 
 def _depth(parents: list[int], node: int) -> int:

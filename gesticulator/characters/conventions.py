@@ -41,13 +41,15 @@ def _rigify_spine(character: Character, found: list[Label]) -> dict[int, Label]:
         match = _RIGIFY.fullmatch(name)
         if match:
             chains.setdefault(match[1].upper()[:3], {})[int(match[2] or 0)] = node
-    chain = next((chains[prefix] for prefix in ("DEF", "", "ORG") if len(chains.get(prefix, ())) > _TRUNK), None)
+    chain = next((chains[prefix] for prefix in ("DEF", "", "ORG")
+                  if len(chains.get(prefix, ())) > _TRUNK and 0 in chains[prefix]), None)
     if chain is None:
         return {}
-    heads = [node for node, entry in enumerate(found) if entry.parts[:1] == ("Head",) and not entry.tip
-             and not entry.aid and not any(one in ancestors(character.parents, node) for one in chain.values())]
-    if len(character.flesh) and np.isin(heads, character.flesh_nodes).any():
-        return {}
+    heads = [node for node, entry in enumerate(found)
+             if entry.parts[:1] == ("Head",) and not entry.tip and not entry.aid]
+    if any(set(chain.values()) & set(ancestors(character.parents, node)) for node in heads) or (
+            len(character.flesh) and np.isin(heads, character.flesh_nodes).any()):
+        return {}  # the spine carries a head of that name
     out = {node: Label((("Hips",) if number == 0 else ("Spine",) if number < _TRUNK else ("Neck",)), "", str(number))
            for number, node in chain.items()}
     out[chain[max(chain)]] = Label(("Head",))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ def read_skin(file: GltfFile, place: Mapping[int, int], to_world: Array) -> Skin
                   np.concatenate(weights), np.concatenate(triangles))
 
 
-def _parts(file: GltfFile) -> Iterator[tuple[int, Mapping[str, int]]]:
+def _parts(file: GltfFile) -> Iterator[tuple[int, dict[str, Any]]]:
     """The skin and the primitive of every part of a skinned mesh made of triangles."""
     for node in file.rows("nodes"):
         if "mesh" not in node or "skin" not in node or not file.rows("skins")[node["skin"]]["joints"]:

@@ -149,8 +149,8 @@ def feet_ahead(character: Character, places: Array, up: Array, joints: Mapping[s
     if all(side + "ToeBase" in joints for side in ("Left", "Right")):
         ways.append(sum(places[joints[side + "ToeBase"]] - places[joints[side + "Foot"]] for side in ("Left", "Right")))
     meshes = [_foot_mesh(character, places, up, joints[side + "Foot"]) for side in ("Left", "Right")]
-    if all(mesh is not None for mesh in meshes):
-        ways.append(np.sum(meshes, axis=0))
+    if meshes[0] is not None and meshes[1] is not None:
+        ways.append(meshes[0] + meshes[1])
     level = [way - (way @ up) * up for way in ways]
     size = float(np.ptp(places @ up))
     cosines = [float(ahead @ way / np.linalg.norm(ahead) / np.linalg.norm(way)) for way in level

@@ -10,21 +10,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Array, Motion
-from gesticulator.characters.mapping import SIDES, ancestors, node_keys
-from gesticulator.characters.names import label
-from gesticulator.characters.rig import UPS
+from gesticulator.characters.contacts import pose_of
+from gesticulator.characters.frames import Body
+from gesticulator.characters.mapping import SIDES, RigMapping, ancestors, node_keys
+from gesticulator.characters.names import label, words
+from gesticulator.characters.rig import UPS, Character, CharacterMotion
 from gesticulator.characters.shape import bind_matrices
 
-if TYPE_CHECKING:
-    from gesticulator.characters.retarget import Retargeter
+
+class Mover(Protocol):
+    """What moves one character: a `Retargeter`. legs: whether it moves hips and legs."""
+
+    character: Character
+    mapping: RigMapping
+    body: Body
+    legs: bool
+
+    def __call__(self, motion: Motion) -> CharacterMotion:
+        """The motion on the character."""
+
 
 _FPS = 30.0
 _LEANS = 40.0
@@ -85,7 +98,7 @@ def probe_motion() -> Motion:
     return Motion(WHOLE_BODY, turns, np.zeros((len(poses), 3)), _FPS)
 
 
-def require_sound(retargeter: Retargeter) -> tuple[str, ...]:
+def require_sound(retargeter: Mover) -> tuple[str, ...]:
     """The doubts about what comes out on a character; `InputError` with the reason and the line to correct, for a
     fault."""
     found = examine(retargeter)
@@ -104,7 +117,7 @@ def _quoted(key: str) -> str:
     return f'"{shown(key, 60).strip(chr(39))}"'
 
 
-def examine(retargeter: Retargeter) -> Findings:
+def examine(retargeter: Mover) -> Findings:
     """What is wrong with the character when it takes the poses of `probe_motion`."""
     seen = _Seen(retargeter)
     faults: list[tuple[str, Remedy]] = []
@@ -127,7 +140,7 @@ class _Seen:
     Each check yields (whether it is a fault, the reason, what to do or the joints to correct).
     """
 
-    def __init__(self, retargeter: Retargeter) -> None:
+    def __init__(self, retargeter: Mover) -> None:
         self.body, self.character = retargeter.body, retargeter.character
         self.mapping, self.joints = retargeter.mapping, retargeter.mapping.joints
         self.stands = retargeter.legs and retargeter.mapping.legs
@@ -253,8 +266,6 @@ class _Seen:
 
     def directions(self) -> Check:
         """Arms and legs point where those of the motion point."""
-        from gesticulator.characters.contacts import pose_of
-
         ours = pose_of(self.motion)
         for above, below in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
             if "Leg" in above and not self.stands:
@@ -333,9 +344,10 @@ class _Seen:
 
     # ------------------------------------------------------------------------------------------------ the mesh
 
-    def _movers(self) -> Array:
+    def _movers(self) -> NDArray[np.int64]:
         """[V] the node with the largest weight of each point of the mesh."""
-        return np.take_along_axis(self.skin.joints, self.skin.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+        largest = self.skin.weights.argmax(axis=1)[:, None]
+        return np.asarray(np.take_along_axis(self.skin.joints, largest, axis=1)[:, 0])
 
     def _between(self, top: str, low: str) -> list[int]:
         """The nodes that move with a bone: below its joint, but not below another joint."""
@@ -372,6 +384,4 @@ def _degrees(a: Array, b: Array) -> float:
 
 
 def _is_eye(name: str) -> bool:
-    from gesticulator.characters.names import words
-
     return "eye" in words(name) and bool(label(name).side)
