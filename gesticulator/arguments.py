@@ -118,8 +118,14 @@ def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionF
 
 
 def check_choices(args: argparse.Namespace) -> None:
-    """`InputError` for a speaker that is not in the bundle or a --beta that would have no effect, before models
-    load."""
+    """`InputError` for a recogniser that is missing, a speaker that is not in the bundle or a --beta that would have no
+    effect, before models load."""
+    if args.transcribe is not None:
+        if args.text is not None:
+            raise InputError("--transcribe", "hears words, and --text gives them", "leave one of them out")
+        from data_module.text.transcription import find_model
+
+        find_model(args.transcribe)
     if args.beta is not None and (args.interpreter is None or not INTERPRETERS[args.interpreter].prior):
         steered = ", ".join(name for name, entry in INTERPRETERS.items() if entry.prior)
         raise InputError(f"--beta {args.beta:g}", f"is read by the interpreter {steered} alone",

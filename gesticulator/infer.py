@@ -228,6 +228,7 @@ COMMAND = Command(
     examples=(
         "infer speech.wav -o gesture.bvh --preview gesture.html",
         "infer speech.wav -o gesture.bvh --text speech.txt",
+        "infer speech.wav -o gesture.bvh --transcribe tiny.en",
         "infer speech.wav -o gesture.glb -o gesture.vrma -o gesture.mp4",
         "infer recordings/ -o out/ --format fbx",
         "infer speech.wav --character rig.glb -o talk.glb",

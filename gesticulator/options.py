@@ -133,6 +133,11 @@ class InferenceOptions:
     """Frames per second of the motion, 1 to 1000."""
     gain: float = _option(0.0, "amplify the recording first, in decibels (default 0)", "DB", group=_AUDIO)
     """Decibels by which the recording is amplified first, -70 to 70; samples beyond full scale are clipped."""
+    transcribe: str | os.PathLike[str] | None = _option(
+        None, "hear the words by a Whisper model, offline: tiny.en, or a folder for faster-whisper; needs the extra "
+        "transcribe", "MODEL", group=_AUDIO)
+    """Hear the words by a Whisper model (`data_module.text.transcription`): "tiny.en", or the path of a folder in the
+    format of faster-whisper. A speech with words keeps them. Not for streams."""
     hand_height: HandControl = _option(None, "height of the right hand above the hips, metres", "VALUE")
     """Height of the right hand above the hips, metres."""
     hand_speed: HandControl = _option(None, "mean speed of the hands, metres per second", "VALUE")
@@ -190,6 +195,8 @@ class InferenceOptions:
             raise InputError(f"handedness {self.handedness}", "is unknown", f"choose among {', '.join(HANDS)}")
         if self.meaning not in MEANING_LEVELS:
             raise InputError(f"meaning {self.meaning}", "is unknown", f"choose among {', '.join(MEANING_LEVELS)}")
+        if self.transcribe is not None and self.plan is not None:
+            raise InputError("transcribe", "hears words, and those of a plan are in it", "leave it out")
         if (self.retime and self.plan is None) or (self.retime_from is not None and not self.retime):
             raise InputError(*(("retime", "moves a plan, and none is given", "give the plan, too") if self.retime else
                                ("retime_from", "is for retime alone", "add retime, or leave it out")))
@@ -263,6 +270,7 @@ class InferenceArguments(TypedDict, total=False):
     activity: float | None
     fps: float
     gain: float
+    transcribe: str | os.PathLike[str] | None
     hand_height: HandControl
     hand_speed: HandControl
     hand_radius: HandControl

@@ -128,6 +128,18 @@ class Gesticulator:
         with_words, timing = with_transcript(speech, as_transcript(text, speech))
         return with_words, timing.note
 
+    def _heard(self, speech: Speech, model: str | os.PathLike[str]) -> tuple[Speech, str]:
+        """Speech at 16 kHz with the words that a recogniser hears, and a line on them."""
+        self._check_reads_text()
+        from data_module.text.transcript import with_transcript
+        from data_module.text.transcription import transcribed
+
+        transcript = transcribed(speech, model)
+        if transcript is None:
+            return speech, "no words heard"
+        with_words, timing = with_transcript(speech, transcript)
+        return with_words, timing.note.replace("times given", "heard with their times", 1)
+
     def _check_reads_text(self) -> None:
         if not self.reads_text:
             raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
@@ -158,6 +170,8 @@ class Gesticulator:
         >>> g("speech.wav", text="Hello there", hand_height="low", seed=3).save("gesture.bvh")
         """
         checked = InferenceOptions.of(options)
+        if checked.transcribe is not None and text is not None:
+            raise InputError("transcribe", "hears words, and text gives them", "leave one of them out")
         if isinstance(speech, list | tuple):
             if encoded is not None:
                 raise InputError("encoded", "cannot be used with a list of recordings", "give one recording")
@@ -203,6 +217,8 @@ class Gesticulator:
         from gesticulator.stream import Stream
 
         checked = InferenceOptions.of(options)
+        if checked.transcribe is not None:
+            raise InputError("transcribe", "is not for streams", "give the words by add_words")
         if text:
             self._check_reads_text()
         cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder() if text else None,
@@ -367,6 +383,11 @@ class Gesticulator:
         elif text is not None:
             recording, note = self.read(recording, text)
             notes = (note,)
+        elif options.transcribe is not None and not recording.words:
+            recording, note = self._heard(recording, options.transcribe)
+            notes = (note,)
+        # The words are in the speech from here on, and in the plan.
+        options = replace(options, transcribe=None)
         if options.plan is None and (options.cues or options.hold_still):
             from gesticulator.directing.mismatches import without_mismatches
 

@@ -28,7 +28,7 @@ from data_module.text.subtitles import srt, vtt
 from data_module.text.transcript_formats import Content, Entry
 from data_module.types import Samples, Speech, Word
 
-__all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "with_transcript"]
+__all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_transcript", "with_transcript"]
 
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
     ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": srt, ".vtt": vtt, ".tsv": formats.tsv,
@@ -125,6 +125,13 @@ def as_transcript(text: Text, speech: Speech) -> Transcript:
     if not any(letter.isalnum() for letter in plain):
         raise InputError("text", "has no words", "give the spoken text, or leave it out")
     return Transcript(None, plain, "none", "text", marks=marks)
+
+
+def timed_transcript(source: str, words: Sequence[Word], duration: float) -> Transcript:
+    """The transcript of words with their times, seconds, after the checks that a file goes through. source: for
+    messages; duration: of the sound, seconds."""
+    entries = tuple(Entry(word.text, word.start, word.end, f"word {number}") for number, word in enumerate(words, 1))
+    return _within(_transcript(source, Content(words=entries)), duration)
 
 
 def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Timing]:

@@ -21,6 +21,8 @@ PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
                             "eval.acceptance.motion.command"),
     "meaning": RegistryEntry("does what is said choose the right gesture? Precision, recall, traps, rate and cost",
                              "eval.probes.meaning"),
+    "recognition": RegistryEntry("do named gestures look like people's? Named by a classifier of people's clips",
+                                 "eval.probes.recognition"),
     "quality": RegistryEntry("how good is a bundle on the test split, compared with baselines?", "eval.probes.quality"),
     "corpus": RegistryEntry("is a built data set good enough to learn from?", "eval.acceptance.corpus.command"),
     "languages": RegistryEntry("is a model of one language in time with another?", "eval.probes.languages"),

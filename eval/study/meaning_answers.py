@@ -29,7 +29,7 @@ _MEANINGS = {"answers": Column("answers"), "right": Column("named"), "above": Co
 
 
 @dataclass(frozen=True)
-class Item:
+class StudyItem:
     """A clip. kind: as in `eval.study.meaning`; meaning: the answer that is asked for; shown: the gesture in it."""
 
     kind: str
@@ -43,7 +43,7 @@ class MeaningKey:
     """What the page does not tell."""
 
     study: str
-    items: Mapping[str, Item]
+    items: Mapping[str, StudyItem]
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ def read_meaning_key(path: Path) -> MeaningKey:
     """The key that `study meaning` wrote; InputError for anything else."""
     held = read_json(path, _ADVICE)
     try:
-        items = {str(name): Item(str(own["kind"]), str(own["meaning"]), tuple(map(str, own["answers"])), own["shown"])
-                 for name, own in held["items"].items()}
+        items = {str(name): StudyItem(str(own["kind"]), str(own["meaning"]), tuple(map(str, own["answers"])),
+                                      own["shown"]) for name, own in held["items"].items()}
         good = isinstance(held["study"], str) and items and all(
             own.kind in (GESTURE, NONE, OTHER, CATCH) and own.meaning in own.answers
             and len(set(own.answers)) == ANSWERS and isinstance(own.shown, str | None) for own in items.values())

@@ -21,10 +21,9 @@ _CALM = (0.0, -0.04, 0.04)
 THINGS: dict[str, tuple[GestureScript, ...]] = {
     # ------------------------------------------------------------------------------------------- feelings
     "cheer arms": (
-        both(hand((0.16, 0.36, 0.12), (0.2, 1.0, 0.0), (-0.3, 0.0, 1.0), "spread", (0.0, -0.2, 0.06),
-                  repeat=Repeat((0.03, 0.02, 0.0), rate=2.2, count=1.5)), preparation=0.85, stroke=0.35, hold=0.7,
-                  retraction=1.0,
-             adds={"Head": (-8.0, 0.0, 0.0)}),),
+        both(hand((0.16, 0.34, 0.14), (0.2, 1.0, 0.0), (-0.3, 0.0, 1.0), "fist", (0.0, -0.2, 0.06),
+                  repeat=Repeat(circle=(0.02, -0.12, 0.04), rate=2.2, count=1.5)), preparation=0.85, stroke=0.35,
+             hold=0.7, retraction=1.0, adds={"Head": (-8.0, 0.0, 0.0)}),),
     "fist pump": (
         GestureScript(hand((0.10, -0.17, 0.24), (-0.15, 0.8, 0.5), (-0.5, 0.2, -0.9), "fist", (-0.02, 0.14, 0.16)),
                       stroke=0.25, hold=0.6, nods={"Head": (5.0, 0.0, 0.0)}),),

