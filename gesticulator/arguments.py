@@ -79,8 +79,9 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     body = p.add_argument_group("character", "Your own character, from Mixamo, VRM, Unreal, Blender or "
                                 "elsewhere; see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE",
-                      help="animate this character: .bvh, .glb, .gltf, .vrm, or .fbx if Blender is installed; it "
-                      "stands unless it is seated in the file or --seated is given")
+                      help="animate this character: .bvh, .glb, .gltf, .vrm, or .fbx if Blender is installed "
+                      "(FILE#NAME: one of several in the file); it stands unless it is seated in the file or --seated "
+                      "is given")
     body.add_argument("--mapping", metavar="FILE.json",
                       help="which nodes are which joints, if they are not identified automatically")
     body.add_argument("--save-mapping", metavar="FILE.json", help="write the joint mapping, to check or correct it")

@@ -73,6 +73,11 @@ class UnitDecision:
         phase, last = PHASES[self.phase], "rest" if before is None else PHASES[before.phase]
         return phase != last and (phase == "preparation" or (phase == "stroke" and last != "preparation"))
 
+    def follows(self, before: UnitDecision | None) -> bool:
+        """Whether a stroke begins here right after the apex of another. before: the decision for the block before."""
+        return before is not None and PHASES[self.phase] == PHASES[before.phase] == "stroke" \
+            and APEXES[before.apex] == "now"
+
     @property
     def row(self) -> Tensor:
         """[U] one-hot (`one_hot`)."""
@@ -172,11 +177,11 @@ class UnitPlanner(nn.Module):
 
     @torch.inference_mode()
     def step(self, state: PlannerState, features: BlockFeatures, noise: np.ndarray, temperature: float = 1.0,
-             hold: float = 0.0) -> tuple[UnitDecision, PlannerState]:
+             bias: np.ndarray | None = None) -> tuple[UnitDecision, PlannerState]:
         """The decision for the next block: arg max of logits / temperature + Gumbel noise, which is a sample; the
-        likeliest at temperature 0. noise: [`choices`] standard Gumbel numbers. hold: added to the logit of a hold after
-        a stroke or a hold, where hands are up. A hold lasts at least `LEAST_HOLD` seconds: a hand takes half of that to
-        stop, so a shorter one is not visible."""
+        likeliest at temperature 0. noise: [`choices`] standard Gumbel numbers. bias: [5] added to the logits of the
+        phases, that of a hold only after a stroke or a hold, where hands are up. A hold lasts at least `LEAST_HOLD`
+        seconds: a hand takes half of that to stop, so a shorter one is not visible."""
         heard, hidden = self.hear(features.low[None, None], state.speaker, state.last[:, None], state.hidden)
         seconds = 0.0 if features.durations is None else features.durations[1]
         if 0.0 < state.held < LEAST_HOLD:
@@ -188,8 +193,8 @@ class UnitPlanner(nn.Module):
         each = np.split(noise, np.cumsum(CLASSES)[:-1])
         for level in range(len(CLASSES)):
             scores = self.logits(heard, level, decided)[0, 0].double().cpu().numpy()
-            if level == 0 and raised:
-                scores[PHASES.index("hold")] += hold
+            if level == 0 and bias is not None:
+                scores += np.where(raised | (np.array(PHASES) != "hold"), bias, 0.0)
             if temperature > 0:
                 scores = scores / temperature + each[level]
             chosen = torch.full((1, 1, 1), int(scores.argmax()), device=heard.device)

@@ -216,10 +216,18 @@ class SelectionConfig:
     """Flow head: guidance on the lexeme; -1 (`UNTOLD`) removes the lexeme."""
     style: Annotated[float, SettingRange(0.0, 4.0)] = 1.0
     """Flow head: factor on the style codes heard in the voice; 0 for the speaker's habit."""
+    waxing: Annotated[float, SettingRange(0.0, 4.0)] = 0.0
+    """Flow head: deviation of the style codes' own rise and fall over seconds."""
     hold: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
     """Added to the planner's logit of a hold after a stroke: what is generated holds less than people do."""
+    phrasing: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
+    """Added to the planner's logits in a pause: of a hold where the pause goes on, and of a preparation where the voice
+    returns in the next block, since people prepare before they speak."""
     unit_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
     """Flow head: guidance on the planner's decision, for heads that take it (`generator.units`); 0 adds none."""
+    style_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
+    """Flow head: guidance on the style code of the unit, away from the speaker's habit (a code of zeros); 0 adds
+    none."""
     history: Share = 1.0
     """Flow head: weight of past motion, from v without history (0) to v (1), for heads trained with history dropout
     (`generator.history_dropout`)."""
@@ -245,6 +253,10 @@ class SelectionConfig:
     """Weight, relative to `timing`, of wrists and elbows outside the trunk, and of arms that are not folded."""
     as_asked: NotNegative = 0.0
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
+    together: NotNegative = 0.0
+    """Weight, relative to `timing`, of a head that turns as fast as goes with the speed of the hands."""
+    as_styled: NotNegative = 0.0
+    """Weight, relative to `timing`, of hands that are as fast, high and far as the unit's style code says."""
     fresh: bool = False
     """Whether each preparation is generated as the first of a performance, so that takes of nearly the same sound come
     together again (`gesticulator.drawing.rollout`)."""

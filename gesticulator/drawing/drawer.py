@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import cos, pi, sin
 from typing import TYPE_CHECKING, Protocol, cast
 
@@ -44,8 +44,10 @@ if TYPE_CHECKING:
 _MILLISECONDS = 100
 """Milliseconds between independent numbers: half of the shortest block."""
 _MOTION, _CHOICE = 0, 1
-_POSE, _PLAN = 1 << 20, (1 << 20) + 1
-"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses and of the planner."""
+_POSE, _PLAN, _ACTIVITY = 1 << 20, (1 << 20) + 1, (1 << 20) + 2
+"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses, of the planner and of activity."""
+_WAXES = 3000
+"""Milliseconds between independent numbers of activity: people's gestures wax and wane over a few seconds."""
 _CHANNELS = 1 << 32
 """The first channel of `life.mixed` here; the idle motion and the choice of phrases use lower ones."""
 
@@ -77,12 +79,17 @@ class Keys:
 
         return np.asarray(ndtr(self._normal(_POSE, time, count)))
 
-    def _normal(self, kind: int, time: float, count: int) -> Array:
-        """[count] standard normal numbers at a time in seconds; times within a millisecond are the same."""
-        cell, rest = divmod(round(time * 1000), _MILLISECONDS)
+    def activity(self, time: float) -> float:
+        """A standard normal number that changes over seconds: how lively the gestures are at `time`."""
+        return float(self._normal(_ACTIVITY, time, 1, _WAXES)[0])
+
+    def _normal(self, kind: int, time: float, count: int, apart: int = _MILLISECONDS) -> Array:
+        """[count] standard normal numbers at a time in seconds; times within a millisecond are the same. apart:
+        milliseconds between independent numbers."""
+        cell, rest = divmod(round(time * 1000), apart)
         numbers = cell * count + np.arange(2 * count)
         both = normal(self.seed, _CHANNELS + 2 * self.variation + kind, numbers)
-        angle = 0.5 * pi * rest / _MILLISECONDS
+        angle = 0.5 * pi * rest / apart
         return cos(angle) * both[:count] + sin(angle) * both[count:]
 
 
@@ -116,6 +123,8 @@ FREE = Direction()
 
 _NEAREST = 1e-6
 """Least distance of a candidate to a lexeme, so that the ratio of two is finite."""
+LIVELINESS = (1.0, 0.5, 0.5, 0.0)
+"""The direction of a style code (`interpreters.unit_style.CODE`) in which gestures become livelier."""
 HURRIED_STEPS = 2
 """Steps of Heun's method for a hurried block; a single step would give the mean instead of a sample."""
 
@@ -232,9 +241,8 @@ class FlowDrawer:
         place = self.place.step(speech.durations, speech.silent).to(self.device)
         if speech.foreseen and self.generator.config.after_dropout:
             place = alone(place)
-        code = self._code(features, unit)
-        inputs, gains = self._inputs(place, features, lexeme, past, unit)
-        inputs = replace(inputs, style=None if self.style is None else code[:, None])
+        code = self._code(speech.keyed_at, features, unit)
+        inputs, gains = self._inputs(place, features, lexeme, past, unit, code)
         context, self.state = self.generator.contexts(inputs, added[None], self.state)
         if self.unseen:  # the state had to advance, but no block is needed
             return self.base * self.generator.present, code
@@ -249,15 +257,18 @@ class FlowDrawer:
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
         control = None if features.control is None else features.control.cpu().numpy()
-        best = self.chooser.choose(speech, *_shown(past, blocks, shift), apart.cpu().numpy(), control)
+        style = None if self.style is None else code[0].cpu().numpy()
+        best = self.chooser.choose(speech, *_shown(past, blocks, shift), apart.cpu().numpy(), control, style)
         return blocks[best:best + 1], code
 
-    def _code(self, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
-        """[1, d_z] the style code of the block's unit; empty without a style interpreter."""
+    def _code(self, time: float, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
+        """[1, d_z] the style code of the block's unit, as heard, and as activity waxes and wanes by itself; empty
+        without a style interpreter. time: seconds that key the activity."""
         if self.style is None or self.style_state is None:
             return torch.zeros(1, 0, device=self.device)
         code, self.style_state = self.style.step(self.style_state, features, unit is not None and unit.rests)
-        return self.settings.style * code
+        waxing = self.settings.waxing * self.keys.activity(time) if self.settings.waxing else 0.0
+        return self.settings.style * code + waxing * code.new_tensor(LIVELINESS)
 
     def _sample(self, time: float, candidates: int, context: Tensor, pull: Tensor, steps: int) -> tuple[Tensor, Tensor]:
         """Coefficients [C, n] of C candidates with the noise of this time, and the blocks [C, K, D_m] that they give.
@@ -274,10 +285,11 @@ class FlowDrawer:
         return torch.cat([torch.full((width,), factor)
                           for factor, width in zip(factors, basis.widths, strict=True)]).to(self.device)
 
-    def _inputs(self, place: Tensor, features: BlockFeatures, lexeme: int, past: Tensor, unit: UnitDecision | None
-                ) -> tuple[FlowInputs, list[float]]:
+    def _inputs(self, place: Tensor, features: BlockFeatures, lexeme: int, past: Tensor, unit: UnitDecision | None,
+                code: Tensor) -> tuple[FlowInputs, list[float]]:
         """[1 + G] inputs of the flow head: the full ones, and one without each of the G guiding conditions; and the
-        guidance weights [G]. place: [8] the block's circumstances; unit: the planner's decision, or None."""
+        guidance weights [G]. place: [8] the block's circumstances; unit: the planner's decision, or None; code: [1,
+        d_z] the style code."""
         settings, none = self.settings, self.generator.lexemes
         control = features.control
         without_lexeme = settings.lexeme_guidance == UNTOLD
@@ -286,6 +298,8 @@ class FlowDrawer:
         row = None if unit is None or not self.generator.unit_width else unit.row.to(self.device)
         if row is not None:
             gains["unit"] = settings.unit_guidance
+        if self.style is not None:
+            gains["style"] = settings.style_guidance
         if control is not None:
             gains["control"] = settings.guidance - 1.0
         gains = {condition: gain for condition, gain in gains.items() if gain}
@@ -298,11 +312,14 @@ class FlowDrawer:
                                 for condition in left_out], device=self.device)
         if row is not None:
             row = torch.stack([row * (condition != "unit") for condition in left_out])[:, None]
+        style = None
+        if self.style is not None:
+            style = torch.stack([code * (condition != "style") for condition in left_out])
         return FlowInputs(
             features.low[None, None], lexemes, past[:, None], cast(Pasts, self.past).ratio[None], place[None, None],
             self.speaker, control, torch.tensor([condition == "audio" for condition in left_out], device=self.device),
-            torch.tensor([condition == "history" for condition in left_out], device=self.device), row), list(
-                gains.values())
+            torch.tensor([condition == "history" for condition in left_out], device=self.device), row,
+            style), list(gains.values())
 
 
 def _shown(past: Tensor, blocks: Tensor, shift: Tensor | None) -> tuple[Array, Array]:

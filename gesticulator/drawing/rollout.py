@@ -36,8 +36,10 @@ from gesticulator.bundle.features import Span, SpeechBlock, representation_of
 from gesticulator.drawing.drawer import FREE, Direction, Keys, drawer_for
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
 from interpreters.base import BlockFeatures, Explanation, LexemeInterpreter, as_interpreter, select
+from interpreters.planner import PHASES
 
 if TYPE_CHECKING:
+    from gesticulator.bundle.config import SelectionConfig
     from interpreters.planner import UnitDecision
     from lexicon.racer import RacerCodec
 
@@ -46,6 +48,8 @@ BEST = 5
 
 _CONTIGUOUS = 1e-3
 """Seconds between two blocks without a gap."""
+AFRESH = 1.6
+"""Seconds of strokes after which the next one is prepared anew."""
 _BLOCKS_BEFORE_REST = 2
 """Quiet blocks that are played as generated, before rest decay begins: the arms come down in them."""
 FADES = 0.6
@@ -158,6 +162,16 @@ def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
     return last + share * steps * (block.mean(dim=1, keepdim=True) - last)
 
 
+def phrasing(settings: SelectionConfig, speech: SpeechBlock) -> NDArray[np.float64]:
+    """[5] what is added to the planner's logits of the phases: holds, above all where a pause goes on, and preparations
+    just before the voice returns."""
+    bias = np.zeros(len(PHASES))
+    bias[PHASES.index("hold")] = settings.hold
+    if speech.quiet.mean() >= 0.5 and speech.ahead is not None:
+        bias[PHASES.index("hold" if speech.ahead.all() else "preparation")] += settings.phrasing
+    return bias
+
+
 class Rollout:
     """Block-by-block generation with a lexicon of blocks: the states of interpreter, gate, style and generator.
 
@@ -199,6 +213,7 @@ class Rollout:
         self._offset: Offset | None = None
         self._until = 0.0
         self._unit: UnitDecision | None = None
+        self._set_out = 0.0
 
     @torch.inference_mode()
     def step(self, speech: SpeechBlock, control: NDArray[np.float32] | None = None, direction: Direction = FREE
@@ -210,7 +225,7 @@ class Rollout:
         self._until = speech.end
         features = self._features(speech, control, self._drawn[0])
         unit = self._planned(speech, features)
-        if self._sets_out(unit) and direction.keys is None:
+        if self._sets_out(speech, unit) and direction.keys is None:
             self._begin_unit(speech)
             features = replace(features, past=self._drawn[0])
         self._unit = unit
@@ -240,9 +255,12 @@ class Rollout:
                            probability)
         return BlockMotion(decision, self._previous, motion, code[0].cpu().numpy(), unit)
 
-    def _sets_out(self, unit: UnitDecision | None) -> bool:
-        """Whether what was before is forgotten in this block, in which the planner lets the hands set out."""
-        return self._first_poses is not None and unit is not None and unit.begins_after(self._unit)
+    def _sets_out(self, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
+        """Whether what was before is forgotten in this block: the planner lets the hands set out, or one stroke has
+        followed another for long."""
+        if self._first_poses is None or unit is None:
+            return False
+        return unit.begins_after(self._unit) or (unit.follows(self._unit) and speech.start - self._set_out >= AFRESH)
 
     def _begin_unit(self, speech: SpeechBlock) -> None:
         """Forget what was before: the next block is generated as the first of a performance."""
@@ -250,6 +268,7 @@ class Rollout:
         shown = self._past[0]
         velocity = (shown[-1] - shown[-2]) * (shown.shape[0] / speech.durations[0])
         first = torch.clamp(self._tensor(self._first_poses.at(speech.keyed_at)), self._low, self._high)
+        self._set_out = speech.start
         self._offset = Offset(speech.start, shown[-1] - first, velocity)
         self._drawn = first.expand_as(shown)[None]
         self._previous = self.bundle.rest_lexeme(self.speaker)
@@ -324,7 +343,7 @@ class Rollout:
         # Where lexemes are not drawn, phases are not either.
         temperature = float(self.sampling.temperature > 0)
         unit, self._planner_state = self._planner.step(self._planner_state, features, noise, temperature,
-                                                       self.bundle.config.selection.hold)
+                                                       phrasing(self.bundle.config.selection, speech))
         return unit
 
     def _still(self, unit: UnitDecision | None, direction: Direction) -> NDArray[np.bool_] | None:
