@@ -105,10 +105,10 @@ def check_figure(own: Ablation, name: str, kind: str) -> None:
 def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
                                                   ) -> None:
     own = into(ablation, tmp_path / "ablation")
-    facts = ablate.ablate(own, only=["ours", "random-style", "figure-17", "figure-16"], seeds=1)
+    facts = ablate.ablate(own, only=["ours", "random-style", "figure-9-ours", "figure-16"], seeds=1)
     assert {"ours", "random-style", "performer"} <= set(facts["rows"])
     assert facts["refused"] == {"figure-16": "not run: range-0.5-1.0, range-0.2-1.0"}
-    check_figure(own, "figure-17", "png")
+    check_figure(own, "figure-9-ours", "png")
     cells = own.cells.read()
     one, random = cells["ours"][1], cells["random-style"][1]
     assert len(one["clips"]) == 1 and set(COLUMNS) <= set(one["clips"][0])
@@ -122,12 +122,12 @@ def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, tmp_path: 
     def nothing(*given: object) -> None:
         raise AssertionError("finished rows are reused")
 
-    picture, stored = (own.cells.folder / "figure-17.png").stat().st_mtime_ns, own.cells.file.read_text()
+    picture, stored = (own.cells.folder / "figure-9-ours.png").stat().st_mtime_ns, own.cells.file.read_text()
     with monkeypatch.context() as patched:
         patched.setattr(rg_rows, "assemble", nothing)
-        ablate.ablate(own, only=["ours", "figure-17"], seeds=1)
+        ablate.ablate(own, only=["ours", "figure-9-ours"], seeds=1)
     assert own.cells.file.read_text() == stored
-    assert (own.cells.folder / "figure-17.png").stat().st_mtime_ns == picture, "a figure of the same rows stands"
+    assert (own.cells.folder / "figure-9-ours.png").stat().st_mtime_ns == picture, "a figure of the same rows stands"
     own.cells.file.write_text("".join(line for line in stored.splitlines(True) if '"row": "ours"' not in line)
                               + stored[:60])  # a commit of before, and a line that was cut short
     ablate.ablate(own, only=["ours"], seeds=1)

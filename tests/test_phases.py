@@ -49,15 +49,6 @@ def test_a_beat_is_prepared_struck_held_and_retracted() -> None:
     assert stroke.size == pytest.approx(float(np.linalg.norm(HIGH - MIDDLE)), abs=0.03)
 
 
-def test_time_to_apex_counts_down_through_preparation_and_stroke() -> None:
-    found = phases_of(ONE_BEAT, FPS)
-    left, stroke = found.time_to_apex(FPS), found.strokes[0]
-    known = np.flatnonzero(np.isfinite(left))
-    assert set(found.labels[known]) == {Phase.PREPARATION, Phase.STROKE}
-    assert known[-1] == stroke.apex and left[stroke.apex] == 0.0
-    np.testing.assert_allclose(np.diff(left[known]), -1 / FPS)
-
-
 def test_strokes_that_follow_each_other_make_one_unit_and_a_rest_begins_another() -> None:
     two = path((LOW, 1.0), (MIDDLE, 0.6), (MIDDLE, 0.4), (HIGH, 0.6), (HIGH, 0.4), (LOW, 0.8), (LOW, 1.0))
     assert len(phases_of(two, FPS).units) == 1

@@ -86,19 +86,6 @@ class HandPhases:
     def strokes(self) -> tuple[Movement, ...]:
         return tuple(movement for movement in self.movements if movement.phase == Phase.STROKE)
 
-    def time_to_apex(self, fps: float) -> Array:
-        """[T] seconds from each frame to the apex of the stroke that it prepares or makes; NaN elsewhere."""
-        out = np.full(len(self.labels), np.nan)
-        begins = 0
-        for movement in self.movements:
-            if movement.phase == Phase.STROKE:
-                first = max(begins, movement.first)
-                while first > begins and self.labels[first - 1] == Phase.PREPARATION:
-                    first -= 1
-                out[first:movement.apex + 1] = (movement.apex - np.arange(first, movement.apex + 1)) / fps
-                begins = movement.apex + 1
-        return out
-
 
 def phases_of(places: Array, fps: float) -> HandPhases:
     """Units and phases of a hand from its places [T, 3] in metres, the hips at the origin and y upwards."""

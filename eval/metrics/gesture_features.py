@@ -289,7 +289,7 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
 
     The figures of its validation split are kept in `origin`. InputError when no recording is as long as two windows.
     """
-    chosen, settings = config or AutoencoderConfig(), settings or SETTINGS
+    chosen, schedule = config or AutoencoderConfig(), settings or SETTINGS
     data, held = (np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)), *(
         windows(store.load(info.name).motion, chosen.frames, chosen.fps, max(1, chosen.frames // 4))
         for info in store.of_split(split))]) for split in ("train", "val"))
@@ -302,7 +302,7 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
     pool = torch.as_tensor(data, dtype=torch.float32)
 
     def batch(rng: np.random.Generator) -> dict[str, Tensor]:
-        return {"windows": pool[torch.as_tensor(rng.integers(len(pool), size=settings.batch))]}
+        return {"windows": pool[torch.as_tensor(rng.integers(len(pool), size=schedule.batch))]}
 
     def validate() -> dict[str, float]:
         if len(held) == 0:
@@ -312,11 +312,11 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
         return {key: round(float(term), 5) for key, term in terms.items()}
 
     Path(folder).mkdir(parents=True, exist_ok=True)
-    figures = fit(f"{NAME}_{chosen.frames}", network, Task(batch, validate=validate), settings, Path(folder),
+    figures = fit(f"{NAME}_{chosen.frames}", network, Task(batch, validate=validate), schedule, Path(folder),
                   FitOptions(seed=seed, progress=progress))
     freeze(network)
     network.origin = {"store": store.corpus, "fingerprint": store.fingerprint, "licence": store.licence, "seed": seed,
-                      "steps": settings.steps, "windows": len(data), "validation": figures}
+                      "steps": schedule.steps, "windows": len(data), "validation": figures}
     return network
 
 

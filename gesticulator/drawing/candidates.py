@@ -14,7 +14,7 @@ a small change of pose or sound rarely changes the choice:
   about its own shoulder (a folded arm), and how near a forearm with its hand is to the middle of the face, as shares of
   the radii, mean over the block.
 - Style: sum over speed, height and reach of the hands of z m / s, with z the style code of the unit
-  (`interpreters.unit_style`), m the mean over the block, and s its deviation in the training data.
+  (`interpreters.planner`), m the mean over the block, and s its deviation in the training data.
 - Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
   hands over the block, and h_0 and s_0 what they are in speech: the head moves when the hands do.
 - Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their

@@ -124,7 +124,7 @@ FREE = Direction()
 _NEAREST = 1e-6
 """Least distance of a candidate to a lexeme, so that the ratio of two is finite."""
 LIVELINESS = (1.0, 0.5, 0.5, 0.0)
-"""The direction of a style code (`interpreters.unit_style.CODE`) in which gestures become livelier."""
+"""The direction of a style code (`interpreters.planner.CODE`) in which gestures become livelier."""
 HURRIED_STEPS = 2
 """Steps of Heun's method for a hurried block; a single step would give the mean instead of a sample."""
 
