@@ -34,8 +34,8 @@ from gesticulator.directing.marks import (
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.directing.stream_marks import LATEST
 from gesticulator.options import InferenceOptions
-from gesticulator.plan.gestures import REPERTOIRE
-from gesticulator.plan.plan import GESTURES, GestureCue
+from gesticulator.plan.gestures import GESTURES, REPERTOIRE
+from gesticulator.plan.plan import GestureCue
 from gesticulator.serve.protocol import StreamRequest
 from gesticulator.serve.session import session_opener
 from gesticulator.serve.settings import ServerLimits

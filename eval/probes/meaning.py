@@ -46,7 +46,7 @@ from data_module.text.transcript import as_transcript, with_transcript
 from data_module.types import Word
 from eval.claim import Verdict, at_least, at_most, judged, skipped, verdict_table
 from eval.metrics.stressed_vowels import available, stressed_vowels
-from eval.stats import Interval
+from eval.stats import Interval, share
 from eval.table import Cell, Column, Table
 from gesticulator.directing.directions import stroke_of_word
 from gesticulator.directing.meanings import AGAIN, LEVELS, Called, chosen
@@ -157,14 +157,6 @@ def judgements() -> Mapping[str, Any]:
 
 
 # -------------------------------------------------------------------------------------------------------- figures
-
-def share(hits: int, count: int) -> Interval:
-    """A share with its 95 % interval (Wilson)."""
-    z, p = 1.96, hits / max(count, 1)
-    middle = (p + z * z / (2 * count)) / (1 + z * z / count) if count else 0.0
-    half = z * np.sqrt(p * (1 - p) / count + z * z / (4 * count * count)) / (1 + z * z / count) if count else 1.0
-    return Interval(p, float(middle - half), float(middle + half), count)
-
 
 def kappa(first: Sequence[bool], second: Sequence[bool]) -> float:
     """Cohen's kappa of two judgements; NaN where chance explains all."""

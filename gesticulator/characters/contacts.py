@@ -112,10 +112,10 @@ def _measured(body: Body) -> Trunk | None:
     limbs[list(mapping.neck)] = True
     for node, parent in enumerate(character.parents):  # children of the trunk other than limbs move with it
         trunk[node] |= parent >= 0 and trunk[parent] and not limbs[node]
-    points = character.flesh[trunk[character.flesh_nodes]] @ body.axes.T * body.unit
+    points = character.flesh[trunk[character.flesh_nodes]] @ body.bind_axes.T * body.unit
     if len(points) < 30:
         return None
-    hips, neck = (places @ body.axes.T * body.unit for places in _bind_ends(body))
+    hips, neck = (places @ body.bind_axes.T * body.unit for places in _bind_ends(body))
     axis = neck - hips
     length = float(np.linalg.norm(axis))
     up = axis / length
