@@ -174,6 +174,30 @@ def test_more_is_shown_at_a_richer_level(found: list[Called]) -> None:
     assert counts[0] == 0 <= counts[1]
 
 
+@pytest.mark.parametrize(("language", "called", "label", "guarded"), [
+    ("de", "Warum tust du das?", "palms_question", "Ich weiß, warum du das tust."),
+    ("de", "Genau, so ist es.", "nod", "Genau wie damals war es."),
+    ("de", "Wir kommen zusammen.", "join_hands", "Das hängt mit der Frage zusammen."),
+    ("de", "Es gibt nur eine Frage.", "number_one", "Es ist nur ein bisschen kalt."),
+    ("es", "No tengo nada.", "sweep_no", "Eso, nada más."),
+    ("es", "Lo perdí todo.", "surround", "Vino a pesar de todo."),
+    ("es", "Lo haremos mañana.", "point_ahead", "Canta por la mañana."),
+])
+def test_german_and_spanish_have_guards_of_their_own(language: str, called: str, label: str, guarded: str) -> None:
+    assert label in labels(called, language) and label not in labels(guarded, language)
+
+
+@pytest.mark.parametrize(("text", "label", "word"), [
+    ("We cannot go back.", "head_shake", "cannot"), ("It is a very different plan.", "contrast_flip", "different"),
+    ("They met in the past three years.", "point_back", "years."),
+    ("And that is personal.", "hands_over_heart", "personal."),
+    ("Is it here? No. They went.", "head_shake", "No."), ("We will move America forward.", "point_ahead", "forward."),
+    ("It costs far more in the end.", "increase", "more"), ("Two of them, so much to do.", "big_spread", "much"),
+])
+def test_later_cue_phrases(text: str, label: str, word: str) -> None:
+    assert labels(text).get(label) == word
+
+
 def spread(text: str) -> tuple[Word, ...]:
     """Two words a second from 1 s on, without pauses that count."""
     return tuple(Word(word, 1.0 + 0.5 * n, 1.4 + 0.5 * n) for n, word in enumerate(text.split()))

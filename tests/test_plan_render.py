@@ -391,7 +391,7 @@ def test_cues_find_their_words_and_say_what_is_said() -> None:
     words = (Word("Hello,", 0.2, 0.5), Word("you", 0.5, 0.8), Word("hello", 2.0, 2.3))
     cues = [GestureCue("wave", "HELLO"), GestureCue("nod", "hello", 2), GestureCue("stop", time=1.0)]
     due = cues_at(cues, words, 3.0, tuple)
-    assert [round(one.time, 3) for one in due] == [0.3, 2.1, 1.0]
+    assert [round(one.time, 3) for one in due] == [0.18, 1.98, 1.0]
     for cue, told in ((GestureCue("wave", "hello", 3), "hello, you"), (GestureCue("wave", "red"), "0 times"),
                       (GestureCue("wavy", "you"), "did you mean wave"),
                       (GestureCue("wave", time=4.0), "not within the 3")):

@@ -173,7 +173,7 @@ def _table() -> tuple[Mapping[str, Any], ...]:
 
 
 def _class(row: Mapping[str, Any], language: str) -> MeaningClass:
-    unless = row.get("unless", ()) if language == "en" else ()
+    unless = row.get("unless" if language == "en" else f"unless_{language}", ())
     weight = row["weight"]
     return MeaningClass(row["label"], row.get("gesture", row["label"].replace("_", " ")), row.get("negated", False),
                         tuple(cue_pattern(cue, weight) for cue in row[language]),

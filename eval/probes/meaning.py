@@ -225,14 +225,14 @@ def trapped() -> list[str]:
 
 
 def cost(texts: Sequence[str]) -> float:
-    """Milliseconds a word, best of three."""
+    """Milliseconds of processor a word, best of three."""
     cues = meaning_cues("en")
     words = " ".join(texts).split()[:20000]
     spent = []
     for _ in range(3):
-        begun = time.perf_counter()
+        begun = time.process_time()
         cues.called(words)
-        spent.append(time.perf_counter() - begun)
+        spent.append(time.process_time() - begun)
     return 1e3 * min(spent) / max(len(words), 1)
 
 
@@ -334,7 +334,8 @@ def _of_talk(talks: Sequence[Talk]) -> list[Verdict]:
     return [judged(f"precision, first rater, {count} gestures", first, at_least(0.85)),
             judged(f"precision, second rater, {count} gestures", second, at_least(0.85)),
             judged("precision, by the author of the cue phrases", author),
-            judged(f"precision, by the author, {later[1]} gestures of later cue phrases", later[0], at_least(0.85)),
+            judged(f"precision, by the author, {later[1]} gestures of later cue phrases", later[0], at_least(0.85),
+                   reason="75 of 80 before guards were added for three of the wrong ones"),
             judged("agreement of the two raters, kappa", kappa([bool(row[5]) for row in rows],
                                                                [bool(row[6]) for row in rows]), at_least(0.6)),
             judged(f"recall of {len(sites)} sites, found", recalled(talks, False, sites), at_least(0.45)),
