@@ -65,7 +65,7 @@ def unpacked_view(own: dict[str, Any], data: bytes, size: int, subject: object) 
     try:
         if mode == "ATTRIBUTES":
             raw = package.decode_vertex_buffer(count, stride, data, dtype=np.dtype(f"V{stride}"))
-            out = np.frombuffer(raw.tobytes(), np.uint8).copy()
+            out = raw.view(np.uint8).copy()
             if _FILTERS[name]:
                 out = getattr(package, _FILTERS[name])(out, count, stride)
         else:
