@@ -137,6 +137,8 @@ def check_choices(args: argparse.Namespace) -> None:
 
 def check_cues(system: Gesticulator, args: argparse.Namespace) -> None:
     """`InputError` for a cue that names an unknown gesture, before any recording is processed."""
+    if not args.cues:
+        return
     from gesticulator.plan.gestures import GESTURES, near_gestures
 
     unknown = [cue.gesture for cue in args.cues if cue.gesture not in GESTURES]

@@ -339,7 +339,7 @@ class Gesticulator:
             return ()
         from gesticulator.directing.meanings import track_of
 
-        track = track_of(options, speech.words, speech.duration)
+        track = track_of(options, speech)
         if track is None:
             return ()
         track.add(speech.words)

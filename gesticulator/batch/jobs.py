@@ -217,6 +217,8 @@ def retargeter_for(args: argparse.Namespace) -> Retargeter | None:
     if note and not args.quiet:
         complain(f"{PROGRAM}: {args.character}: {note}")
     retargeter = Retargeter(character, mapping, contacts=not args.no_contacts, legs=legs)
+    for doubt in () if args.quiet else retargeter.doubts:
+        complain(f"{PROGRAM}: {args.character}: {doubt}; look at the result")
     if legs is None and not retargeter.legs and not args.quiet:
         complain(f"{PROGRAM}: {args.character}: is seated, so hips and legs stay as they are; --legs makes it stand")
     return retargeter
