@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +46,21 @@ def spoken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance]
     return sound, Gesticulator.from_pretrained()(sound, fps=FPS, legs=True)
 
 
+def test_the_extension_has_a_manifest_that_blenders_validator_accepts() -> None:
+    folder = HERE.parent / "integrations" / "blender" / "gesticulator_blender"
+    manifest = tomllib.loads((folder / "blender_manifest.toml").read_text())
+    version = re.search(r'"version": \((\d+), (\d+), (\d+)\)', (folder / "__init__.py").read_text())
+    assert version is not None and manifest["version"] == ".".join(version.groups())
+    assert manifest["id"] == folder.name and manifest["license"] == ["SPDX:GPL-3.0-or-later"]
+    named = os.environ.get("GESTICULATOR_BLENDER", sys.executable)
+    program = next((path for root in Path(named).parent.parent.glob("lib/python*/site-packages/bpy")
+                    for path in root.rglob("blender_ext.py")), None)
+    if program is None:
+        pytest.skip("no Blender as a module, and so no validator")
+    done = subprocess.run([named, str(program), "validate", str(folder)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "Success" in done.stdout, done.stdout + done.stderr
+
+
 @pytest.mark.parametrize("kind", sorted(RIGS))
 def test_an_armature_moves_as_our_own_skeleton_does(kind: str, spoken: tuple[Path, Performance], tmp_path: Path
                                                     ) -> None:
@@ -57,7 +76,7 @@ def test_an_armature_moves_as_our_own_skeleton_does(kind: str, spoken: tuple[Pat
     if "lacking" in told:
         pytest.skip(told["lacking"])
     assert told["range"] == [10, 9 + len(made.motion)] and told["strips"] == [["SOUND", 10]]
-    assert told["action"] == "gesture speech"
+    assert told["action"].startswith("gesture speech")
 
     def bone(start: str, end: str) -> Array:
         """[T, 3] its direction, Y up."""

@@ -14,14 +14,16 @@ path. Everything depends on the pose alone; a pose that needs no correction stay
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.motion.representation import Representation
-from data_module.types import Array, Motion
+from data_module.types import Array, Motion, Skeleton
 from gesticulator.body.mirror import SIDES
 from gesticulator.characters.contacts import OURS, OurLimbs, Pose, pose_of
 from gesticulator.characters.inverse_kinematics import bend
@@ -39,6 +41,8 @@ HEAD_MIDDLE = np.array([0.0, 0.085, 0.025])
 """Middle of the face relative to the joint of the head, metres: the joint is at the top of the neck."""
 HEAD_RADIUS = 0.13
 """Metres from there within which a hand hides the face: the face is 0.09 deep, and a hand 0.04."""
+_LEAST = 1e-6
+"""Metres below which a hand is not moved."""
 _STEPS = 4
 """Iterations: wrist and knuckles share a correction, and each corrects the one before."""
 _POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
@@ -47,27 +51,51 @@ _POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
 
 def cleared(motion: Motion) -> Motion:
     """A motion on the default skeleton with the hands outside trunk and face."""
-    names, pose = motion.skeleton.index, pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))))
-    turns = {joint: pose.turns[name] for joint, name in enumerate(motion.skeleton.names)}
-    limbs, rotations, body = OurLimbs(motion.skeleton), motion.rotations.copy(), _Body(pose)
-    changed = False
+    pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))))
+    body, rotations = _Body(pose), None
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-        chain = (names(side + "Arm"), names(side + "ForeArm"), names(side + "Hand"))
-        points = [chain[2], *([names(side + "HandMiddle1")] if side + "HandMiddle1" in motion.skeleton.names else [])]
-        touched = np.zeros(len(motion), dtype=bool)
-        for _ in range(_STEPS):
-            push = body.push([limbs.place(turns, point) for point in points], sign)
-            here = np.linalg.norm(push, axis=-1) > 1e-6
-            if not here.any():
-                break
-            touched |= here
-            bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, _POLE_OF_ELBOW, here)
-        for joint in chain if touched.any() else ():
-            above = turns[motion.skeleton.parents[joint]]
-            local = np.swapaxes(above[touched], -1, -2) @ turns[joint][touched]
-            rotations[touched, joint] = Rotation.from_matrix(local).as_quat(scalar_first=True)
-            changed = True
-    return replace(motion, rotations=rotations) if changed else motion
+        points = [side + name for name in ("Hand", "HandMiddle1") if side + name in pose.places]
+        push = body.push([pose.places[point] for point in points], sign)
+        at = np.flatnonzero(np.linalg.norm(push, axis=-1) > _LEAST)
+        if len(at):
+            rotations = motion.rotations.copy() if rotations is None else rotations
+            _bend_arm(rotations, motion, pose, (side, sign), at)
+    return motion if rotations is None else replace(motion, rotations=rotations)
+
+
+def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, float], at: NDArray[np.int64]) -> None:
+    """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body."""
+    name, sign = side
+    skeleton = motion.skeleton
+    pose = Pose({joint: turn[at] for joint, turn in pose.turns.items()},
+                {joint: place[at] for joint, place in pose.places.items()})
+    turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
+    chain = (skeleton.index(name + "Arm"), skeleton.index(name + "ForeArm"), skeleton.index(name + "Hand"))
+    body, limbs = _Body(pose), _BelowShoulder(skeleton, chain[0], pose.places[name + "Arm"])
+    points = [skeleton.index(name + part) for part in ("Hand", "HandMiddle1") if name + part in skeleton.names]
+    for _ in range(_STEPS):
+        push = body.push([limbs.place(turns, point) for point in points], sign)
+        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, _POLE_OF_ELBOW,
+             np.linalg.norm(push, axis=-1) > _LEAST)
+    for joint in chain:
+        above = turns[skeleton.parents[joint]]
+        local = np.swapaxes(above, -1, -2) @ turns[joint]
+        rotations[at, joint] = Rotation.from_matrix(local).as_quat(scalar_first=True)
+
+
+class _BelowShoulder(OurLimbs):
+    """The nodes of an arm under a shoulder that stays where it is."""
+
+    def __init__(self, skeleton: Skeleton, shoulder: int, place: Array) -> None:
+        super().__init__(skeleton)
+        self._shoulder, self._place = shoulder, place
+
+    def place(self, turns: Mapping[int, Array], node: int) -> Array:
+        """[T, 3] position of a node of the arm relative to the hips."""
+        if node == self._shoulder:
+            return self._place
+        above = self.skeleton.parents[node]
+        return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
 
 
 def cleared_poses(poses: Array, representation: Representation) -> Array:

@@ -65,7 +65,7 @@ def unpacked_view(own: dict[str, Any], data: bytes, size: int, subject: object) 
     try:
         if mode == "ATTRIBUTES":
             raw = package.decode_vertex_buffer(count, stride, data, dtype=np.dtype(f"V{stride}"))
-            out = np.frombuffer(raw.tobytes(), np.uint8).copy()
+            out = raw.view(np.uint8).copy()
             if _FILTERS[name]:
                 out = getattr(package, _FILTERS[name])(out, count, stride)
         else:
@@ -90,9 +90,13 @@ def draco_attributes(document: dict[str, Any]) -> dict[int, tuple[int, int]]:
             view = own.get("bufferView")
             for name, number in own["attributes"].items():
                 accessor = primitive.get("attributes", {}).get(name)
-                if all(isinstance(value, int) and not isinstance(value, bool) for value in (view, number, accessor)):
-                    found[accessor] = view, number
+                if _is_index(accessor) and _is_index(view) and _is_index(number):
+                    found[int(accessor)] = int(view), int(number)  # type: ignore[arg-type]
     return found
+
+
+def _is_index(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def unpacked_mesh(data: bytes, subject: object) -> dict[int, NDArray[Any]]:

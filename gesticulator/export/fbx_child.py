@@ -159,4 +159,5 @@ def needed(row: Any, bound: float) -> Any:
 if __name__ == "__main__":
     # Blender passes the arguments after "--"; a Python with bpy passes all.
     given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
-    convert(given[0], given[1], *map(float, given[2:4]), *given[4:])
+    numbers = [float(number) for number in given[2:4]] + [30.0, 0.0][len(given[2:4]):]
+    convert(given[0], given[1], numbers[0], numbers[1], *given[4:])
