@@ -150,17 +150,6 @@ class MovementVqVae(MovementLexicon):
         """Coefficients [B, n] of lexemes [B]."""
         return self.decode(self.vectors)[lexemes]
 
-    @torch.no_grad()
-    def fit(self, motion: Tensor, past: Pasts, mask: Tensor, seed: int) -> None:
-        """Fit the basis to blocks, as of `MovementLexicon`; place the lexemes by k-means on the latents of the encoder
-        as it is, and fit the levels below them. Training goes on from there (`MovementLearner`)."""
-        from lexicon.movement_vqvae import MovementLearner
-
-        coefficients = self.basis.fit(motion, past, mask)
-        learner = MovementLearner(self)
-        learner.start_codebook(coefficients, seed)
-        learner.finish(coefficients, past, seed)
-
 
 class BentMap(nn.Module):
     """x A + MLP(x) over [..., width], to [..., out]; the MLP is 0 at the start."""

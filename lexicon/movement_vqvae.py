@@ -21,7 +21,7 @@ from data_module.motion.movement import Pasts
 from lexicon.movement import MovementVqVae
 from lexicon.quantizer import Quantizer
 
-__all__ = ["MovementLearner"]
+__all__ = ["MovementLearner", "fit"]
 
 _PLACED_ON = 20_000
 """Blocks whose latents k-means starts the lexemes from."""
@@ -70,3 +70,14 @@ class MovementLearner(nn.Module):
         """Hand the lexemes to the lexicon, and fit the levels below them to coefficients [N, n]."""
         self.lexicon.vectors.copy_(self.quantizer.vectors)
         self.lexicon.fit_levels(coefficients, past, seed)
+
+
+@torch.no_grad()
+def fit(lexicon: MovementVqVae, blocks: tuple[Tensor, Pasts], mask: Tensor, seed: int) -> None:
+    """Fit the basis to blocks, as of `MovementLexicon.fit`; place the lexemes by k-means on the latents of the encoder
+    as it is, and fit the levels below them. Training goes on from there (`MovementLearner`)."""
+    motion, past = blocks
+    coefficients = lexicon.basis.fit(motion, past, mask)
+    learner = MovementLearner(lexicon)
+    learner.start_codebook(coefficients, seed)
+    learner.finish(coefficients, past, seed)

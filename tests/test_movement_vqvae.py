@@ -16,7 +16,7 @@ from gesticulator.bundle import models
 from gesticulator.bundle.config import with_settings
 from gesticulator.training import presets
 from lexicon.movement import MovementLexicon, MovementVqVae
-from lexicon.movement_vqvae import MovementLearner
+from lexicon.movement_vqvae import MovementLearner, fit
 from lexicon.settings import LexiconConfig
 
 SMALL = LexiconConfig(kind="movement", quantizer="vq-vae", size=4, levels=(8, 8), trunk_components=6, arm_components=6,
@@ -30,7 +30,7 @@ def fitted(**changes: object) -> MovementVqVae:
     torch.manual_seed(0)
     model = MovementVqVae(LexiconConfig(**{**SMALL.__dict__, **changes}), FRAMES, PARTS)
     motion, past, _ = planted(400, 1)
-    model.fit(motion, past, torch.ones(400, WIDTH), 5)
+    fit(model, (motion, past), torch.ones(400, WIDTH), 5)
     return model
 
 

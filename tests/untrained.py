@@ -25,7 +25,8 @@ from gesticulator.training.stages.reward import block_audio
 from interpreters.cql import QNetwork
 from interpreters.reward import RewardModel
 from interpreters.settings import QConfig, RewardConfig
-from lexicon.movement import MovementLexicon
+from lexicon import movement_vqvae
+from lexicon.movement import MovementLexicon, MovementVqVae
 
 SPEAKERS = ("ann", "bob")
 SILENT = (2, 5)
@@ -69,7 +70,10 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
     if isinstance(lexicon, MovementLexicon):
         walk = torch.randn(400, frames, width).flatten(0, 1).cumsum(0).unflatten(0, (400, frames)) / 20
         told = pasts_of(walk, torch.full((400,), 0.3, dtype=torch.float64), walk[0, 0])
-        lexicon.fit(walk, told, torch.ones(400, width), seed)
+        if isinstance(lexicon, MovementVqVae):
+            movement_vqvae.fit(lexicon, (walk, told), torch.ones(400, width), seed)
+        else:
+            lexicon.fit(walk, told, torch.ones(400, width), seed)
     else:
         lexicon.quantizer.set_vectors(torch.randn(size, config.lexicon.code_width))
     half(lexicon)

@@ -25,14 +25,11 @@ import argparse
 import base64
 import hashlib
 import json
-import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +42,7 @@ from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
 from eval.clip.foreign import find_sound
 from eval.study import anova
+from eval.study.page import FPS, STEPS_PER_METRE, encoded_points, page_of
 from eval.table import Provenance, Table, publish
 from gesticulator.cli import PROGRAM
 from gesticulator.export import film, sound
@@ -61,14 +59,10 @@ ASPECTS = {
 DEFAULT_ASPECTS = ("human_likeness", "content_match", "beat_match")
 SCALE = (1, 5)
 """1 is worst, 3 average, 5 best (RG 7.3.3)."""
-FPS = 30
 ENOUGH_SPEECH = 0.6
 """Share of a clip that must lie outside pauses."""
-STEPS_PER_METRE = 8192
-"""Places travel as int16: an eighth of a millimetre, up to 4 m away."""
 _FADE = 0.03
 _ALIKE = 0.9
-_SLOT = re.compile(r"\{\{([a-z_]+)\}\}")
 
 
 @dataclass(frozen=True)
@@ -282,12 +276,6 @@ def _places(motion: Motion, start: float, seconds: float) -> dict[str, NDArray[n
                                             (len(motion) - 1) / motion.fps))
 
 
-def encoded_points(points: dict[str, NDArray[np.float64]]) -> str:
-    """Places [T, 3] of points, metres, as the page reads them: int16 in base64, frame by frame."""
-    steps = np.round(np.stack(list(points.values()), axis=1) * STEPS_PER_METRE)
-    return base64.b64encode(np.clip(steps, -32768, 32767).astype("<i2").tobytes()).decode()
-
-
 def _stretch(speech: Speech, start: float, seconds: float) -> Speech:
     """The sound of a stretch, its ends faded so that a cut word does not click."""
     first = round(start * speech.sample_rate)
@@ -296,15 +284,6 @@ def _stretch(speech: Speech, start: float, seconds: float) -> Speech:
     samples[:len(ramp)] *= ramp
     samples[len(samples) - len(ramp):] *= ramp[::-1]
     return Speech(samples, speech.sample_rate)
-
-
-def page_of(template: str, data: dict[str, Any], media: str = "blob:") -> str:
-    """A page of `eval/assets` with its data, the program that draws the figure, and where its media may come from."""
-    told = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\u002f")
-    text, figure = ((resources.files("eval") / "assets" / name).read_text(encoding="utf-8")
-                    for name in (template, "figure.js"))
-    parts = {"data": told, "study": data["study"], "media": media, "figure": figure}
-    return _SLOT.sub(lambda found: parts[found.group(1)], text)
 
 
 # ---------------------------------------------------------------- the command

@@ -32,7 +32,7 @@ from data_module.errors import InputError
 from data_module.files import read_table, write_text
 from data_module.types import Motion
 from eval.clip.marked_gestures import AFTER, BEFORE, MarkedGesture, checked_gestures, marked_gestures
-from eval.study.command import FPS, STEPS_PER_METRE, encoded_points, page_of
+from eval.study.page import FPS, STEPS_PER_METRE, encoded_points, page_of
 from gesticulator.export.figure import figure_points
 from gesticulator.pipeline import Gesticulator
 
