@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from data_module.face import FaceMotion
     from data_module.types import Array, Blocks, Motion, Speech
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.rig import Character, CharacterMotion
@@ -55,6 +56,8 @@ class Performance:
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
     character: CharacterMotion | None = None
     """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
+    face: FaceMotion | None = None
+    """The face over the same frames, where one was asked for (`InferenceOptions.face`)."""
 
     def __post_init__(self) -> None:
         import numpy as np
@@ -177,7 +180,7 @@ class Performance:
         """The input of writers: motion, sound, plan and character."""
         from gesticulator.export.scene import Scene
 
-        return Scene(self.motion, self.speech, self.plan, self.character)
+        return Scene(self.motion, self.speech, self.plan, self.character, self.face)
 
     def on(self, character: Character | str | os.PathLike[str],
            mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True) -> Performance:

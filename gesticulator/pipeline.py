@@ -34,6 +34,7 @@ from gesticulator.version import __version__
 from interpreters.base import as_interpreter
 
 if TYPE_CHECKING:
+    from data_module.face import FaceMotion
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.directing.editing import PlanRenderer
@@ -324,7 +325,17 @@ class Gesticulator:
         plan = (plan_of(speech, encoded.blocks, blocks, origin) if options.plan is None else
                 rendered_plan(options.plan, speech, blocks, origin))
         return Performance(motion, speech, encoded.blocks, np.array([block.lexeme for block in blocks], np.int64),
-                           np.stack([block.code for block in blocks]), plan, used, self.lexeme_names)
+                           np.stack([block.code for block in blocks]), plan, used, self.lexeme_names,
+                           face=self._face(speech, options, plan, motion))
+
+    def _face(self, speech: Speech, options: InferenceOptions, plan: GesturePlan, motion: Motion) -> FaceMotion | None:
+        """The face over the frames of the body; None where none is asked for."""
+        if options.face == "off":
+            return None
+        from gesticulator.body.face import FaceSettings, face_of
+
+        settings = FaceSettings(options.face, float(options.mouth), float(options.mood), int(options.seed))
+        return face_of(settings, speech.samples, plan.blocks, motion)
 
     def _meanings(self, speech: Speech, options: InferenceOptions) -> tuple[PlanMeaning, ...]:
         """The meanings of the plan, or those that the words call for."""

@@ -265,7 +265,7 @@ def _in_pieces(job: Job, args: argparse.Namespace, system: Gesticulator) -> bool
     can be written in pieces."""
     from gesticulator.batch.long import can_be_done
 
-    whole = args.character, args.plan, args.text, args.cues or None
+    whole = args.character, args.plan, args.text, args.cues or None, None if args.face == "off" else args.face
     return (whole == (None,) * len(whole) and all(target.suffix.lower() in STREAMED for target in job.targets)
             and can_be_done(system.bundle))
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from data_module.files import write_bytes
 from gesticulator.characters.rig import CharacterMotion
-from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree, open_gltf, transform
+from gesticulator.export.gltf import VERTICES, GltfDocument, Numbers, node_tree, open_gltf, transform
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.own_fbx import write_animated
 from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import figure
+
+if TYPE_CHECKING:
+    from data_module.face import FaceMotion
 
 ANIMATION = "gesture"
 """Name of the added animation."""
@@ -27,12 +30,14 @@ def write_glb(path: Path, scene: Scene) -> Path:
     if character is not None and character.character.kind == "fbx":
         return write_animated(path, character)
     is_glb = character is not None and character.character.kind == "glb"
-    write_bytes(path, character_glb(character) if character is not None and is_glb else skeleton_glb(scene.nodes))
+    write_bytes(path, character_glb(character, scene.face) if character is not None and is_glb else
+                skeleton_glb(scene.nodes))
     return path
 
 
-def character_glb(moved: CharacterMotion) -> bytes:
-    """The character's file with one animation added: the bytes of a GLB file.
+def character_glb(moved: CharacterMotion, face: FaceMotion | None = None) -> bytes:
+    """The character's file with one animation added: the bytes of a GLB file. With a face, the animation moves what the
+    character has for one (`gesticulator.characters.face_rig`), too; if it has no mouth, a warning says so.
 
     Nothing else changes, except that animated nodes with a matrix get a translation, a rotation and a scale instead.
     Buffers and images in separate files are embedded.
@@ -46,7 +51,12 @@ def character_glb(moved: CharacterMotion) -> bytes:
     shifts = {} if moved.translations is None else {moved.hips: moved.translations}
     motion = NodeMotion(character.names, character.parents, character.translations, character.rotations,
                         character.scales, moved.rotations, shifts, {}, moved.fps)
-    gltf.animate(ANIMATION, motion, {node: character.node_ids[node] for node in sorted({*moved.moved, *shifts})})
+    more: list[tuple[int, str, Numbers]] = []
+    if face is not None:
+        from gesticulator.export.face import character_tracks
+
+        more = character_tracks(gltf, moved, face)
+    gltf.animate(ANIMATION, motion, {node: character.node_ids[node] for node in sorted({*moved.moved, *shifts})}, more)
     return gltf.to_bytes()
 
 

@@ -27,7 +27,7 @@ _TYPES = {np.dtype("<f4"): _FLOAT, np.dtype("u1"): _UINT8, np.dtype("<u2"): _UIN
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTICES = 34962
 """Target of a buffer view: vertex attributes."""
-TRANSLATION, ROTATION = "translation", "rotation"
+TRANSLATION, ROTATION, WEIGHTS = "translation", "rotation", "weights"
 """Animated properties of a node."""
 LARGEST = (1 << 32) - 1
 """Largest size of a GLB file, bytes (4 GiB): its header has 32 bits for it."""
@@ -75,19 +75,22 @@ class GltfDocument:
         self._append(data, size)
         return self._added("bufferViews", view)
 
-    def animate(self, name: str, motion: NodeMotion, nodes: dict[int, int]) -> None:
-        """Add one animation. nodes: index in the motion -> index in the document, for moved nodes."""
+    def animate(self, name: str, motion: NodeMotion, nodes: dict[int, int],
+                more: Iterable[tuple[int, str, Numbers]] = ()) -> None:
+        """Add one animation. nodes: index in the motion -> index in the document, for moved nodes. more: further tracks
+        at the same times."""
         def tracks() -> Iterable[tuple[int, str, Numbers]]:
             for source, node in nodes.items():
                 if source in motion.shifts:
                     yield node, TRANSLATION, motion.shifts[source].astype("<f4")
                 yield node, ROTATION, as_gltf(motion.turns[:, source])
+            yield from more
 
         self.add_animation(name, motion.times.astype("<f4"), tracks())
 
     def add_animation(self, name: str, times: Numbers, tracks: Iterable[tuple[int, str, Numbers]]) -> None:
-        """Add one animation. times: [T] seconds, rising; tracks: node, property (`TRANSLATION`, `ROTATION`), and
-        values, [T, 3] or [T, 4] with w last; all float32."""
+        """Add one animation. times: [T] seconds, rising; tracks: node, property (`TRANSLATION`, `ROTATION`, `WEIGHTS`),
+        and values, [T, 3] or [T, 4] with w last, or for `WEIGHTS` [T * targets], frame by frame; all float32."""
         seconds = self.accessor(times, bounds=True)
         samplers: list[dict[str, Any]] = []
         channels: list[dict[str, Any]] = []
