@@ -204,7 +204,8 @@ class InferenceOptions:
         if self.face not in FACES:
             raise InputError(f"face {self.face}", "is unknown", f"choose among {', '.join(FACES)}")
         if self.face == "off" and (self.mouth != 1.0 or self.mood != 0.0):
-            raise InputError("mouth" if self.mouth != 1.0 else "mood", "is for a face", "add --face full, or leave it out")
+            raise InputError("mouth" if self.mouth != 1.0 else "mood", "is for a face",
+                             "add --face full, or leave it out")
         if self.meaning not in MEANING_LEVELS:
             raise InputError(f"meaning {self.meaning}", "is unknown", f"choose among {', '.join(MEANING_LEVELS)}")
         if (self.retime and self.plan is None) or (self.retime_from is not None and not self.retime):

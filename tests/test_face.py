@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
@@ -18,7 +18,18 @@ from data_module.face import FaceMotion, at_rest
 from data_module.motion import rotation, skeletons
 from data_module.speech.lip_features import LOOK_AHEAD, STACKED, LipFeatures, rows_of, stacked
 from data_module.types import Motion
-from data_module.visemes import CLOSED, OPENINGS, SILENT, VISEMES, VisemeSpan, labels, of_arpabet, of_ipa, opening, spans
+from data_module.visemes import (
+    CLOSED,
+    OPENINGS,
+    SILENT,
+    VISEMES,
+    VisemeSpan,
+    labels,
+    of_arpabet,
+    of_ipa,
+    opening,
+    spans,
+)
 from gesticulator.body.face import Face, FaceSettings, in_head
 from gesticulator.body.face_life import RATE, FaceLife
 from gesticulator.body.face_lips import REACH, SHIPPED, Lips, load_weights, with_dominance, with_strength
@@ -78,6 +89,7 @@ def _sound(seconds: float = 1.5) -> np.ndarray:
     return sound.astype(np.float32)
 
 
+@settings(max_examples=10, deadline=None)
 @given(st.lists(st.integers(0, 5000), max_size=12))
 def test_pieces_of_any_size_give_the_same_mouth(sizes: list[int]) -> None:
     sound, whole, parts = _sound(0.6), Lips(), Lips()
@@ -167,14 +179,14 @@ def test_weights_are_small_and_are_what_their_record_says(tmp_path: Path) -> Non
 def test_a_small_network_learns_which_band_is_loud() -> None:
     rng = np.random.default_rng(0)
     recordings = []
-    for _ in range(12):
+    for _ in range(6):
         kinds = np.repeat(rng.integers(0, 3, 20), 12)
         rows = np.full((480, 33), -12.0, np.float32)
         for frame, kind in enumerate(kinds):
             rows[2 * frame:2 * frame + 2, 10 * kind:10 * kind + 10] = -3.0
         rows[:, 32] = -4.0
         recordings.append(LabelledRows(rows, kinds + 9))
-    net = fit(recordings, FaceTraining(epochs=12, batch=4, rate=5e-3))
+    net = fit(recordings, FaceTraining(epochs=24, batch=4, rate=5e-3))
     one = recordings[0]
     with torch.inference_mode():
         found = net(torch.from_numpy(stacked(one.rows))[None])[0].argmax(-1).numpy()
@@ -198,11 +210,11 @@ def _run(seconds: float, seed: int, state: str = "speaking", silent: float = 0.0
 
 
 def test_people_blink_about_17_times_a_minute_at_irregular_intervals() -> None:
-    lids = _run(240, 3)[:, 0]
+    lids = _run(120, 3)[:, 0]
     starts = np.flatnonzero((lids[1:] > 0.5) & (lids[:-1] <= 0.5)) / RATE
     gaps = np.diff(starts)
-    assert 40 <= len(starts) <= 92 and gaps.std() > 0.5 and gaps.min() >= 0.68
-    assert lids.max() > 0.99 and 0.0 <= lids.min()
+    assert 20 <= len(starts) <= 48 and gaps.std() > 0.5 and gaps.min() >= 0.68
+    assert lids.max() > 0.99 and lids.min() >= 0.0
 
 
 def test_phrases_end_with_blinks_more_often_than_not() -> None:

@@ -46,7 +46,7 @@ Mouth = Callable[[Samples], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
-class Heard:
+class FaceSound:
     """A clip with the figures of its sound: labels [T] (-1 unknown), level and F1 [T], middles of closures and of open
     vowels in seconds."""
 
@@ -65,10 +65,10 @@ class Heard:
         return [(one.start + one.end) / 2 for one in self.clip.track if one.viseme in wide]
 
 
-def heard(clip: PhonedSpeech) -> Heard:
+def measured(clip: PhonedSpeech) -> FaceSound:
     count = len(loudness(clip.samples))
     labels = clip.labels(RATE)[:count]
-    return Heard(clip, np.pad(labels, (0, count - len(labels)), constant_values=-1), loudness(clip.samples),
+    return FaceSound(clip, np.pad(labels, (0, count - len(labels)), constant_values=-1), loudness(clip.samples),
                  formants(clip.samples)[0])
 
 
@@ -91,7 +91,7 @@ def rule(weights: Callable[[Samples], Array]) -> Mouth:
     return mouth
 
 
-def figures(mouth: tuple[Array, Array], one: Heard) -> dict[str, Array]:
+def figures(mouth: tuple[Array, Array], one: FaceSound) -> dict[str, Array]:
     """Figures of each piece of a clip, NaN where a piece has nothing to count."""
     weights, shown = mouth
     count = min(len(weights), len(shown), len(one.labels))
@@ -136,7 +136,7 @@ def _r(one: Array, other: Array) -> float:
 
 def table(title: str, clips: Sequence[PhonedSpeech], mouths: Mapping[str, Mouth]) -> Table:
     """A row for each mouth, and the two controls of the first; facts: the network minus the formant rule, paired."""
-    sounds = [heard(clip) for clip in clips]
+    sounds = [measured(clip) for clip in clips]
     drawn = {name: [mouth(one.clip.samples) for one in sounds] for name, mouth in mouths.items()}
     first = next(iter(drawn))
     shift = round(SHIFT * RATE)

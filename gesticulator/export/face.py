@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError
-from data_module.face import FaceMotion
+from data_module.face import FaceMotion, at_rest
 from data_module.files import write_bytes, write_text
 from data_module.motion import rotation
 from data_module.types import Array
@@ -103,8 +102,7 @@ def smplx_face(poses: NDArray[np.float32], face: FaceMotion, fps: float) -> NDAr
 # ----------------------------------------------------------------------------------------------------------- tables
 
 def write_live_link(path: Path, scene: Scene) -> Path:
-    """Write the face as CSV with the columns of Live Link Face, atomically. Returns `path`. `InputError` without a
-    face."""
+    """Write the face as CSV with the columns of Live Link Face, atomically. Returns `path`."""
     face = _face_of(scene, path)
     out = io.StringIO()
     out.write(",".join(LIVE_LINK) + "\n")
@@ -116,7 +114,7 @@ def write_live_link(path: Path, scene: Scene) -> Path:
 
 def write_face_parquet(path: Path, scene: Scene) -> Path:
     """Write the face as Apache Parquet (float32): `time` in seconds and the values of `LIVE_LINK`, atomically. Returns
-    `path`. `InputError` without a face."""
+    `path`."""
     import pyarrow
     from pyarrow import parquet
 
@@ -147,6 +145,8 @@ def _values(face: FaceMotion) -> Array:
 
 
 def _face_of(scene: Scene, path: Path) -> FaceMotion:
-    if scene.face is None:
-        raise InputError(path, "needs a face", "add --face lips or --face full")
-    return scene.face
+    """The face of a scene; one at rest, with a `FaceWarning`, if none was asked for."""
+    if scene.face is not None:
+        return scene.face
+    warnings.warn(FaceWarning(f"{path.name}: no face was asked for (--face full), so it is at rest"), stacklevel=3)
+    return at_rest(len(scene.motion), scene.fps)

@@ -108,7 +108,8 @@ def with_long_pause(piece: LabelledRows, rng: np.random.Generator) -> LabelledRo
 
 def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool = True, start: Any = None
         ) -> Any:
-    """A trained `VisemeNet`; start: one to go on from. The same recordings and settings give the same weights on one machine."""
+    """A trained `VisemeNet`; start: one to go on from. The same recordings and settings give the same weights on one
+    machine."""
     import torch
 
     from data_module.speech.lip_features import stacked
