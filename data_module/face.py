@@ -50,6 +50,11 @@ class FaceMotion:
         """[T] opening of the mouth, 0 to 1."""
         return opening(self.visemes)
 
+    def values(self) -> Array:
+        """[T, 20] everything in one table: visemes, blink, brows, smile, and gaze to the left and up."""
+        return np.concatenate([self.visemes, self.blink[:, None], self.brows[:, None], self.smile[:, None], self.gaze],
+                              axis=1)
+
     def __getitem__(self, frames: slice) -> FaceMotion:
         """Some of the frames."""
         return FaceMotion(self.visemes[frames], self.blink[frames], self.brows[frames], self.smile[frames],

@@ -200,3 +200,38 @@ def test_smplx_has_the_jaw_and_the_eyes(tmp_path: Path) -> None:
     assert np.array_equal(plain[:, rest], shown[:, rest]) and not plain[:, 22:25].any()
     assert shown[:, 22, 0].max() == pytest.approx(np.radians(16), abs=1e-6) and shown[0, 22, 0] == 0.0
     assert shown[3, 23, 1] == pytest.approx(np.radians(10), abs=0.01)
+
+
+def test_a_packet_of_the_server_holds_the_face() -> None:
+    from pipecat_gesticulator.protocol import Poses
+
+    from gesticulator.serve.protocol import StreamRequest, pack
+    from gesticulator.stream import StreamFrames
+
+    made = with_face(perform(1.0))
+    frames = StreamFrames(40, made.fps, made.motion.skeleton, made.rotations, made.motion.root_positions, (), made.face)
+    poses = Poses.unpack(pack(frames, StreamRequest(16000, fps=made.fps), "speaking", 1.0))
+    assert poses.face is not None and made.face is not None
+    np.testing.assert_allclose(poses.face, made.face.values(), atol=1e-6)
+    np.testing.assert_allclose(poses.root_positions, made.motion.root_positions, atol=1e-6)
+    plain = Poses.unpack(pack(replace(frames, face=None), StreamRequest(16000, fps=made.fps), "speaking", 1.0))
+    assert plain.face is None and np.array_equal(plain.rotations, poses.rotations)
+
+
+def test_vmc_sends_blend_shapes_and_eyes() -> None:
+    osc = pytest.importorskip("pythonosc.osc_bundle")
+    from gesticulator.serve.vmc import VmcFrames
+
+    made = with_face(perform(1.0))
+    frame = len(made.motion) // 2  # in a
+    bundle = osc.OscBundle(VmcFrames(made.motion, made.face).bundle(frame, 0.0))
+    messages = [(message.address, list(message)) for message in bundle]
+    values = {rest[0]: rest[1] for address, rest in messages if address == "/VMC/Ext/Blend/Val"}
+    assert made.face is not None
+    assert values["A"] == pytest.approx(1.0) and values["O"] == 0.0
+    assert values["Blink"] == pytest.approx(made.face.blink[frame], abs=1e-6)
+    assert messages[-1][0] == "/VMC/Ext/Blend/Apply"
+    eye = next(rest for address, rest in messages if address == "/VMC/Ext/Bone/Pos" and rest[0] == "LeftEye")
+    assert np.degrees(2 * np.arctan2(eye[5], eye[7])) == pytest.approx(-10.0, abs=0.3)  # mirrored: Unity's left is -X
+    plain = osc.OscBundle(VmcFrames(made.motion).bundle(frame, 0.0))
+    assert not any(message.address.startswith("/VMC/Ext/Blend") for message in plain)
