@@ -55,6 +55,14 @@ class FaceMotion:
         return np.concatenate([self.visemes, self.blink[:, None], self.brows[:, None], self.smile[:, None], self.gaze],
                               axis=1)
 
+    def fitted(self, count: int) -> FaceMotion:
+        """The first `count` frames, the last one held where there are fewer."""
+        if count == len(self):
+            return self
+        frames = np.minimum(np.arange(count), len(self) - 1)
+        parts = [part[frames] for part in (self.visemes, self.blink, self.brows, self.smile, self.gaze)]
+        return FaceMotion(*parts, self.fps, self.lips_only)
+
     def __getitem__(self, frames: slice) -> FaceMotion:
         """Some of the frames."""
         return FaceMotion(self.visemes[frames], self.blink[frames], self.brows[frames], self.smile[frames],

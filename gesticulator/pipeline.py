@@ -326,7 +326,7 @@ class Gesticulator:
                 rendered_plan(options.plan, speech, blocks, origin))
         return Performance(motion, speech, encoded.blocks, np.array([block.lexeme for block in blocks], np.int64),
                            np.stack([block.code for block in blocks]), plan, used, self.lexeme_names,
-                           face=self._face(speech, options, plan, motion))
+                           rest=partial(self._rest_pose, cast.speaker), face=self._face(speech, options, plan, motion))
 
     def _face(self, speech: Speech, options: InferenceOptions, plan: GesturePlan, motion: Motion) -> FaceMotion | None:
         """The face over the frames of the body; None where none is asked for."""
@@ -337,6 +337,10 @@ class Gesticulator:
         settings = FaceSettings(options.face, float(options.mouth), float(options.mood), int(options.seed))
         return face_of(settings, speech.samples, plan.blocks, motion)
 
+    def _rest_pose(self, speaker: int) -> Motion:
+        """The speaker's resting pose, a motion of one frame."""
+        return representation_of(self.bundle.config).motion(self.bundle.statistics.rest_pose[speaker][None], 1.0)
+
     def _meanings(self, speech: Speech, options: InferenceOptions) -> tuple[PlanMeaning, ...]:
         """The meanings of the plan, or those that the words call for."""
         if options.plan is not None:
@@ -345,7 +349,7 @@ class Gesticulator:
             return ()
         from gesticulator.directing.meanings import track_of
 
-        track = track_of(options, speech.words, speech.duration)
+        track = track_of(options, speech)
         if track is None:
             return ()
         track.add(speech.words)

@@ -12,6 +12,7 @@ from data_module.types import Motion, Speech
 if TYPE_CHECKING:
     from data_module.face import FaceMotion
     from gesticulator.characters.rig import CharacterMotion
+    from gesticulator.export.clip import ClipLayout
     from gesticulator.export.nodes import NodeMotion
     from gesticulator.plan.plan import GesturePlan
 
@@ -21,14 +22,23 @@ class Scene:
     """A recording with gestures, ready to be written.
 
     motion: on the default skeleton, as generated. speech: the audio. make_plan: computes the plan, only for writers
-    that need it. character: the same motion on the user's character, if any. face: of the same frames, if any.
+    that need it. character: the same motion on the user's character, if any. layout: how it is laid out for animation
+    tools; None: by default. face: of the same frames, if any.
     """
 
     motion: Motion
     speech: Speech
     make_plan: Callable[[], GesturePlan]
     character: CharacterMotion | None = None
+    layout: ClipLayout | None = None
     face: FaceMotion | None = None
+
+    @property
+    def clip(self) -> ClipLayout:
+        """How the motion is laid out for animation tools."""
+        from gesticulator.export.clip import ClipLayout
+
+        return self.layout or ClipLayout()
 
     @property
     def duration(self) -> float:

@@ -14,9 +14,9 @@ import numpy as np
 
 from data_module.files import write_bytes
 from data_module.motion.kinematics import copied_rotations
-from data_module.motion.skeletons import FINGERS
+from data_module.motion.skeletons import FINGERS, LEG_JOINTS
 from data_module.types import Array, Motion
-from gesticulator.export.glb import ANIMATION
+from gesticulator.export.clip import ClipLayout
 from gesticulator.export.gltf import GltfDocument, Numbers, node_tree
 from gesticulator.export.nodes import NodeMotion, of_motion
 from gesticulator.export.scene import Scene
@@ -63,11 +63,11 @@ BONES = _bones()
 
 def write_vrma(path: Path, scene: Scene) -> Path:
     """Write the motion as a VRM animation, atomically. Returns `path`."""
-    write_bytes(path, vrm_animation(scene.standing, scene.face))
+    write_bytes(path, vrm_animation(scene.standing, scene.clip, scene.face))
     return path
 
 
-def vrm_animation(motion: Motion, face: FaceMotion | None = None) -> bytes:
+def vrm_animation(motion: Motion, clip: ClipLayout, face: FaceMotion | None = None) -> bytes:
     """The bytes of a .vrma file for a motion of our skeleton in any of its sizes. Joints that the motion lacks are
     omitted, so that a character keeps its rest pose or another animation there. With a face, there are tracks for the
     expressions and the gaze."""
@@ -88,7 +88,9 @@ def vrm_animation(motion: Motion, face: FaceMotion | None = None) -> bytes:
         from gesticulator.export.face import vrma_tracks
 
         more = vrma_tracks(gltf, gltf.document["extensions"][EXTENSION], face)
-    gltf.animate(ANIMATION, nodes, {node: node for node in range(len(nodes.names))}, more)
+    steady = frozenset(node for node, bone in enumerate(nodes.names) if BONES[bone][2] in ("Hips", *LEG_JOINTS))
+    gltf.animate(clip, nodes, {node: node for node in range(len(nodes.names)) if not (clip.bare and node in steady)},
+                 steady, more)
     return gltf.to_bytes()
 
 
