@@ -170,6 +170,9 @@ def _plan(args: argparse.Namespace) -> list[Job]:
         if not args.retime:
             raise InputError("--retime-report", "is for --retime alone", "add --retime, or leave it out")
         check_output(args.retime_report)
+    faces = [target for job in jobs for target in job.targets if suffix_of(target).startswith(".face.")]
+    if faces and args.face == "off":
+        raise InputError(faces[0], "needs a face", "add --face lips or --face full")
     if args.plan is not None:
         if len(jobs) > 1:
             raise InputError("--plan", f"is for one recording, and {len(jobs)} are given", "give one")

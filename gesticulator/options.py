@@ -26,6 +26,8 @@ HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
 
 MEANING_LEVELS = ("off", "few", "normal", "rich")
 """How many of the gestures that the words call for are shown."""
+FACES = ("off", "lips", "full")
+"""How much of a face moves: nothing, the lips, or also lids, brows, smile and eyes."""
 FPS = 60.0
 """Default frames per second of a performance: the models' 20 fps frames, interpolated."""
 
@@ -70,6 +72,8 @@ RANGES = {
     "activity": Range(0, 1, "0 (stillness) to 1 (unrestricted)"),
     "fps": Range(1, 1000, "1 to 1000 frames per second"),
     "intensity": Range(0, 2, "0 (the hands hang) to 2 (largest)"),
+    "mouth": Range(0, 2, "0 (shut) to 2 (widest)"),
+    "mood": Range(-1, 1, "-1 (sad) to 1 (a smile)"),
     # 64 dB bring the faintest speech that is detected (-90 dBFS) to the usual level (-26 dBFS).
     "gain": Range(-70, 70, "-70 to 70 decibels"),
     # Far above any machine's cores; beyond the system's limit on threads torch ends the process.
@@ -180,9 +184,18 @@ class InferenceOptions:
     """Add legs (54 joints): the weight shifts, the feet stay planted (`gesticulator.body.stance`)."""
     seated: bool = _option(False, "seat the character, with still legs and hips (54 joints)")
     """Seat the character, with still legs and hips (54 joints)."""
+    face: str = _option("off", "move the face, too: off (default), lips, or full, with blinks, brows and gaze", "FACE",
+                        choices=FACES)
+    """How much of a face moves, "off", "lips" or "full", which adds blinks, brows, smile and gaze. The body is the same
+    with each."""
+    mouth: float = _option(1.0, "with --face: how far the mouth opens; 0 keeps it shut (default 1)", "0..2")
+    """With a face: how far the mouth opens, 0 (shut) to 2; 1 is as the network gives it."""
+    mood: float = _option(0.0, "with --face full: from -1 (sad) to 1 (a smile) (default 0)", "-1..1")
+    """With a whole face: -1 (sad) to 1 (a smile)."""
 
     def __post_init__(self) -> None:
-        for name in ("seed", "variation", "temperature", "beta", "activity", "intensity", "fps", "gain"):
+        for name in ("seed", "variation", "temperature", "beta", "activity", "intensity", "fps", "gain", "mouth",
+                     "mood"):
             value = getattr(self, name)
             if value is not None or name not in ("temperature", "beta", "activity"):
                 RANGES[name].check(name, value)
@@ -193,6 +206,11 @@ class InferenceOptions:
             raise InputError(f"energy {self.energy}", "is unknown", f"choose among {', '.join(ENERGIES)}")
         if self.handedness not in (None, *HANDS):
             raise InputError(f"handedness {self.handedness}", "is unknown", f"choose among {', '.join(HANDS)}")
+        if self.face not in FACES:
+            raise InputError(f"face {self.face}", "is unknown", f"choose among {', '.join(FACES)}")
+        if self.face == "off" and (self.mouth != 1.0 or self.mood != 0.0):
+            raise InputError("mouth" if self.mouth != 1.0 else "mood", "is for a face",
+                             "add --face full, or leave it out")
         if self.meaning not in MEANING_LEVELS:
             raise InputError(f"meaning {self.meaning}", "is unknown", f"choose among {', '.join(MEANING_LEVELS)}")
         if self.transcribe is not None and self.plan is not None:
@@ -287,3 +305,6 @@ class InferenceArguments(TypedDict, total=False):
     retime_from: str | os.PathLike[str] | None
     legs: bool
     seated: bool
+    face: str
+    mouth: float
+    mood: float

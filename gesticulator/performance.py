@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from data_module.face import FaceMotion
     from data_module.types import Array, Blocks, Motion, Speech
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.retarget import Retargeter
@@ -57,6 +58,8 @@ class Performance:
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
     character: CharacterMotion | None = None
     """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
+    face: FaceMotion | None = None
+    """The face over the same frames, where one was asked for (`InferenceOptions.face`)."""
     clip: ClipLayout | None = None
     """How files for animation tools are laid out (`as_clip`); None: by default."""
     rest: Callable[[], Motion] | None = None
@@ -192,7 +195,8 @@ class Performance:
             from gesticulator.body.planting import added_to_rest
 
             motion = added_to_rest(motion, self._rest_of(motion))
-        return Scene(motion, self.speech, self.plan, self.character, self.clip)
+        return Scene(motion, self.speech, self.plan, self.character, self.clip,
+                     None if self.face is None else self.face.fitted(len(motion)))
 
     def as_clip(self, clip: ClipLayout) -> Performance:
         """The performance laid out as a clip for animation tools: looped, of the upper body alone, in place. Do it

@@ -34,6 +34,7 @@ from gesticulator.version import __version__
 from interpreters.base import as_interpreter
 
 if TYPE_CHECKING:
+    from data_module.face import FaceMotion
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.directing.editing import PlanRenderer
@@ -341,7 +342,16 @@ class Gesticulator:
                 rendered_plan(options.plan, speech, blocks, origin))
         return Performance(motion, speech, encoded.blocks, np.array([block.lexeme for block in blocks], np.int64),
                            np.stack([block.code for block in blocks]), plan, used, self.lexeme_names,
-                           rest=partial(self._rest_pose, cast.speaker))
+                           rest=partial(self._rest_pose, cast.speaker), face=self._face(speech, options, plan, motion))
+
+    def _face(self, speech: Speech, options: InferenceOptions, plan: GesturePlan, motion: Motion) -> FaceMotion | None:
+        """The face over the frames of the body; None where none is asked for."""
+        if options.face == "off":
+            return None
+        from gesticulator.body.face import FaceSettings, face_of
+
+        settings = FaceSettings(options.face, float(options.mouth), float(options.mood), int(options.seed))
+        return face_of(settings, speech.samples, plan.blocks, motion)
 
     def _rest_pose(self, speaker: int) -> Motion:
         """The speaker's resting pose, a motion of one frame."""

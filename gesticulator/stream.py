@@ -37,6 +37,8 @@ from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import Block
 
 if TYPE_CHECKING:
+    from data_module.face import FaceMotion
+    from gesticulator.body.face import Face
     from gesticulator.directing.directions import Director, MeantCue
     from gesticulator.directing.meanings import MeaningTrack
     from gesticulator.directing.stream_marks import StreamMarks
@@ -65,7 +67,7 @@ class StreamFrames:
 
     first: the number of the first frame; frame n is the pose at n / fps seconds of media time. rotations: [T, J, 4]
     local rotations, unit quaternions, w first; root_positions: [T, 3] metres; skeleton: of J joints. blocks: those
-    that were generated since the earlier frames.
+    that were generated since the earlier frames. face: of the same frames, where one was asked for.
     """
 
     first: int
@@ -74,6 +76,7 @@ class StreamFrames:
     rotations: Array
     root_positions: Array
     blocks: tuple[Block, ...] = ()
+    face: FaceMotion | None = None
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -135,7 +138,9 @@ class Stream:
         self._path.history = HISTORY
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
+        self._face = _face_of(options)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
+        self._heard_from = -1.0  # start of the utterance that the face hears
         self._state, self._finished, self._hurried = StreamState.IDLE, False, False
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
@@ -218,6 +223,7 @@ class Stream:
         first, sound = self._path.next, self._feed.take(samples)
         if len(samples):
             self._speak()
+            self._hear(sound)
         return self._frames(first, self._draw(self._utterance().feed(sound)) if len(sound) else [])
 
     def pass_over(self, seconds: float) -> StreamFrames:
@@ -230,6 +236,8 @@ class Stream:
         self._speak()
         if self._meanings is not None:
             self._meanings.forget(self._committed)
+        if self._face is not None:
+            self._face.end()
         self._begin(self.time + seconds)
         return self._frames(first, self._advance(self._begun))
 
@@ -301,6 +309,9 @@ class Stream:
         self._turns.release(self._committed)
         self._begin(at)
         self._state = StreamState.IDLE
+        if self._face is not None:
+            self._face.interrupt(at)
+            self._face.state(at, "idle")
         return self._frames(self._path.next, self._advance(at))
 
     def finish(self) -> StreamFrames:
@@ -337,6 +348,16 @@ class Stream:
             self._turns.release(self._committed)
             self._state = StreamState.SPEAKING
 
+    def _hear(self, sound: Samples) -> None:
+        """Let the face hear more of the utterance, at 16 kHz."""
+        if self._face is None:
+            return
+        if self._heard_from != self._begun:
+            self._heard_from = self._begun
+            self._face.state(self._begun, "speaking")
+            self._face.begin(self._begun)
+        self._face.hear(sound)
+
     def _utterance(self) -> BlockCutter:
         """The cutter of the current utterance. Its blocks begin after the last knot that was generated."""
         if self._cutter is None:
@@ -351,8 +372,11 @@ class Stream:
         """Generate the rest of the utterance, and set media time to its end."""
         if self._feed.seconds == 0 or self._cutter is None:
             return []
-        cutter = self._cutter
-        parts = self._draw(cutter.feed(self._feed.finish()))
+        cutter, sound = self._cutter, self._feed.finish()
+        if self._face is not None:
+            self._hear(sound)
+            self._face.end()
+        parts = self._draw(cutter.feed(sound))
         parts += self._draw(cutter.finish())
         self._begin(self._begun + cutter.duration)
         return parts
@@ -367,6 +391,8 @@ class Stream:
             if state == StreamState.THINKING:
                 self._turns.look_away(self._committed)
             self._state = state
+            if self._face is not None:
+                self._face.state(self._begun, state.value, self._turns.side)
         if voice is not None:
             self._turns.listen(voice, max(self._committed, self._begun))
         self._begin(self._begun + seconds)
@@ -420,10 +446,23 @@ class Stream:
     def _frames(self, first: int, parts: _Parts) -> StreamFrames:
         motions = [motion for motion, _ in parts if motion is not None]
         joints = len(self.skeleton)
-        return StreamFrames(
+        frames = StreamFrames(
             first, self.fps, self.skeleton, np.concatenate([np.zeros((0, joints, 4)), *(m.rotations for m in motions)]),
             np.concatenate([np.zeros((0, 3)), *(motion.root_positions for motion in motions)]),
             tuple(block for _, block in parts if block is not None))
+        if self._face is None:
+            return frames
+        self._face.blocks(frames.blocks)
+        return replace(frames, face=self._face.frames(first, frames.motion())) if len(frames) else frames
+
+
+def _face_of(options: InferenceOptions) -> Face | None:
+    if options.face == "off":
+        return None
+    from gesticulator.body.face import Face, FaceSettings
+
+    settings = FaceSettings(options.face, float(options.mouth), float(options.mood), int(options.seed))
+    return Face(settings, LONGEST_HISTORY)
 
 
 def _check_seconds(seconds: float) -> None:

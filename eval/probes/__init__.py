@@ -13,6 +13,8 @@ from data_module.registry import Registry, RegistryEntry, is_tool
 PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
     "eye": RegistryEntry("does the motion look human, compared with a real recording, the corpus and unit selection?",
                          "eval.probes.eye"),
+    "face": RegistryEntry("does the mouth follow the sound? Visemes, closures and silence beside simpler mouths",
+                          "eval.probes.face"),
     "stability": RegistryEntry("does the same sound give the same motion when it is exported again?",
                                "eval.probes.stability"),
     "stance": RegistryEntry("are legs stable, and like people's? Foot sliding, knees, weight shifts, hips",

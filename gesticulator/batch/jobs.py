@@ -295,7 +295,8 @@ def _in_pieces(job: Job, args: argparse.Namespace, system: Gesticulator) -> bool
     from gesticulator.batch.long import can_be_done
 
     whole = (args.character, args.plan, args.text, args.cues or None, args.loop or None, args.mask, args.layer,
-             args.sound or None, None if args.root == "hips" else args.root, args.transcribe)
+             args.sound or None, None if args.root == "hips" else args.root, args.transcribe,
+             None if args.face == "off" else args.face)
     return (whole == (None,) * len(whole) and all(target.suffix.lower() in STREAMED for target in job.targets)
             and can_be_done(system.bundle))
 

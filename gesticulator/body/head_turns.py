@@ -88,6 +88,12 @@ class HeadTurns:
         """Look to a side and up from `at` seconds until released."""
         self._add(_Turn(at, _TURNS, None, _TURNS, (-_UP, _AWAY * self._side(), 0.0)))
 
+    @property
+    def side(self) -> float:
+        """Where the held turn goes to: 1 to the left, -1 to the right, 0 without one."""
+        return next((math.copysign(1.0, one.degrees[1]) for one in reversed(self._turns)
+                     if one.end is None and one.degrees[1]), 0.0)
+
     def listen(self, samples: Samples, at: float) -> None:
         """Take more of another's voice, at 16 kHz; reactions begin at `at` seconds or later."""
         if self._loudness is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,11 +12,14 @@ from data_module.errors import InputError
 from data_module.files import write_bytes
 from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.clip import STEADY, ClipLayout
-from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree, open_gltf, transform
+from gesticulator.export.gltf import VERTICES, GltfDocument, Numbers, node_tree, open_gltf, transform
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.own_fbx import write_animated
 from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import figure
+
+if TYPE_CHECKING:
+    from data_module.face import FaceMotion
 
 _COLOUR = [0.24, 0.45, 0.47, 1.0]
 """Colour of the figure: linear red, green, blue, opacity."""
@@ -28,7 +31,7 @@ def write_glb(path: Path, scene: Scene) -> Path:
     if character is not None and character.character.kind == "fbx":
         return write_animated(path, character, scene.clip)
     is_glb = character is not None and character.character.kind == "glb"
-    write_bytes(path, character_glb(character, scene.clip) if character is not None and is_glb
+    write_bytes(path, character_glb(character, scene.clip, scene.face) if character is not None and is_glb
                 else skeleton_glb(scene.nodes, scene.clip))
     return path
 
@@ -48,23 +51,24 @@ def write_clips(path: Path, scenes: Sequence[Scene]) -> Path:
         gltf = open_gltf(character.character.path)
         for scene in scenes:
             assert scene.character is not None
-            add_clip(gltf, scene.character, scene.clip)
+            add_clip(gltf, scene.character, scene.clip, scene.face)
     write_bytes(path, gltf.to_bytes())
     return path
 
 
-def character_glb(moved: CharacterMotion, clip: ClipLayout) -> bytes:
-    """The character's file with one animation added: the bytes of a GLB file.
+def character_glb(moved: CharacterMotion, clip: ClipLayout, face: FaceMotion | None = None) -> bytes:
+    """The character's file with one animation added: the bytes of a GLB file. With a face, the animation moves what the
+    character has for one (`gesticulator.characters.face_rig`), too; if it has no mouth, a warning says so.
 
     Nothing else changes, except that animated nodes with a matrix get a translation, a rotation and a scale instead.
     Buffers and images in separate files are embedded.
     """
     gltf = open_gltf(moved.character.path)
-    add_clip(gltf, moved, clip)
+    add_clip(gltf, moved, clip, face)
     return gltf.to_bytes()
 
 
-def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout) -> None:
+def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face: FaceMotion | None = None) -> None:
     """Add the motion to the document of its character."""
     character = moved.character
     for node in moved.moved:
@@ -74,8 +78,13 @@ def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout) -> No
     shifts = {} if moved.translations is None else {moved.hips: moved.translations}
     motion = NodeMotion(character.names, character.parents, character.translations, character.rotations,
                         character.scales, moved.rotations, shifts, {}, moved.fps)
+    more: list[tuple[int, str, Numbers]] = []
+    if face is not None:
+        from gesticulator.export.face import character_tracks
+
+        more = character_tracks(gltf, moved, face)
     gltf.animate(clip, motion, {node: character.node_ids[node] for node in sorted({*moved.moved, *shifts})},
-                 frozenset(node for joint, node in moved.joints.items() if joint in STEADY))
+                 frozenset(node for joint, node in moved.joints.items() if joint in STEADY), more)
 
 
 def skeleton_glb(motion: NodeMotion, clip: ClipLayout) -> bytes:

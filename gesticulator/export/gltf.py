@@ -29,7 +29,7 @@ _TYPES = {np.dtype("<f4"): _FLOAT, np.dtype("u1"): _UINT8, np.dtype("<u2"): _UIN
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTICES = 34962
 """Target of a buffer view: vertex attributes."""
-TRANSLATION, ROTATION = "translation", "rotation"
+TRANSLATION, ROTATION, WEIGHTS = "translation", "rotation", "weights"
 """Animated properties of a node."""
 LARGEST = (1 << 32) - 1
 """Largest size of a GLB file, bytes (4 GiB): its header has 32 bits for it."""
@@ -74,9 +74,10 @@ class GltfDocument:
         return self._added("bufferViews", view)
 
     def animate(self, clip: ClipLayout, motion: NodeMotion, nodes: Mapping[int, int],
-                steady: frozenset[int] = frozenset()) -> None:
+                steady: frozenset[int] = frozenset(), more: Sequence[tuple[int, str, Numbers]] = ()) -> None:
         """Add one animation, with keys reduced within `clip.keys`. nodes: index in the motion -> index in the document,
-        for moved nodes; steady: nodes of the motion whose errors are held tighter (hips and legs)."""
+        for moved nodes; steady: nodes of the motion whose errors are held tighter (hips and legs). more:
+        further tracks with a value at every frame (node, property, values)."""
         rows = list(nodes)
         tracks: list[Track] = []
         times = motion.times.astype("<f4")
@@ -85,7 +86,7 @@ class GltfDocument:
                 if source in motion.shifts:
                     tracks.append((node, TRANSLATION, times, motion.shifts[source].astype("<f4")))
                 tracks.append((node, ROTATION, times, as_gltf(motion.turns[:, source])))
-            self.add_animation(clip.name, tracks)
+            self.add_animation(clip.name, tracks + [(node, path, times, values) for node, path, values in more])
             return
         turned = kept_frames(motion.turns[:, rows], track_bounds(rows, clip.keys, steady), rotation_errors)
         for column, (source, node) in enumerate(nodes.items()):
@@ -94,11 +95,12 @@ class GltfDocument:
                 tracks.append((node, TRANSLATION, times[kept], motion.shifts[source][kept].astype("<f4")))
             kept = turned[:, column]
             tracks.append((node, ROTATION, times[kept], as_gltf(motion.turns[kept, source])))
-        self.add_animation(clip.name, tracks)
+        self.add_animation(clip.name, tracks + [(node, path, times, values) for node, path, values in more])
 
     def add_animation(self, name: str, tracks: Sequence[Track]) -> None:
-        """Add one animation. tracks: node, property (`TRANSLATION`, `ROTATION`), times [T] in seconds, rising, and
-        values, [T, 3] or [T, 4] with w last; all float32. Tracks may share one object of times."""
+        """Add one animation. tracks: node, property (`TRANSLATION`, `ROTATION`, `WEIGHTS`), times [T] in seconds,
+        rising, and values, [T, 3], [T, 4] with w last, or [T * targets] weights; all float32. Tracks may share one
+        object of times."""
         # The order of first use: times before the values that need them.
         numbers: dict[int, tuple[Numbers, bool]] = {}
         for _, _, times, values in tracks:

@@ -10,6 +10,7 @@ from data_module.motion.skeletons import standing
 from data_module.types import Motion, Speech
 
 if TYPE_CHECKING:
+    from data_module.face import FaceMotion
     from gesticulator.characters.rig import CharacterMotion
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.nodes import NodeMotion
@@ -22,7 +23,7 @@ class Scene:
 
     motion: on the default skeleton, as generated. speech: the audio. make_plan: computes the plan, only for writers
     that need it. character: the same motion on the user's character, if any. layout: how it is laid out for animation
-    tools; None: by default.
+    tools; None: by default. face: of the same frames, if any.
     """
 
     motion: Motion
@@ -30,6 +31,7 @@ class Scene:
     make_plan: Callable[[], GesturePlan]
     character: CharacterMotion | None = None
     layout: ClipLayout | None = None
+    face: FaceMotion | None = None
 
     @property
     def clip(self) -> ClipLayout:

@@ -8,6 +8,7 @@ character may lack it, and rotations of a missing bone would be lost with everyt
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +17,12 @@ from data_module.motion.kinematics import copied_rotations
 from data_module.motion.skeletons import FINGERS, LEG_JOINTS
 from data_module.types import Array, Motion
 from gesticulator.export.clip import ClipLayout
-from gesticulator.export.gltf import GltfDocument, node_tree
+from gesticulator.export.gltf import GltfDocument, Numbers, node_tree
 from gesticulator.export.nodes import NodeMotion, of_motion
 from gesticulator.export.scene import Scene
+
+if TYPE_CHECKING:
+    from data_module.face import FaceMotion
 
 EXTENSION = "VRMC_vrm_animation"
 # Bone of the humanoid -> parent bone, our joints whose world rotations it takes, and the joint where it begins.
@@ -59,13 +63,14 @@ BONES = _bones()
 
 def write_vrma(path: Path, scene: Scene) -> Path:
     """Write the motion as a VRM animation, atomically. Returns `path`."""
-    write_bytes(path, vrm_animation(scene.standing, scene.clip))
+    write_bytes(path, vrm_animation(scene.standing, scene.clip, scene.face))
     return path
 
 
-def vrm_animation(motion: Motion, clip: ClipLayout) -> bytes:
+def vrm_animation(motion: Motion, clip: ClipLayout, face: FaceMotion | None = None) -> bytes:
     """The bytes of a .vrma file for a motion of our skeleton in any of its sizes. Joints that the motion lacks are
-    omitted, so that a character keeps its rest pose or another animation there."""
+    omitted, so that a character keeps its rest pose or another animation there. With a face, there are tracks for the
+    expressions and the gaze."""
     from gesticulator.version import __version__
 
     nodes = humanoid(motion)
@@ -78,9 +83,14 @@ def vrm_animation(motion: Motion, clip: ClipLayout) -> bytes:
         "scenes": [{"nodes": [0]}],
         "nodes": node_tree(nodes),
     })
+    more: list[tuple[int, str, Numbers]] = []
+    if face is not None:
+        from gesticulator.export.face import vrma_tracks
+
+        more = vrma_tracks(gltf, gltf.document["extensions"][EXTENSION], face)
     steady = frozenset(node for node, bone in enumerate(nodes.names) if BONES[bone][2] in ("Hips", *LEG_JOINTS))
     gltf.animate(clip, nodes, {node: node for node in range(len(nodes.names)) if not (clip.bare and node in steady)},
-                 steady)
+                 steady, more)
     return gltf.to_bytes()
 
 

@@ -142,13 +142,15 @@ def pack(frames: StreamFrames, request: StreamRequest, state: str, received: flo
         rotations, root = arrays["poses"].reshape(len(frames), -1, 3), arrays["trans"]
     else:
         rotations, root = frames.rotations, frames.root_positions
+    face = None if frames.face is None else frames.face.values().astype("<f4")
     header = json.dumps({
         "type": "poses", "first": frames.first, "count": len(frames), "time": round(frames.first / request.fps, 6),
         "fps": request.fps, "joints": rotations.shape[1], "state": state, "received": round(received, 6),
+        **({} if face is None else {"face": face.shape[1]}),
     }, separators=(",", ":")).encode()
     header += b" " * (-len(header) % 4)  # align the numbers for typed arrays
     return b"".join((struct.pack("<I", len(header)), header, rotations.astype("<f4").tobytes(),
-                     root.astype("<f4").tobytes()))
+                     root.astype("<f4").tobytes(), b"" if face is None else face.tobytes()))
 
 
 def joints(skeleton: Skeleton) -> list[dict[str, Any]]:

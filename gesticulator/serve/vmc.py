@@ -23,6 +23,7 @@ from data_module.motion.skeletons import standing
 from data_module.settings import whole_number
 
 if TYPE_CHECKING:
+    from data_module.face import FaceMotion
     from data_module.types import Array, Motion
     from gesticulator.export.nodes import NodeMotion
     from gesticulator.stream import StreamFrames
@@ -72,13 +73,15 @@ def mirrored_turn(turn: Array) -> Array:
 class VmcFrames:
     """A motion as OSC bundles."""
 
-    def __init__(self, motion: Motion) -> None:
+    def __init__(self, motion: Motion, face: FaceMotion | None = None) -> None:
+        """face: of the same frames; sent as blend shapes of VRM 0.x, which receivers know, and as eye bones."""
         from gesticulator.export.vrma import humanoid
 
         nodes = humanoid(standing(motion))
         self.fps = motion.fps
         self._heads = [_head("/VMC/Ext/Bone/Pos", unity_bone(name)) for name in nodes.names]
         self._numbers = self._poses(nodes)
+        self._faces = [] if face is None else face_messages(face)
 
     @staticmethod
     def _poses(nodes: NodeMotion) -> Array:
@@ -96,7 +99,40 @@ class VmcFrames:
         messages = [*_available(1, seconds), _ROOT + struct.pack(">7f", 0, 0, 0, 0, 0, 0, 1)]
         numbers = self._numbers[frame].astype(">f4").tobytes()
         messages += [head + numbers[28 * bone:28 * bone + 28] for bone, head in enumerate(self._heads)]
-        return _bundled(messages)
+        return _bundled(messages + (self._faces[frame] if self._faces else []))
+
+
+_BLENDS = {"aa": "A", "ih": "I", "ou": "U", "ee": "E", "oh": "O", "blink": "Blink", "happy": "Joy", "sad": "Sorrow"}
+"""Expression of VRM 1.0 -> the name that receivers know."""
+_EYE = (0.03, 0.06, 0.07)
+"""Place of the left eye in the head, metres; receivers use its rotation."""
+
+
+def face_messages(face: FaceMotion) -> list[list[bytes]]:
+    """For each frame the messages of a face: a value per blend shape, the eyes as bones, and that they are complete."""
+    from pythonosc.osc_message_builder import OscMessageBuilder
+
+    from gesticulator.characters.face_shapes import vrm
+    from gesticulator.export.face import eye_turns
+
+    curves = {theirs: curve for name, curve in vrm(face).items() if (theirs := _BLENDS.get(name))
+              and not (face.lips_only and len(theirs) > 1)}
+    eyes = () if face.lips_only else ("LeftEye", "RightEye")
+    heads = [_head("/VMC/Ext/Bone/Pos", name) for name in eyes]
+    turns = mirrored_turn(eye_turns(face))
+    places = [mirrored_place(np.array([side * _EYE[0], *_EYE[1:]])) for side in (1.0, -1.0)]
+    out = []
+    for frame in range(len(face)):
+        messages = []
+        for name, curve in curves.items():
+            builder = OscMessageBuilder("/VMC/Ext/Blend/Val")
+            builder.add_arg(name, "s")
+            builder.add_arg(float(curve[frame]), "f")
+            messages.append(bytes(builder.build().dgram))
+        messages.append(bytes(OscMessageBuilder("/VMC/Ext/Blend/Apply").build().dgram))
+        out.append([head + np.concatenate([place, turns[frame]]).astype(">f4").tobytes()
+                    for head, place in zip(heads, places, strict=False)] + messages)
+    return out
 
 
 def _head(address: str, name: str) -> bytes:
@@ -170,7 +206,7 @@ class VmcOutput:
         self.stream = stream
         self._parts = [part for part in self._parts if part.first < first]
         if first / fps < now - self._zero + MOST_SECONDS:
-            self._parts.append(_Played(first, VmcFrames(frames.motion())))
+            self._parts.append(_Played(first, VmcFrames(frames.motion(), frames.face)))
             self._came.set()
 
     def leave(self, stream: str) -> None:

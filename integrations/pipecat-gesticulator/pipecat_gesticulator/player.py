@@ -28,7 +28,7 @@ class PosePlayer:
                 kept.append(old)
             elif length > 0:
                 kept.append(Poses(old.first, old.fps, old.rotations[:length], old.root_positions[:length], old.state,
-                                  old.received))
+                                  old.received, None if old.face is None else old.face[:length]))
         self._packets = [*kept, poses]
 
     @property

@@ -86,7 +86,8 @@ class Poses:
 
     first: number of the first frame. rotations: [count, J, 4] quaternions, w first, local to the parent; for SMPL-X
     [count, 55, 3], axis times angle in radians. root_positions: [count, 3] metres. state: "idle", "speaking",
-    "listening" or "thinking". received: seconds of sound that the server had taken in when it made them.
+    "listening" or "thinking". received: seconds of sound that the server had taken in when it made them. face: [count,
+    20] with the option "face" (the schema lists the values).
     """
 
     first: int
@@ -95,6 +96,7 @@ class Poses:
     root_positions: NDArray[np.float32]
     state: str
     received: float
+    face: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -118,8 +120,9 @@ class Poses:
         count, joints = told["count"], told["joints"]
         width = 3 if joints == SMPLX_JOINTS else 4
         numbers = np.frombuffer(packet, "<f4", offset=4 + length)
-        if len(numbers) != count * (joints * width + 3):
+        face = told.get("face", 0)
+        if len(numbers) != count * (joints * width + 3 + face):
             raise ValueError(f"a packet of {count} poses of {joints} joints has {len(numbers)} numbers")
-        rotations, root = np.split(numbers, [count * joints * width])
+        rotations, root, values = np.split(numbers, [count * joints * width, count * (joints * width + 3)])
         return cls(told["first"], told["fps"], rotations.reshape(count, joints, width), root.reshape(count, 3),
-                   told["state"], told["received"])
+                   told["state"], told["received"], values.reshape(count, face) if face else None)

@@ -1,0 +1,190 @@
+"""Does the mouth follow the sound? The lips network beside a mouth by volume and a formant rule.
+
+On synthetic voices and languages that the network was not trained on, and on human readings. `frames`: share of frames
+with a phone whose viseme is the one with the largest weight. `closed`: share of p, b and m at which the mouth, as it is
+drawn, shuts (under a tenth of its widest) within 40 ms of their middle. `open`: share of the same for the middles of
+vowels of aa and oh at which it does *not* shut, so that a mouth that is always shut fails. `shut`: mean opening in
+silence. `level` and `F1`: correlation of the opening with the level over frames with a phone, and with the first
+formant over vowels.
+The controls are the network on sound that is moved by 0.2 s, and on that of another clip: they must fail.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.errors import InputError
+from data_module.speech.audio import load_speech
+from data_module.speech.known_phones import PhonedSpeech, aligned, synthetic
+from data_module.types import Array, Samples
+from data_module.visemes import CLOSED, SILENT, VISEMES, VOWELS, opening
+from eval.baselines.mouths import RATE, by_formants, by_volume, formants, loudness
+from eval.stats import mean_interval, paired
+from eval.table import Column, Table
+from gesticulator.body.face_lips import SHIPPED, Lips, load_weights, with_dominance
+
+WITHIN = 0.04
+"""Seconds from the middle of a closure within which the mouth must shut."""
+SHUT = 0.1
+"""Opening under which a mouth counts as shut."""
+SHIFT = 0.2
+"""Seconds by which the sound of a control is moved."""
+PIECE = 4.0
+"""Seconds of a piece of speech; intervals are over pieces."""
+COLUMNS = {
+    "frames": Column("frames right", "share", good="high"), "closed": Column("p, b, m closed", "share", good="high"),
+    "open": Column("aa, oh open", "share", good="high"), "shut": Column("opening in silence", "share", 3, "low"),
+    "level": Column("r with level", "", good="high"), "f1": Column("r with F1", "", good="high")}
+Mouth = Callable[[Samples], tuple[Array, Array]]
+"""Samples at 16 kHz -> [T, 15] weights of visemes as found, and as drawn."""
+
+
+@dataclass(frozen=True)
+class FaceSound:
+    """A clip with the figures of its sound: labels [T] (-1 unknown), level and F1 [T], middles of closures and of open
+    vowels in seconds."""
+
+    clip: PhonedSpeech
+    labels: NDArray[np.int64]
+    level: Array
+    f1: Array
+
+    @property
+    def closures(self) -> list[float]:
+        return [(one.start + one.end) / 2 for one in self.clip.track if one.viseme == CLOSED]
+
+    @property
+    def vowels(self) -> list[float]:
+        wide = VISEMES.index("aa"), VISEMES.index("oh")
+        return [(one.start + one.end) / 2 for one in self.clip.track if one.viseme in wide]
+
+
+def measured(clip: PhonedSpeech) -> FaceSound:
+    count = len(loudness(clip.samples))
+    labels = clip.labels(RATE)[:count]
+    return FaceSound(clip, np.pad(labels, (0, count - len(labels)), constant_values=-1), loudness(clip.samples),
+                 formants(clip.samples)[0])
+
+
+def network(folder: Path = SHIPPED) -> Mouth:
+    """The lips network as it is drawn."""
+    def mouth(samples: Samples) -> tuple[Array, Array]:
+        lips = Lips(0.0, load_weights(folder))
+        lips.feed(samples)
+        lips.finish()
+        count = len(samples) * RATE // 16000
+        return lips.weights[:count], lips.rows(0, count)
+    return mouth
+
+
+def rule(weights: Callable[[Samples], Array]) -> Mouth:
+    """A baseline, drawn with the same dominance."""
+    def mouth(samples: Samples) -> tuple[Array, Array]:
+        found = weights(samples)
+        return found, with_dominance(found)
+    return mouth
+
+
+def figures(mouth: tuple[Array, Array], one: FaceSound) -> dict[str, Array]:
+    """Figures of each piece of a clip, NaN where a piece has nothing to count."""
+    weights, shown = mouth
+    count = min(len(weights), len(shown), len(one.labels))
+    drawn, labels = opening(shown[:count]), one.labels[:count]
+    size = round(PIECE * RATE)
+    pieces = np.arange(count) // size
+    right = (weights[:count].argmax(axis=1) == labels).astype(float)
+    spoken = labels > SILENT
+
+    def mean(values: Array, where: NDArray[np.bool_]) -> Array:
+        return np.array([values[where & (pieces == piece)].mean() if (where & (pieces == piece)).any() else np.nan
+                         for piece in range(pieces[-1] + 1)])
+
+    def least(middles: Sequence[float]) -> Array:
+        reach = round(WITHIN * RATE)
+        values = np.array([[middle / PIECE, drawn[max(round(middle * RATE - 0.5) - reach, 0):
+                                                  round(middle * RATE - 0.5) + reach + 1].min(initial=1.0)]
+                           for middle in middles if middle * RATE < count]).reshape(-1, 2)
+        return np.array([(values[values[:, 0].astype(int) == piece, 1] < SHUT).mean()
+                         if (values[:, 0].astype(int) == piece).any() else np.nan for piece in range(pieces[-1] + 1)])
+
+    def related(values: Array, where: NDArray[np.bool_]) -> Array:
+        return np.array([_r(drawn[inside], values[:count][inside]) for piece in range(pieces[-1] + 1)
+                         for inside in [where & (pieces == piece)]])
+
+    return {"frames": mean(right, spoken), "closed": least(one.closures), "open": 1.0 - least(one.vowels),
+            "shut": mean(drawn, deep(labels)), "level": related(one.level, spoken),
+            "f1": related(one.f1, np.isin(labels, VOWELS))}
+
+
+def deep(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Frames of silence that are 0.1 s or more from any sound: lips move a little before and after a voice."""
+    sounds = np.convolve(labels != SILENT, np.ones(11), "same") > 0
+    return np.asarray(~sounds)
+
+
+def _r(one: Array, other: Array) -> float:
+    if len(one) < 10 or one.std() == 0 or other.std() == 0:
+        return float("nan")
+    return float(np.corrcoef(one, other)[0, 1])
+
+
+def table(title: str, clips: Sequence[PhonedSpeech], mouths: Mapping[str, Mouth]) -> Table:
+    """A row for each mouth, and the two controls of the first; facts: the network minus the formant rule, paired."""
+    sounds = [measured(clip) for clip in clips]
+    drawn = {name: [mouth(one.clip.samples) for one in sounds] for name, mouth in mouths.items()}
+    first = next(iter(drawn))
+    shift = round(SHIFT * RATE)
+    drawn[f"{first}, moved by {SHIFT} s"] = [(np.roll(found, shift, axis=0), np.roll(shown, shift, axis=0))
+                                             for found, shown in drawn[first]]
+    drawn[f"{first}, another clip"] = [drawn[first][(place + 1) % len(sounds)] for place in range(len(sounds))]
+    known = {name: _joined([figures(mouth, one) for mouth, one in zip(rows, sounds, strict=True)])
+             for name, rows in drawn.items()}
+    rows = {name: {key: mean_interval(values) for key, values in found.items()} for name, found in known.items()}
+    facts = {}
+    for key in COLUMNS if "formant rule" in known else ():
+        a, b = (known[name][key] for name in (first, "formant rule"))
+        both = np.isfinite(a) & np.isfinite(b)
+        facts[f"{first} minus formant rule, {key}"] = paired(a[both], b[both]).to_dict()
+    seconds = sum(clip.duration for clip in clips)
+    return Table(title, COLUMNS, rows, "mouth", [f"{seconds:.0f} s in {len(clips)} clips: "
+                 + ", ".join(sorted({f"{clip.language} {clip.voice}".strip() for clip in clips}))], facts)
+
+
+def _joined(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    return {key: np.concatenate([part[key] for part in parts]) for key in COLUMNS}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Readings, weights, and how much to synthesise."""
+    parser.add_argument("--reading", action="append", default=[], type=Path, metavar="FILE",
+                        help="an English reading with its text beside it (.txt); can be repeated")
+    parser.add_argument("--weights", type=Path, default=SHIPPED, metavar="DIR",
+                        help="weights of gesticulator train-face (default: the shipped ones)")
+    parser.add_argument("--seconds", type=float, default=300.0,
+                        help="seconds of held-out synthetic speech; 0 for none (default 300)")
+
+
+def run(arguments: argparse.Namespace) -> list[Table]:
+    """All mouths on all speech; InputError where there is none."""
+    mouths = {"network": network(arguments.weights), "formant rule": rule(by_formants), "volume": rule(by_volume)}
+    tables = []
+    if arguments.reading:
+        clips = []
+        for path in arguments.reading:
+            text = path.with_suffix(".txt")
+            if not text.exists():
+                raise InputError(path, f"has no {text.name} beside it", "write what is spoken there")
+            clips.append(aligned(load_speech(path), text.read_text(encoding="utf-8"), path.stem))
+        tables.append(table("Human readings", clips, mouths))
+    if arguments.seconds > 0:
+        clips = list(synthetic(np.random.default_rng(2), arguments.seconds, held_out=True))
+        tables.append(table("Synthetic voices and languages that were held out", clips, mouths))
+    if not tables:
+        raise InputError("--reading, --seconds", "leave no speech", "give one of them")
+    return tables

@@ -1,0 +1,171 @@
+"""One face over media time, for a file and a stream alike: it takes sound, states and blocks, and gives frames.
+
+The mouth follows the sound (`face_lips`), lids, brows and eyes have a life of their own (`face_life`), and the eyes
+hold their target while the head, which the body moves, turns: what the head does is subtracted from where they look.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_module.face import FaceMotion
+from data_module.motion import kinematics, rotation
+from data_module.types import Array, Motion, Samples
+from data_module.visemes import SILENT, VISEMES
+from gesticulator.body.face_life import RATE, FaceLife
+from gesticulator.body.face_lips import Lips, with_strength
+from gesticulator.plan.plan import Block
+
+_MOST_ASIDE, _MOST_UP = math.radians(28.0), math.radians(18.0)
+"""Farthest turn of an eye in the head; people turn the head for more."""
+_MOUTH_SMILES = 0.5
+"""Share of a smile that is left where the mouth is wide open."""
+
+
+@dataclass(frozen=True)
+class FaceSettings:
+    """What is asked of a face. kind: "lips" or "full"; mouth: strength of the lips, 0 to 2; mood: -1 (sad) to 1 (a
+    smile); seed: of lids, brows and eyes."""
+
+    kind: str
+    mouth: float = 1.0
+    mood: float = 0.0
+    seed: int = 0
+
+
+class Face:
+    """The face of one character; memory does not grow with time."""
+
+    def __init__(self, settings: FaceSettings, history: float = math.inf) -> None:
+        """history: seconds before the last frame to which `interrupt` may go back."""
+        self._settings, self._history = settings, history
+        self._lips: deque[Lips] = deque()
+        self._states: deque[tuple[float, str]] = deque([(0.0, "idle")])
+        self._life = FaceLife(settings.seed)
+        self._steps: deque[tuple[float, float, float, float]] = deque()
+        self._first = 0
+
+    # ------------------------------------------------------------------------------------------------------ input
+
+    def state(self, at: float, name: str, side: float = 0.0) -> None:
+        """From `at` seconds of media time on the character is "speaking", "listening", "thinking" or "idle". side: of a
+        thinker, where the head turns to: 1 to the left, -1 to the right, 0 for either."""
+        if side:
+            name += " left" if side > 0 else " right"
+        if self._states[-1][1] != name:
+            self._states.append((at, name))
+
+    def begin(self, at: float) -> None:
+        """Sound that is fed from now on begins at `at` seconds."""
+        self._lips.append(Lips(at))
+
+    def hear(self, samples: Samples) -> None:
+        """Take more of the character's speech at 16 kHz."""
+        self._lips[-1].feed(samples)
+
+    def end(self) -> None:
+        """The speech that was fed is over."""
+        if self._lips:
+            self._lips[-1].finish()
+
+    def blocks(self, blocks: Iterable[Block]) -> None:
+        """The next blocks of the body; brows rise on beats at which the hands gesture."""
+        for block in blocks:
+            if not block.silent:
+                self._life.accent(block.start, 1.0)
+
+    def interrupt(self, at: float) -> None:
+        """The speech stops at `at` seconds, which may be in the past: what was fed for later is forgotten."""
+        while self._lips and self._lips[-1].start >= at:
+            self._lips.pop()
+        if self._lips:
+            self._lips[-1].cut(at)
+        while len(self._states) > 1 and self._states[-1][0] >= at:
+            self._states.pop()
+
+    # ----------------------------------------------------------------------------------------------------- output
+
+    def frames(self, first: int, motion: Motion) -> FaceMotion:
+        """The face for frames of the body's motion, of which the first has the number `first`."""
+        count = len(motion)
+        times = (first + np.arange(count)) / motion.fps
+        visemes = self._visemes(times) if count else np.zeros((0, len(VISEMES)))
+        visemes = with_strength(visemes, self._settings.mouth)
+        none, lips = np.zeros(count), self._settings.kind == "lips"
+        if lips or not count:
+            return FaceMotion(visemes, none, none, none, np.zeros((count, 2)), motion.fps, lips)
+        steps = self._stepped(times)
+        smile = self._settings.mood * (1.0 - (1.0 - _MOUTH_SMILES) * (1.0 - visemes[:, SILENT]))
+        brows = np.clip(steps[:, 1] + 0.25 * min(self._settings.mood, 0.0), -1.0, 1.0)
+        face = FaceMotion(visemes, np.clip(steps[:, 0], 0.0, 1.0), brows, smile, in_head(steps[:, 2:], motion),
+                          motion.fps)
+        self._forget(float(times[-1]))
+        return face
+
+    def _visemes(self, times: Array) -> Array:
+        """[T, 15] at rising times: of the latest utterance that had begun at each of them."""
+        out = np.zeros((len(times), len(VISEMES)))
+        out[:, SILENT] = 1.0
+        starts = [lips.start for lips in self._lips]
+        edges = np.searchsorted(times, [*starts[1:], math.inf]) if starts else ()
+        begin = int(np.searchsorted(times, starts[0])) if starts else 0
+        for lips, end in zip(self._lips, edges, strict=True):
+            if end > begin:
+                out[begin:end] = lips.at(times[begin:end])
+            begin = max(begin, int(end))
+        return out
+
+    def _stepped(self, times: Array) -> Array:
+        """[T, 4] the values of `FaceLife.step` at rising times, between steps in proportion."""
+        last = math.floor(times[-1] * RATE) + 1
+        while self._first + len(self._steps) <= last:
+            now = self._life.time
+            # Sound up to this step is certain: a frame is final later than its sound.
+            silent = self._visemes(np.array([now]))[0, SILENT]
+            self._steps.append(self._life.step(self._state_at(now), float(silent)))
+        where = times * RATE - self._first
+        low = np.clip(np.floor(where).astype(np.int64), 0, len(self._steps) - 2)
+        share = np.clip(where - low, 0.0, 1.0)[:, None]
+        begin, end = int(low[0]), int(low[-1]) + 2
+        rows = np.array([self._steps[index] for index in range(begin, end)])
+        return np.asarray(rows[low - begin] * (1.0 - share) + rows[low + 1 - begin] * share)
+
+    def _state_at(self, time: float) -> str:
+        return next((name for at, name in reversed(self._states) if at <= time), self._states[0][1])
+
+    def _forget(self, now: float) -> None:
+        oldest = now - self._history
+        while len(self._lips) > 1 and self._lips[1].start < oldest:
+            self._lips.popleft()
+        while len(self._states) > 1 and self._states[1][0] < oldest:
+            self._states.popleft()
+        while len(self._steps) > 2 and (self._first + 1) / RATE < oldest:
+            self._steps.popleft()
+            self._first += 1
+
+
+def in_head(target: Array, motion: Motion) -> Array:
+    """[T, 2] turn of the eyes in the head, radians to the left and up, that looks at `target` [T, 2] (relative to
+    straight ahead of a character that faces +Z) in spite of the head's pose; within what eyes can turn."""
+    skeleton = motion.skeleton
+    world = kinematics.global_rotations(skeleton, motion.rotations)[:, skeleton.index("Head")]
+    ahead = rotation.rotate(world, np.array([0.0, 0.0, 1.0]))
+    head = np.stack([np.arctan2(ahead[:, 0], ahead[:, 2]), np.arcsin(np.clip(ahead[:, 1], -1.0, 1.0))], axis=1)
+    most = np.array([_MOST_ASIDE, _MOST_UP])
+    return np.asarray(most * np.tanh((target - head) / most))
+
+
+def face_of(settings: FaceSettings, samples: Samples, blocks: Iterable[Block], motion: Motion) -> FaceMotion:
+    """The face of a whole recording at 16 kHz, for the body's `motion`."""
+    face = Face(settings)
+    face.state(0.0, "speaking")
+    face.begin(0.0)
+    face.hear(samples)
+    face.end()
+    face.blocks(blocks)
+    return face.frames(0, motion)

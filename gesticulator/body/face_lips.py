@@ -1,0 +1,156 @@
+"""From sound to the mouth: the lips network, co-articulation by dominance, and the strength of the mouth.
+
+The weights are in `gesticulator/assets/face` and are read when a face is first asked for.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.errors import InputError
+from data_module.files import read_object
+from data_module.speech.lip_features import LOOK_AHEAD, RATE, SAMPLE_RATE, STACKED, LipFeatures
+from data_module.speech.silence import FRAME, MARGIN, STEP, LoudnessTracker, frame_levels
+from data_module.types import Array, Samples
+from data_module.visemes import SILENT, VISEMES
+from interpreters.visemes import HIDDEN, VisemeStepper
+
+SHIPPED = Path(__file__).parents[1] / "assets" / "face"
+_AGAIN = "install gesticulator again, or train it: gesticulator train-face --out DIR"
+DOMINANCE = np.array([1.0, 10.0, 4.0, 1.2, 1.0, 1.0, 2.0, 1.6, 1.0, 1.3, 1.0, 1.0, 1.0, 1.3, 1.6])
+"""[15] how far each viseme imposes itself on those that it overlaps (Cohen and Massaro 1993): lips that must close or
+touch do so even where a vowel is as likely, and rounding spreads."""
+_ABOVE, _SOFT = 1.0, 2.0
+"""Decibels over the limit of silence at which the mouth may open by half, and over which that spreads: the network
+alone leaves the mouth at 18 % in the silences of readings with a noisy room, with this it is at 2 %."""
+_KERNEL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
+"""Smoothing over 5 frames of 20 ms: nothing above about 10 Hz remains, faster than lips move."""
+REACH = max(LOOK_AHEAD, STEP * FRAME) + (len(_KERNEL) // 2 + 1) / RATE
+"""Seconds of sound after an instant that the mouth at that instant depends on."""
+
+
+@lru_cache(maxsize=2)
+def load_weights(folder: Path = SHIPPED) -> Mapping[str, NDArray[np.float32]]:
+    """The weights of the lips network. `InputError` if the folder lacks them, or they are not what its record says."""
+    from safetensors.numpy import load
+
+    record = read_object(folder / "face.json", _AGAIN)
+    path = folder / "visemes.safetensors"
+    try:
+        data = path.read_bytes()
+    except OSError:
+        raise InputError(path, "cannot be read", _AGAIN) from None
+    hashes: Any = record.get("sha256")
+    expected = hashes.get(path.name) if isinstance(hashes, dict) else None
+    if hashlib.sha256(data).hexdigest() != expected or record.get("visemes") != list(VISEMES):
+        raise InputError(path, "is not the file that its record describes", _AGAIN)
+    weights: Mapping[str, NDArray[np.float32]] = load(data)
+    if weights["enter.weight"].shape != (HIDDEN, STACKED):
+        raise InputError(path, f"has weights of shape {weights['enter.weight'].shape}", _AGAIN)
+    return weights
+
+
+class Lips:
+    """The mouth of one utterance: sound in, curve out."""
+
+    def __init__(self, start: float = 0.0, weights: Mapping[str, NDArray[np.float32]] | None = None) -> None:
+        """start: media time of the first sample, seconds."""
+        self.start = start
+        self._features, self._step = LipFeatures(), VisemeStepper(load_weights() if weights is None else weights)
+        self._gate = _Gate()
+        self._curve: list[NDArray[np.float32]] = []
+        self._opens: list[float] = []
+
+    def feed(self, samples: Samples) -> None:
+        """Take more of the sound at 16 kHz."""
+        self._curve += [self._step(frame) for frame in self._features.feed(samples)]
+        self._opens += self._gate.feed(samples)
+
+    def finish(self) -> None:
+        """The sound ends."""
+        self._curve += [self._step(frame) for frame in self._features.flush()]
+        self._opens += self._gate.finish()
+
+    def cut(self, at: float) -> None:
+        """Forget what comes after `at` seconds of media time; the mouth shuts."""
+        last = max(math.floor((at - self.start) * RATE), 0)
+        del self._curve[last:], self._opens[last:]
+        self._features, self._gate = LipFeatures(), _Gate()
+
+    @property
+    def weights(self) -> Array:
+        """[M, 15] what the network gave so far; row m is centred at start + (m + 0.5) / RATE."""
+        return np.array(self._curve, dtype=np.float64).reshape(-1, len(VISEMES))
+
+    def rows(self, first: int, last: int) -> Array:
+        """[last - first, 15] weights of visemes as drawn: smoothed and with dominance; silence beyond the curve."""
+        half = len(_KERNEL) // 2
+        raw = np.zeros((last - first + 2 * half, len(VISEMES)))
+        raw[:, SILENT] = 1.0
+        begin, end = max(first - half, 0), min(last + half, len(self._curve), len(self._opens))
+        if end > begin:
+            heard = np.array(self._curve[begin:end]) * np.array(self._opens[begin:end])[:, None]
+            heard[:, SILENT] += 1.0 - heard.sum(axis=1)
+            raw[begin - first + half:end - first + half] = heard
+        smooth = sum(share * raw[place:place + last - first] for place, share in enumerate(_KERNEL))
+        return with_dominance(np.asarray(smooth))
+
+    def at(self, times: Array) -> Array:
+        """[T, 15] weights of visemes at rising media times [T]."""
+        where = (times - self.start) * RATE - 0.5
+        first = int(np.floor(where[0]))
+        rows = self.rows(first, int(np.floor(where[-1])) + 2)
+        place = np.floor(where).astype(np.int64) - first
+        share = (where - np.floor(where))[:, None]
+        return np.asarray(rows[place] * (1.0 - share) + rows[place + 1] * share)
+
+
+class _Gate:
+    """How far the sound lets the mouth open in each frame: shut below the limit of silence, open over it."""
+
+    def __init__(self) -> None:
+        self._tracker = LoudnessTracker()
+        self._sound = np.zeros(0, np.float32)
+
+    def feed(self, samples: Samples) -> list[float]:
+        """0 to 1 for each frame that the samples complete; the silence is found in steps of 0.1 s."""
+        self._sound = np.concatenate([self._sound, samples])
+        size = round(STEP * FRAME * SAMPLE_RATE)
+        out: list[float] = []
+        while len(self._sound) >= size:
+            out += self._taken(self._sound[:size])
+            self._sound = self._sound[size:]
+        return out
+
+    def finish(self) -> list[float]:
+        """The same for the rest of the sound, which is then over."""
+        rest, self._sound = self._sound, np.zeros(0, np.float32)
+        return self._taken(rest) if len(rest) else []
+
+    def _taken(self, sound: Samples) -> list[float]:
+        step = self._tracker.step(frame_levels(sound, SAMPLE_RATE))
+        over = step.levels - np.maximum(step.floor + MARGIN, step.limit)
+        pairs = np.resize(over, (len(over) + 1) // 2 * 2).reshape(-1, 2).mean(axis=1)
+        return (1.0 / (1.0 + np.exp(-(pairs - _ABOVE) / _SOFT))).tolist()
+
+
+def with_dominance(weights: Array) -> Array:
+    """[..., 15] the weights after each viseme has imposed itself by its dominance; they sum to 1."""
+    strong = weights * DOMINANCE
+    return np.asarray(strong / strong.sum(axis=-1, keepdims=True))
+
+
+def with_strength(visemes: Array, mouth: float) -> Array:
+    """[..., 15] the visemes with the mouth's strength, 0 (shut) to 2; silence takes what they leave."""
+    spoken = np.clip(visemes * mouth, 0.0, 1.0)
+    spoken[..., SILENT] = 0.0
+    spoken[..., SILENT] = np.maximum(1.0 - spoken.sum(axis=-1), 0.0)
+    return spoken

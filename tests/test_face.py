@@ -1,0 +1,333 @@
+"""The face: visemes of phones, lips from sound, blinks, brows and gaze, and the shapes of characters."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from data_module.errors import InputError
+from data_module.face import FaceMotion, at_rest
+from data_module.motion import rotation, skeletons
+from data_module.speech.lip_features import LOOK_AHEAD, STACKED, LipFeatures, rows_of, stacked
+from data_module.types import Motion
+from data_module.visemes import (
+    CLOSED,
+    OPENINGS,
+    SILENT,
+    VISEMES,
+    VisemeSpan,
+    labels,
+    of_arpabet,
+    of_ipa,
+    opening,
+    spans,
+)
+from gesticulator.body.face import Face, FaceSettings, in_head
+from gesticulator.body.face_life import RATE, FaceLife
+from gesticulator.body.face_lips import REACH, SHIPPED, Lips, load_weights, with_dominance, with_strength
+from gesticulator.characters.face_shapes import ARKIT, arkit, curves, find_shapes, is_lips, oculus, summed, vrm
+from gesticulator.training.face import FaceTraining, LabelledRows, fit, with_long_pause
+from interpreters.visemes import VisemeNet, VisemeStepper
+
+
+def _named(*names: str) -> tuple[int, ...]:
+    return tuple(VISEMES.index(name) for name in names)
+
+
+def _mouth(name: str, frames: int = 1) -> FaceMotion:
+    face = at_rest(frames, 60.0)
+    face.visemes[:] = 0.0
+    face.visemes[:, VISEMES.index(name)] = 1.0
+    return face
+
+
+# ------------------------------------------------------------------------------------------------------------ visemes
+
+@pytest.mark.parametrize(("ipa", "arpabet", "names"), [
+    ("m", "M", ("PP",)), ("p", "p", ("PP",)), ("f", "F", ("FF",)), ("θ", "TH", ("TH",)), ("tʃ", "CH", ("DD", "CH")),
+    ("aɪ", "AY1", ("aa", "ih")), ("oʊ", "ow", ("oh", "ou")), ("ŋ", "NG", ("nn",)), ("uː", "UW0", ("ou",)),
+    ("s", "S", ("SS",)), ("ɡ", "g", ("kk",)), ("ɹ", "R", ("RR",))])
+def test_both_alphabets_name_the_same_shapes(ipa: str, arpabet: str, names: tuple[str, ...]) -> None:
+    assert of_ipa(ipa) == of_arpabet(arpabet) == _named(*names)
+
+
+def test_marks_without_sound_have_no_shape() -> None:
+    assert of_ipa("") == of_ipa("ː") == of_ipa("(en)")[:0] == of_arpabet("pau") == of_arpabet("SIL") == ()
+
+
+@given(st.lists(st.sampled_from(range(1, 15)), min_size=1, max_size=3), st.floats(0, 5), st.floats(0.02, 1))
+def test_a_phones_shapes_tile_its_time(visemes: list[int], start: float, length: float) -> None:
+    parts = spans(visemes, start, start + length)
+    assert [part.viseme for part in parts] == visemes
+    assert parts[0].start == start and parts[-1].end == pytest.approx(start + length)
+    assert all(a.end == b.start for a, b in zip(parts, parts[1:], strict=False))
+
+
+def test_a_frame_has_the_shape_at_its_middle() -> None:
+    found = labels([VisemeSpan(3, 0.04, 0.1), VisemeSpan(5, 0.1, 0.12)], 8, 50.0)
+    assert found.tolist() == [0, 0, 3, 3, 3, 5, 0, 0]
+
+
+def test_lips_meet_in_silence_and_on_p_and_open_widest_on_a() -> None:
+    assert OPENINGS[SILENT] == OPENINGS[CLOSED] == 0.0 and VISEMES[int(OPENINGS.argmax())] == "aa"
+    assert opening(np.eye(15)).max() == 1.0
+
+
+# --------------------------------------------------------------------------------------------------------------- lips
+
+def _sound(seconds: float = 1.5) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    sound = rng.standard_normal(round(16000 * seconds)) * np.repeat(rng.uniform(0, 0.2, round(50 * seconds)), 320)
+    return sound.astype(np.float32)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.lists(st.integers(0, 5000), max_size=12))
+def test_pieces_of_any_size_give_the_same_mouth(sizes: list[int]) -> None:
+    sound, whole, parts = _sound(0.6), Lips(), Lips()
+    whole.feed(sound)
+    whole.finish()
+    at = 0
+    for size in sizes:
+        parts.feed(sound[at:at + size])
+        at += size
+    parts.feed(sound[at:])
+    parts.finish()
+    times = np.arange(30) / 60
+    assert np.array_equal(whole.weights, parts.weights) and np.array_equal(whole.at(times), parts.at(times))
+
+
+def test_the_network_waits_for_80_ms_of_sound_and_no_more() -> None:
+    assert LOOK_AHEAD <= 0.08 and REACH < 0.25
+    sound = _sound()
+    frames = np.array(LipFeatures().feed(sound))
+    later = sound.copy()
+    later[round(0.5 * 16000):] = 0.0
+    other = np.array(LipFeatures().feed(later))
+    changed = np.flatnonzero((frames != other).any(axis=1))
+    assert (changed[0] + 0.5) / 50 > 0.5 - LOOK_AHEAD - 0.02
+    assert len(frames) / 50 >= len(sound) / 16000 - LOOK_AHEAD - 0.02
+
+
+def test_streamed_features_are_those_of_the_training() -> None:
+    sound = _sound()
+    streamed, whole = np.array(LipFeatures().feed(sound)), stacked(rows_of(sound))
+    np.testing.assert_allclose(streamed[5:60], whole[5:60], atol=2e-3)
+    assert streamed.shape[1] == STACKED
+
+
+def test_the_stepper_computes_what_the_network_was_trained_as() -> None:
+    torch.manual_seed(0)
+    net = VisemeNet().eval()
+    net.mean.copy_(torch.randn(STACKED))
+    net.deviation.copy_(torch.rand(STACKED) + 0.5)
+    frames = torch.randn(12, STACKED)
+    with torch.inference_mode():
+        expected = torch.softmax(net(frames[None])[0], -1).numpy()
+    step = VisemeStepper({name: value.numpy() for name, value in net.state_dict().items()})
+    np.testing.assert_allclose(np.array([step(frame) for frame in frames.numpy()]), expected, atol=2e-5)
+    step.reset()
+    np.testing.assert_allclose(step(frames[0].numpy()), expected[0], atol=2e-5)
+
+
+def test_dominance_shuts_lips_that_might_be_open() -> None:
+    weights = np.zeros(15)
+    weights[CLOSED], weights[VISEMES.index("aa")] = 0.5, 0.5
+    assert opening(with_dominance(weights)) < 0.1
+    assert with_dominance(np.eye(15)) == pytest.approx(np.eye(15))
+
+
+@pytest.mark.parametrize(("mouth", "expected"), [(0.0, 0.0), (0.5, 0.3), (1.0, 0.6), (2.0, 1.0)])
+def test_the_mouth_knob_scales_the_opening(mouth: float, expected: float) -> None:
+    visemes = np.zeros((1, 15))
+    visemes[0, VISEMES.index("aa")], visemes[0, SILENT] = 0.6, 0.4
+    strong = with_strength(visemes, mouth)
+    assert opening(strong)[0] == pytest.approx(expected) and strong[0, SILENT] == pytest.approx(1 - expected)
+
+
+def test_silence_and_steady_noise_shut_the_mouth() -> None:
+    rng = np.random.default_rng(1)
+    for sound in (np.zeros(32000, np.float32), (0.003 * rng.standard_normal(48000)).astype(np.float32)):
+        lips = Lips()
+        lips.feed(sound)
+        lips.finish()
+        assert opening(lips.rows(20, len(sound) // 320 - 5)).max() < 0.05
+
+
+def test_weights_are_small_and_are_what_their_record_says(tmp_path: Path) -> None:
+    record = json.loads((SHIPPED / "face.json").read_text())
+    data = (SHIPPED / "visemes.safetensors").read_bytes()
+    assert len(data) < 2_000_000 and hashlib.sha256(data).hexdigest() == record["sha256"]["visemes.safetensors"]
+    folder = tmp_path / "face"
+    shutil.copytree(SHIPPED, folder)
+    (folder / "visemes.safetensors").write_bytes(data[:-1] + b"x")
+    with pytest.raises(InputError, match="not the file"):
+        load_weights(folder)
+    (folder / "visemes.safetensors").unlink()
+    with pytest.raises(InputError, match="cannot be read"):
+        load_weights(folder)
+
+
+def test_a_small_network_learns_which_band_is_loud() -> None:
+    rng = np.random.default_rng(0)
+    recordings = []
+    for _ in range(6):
+        kinds = np.repeat(rng.integers(0, 3, 20), 12)
+        rows = np.full((480, 33), -12.0, np.float32)
+        for frame, kind in enumerate(kinds):
+            rows[2 * frame:2 * frame + 2, 10 * kind:10 * kind + 10] = -3.0
+        rows[:, 32] = -4.0
+        recordings.append(LabelledRows(rows, kinds + 9))
+    net = fit(recordings, FaceTraining(epochs=24, batch=4, rate=5e-3))
+    one = recordings[0]
+    with torch.inference_mode():
+        found = net(torch.from_numpy(stacked(one.rows))[None])[0].argmax(-1).numpy()
+    assert (found == one.labels).mean() > 0.8
+
+
+def test_a_longer_pause_is_silence_and_keeps_what_was_before() -> None:
+    rng = np.random.default_rng(0)
+    visemes = np.concatenate([np.full(30, 10), np.zeros(10, int), np.full(200, 12)])
+    piece = LabelledRows(rng.standard_normal((480, 33)).astype(np.float32), visemes)
+    longer = with_long_pause(piece, np.random.default_rng(1))
+    assert len(longer.labels) == 240 and (longer.labels == SILENT).sum() >= 35
+    assert np.array_equal(longer.rows[:80], piece.rows[:80])
+
+
+# -------------------------------------------------------------------------------------------------- lids, brows, eyes
+
+def _run(seconds: float, seed: int, state: str = "speaking", silent: float = 0.0) -> np.ndarray:
+    life = FaceLife(seed)
+    return np.array([life.step(state, silent) for _ in range(round(seconds * RATE))])
+
+
+def test_people_blink_about_17_times_a_minute_at_irregular_intervals() -> None:
+    lids = _run(120, 3)[:, 0]
+    starts = np.flatnonzero((lids[1:] > 0.5) & (lids[:-1] <= 0.5)) / RATE
+    gaps = np.diff(starts)
+    assert 20 <= len(starts) <= 48 and gaps.std() > 0.5 and gaps.min() >= 0.68
+    assert lids.max() > 0.99 and lids.min() >= 0.0
+
+
+def test_phrases_end_with_blinks_more_often_than_not() -> None:
+    followed = 0
+    for seed in range(30):
+        life = FaceLife(seed)
+        rows = [life.step("speaking", 0.0 if step < 60 else 1.0)[0] for step in range(110)]
+        followed += max(rows[75:100]) > 0.9
+    assert followed >= 15
+
+
+def test_gaze_by_state() -> None:
+    listening, thinking = _run(6, 1, "listening", 1.0)[:, 2:], _run(6, 1, "thinking left", 1.0)[20:, 2:]
+    assert np.degrees(np.abs(listening)).max() < 2.5
+    assert np.degrees(thinking[:, 0]).min() > 5 and np.degrees(thinking[:, 1]).min() > 4
+    assert np.degrees(_run(6, 1, "thinking right", 1.0)[20:, 2]).max() < -5
+
+
+def test_a_phrase_ends_with_the_eyes_on_the_other() -> None:
+    away = 0
+    for seed in range(8):
+        life = FaceLife(seed)
+        rows = np.array([life.step("speaking", 0.0 if step < 200 else 1.0)[2:] for step in range(260)])
+        assert np.degrees(np.abs(rows[225:])).max() < 2.5
+        away += np.degrees(np.abs(rows[:200])).max() > 5
+    assert away >= 4
+
+
+def test_brows_rise_on_some_beats_and_only_after_them() -> None:
+    raised = 0
+    for beat in range(60):
+        life = FaceLife(beat)
+        life.accent(0.5, 1.0)
+        brows = np.array([life.step("speaking", 0.0)[1] for _ in range(80)])
+        assert not brows[:26].any()
+        raised += brows.max() > 0.9
+    assert 10 <= raised <= 35
+
+
+def _head(degrees: float, frames: int = 5) -> Motion:
+    skeleton = skeletons.CHARACTER
+    turns = np.zeros((frames, len(skeleton), 4))
+    turns[..., 0] = 1.0
+    turns[:, skeleton.index("Head")] = rotation.from_exponential_map(np.array([0.0, np.radians(degrees), 0.0]))
+    return Motion(skeleton, turns, np.zeros((frames, 3)), 60.0)
+
+
+def test_eyes_hold_their_target_while_the_head_turns() -> None:
+    assert in_head(np.zeros((5, 2)), _head(0.0)) == pytest.approx(0.0)
+    eyes = np.degrees(in_head(np.zeros((5, 2)), _head(10.0)))
+    assert eyes[:, 0] == pytest.approx(-10.0, abs=0.6) and eyes[:, 1] == pytest.approx(0.0, abs=1e-6)
+    assert np.degrees(np.abs(in_head(np.zeros((5, 2)), _head(80.0)))).max() <= 28.0
+
+
+def test_lips_alone_leave_the_rest_of_the_face() -> None:
+    face = Face(FaceSettings("lips"))
+    shown = face.frames(0, _head(20.0))
+    assert shown.lips_only and not shown.blink.any() and not shown.gaze.any()
+
+
+# ------------------------------------------------------------------------------------------------------------- shapes
+
+def test_arkit_has_its_52_names() -> None:
+    assert len(ARKIT) == len(set(ARKIT)) == 52 and set(arkit(at_rest(2, 30.0))) == set(ARKIT)
+
+
+def test_mouths_in_the_names_of_the_formats() -> None:
+    wide, shut = arkit(_mouth("aa")), arkit(_mouth("PP"))
+    assert wide["jawOpen"][0] > 0.5 and shut["jawOpen"][0] == 0.0 and shut["mouthPressLeft"][0] > 0.3
+    assert arkit(_mouth("ou"))["mouthPucker"][0] > 0.5
+    assert oculus(_mouth("FF"))["viseme_FF"][0] == 1.0
+    assert vrm(_mouth("oh"))["oh"][0] == 1.0 and not any(vrm(_mouth("PP"))[name][0] for name in ("aa", "ih", "ou"))
+    assert not any(curve.any() for curve in arkit(at_rest(3, 30.0)).values())
+
+
+def test_eyes_that_look_left_look_out_on_the_left() -> None:
+    face = at_rest(1, 60.0)
+    face.gaze[:] = np.radians([15.0, -10.0])
+    shapes = arkit(face)
+    assert shapes["eyeLookOutLeft"][0] == shapes["eyeLookInRight"][0] == pytest.approx(0.5)
+    assert shapes["eyeLookDownLeft"][0] > 0.3 and shapes["eyeLookUpLeft"][0] == shapes["eyeLookOutRight"][0] == 0.0
+
+
+@pytest.mark.parametrize("spell", [lambda name: name, lambda name: name.replace("Left", "_L").replace("Right", "_R"),
+                                   lambda name: f"Face.{name[0].upper()}{name[1:]}"])
+def test_arkit_is_found_in_the_spellings_of_tools(spell: object) -> None:
+    found = find_shapes(spell(name) for name in ARKIT)  # type: ignore[operator]
+    assert sorted(curve for curve, _ in found.values()) == sorted(ARKIT)
+
+
+@pytest.mark.parametrize(("names", "expected"), [
+    (("viseme_aa", "viseme_PP", "viseme_E", "viseme_I", "viseme_O", "viseme_U", "eyeBlinkLeft"), "viseme_aa"),
+    (("V_Open", "V_Explosive", "V_Tight_O", "Eye_Blink_L"), "viseme_aa"),
+    (("CTRL_expressions_jawOpen", "CTRL_expressions_mouthFunnelDL", "CTRL_expressions_mouthPressL",
+      "CTRL_expressions_mouthLipsPurseUL"), "jawOpen"),
+    (("あ", "い", "まばたき"), "vrm_aa"), (("MouthOpen", "Blink_Left", "Blink_Right"), "opening")])
+def test_shapes_of_many_tools_are_found(names: tuple[str, ...], expected: str) -> None:
+    assert expected in {curve for curve, _ in find_shapes(names).values()}
+
+
+def test_nothing_is_found_among_other_shapes() -> None:
+    assert find_shapes(["Muscular", "hat", "Fat_01", ""]) == {}
+
+
+def test_every_curve_that_is_found_exists() -> None:
+    known = curves(at_rest(1, 60.0))
+    for names in (ARKIT, ("V_Open", "Eye_Blink_L"), ("viseme_aa", "viseme_E", "viseme_I", "viseme_O", "viseme_U")):
+        assert {curve for curve, _ in find_shapes(names).values()} <= set(known)
+    assert is_lips("jawOpen") and is_lips("vrm_aa") and not is_lips("vrm_blink") and not is_lips("browInnerUp")
+
+
+def test_lips_only_drives_no_lids() -> None:
+    face = _mouth("aa")
+    lips = FaceMotion(face.visemes, face.blink, face.brows, face.smile, face.gaze, 60.0, True)
+    shapes = find_shapes(ARKIT)
+    assert "eyeBlinkLeft" in summed(face, shapes) and "eyeBlinkLeft" not in summed(lips, shapes)

@@ -1,0 +1,246 @@
+"""A face in files: read back from GLB, VRM, VRMA, CSV and SMPL-X."""
+
+from __future__ import annotations
+
+import csv
+import json
+import struct
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from performances import perform
+from small_characters import write_character
+
+from data_module.face import FaceMotion, at_rest
+from data_module.visemes import VISEMES
+from gesticulator.characters.face_rig import find_face
+from gesticulator.characters.face_shapes import ARKIT, arkit, jaw_angles, vrm
+from gesticulator.characters.gltf_file import read_gltf
+from gesticulator.characters.joints import find_joints
+from gesticulator.characters.reading import read_character
+from gesticulator.characters.rig import CharacterMotion
+from gesticulator.export.face import LIVE_LINK, FaceWarning, timecode
+from gesticulator.export.gltf import GltfDocument, open_gltf
+from gesticulator.performance import Performance
+
+
+def spoken(frames: int, fps: float, lips_only: bool = False) -> FaceMotion:
+    """A mouth that goes from shut to a to p, with a blink and a look to the left."""
+    face = at_rest(frames, fps)
+    face.visemes[:] = 0.0
+    third = frames // 3
+    for place, name in enumerate(("sil", "aa", "PP")):
+        face.visemes[place * third:frames if place == 2 else (place + 1) * third, VISEMES.index(name)] = 1.0
+    if lips_only:
+        return replace(face, lips_only=True)
+    return replace(face, blink=np.linspace(0, 1, frames), gaze=np.tile(np.radians([10.0, 5.0]), (frames, 1)),
+                   smile=np.full(frames, 0.5))
+
+
+def with_face(performance: Performance, lips_only: bool = False) -> Performance:
+    return replace(performance, face=spoken(len(performance.motion), performance.fps, lips_only))
+
+
+def add_shapes(path: Path, names: list[str], expressions: dict[str, int] | None = None, jaw: bool = False) -> Path:
+    """Give the mesh of a small character morph targets of these names; expressions: VRM's presets by target."""
+    gltf: GltfDocument = open_gltf(path)
+    document = gltf.document
+    node = next(number for number, entry in enumerate(document["nodes"]) if "mesh" in entry)
+    mesh = document["meshes"][document["nodes"][node]["mesh"]]
+    part = mesh["primitives"][0]
+    count = document["accessors"][part["attributes"]["POSITION"]]["count"]
+    if names:
+        part["targets"] = [{"POSITION": gltf.accessor(np.full((count, 3), 0.01 * index, "<f4"), bounds=True)}
+                           for index in range(len(names))]
+        mesh["extras"] = {"targetNames": names}
+    extensions: dict[str, Any] = document.get("extensions", {})
+    if expressions and "VRMC_vrm" in extensions:
+        extensions["VRMC_vrm"]["expressions"] = {"preset": {
+            name: {"morphTargetBinds": [{"node": node, "index": index, "weight": 1.0}]}
+            for name, index in expressions.items()}}
+    elif expressions:
+        extensions["VRM"]["blendShapeMaster"] = {"blendShapeGroups": [
+            {"presetName": name, "binds": [{"mesh": document["nodes"][node]["mesh"], "index": index, "weight": 100}]}
+            for name, index in expressions.items()]}
+    if jaw:
+        head = next(entry for entry in document["nodes"] if entry["name"].endswith("Head"))
+        document["nodes"].append({"name": "Jaw", "translation": [0, 0.02, 0.02]})
+        head.setdefault("children", []).append(len(document["nodes"]) - 1)
+    path.write_bytes(gltf.to_bytes())
+    return path
+
+
+def still(path: Path, performance: Performance) -> CharacterMotion:
+    """A character that keeps its rest pose for the frames of a performance; its head has a track."""
+    character = read_character(path)
+    joints = find_joints(character).joints
+    turns = np.tile(character.rotations, (len(performance.motion), 1, 1))
+    return CharacterMotion(character, turns, None, performance.fps, joints, (joints["Head"],), 1.0)
+
+
+def written(tmp_path: Path, character: Path, lips_only: bool = False) -> dict[tuple[str, str], np.ndarray]:
+    """(name of the node, property) -> values of the animation that is written for a character with a face."""
+    performance = with_face(perform(1.0), lips_only)
+    moved = replace(performance, character=still(character, performance))
+    file = read_gltf(moved.save(tmp_path / "talk.glb"))
+    animation = file.rows("animations")[-1]
+    return {(file.rows("nodes")[channel["target"]["node"]].get("name", "mesh"), channel["target"]["path"]):
+            file.array(animation["samplers"][channel["sampler"]]["output"]) for channel in animation["channels"]}
+
+
+def test_arkit_shapes_of_a_character_are_animated(tmp_path: Path) -> None:
+    names = ["Fat", *ARKIT]
+    tracks = written(tmp_path, add_shapes(write_character(tmp_path / "a.glb"), names))
+    weights = next(values for (_, path), values in tracks.items() if path == "weights").reshape(-1, len(names))
+    face = spoken(len(weights), 25.0)
+    for name, curve in arkit(face).items():
+        np.testing.assert_allclose(weights[:, names.index(name)], curve, atol=1e-6)
+    assert not weights[:, 0].any()
+
+
+@pytest.mark.parametrize(("version", "presets"), [
+    ("1.0", {"aa": 0, "blink": 1, "happy": 2}), ("0.x", {"a": 0, "blink": 1, "joy": 2})])
+def test_expressions_of_a_vrm_are_animated(tmp_path: Path, version: str, presets: dict[str, int]) -> None:
+    path = add_shapes(write_character(tmp_path / "a.vrm", vrm=version), ["x", "y", "z"], presets)
+    weights = next(values for (_, kind), values in written(tmp_path, path).items() if kind == "weights").reshape(-1, 3)
+    curves = vrm(spoken(len(weights), 25.0))
+    for column, name in enumerate(("aa", "blink", "happy")):
+        np.testing.assert_allclose(weights[:, column], curves[name], atol=1e-6)
+
+
+def test_lips_alone_leave_the_lids(tmp_path: Path) -> None:
+    path = add_shapes(write_character(tmp_path / "a.glb"), list(ARKIT))
+    weights = next(values for (_, kind), values in written(tmp_path, path, True).items() if kind == "weights")
+    weights = weights.reshape(-1, len(ARKIT))
+    assert weights[:, ARKIT.index("jawOpen")].max() > 0.5 and not weights[:, ARKIT.index("eyeBlinkLeft")].any()
+
+
+def test_a_jaw_bone_alone_opens_downwards(tmp_path: Path) -> None:
+    path = add_shapes(write_character(tmp_path / "a.glb"), [], jaw=True)
+    character = read_character(path)
+    rig = find_face(character)
+    jaw = character.names.index("Jaw")
+    assert rig.jaw == jaw and rig.can_speak
+    face = spoken(30, 25.0)
+    turns = rig.turns(face, character, np.array([1.0, 0.0, 0.0]))[jaw]
+    pose = np.tile(character.rotations, (2, 1, 1))
+    pose[1, jaw] = turns[15]  # in a
+    world = character.world_matrices(pose)[:, jaw, :3, :3]
+    turned = world[1] @ np.linalg.inv(world[0])  # the file's scale cancels
+    angle = float(jaw_angles(face)[15])
+    np.testing.assert_allclose(turned @ [0, 0, 1], [0, -np.sin(angle), np.cos(angle)], atol=1e-6)
+
+
+def test_a_character_without_a_face_is_written_with_one_line(tmp_path: Path) -> None:
+    path = write_character(tmp_path / "a.glb")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        tracks = written(tmp_path, path)
+    assert sum(issubclass(one.category, FaceWarning) for one in caught) == 1
+    assert not any(kind == "weights" for _, kind in tracks)
+
+
+def test_the_body_of_a_character_is_the_same_with_a_face(tmp_path: Path) -> None:
+    path = add_shapes(write_character(tmp_path / "a.glb"), list(ARKIT))
+    shown = written(tmp_path, path)
+    performance = perform(1.0)
+    moved = replace(performance, character=still(path, performance))
+    file = read_gltf(moved.save(tmp_path / "plain.glb"))
+    animation = file.rows("animations")[-1]
+    for channel in animation["channels"]:
+        key = file.rows("nodes")[channel["target"]["node"]].get("name", "mesh"), channel["target"]["path"]
+        assert np.array_equal(shown[key], file.array(animation["samplers"][channel["sampler"]]["output"]))
+
+
+def _document(path: Path) -> dict[str, Any]:
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    document: dict[str, Any] = json.loads(data[20:20 + size])
+    return document
+
+
+def test_a_vrm_animation_has_expressions_and_a_gaze(tmp_path: Path) -> None:
+    path = with_face(perform(1.0)).save(tmp_path / "talk.vrma")
+    file = read_gltf(path)
+    extension = _document(path)["extensions"]["VRMC_vrm_animation"]
+    face = spoken(len(perform(1.0).motion), 25.0)
+    animation = file.rows("animations")[0]
+    outputs = {channel["target"]["node"]: file.array(animation["samplers"][channel["sampler"]]["output"])
+               for channel in animation["channels"]}
+    for name, entry in extension["expressions"]["preset"].items():
+        np.testing.assert_allclose(outputs[entry["node"]][:, 0], vrm(face)[name], atol=1e-6)
+    assert {"aa", "oh", "blink", "happy"} <= set(extension["expressions"]["preset"])
+    x, y, _, w = outputs[extension["lookAt"]["node"]][5]
+    assert np.degrees(2 * np.arctan2(y, w)) == pytest.approx(10.0, abs=0.2)  # to the left
+    assert np.degrees(2 * np.arctan2(x, w)) == pytest.approx(-5.0, abs=0.2)  # up
+    plain = perform(1.0).save(tmp_path / "plain.vrma")
+    assert "expressions" not in _document(plain)["extensions"]["VRMC_vrm_animation"]
+
+
+def test_live_links_table_is_read_back(tmp_path: Path) -> None:
+    made = with_face(perform(1.0))
+    with made.save(tmp_path / "talk.face.csv").open(newline="") as stream:
+        head, *rows = list(csv.reader(stream))
+    assert head == list(LIVE_LINK) and len(head) == 63 and {row[1] for row in rows} == {"61"}
+    assert made.face is not None and len(rows) == len(made.face)
+    column = head.index("JawOpen")
+    np.testing.assert_allclose([float(row[column]) for row in rows], arkit(made.face)["jawOpen"], atol=1e-6)
+    assert float(rows[0][head.index("LeftEyeYaw")]) == pytest.approx(np.radians(10), abs=1e-6)
+    assert rows[0][0] == "00:00:00:00.000" and timecode(3661.5, 60.0) == "01:01:01:30.000"
+
+
+def test_parquet_has_the_same_numbers(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    made = with_face(perform(1.0))
+    table = parquet.read_table(made.save(tmp_path / "talk.face.parquet")).to_pydict()
+    assert made.face is not None
+    np.testing.assert_allclose(table["EyeBlinkLeft"], arkit(made.face)["eyeBlinkLeft"], atol=1e-6)
+    np.testing.assert_allclose(table["time"], made.face.times)
+
+
+def test_smplx_has_the_jaw_and_the_eyes(tmp_path: Path) -> None:
+    plain, shown = (np.load(one.save(tmp_path / f"{name}.npz"))["poses"].reshape(-1, 55, 3)
+                    for name, one in (("plain", perform(1.0)), ("face", with_face(perform(1.0)))))
+    rest = [joint for joint in range(55) if joint not in (22, 23, 24)]
+    assert np.array_equal(plain[:, rest], shown[:, rest]) and not plain[:, 22:25].any()
+    assert shown[:, 22, 0].max() == pytest.approx(np.radians(16), abs=1e-6) and shown[0, 22, 0] == 0.0
+    assert shown[3, 23, 1] == pytest.approx(np.radians(10), abs=0.01)
+
+
+def test_a_packet_of_the_server_holds_the_face() -> None:
+    from pipecat_gesticulator.protocol import Poses
+
+    from gesticulator.serve.protocol import StreamRequest, pack
+    from gesticulator.stream import StreamFrames
+
+    made = with_face(perform(1.0))
+    frames = StreamFrames(40, made.fps, made.motion.skeleton, made.rotations, made.motion.root_positions, (), made.face)
+    poses = Poses.unpack(pack(frames, StreamRequest(16000, fps=made.fps), "speaking", 1.0))
+    assert poses.face is not None and made.face is not None
+    np.testing.assert_allclose(poses.face, made.face.values(), atol=1e-6)
+    np.testing.assert_allclose(poses.root_positions, made.motion.root_positions, atol=1e-6)
+    plain = Poses.unpack(pack(replace(frames, face=None), StreamRequest(16000, fps=made.fps), "speaking", 1.0))
+    assert plain.face is None and np.array_equal(plain.rotations, poses.rotations)
+
+
+def test_vmc_sends_blend_shapes_and_eyes() -> None:
+    osc = pytest.importorskip("pythonosc.osc_bundle")
+    from gesticulator.serve.vmc import VmcFrames
+
+    made = with_face(perform(1.0))
+    frame = len(made.motion) // 2  # in a
+    bundle = osc.OscBundle(VmcFrames(made.motion, made.face).bundle(frame, 0.0))
+    messages = [(message.address, list(message)) for message in bundle]
+    values = {rest[0]: rest[1] for address, rest in messages if address == "/VMC/Ext/Blend/Val"}
+    assert made.face is not None
+    assert values["A"] == pytest.approx(1.0) and values["O"] == 0.0
+    assert values["Blink"] == pytest.approx(made.face.blink[frame], abs=1e-6)
+    assert messages[-1][0] == "/VMC/Ext/Blend/Apply"
+    eye = next(rest for address, rest in messages if address == "/VMC/Ext/Bone/Pos" and rest[0] == "LeftEye")
+    assert np.degrees(2 * np.arctan2(eye[5], eye[7])) == pytest.approx(-10.0, abs=0.3)  # mirrored: Unity's left is -X
+    plain = osc.OscBundle(VmcFrames(made.motion).bundle(frame, 0.0))
+    assert not any(message.address.startswith("/VMC/Ext/Blend") for message in plain)
