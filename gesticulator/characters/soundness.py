@@ -312,10 +312,11 @@ class _Seen:
                 if side + top not in self.joints or side + low not in self.joints:
                     continue
                 own = np.isin(movers, self._between(side + top, side + low))
-                if own.sum() < 8:
+                if not own.any():
                     yield (top == "Head" and not self.mapping.given,
                            f"its mesh has nothing that follows the {_SIDE.get(side[:4], '')}{_PLAIN[top]}",
                            (side + top,))
+                if own.sum() < 8:  # too few to tell where they are
                     continue
                 before = self._gap(self.mesh_bound[own], self.bound, side + top, side + low)
                 after = max(self._gap(self.mesh[frame][own], self.places[frame], side + top, side + low)
