@@ -504,8 +504,12 @@ def test_no_more_streams_than_the_limit() -> None:
     async def test() -> None:
         async with running(replace(LIMITS, streams=2)) as at:
             async with connect(at.url, Hello(RATE)), connect(at.url, Hello(RATE)):
-                code, reason = await closed_with(at.url)
-                assert code == CloseCode.TOO_MANY_STREAMS and "2 streams" in reason
+                async with open_socket(at.url) as ws:
+                    await ws.send(Hello(RATE).text())
+                    told = json.loads(await ws.recv())
+                assert told["code"] == CloseCode.TOO_MANY_STREAMS and "2 streams" in told["message"]
+                assert 0 < told["retry_after"] < 60
+                assert (await at.get("/readyz"))[0] == 503 and await at.get("/healthz") == (200, "ok\n")
             async with asyncio.timeout(5):
                 while at.server.connections:
                     await asyncio.sleep(0.01)
@@ -568,7 +572,8 @@ def _frame(opcode: int, payload: bytes, mask: bytes = b"\0\0\0\0") -> bytes:
 def test_rude_clients_end_nothing_but_themselves(caplog: pytest.LogCaptureFixture) -> None:
     """Disconnects in the middle of a message and of a handshake, garbage, many connects: one line in the log each."""
     async def test() -> None:
-        async with running(replace(LIMITS, streams=64)) as at, connect(at.url, Hello(RATE)) as other:
+        limits = replace(LIMITS, streams=64, guests=128, address_guests=128)
+        async with running(limits) as at, connect(at.url, Hello(RATE)) as other:
             async def rude(number: int) -> None:
                 reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
                 if number % 4 == 0:

@@ -50,8 +50,9 @@ class CloseCode(IntEnum):
 class RefusedError(Exception):
     """Closes a connection with a code and a reason for the client."""
 
-    def __init__(self, code: CloseCode, reason: str) -> None:
-        self.code, self.reason = code, reason
+    def __init__(self, code: CloseCode, reason: str, retry_after: float | None = None) -> None:
+        """retry_after: seconds after which the client may try again."""
+        self.code, self.reason, self.retry_after = code, reason, retry_after
         super().__init__(reason)
 
 
@@ -78,6 +79,9 @@ class StreamRequest:
     output: str = "joints"
     options: dict[str, Any] = field(default_factory=dict)
     token: str = ""
+    resumable: bool = False
+    resume: dict[str, Any] | None = None
+    """The session to go on with, and how many of the server's messages came; see the schema."""
 
     @property
     def keeps_up(self) -> bool:
