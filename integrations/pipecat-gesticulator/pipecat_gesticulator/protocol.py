@@ -86,7 +86,8 @@ class Poses:
 
     first: number of the first frame. rotations: [count, J, 4] quaternions, w first, local to the parent; for SMPL-X
     [count, 55, 3], axis times angle in radians. root_positions: [count, 3] metres. state: "idle", "speaking",
-    "listening" or "thinking". received: seconds of sound that the server had taken in when it made them.
+    "listening" or "thinking". received: seconds of sound that the server had taken in when it made them. source: number
+    of the session that they are of, in a `ResumingStream`: where it changes, poses do not join.
     """
 
     first: int
@@ -95,6 +96,7 @@ class Poses:
     root_positions: NDArray[np.float32]
     state: str
     received: float
+    source: int = 0
 
     def __len__(self) -> int:
         return len(self.rotations)
