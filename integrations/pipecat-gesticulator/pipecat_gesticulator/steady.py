@@ -13,8 +13,8 @@ from pipecat_gesticulator.protocol import Poses, Welcome
 Rotations = NDArray[np.float64]
 Pose = tuple[Rotations, Rotations]
 """[J, 4] quaternions, w first, and [3] the root's position, metres."""
-TO_REST, TO_STREAM = 3.0, 7.0
-"""Rate (1/s) at which a difference from idling, or from the stream, goes away: 95 % of it within 1.6 and 0.7 s."""
+TO_REST, TO_STREAM = 3.0, 6.0
+"""Rate (1/s) at which a difference from idling, or from the stream, goes away: 95 % of it within 1.6 and 0.8 s."""
 BREATH_SECONDS, BREATH = 4.0, 0.012
 """Of a breath while idling: its time, and how far it turns the spine, radians."""
 SPEEDS = 0.1
