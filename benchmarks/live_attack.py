@@ -54,9 +54,8 @@ async def microphone(url: str, sound: np.ndarray, seconds: float, begin: float) 
             await stream.finish()
 
         sending = asyncio.create_task(speak())
-        async for message in stream:
-            if isinstance(message, Poses) and not sending.done():
-                found.append(time.monotonic() - start - message.received)
+        found += [time.monotonic() - start - message.received async for message in stream
+                  if isinstance(message, Poses) and not sending.done()]
         await sending
     return found
 

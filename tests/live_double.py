@@ -132,10 +132,11 @@ def served(limits: ServerLimits, pages: Mapping[str, Page], vmc: str | None = No
     loop = asyncio.new_event_loop()
 
     async def serve() -> None:
-        playing = None if output is None else asyncio.create_task(output.run())
+        if output is not None:
+            output.start()
         await server.run(listening)
-        if playing is not None:
-            playing.cancel()
+        if output is not None:
+            output.stop()
 
     thread = threading.Thread(target=lambda: loop.run_until_complete(serve()))
     thread.start()

@@ -75,7 +75,7 @@ class Served:
 
 @contextmanager
 def served(*arguments: str) -> Iterator[Served]:
-    at = Served("--port", "0", "--drain-seconds", "5", *arguments)
+    at = Served("--port", "0", "--drain-seconds", "5", "--core-share", "100", *arguments)
     try:
         yield at
     except BaseException:

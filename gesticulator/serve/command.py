@@ -136,7 +136,7 @@ def run_live(args: argparse.Namespace) -> int:
     from gesticulator.serve.server import ServerAddress
     from gesticulator.serve.settings import ServerLimits
 
-    limits = ServerLimits(drain_seconds=1.0)
+    limits = ServerLimits(drain_seconds=1.0, core_share=100.0)
     return launch(Launch(ServerAddress(port=args.port), limits, vmc=args.vmc,
                          bundle=args.bundle, threads=args.threads, live=True, browser=not args.no_browser))
 

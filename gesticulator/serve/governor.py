@@ -64,7 +64,7 @@ class Governor:
 
     def __init__(self, share: float, most: int, cost: float = PRIOR_COST,
                  clock: Callable[[], float] = time.monotonic) -> None:
-        """share: of the compute thread's time that may be promised; most: streams at most; cost: of a second of speech
+        """share: of the compute thread's time that may be promised, above 1 whatever there is; most: streams at most; cost: of a second of speech
         at full quality, seconds, until it is measured."""
         self.share, self.most, self._clock = share, most, clock
         self._cost, self._weight = cost, _MEMORY / 4
@@ -90,7 +90,8 @@ class Governor:
     def room(self, streams: int) -> Room:
         """Whether a stream beside `streams` open ones is admitted."""
         fits = self.most if self._cost <= 0 else min(self.most, max(1, int(self.share / self._cost + 1e-9)))
-        found = Room(streams, fits, streams * self._cost, streams < fits and (self.depth == 0 or streams == 0))
+        found = Room(streams, fits, streams * self._cost, streams < fits and
+                     (self.depth == 0 or streams == 0 or self.share > 1))
         if streams >= self.most:
             found.reason = f"the server has its {self.most} streams"
         elif not found.open:

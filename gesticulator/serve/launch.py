@@ -135,12 +135,13 @@ def serve_here(config: Launch, sockets: Sockets, worker: int = 0, folder: Path |
         server = LiveServer(
             config.address, config.limits, session_opener(system, config.limits), output,
             pages() if config.live else {}, folder, worker, cost)
-        playing = None if output is None else asyncio.create_task(output.run())
+        if output is not None:
+            output.start()
         _end_with_parent(server.stop)
         LOG.info("worker %d has room for %d streams", worker, server.room.capacity)
         await server.run(listening, lambda: _tell_ready(config, listening, worker), sockets.figures)
-        if playing is not None:
-            playing.cancel()
+        if output is not None:
+            output.stop()
 
     asyncio.run(serve())
 
