@@ -28,7 +28,7 @@ from gesticulator.serve.server import LiveServer, ServerAddress
 from gesticulator.serve.session import session_opener
 from gesticulator.serve.settings import ServerLimits
 
-LIMITS = ServerLimits(streams=8, drain_seconds=0.2, resume_seconds=20.0, core_share=100.0)
+LIMITS = ServerLimits(streams=8, drain_seconds=0.2, resume_seconds=20.0, core_share=100.0, address_opens=1e4)
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 FASTEST, HARDEST = 3.5, 100.0
 """m/s and m/s^2 of a hand: what the example does within a stroke is 2.2 and 31; a jump of 3 cm would be 108 m/s^2."""

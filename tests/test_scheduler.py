@@ -86,6 +86,33 @@ def test_a_stream_that_needs_little_waits_for_one_turn_of_one_that_always_wants_
     assert served * 0.015 > 60.0 * (1 - 8 * 0.015 / 0.3) * 0.95, "what is left over is not wasted"
 
 
+def test_new_streams_are_not_served_before_old_ones_and_what_can_wait_is_served_last() -> None:
+    scheduler, account, order = Scheduler(Clock()), Account(), []
+    old, ahead = Member(account), Member(account, waits=True)
+    scheduler.submit(old, lambda: None)
+    scheduler.submit(ahead, lambda: None)
+    while scheduler.serve_next():
+        pass
+    old.used = account.virtual = 3.0
+    old.used -= 0.05
+    for name, member in (("ahead", ahead), *((f"new {k}", Member(account)) for k in range(3)), ("old", old)):
+        scheduler.submit(member, lambda name=name: order.append(name))  # type: ignore[misc]
+    while scheduler.serve_next():
+        pass
+    assert order == ["old", "new 0", "new 1", "new 2", "ahead"]
+
+
+def test_streams_are_opened_as_fast_as_they_may() -> None:
+    clock = Clock()
+    door, opened = Door(9, 9, clock), 0
+    for _ in range(3000):
+        opened += door.open_wait("1.2.3.4", 2.0, 24) == 0
+        clock.now += 0.01
+    assert 24 + 58 <= opened <= 24 + 60 and door.open_wait("1.2.3.5", 2.0, 24) == 0
+    door.open_wait("1.2.3.4", 2.0, 24)
+    assert 0 < door.open_wait("1.2.3.4", 2.0, 24) <= 0.5
+
+
 def test_streams_of_one_address_share_its_part_and_each_other_fairly() -> None:
     machine, one, other = Machine(), Account("one"), Account("other")
     for number in range(9):

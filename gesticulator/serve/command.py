@@ -19,6 +19,7 @@ TOKEN_VARIABLE = "GESTICULATOR_TOKEN"
 """Environment variable with the token, which keeps it out of process lists."""
 _LIMITS = {"streams": "maximum number of streams; fewer are admitted where the measured cost of a stream says so",
            "address_streams": "maximum number of streams of an address or a tenant; 0 for no limit of its own",
+           "address_opens": "new streams per second of an address or a tenant",
            "core_share": "computing time per second that may be promised to streams",
            "resume_seconds": "time for which a lost stream is kept for its client",
            "stream_seconds": "maximum duration of a stream",

@@ -27,7 +27,7 @@ from data_module.errors import InputError
 from gesticulator.serve.pace import Effort, Pace
 from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, read_hello, read_message
 from gesticulator.serve.resume import SentMessages, new_session
-from gesticulator.serve.scheduler import TURN_SECONDS, Account, Member, Scheduler
+from gesticulator.serve.scheduler import AHEAD_SECONDS, TURN_SECONDS, Account, Member, Scheduler
 from gesticulator.serve.session import SessionAnswer
 
 if TYPE_CHECKING:
@@ -453,6 +453,7 @@ class Connection:
         and all work pauses while the client does not read."""
         spent, done = 0.0, False
         while not done and not self._ends(session):
+            self.member.waits = self._pace.ahead - self._waiting_seconds - self._waiting_idle > AHEAD_SECONDS
             answer, done, took = await self.place.scheduler.run(self.member, lambda: _turn(work))
             self.place.metrics.time("compute_seconds", took)
             spent += took

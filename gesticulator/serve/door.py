@@ -61,6 +61,8 @@ class Door:
     def __init__(self, most: int, most_of: int, clock: Callable[[], float] = time.monotonic) -> None:
         self.most, self.most_of, self._clock = most, most_of, clock
         self._guests: OrderedDict[Guest, str] = OrderedDict()
+        self._opened: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        """Client -> streams that it opened lately, and when they were counted."""
         self._wrong: OrderedDict[str, tuple[float, float]] = OrderedDict()
         """Address -> wrong tokens that are remembered, and when they were counted."""
 
@@ -80,6 +82,17 @@ class Door:
             cut += 1
         self._guests[guest] = address
         return cut
+
+    def open_wait(self, name: str, per_second: float, at_once: int) -> float:
+        """Seconds after which a client may open another stream; 0 if it may now, which is counted."""
+        now = self._clock()
+        count, since = self._opened.pop(name, (0.0, now))
+        count = max(0.0, count - (now - since) * per_second)
+        wait = max(0.0, (count - at_once + 1) / per_second) if count > at_once - 1 else 0.0
+        self._opened[name] = count + (wait == 0.0), now
+        while len(self._opened) > _MOST_ADDRESSES:
+            self._opened.popitem(last=False)
+        return wait
 
     def leave(self, guest: Guest) -> None:
         """A connection was admitted or ended."""

@@ -64,8 +64,8 @@ class Governor:
 
     def __init__(self, share: float, most: int, cost: float = PRIOR_COST,
                  clock: Callable[[], float] = time.monotonic) -> None:
-        """share: of the compute thread's time that may be promised, above 1 whatever there is; most: streams at most; cost: of a second of speech
-        at full quality, seconds, until it is measured."""
+        """share: of the compute thread's time that may be promised, above 1 whatever there is; most: streams at most;
+        cost: of a second of speech at full quality, seconds, until it is measured."""
         self.share, self.most, self._clock = share, most, clock
         self._cost, self._weight = cost, _MEMORY / 4
         self.depth = 0

@@ -5,7 +5,11 @@ turn goes to the account (a tenant, or an address) that has used least processor
 has used least. A stream that needs little, as a microphone does, is therefore served before one that always wants more,
 whatever that one asks for: sound, idle time, catching up or rewinding.
 
-Use is counted as virtual time. An account or a stream that comes back after it wanted nothing starts `CREDIT_SECONDS`
+A stream whose poses are made for a while ahead of what is played (`AHEAD_SECONDS`) can wait: it is served while no
+other one wants a turn. So a long answer that was sent at once, or a minute of idle time, takes what others leave.
+
+Use is counted as virtual time. A new stream begins at the present, so that many new ones are no way to be served first.
+An account or a stream that comes back after it wanted nothing starts `CREDIT_SECONDS`
 before the present, so that it is served soon and nothing can be saved up.
 """
 
@@ -27,6 +31,10 @@ CREDIT_SECONDS = 0.1
 """Use, seconds, that who returns is behind the present: a few turns."""
 
 
+AHEAD_SECONDS = 1.0
+"""Poses ahead of what is played, seconds, with which a stream can wait."""
+
+
 @dataclass(eq=False)
 class Account:
     """What shares a fair part: all streams of a tenant or of an address. used: seconds, in virtual time."""
@@ -45,6 +53,9 @@ class Member:
 
     account: Account = field(default_factory=Account)
     used: float = 0.0
+    new: bool = True
+    waits: bool = False
+    """Whether it can wait: see the module."""
 
 
 @dataclass(eq=False)
@@ -89,7 +100,8 @@ class Scheduler:
             if not account.wanted:
                 account.used = max(account.used, self._virtual - CREDIT_SECONDS)
             account.wanted += 1
-            member.used = max(member.used, account.virtual - CREDIT_SECONDS)
+            member.used = max(member.used, account.virtual - (0.0 if member.new else CREDIT_SECONDS))
+            member.new = False
             self._numbers += 1
             future: Future[T] = Future()
             self._turns.append(_Turn(member, job, future, self._numbers))
@@ -134,7 +146,8 @@ class Scheduler:
         """The turn of whoever has used least. Called with the lock held."""
         if not self._turns:
             return None
-        turn = min(self._turns, key=lambda one: (one.member.account.used, one.member.used, one.number))
+        turn = min(self._turns, key=lambda one: (one.member.waits, one.member.account.used, one.member.used,
+                                                 one.number))
         self._turns.remove(turn)
         account = turn.member.account
         self._virtual = max(self._virtual, account.used)

@@ -34,7 +34,7 @@ from gesticulator.serve.metrics import CONTENT_TYPE, ServerMetrics, exposition, 
 from gesticulator.serve.pace import Effort
 from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, published
 from gesticulator.serve.scheduler import Account, Scheduler
-from gesticulator.serve.settings import SOCKET_BYTES, ServerLimits
+from gesticulator.serve.settings import OPENS_AT_ONCE, SOCKET_BYTES, ServerLimits
 
 if TYPE_CHECKING:
     from gesticulator.serve.session import Session
@@ -231,6 +231,10 @@ class LiveServer:
         """`RefusedError` if there is no place for another stream. Streams whose clients are gone give way."""
         if self.draining:
             raise RefusedError(CloseCode.GOING_AWAY, "the server is shutting down", retry_after=1.0)
+        client = f"tenant {tenant.name}" if tenant.name else connection.address
+        wait = self.door.open_wait(client, self.limits.address_opens, OPENS_AT_ONCE)
+        if wait > 0:
+            raise RefusedError(CloseCode.TOO_MANY_STREAMS, "this client opens streams too fast", math.ceil(wait))
         same = [one for one in self.connections if (one.tenant == tenant.name if tenant.name
                                                     else one.address == connection.address)]
         most = tenant.streams or self.limits.address_streams

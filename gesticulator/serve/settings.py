@@ -15,6 +15,8 @@ WaitingBytes = Annotated[int, SettingRange(2**16, 2**32)]
 
 STREAMS_PER_CORE = 12
 """Low-latency microphones that one core of the measured machine carries (docs/serve.md, "How fast")."""
+OPENS_AT_ONCE = 24
+"""Streams that one address may open at once: all that reconnect after a restart, twice."""
 SOCKET_BYTES = 2**17
 """The system's buffer of a connection in each direction (Linux doubles it). By default it grows to megabytes; this size
 carries 1.3 MB/s to a client 0.1 s away, 25 times what the poses need."""
@@ -31,6 +33,9 @@ class ServerLimits:
     core_share: Positive = 0.85
     """Computing time per second of the clock that may be promised to streams (`Governor`). The rest is for catching
     up; a large number admits streams whatever they cost."""
+    address_opens: Positive = 2.0
+    """New streams of one address or tenant per second, after `OPENS_AT_ONCE` at once; opening one takes as much
+    computing as a quarter of a second of speech."""
     guests: Count = 64
     """Connections that have not sent a valid hello."""
     address_guests: Count = 16
