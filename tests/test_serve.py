@@ -489,7 +489,8 @@ def test_a_token_that_is_no_text_is_a_wrong_token() -> None:
         async with running(token="open sesame") as at:
             hello = Hello(RATE, token="TOKEN").text().replace("TOKEN", "\\ud800")
             assert (await closed_with(at.url, hello))[0] == CloseCode.BAD_TOKEN
-            assert at.server.metrics.coded["closed_total"] == {str(int(CloseCode.BAD_TOKEN)): 1}
+            hello = Hello(RATE).text().replace("pcm16", "\\ud800")
+            assert (await closed_with(at.url, hello))[0] == CloseCode.BAD_MESSAGE
 
     run(test)
 
@@ -592,10 +593,10 @@ def test_a_minute_of_idle_time_comes_a_block_at_a_time_and_ends_where_it_is_aske
             async with open_socket(at.url, max_size=None) as ws:
                 await ws.send(Hello(RATE).text())
                 assert json.loads(await ws.recv())["type"] == "hello"
-                await ws.send('{"type": "idle", "seconds": 60}')
+                await ws.send('{"type": "idle", "seconds": 50}')
                 await ws.send('{"type": "finish"}')
                 packets = [Poses.unpack(message) async for message in ws if isinstance(message, bytes)]
-            assert_whole(packets, 60.0)
+            assert_whole(packets, 50.0)
             assert max(len(one) for one in packets) <= 0.4 * 60 + 1
             code, reason = await closed_with(at.url, Hello(RATE).text(), *['{"type": "idle", "seconds": 60}'] * 2)
             assert code == CloseCode.TOO_MUCH_SOUND and "wait" in reason

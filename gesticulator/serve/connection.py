@@ -606,7 +606,7 @@ class Connection:
 
     async def _close(self, code: int, reason: str) -> None:
         """Close, or abort the connection of a client that does not answer the close frame."""
-        short = reason.encode()[:_REASON_BYTES].decode(errors="ignore")
+        short = reason.encode("utf-8", "replace")[:_REASON_BYTES].decode(errors="ignore")
         # The client's answer comes after earlier messages, which must be read first.
         swallowing = asyncio.create_task(self._swallow())
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import struct
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -28,6 +29,8 @@ _PLACES = (
 )
 _PCM16_FULL = 32768.0
 """Full scale of 16-bit audio."""
+_HALF_IN_TOKEN = re.compile(r'"token"\s*:\s*"[^"]*\\u[dD][89a-fA-F]')
+"""A token with a surrogate, which is no character by itself, and so no valid JSON."""
 _MOST_SAMPLE = 1e4
 """Largest float sample: full scale is 1; 16-bit values sent as floats by mistake reach 32768."""
 
@@ -127,7 +130,12 @@ def read_message(text: str) -> dict[str, Any]:
 
 def read_hello(text: str) -> StreamRequest:
     """Parse a client's first message; `RefusedError` if it is not a hello."""
-    message = read_message(text)
+    try:
+        message = read_message(text)
+    except RefusedError:
+        if _HALF_IN_TOKEN.search(text):
+            raise RefusedError(CloseCode.BAD_TOKEN, "the token holds half a character") from None
+        raise
     if message.pop("type") != "hello":
         raise RefusedError(CloseCode.BAD_MESSAGE, "the first message must be a hello")
     del message["protocol"]
