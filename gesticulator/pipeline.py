@@ -350,7 +350,12 @@ class Gesticulator:
         plan = (plan_of(speech, encoded.blocks, blocks, origin) if options.plan is None else
                 rendered_plan(options.plan, speech, blocks, origin))
         return Performance(motion, speech, encoded.blocks, np.array([block.lexeme for block in blocks], np.int64),
-                           np.stack([block.code for block in blocks]), plan, used, self.lexeme_names)
+                           np.stack([block.code for block in blocks]), plan, used, self.lexeme_names,
+                           rest=partial(self._rest_pose, cast.speaker))
+
+    def _rest_pose(self, speaker: int) -> Motion:
+        """The speaker's resting pose, a motion of one frame."""
+        return representation_of(self.bundle.config).motion(self.bundle.statistics.rest_pose[speaker][None], 1.0)
 
     def _meanings(self, speech: Speech, options: InferenceOptions) -> tuple[PlanMeaning, ...]:
         """The meanings of the plan, or those that the words call for."""
@@ -360,7 +365,7 @@ class Gesticulator:
             return ()
         from gesticulator.directing.meanings import track_of
 
-        track = track_of(options, speech.words, speech.duration)
+        track = track_of(options, speech)
         if track is None:
             return ()
         track.add(speech.words)

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from data_module.types import Array, BeatFlag, Blocks
 from gesticulator.bundle.features import SpeechFeatures
-from gesticulator.drawing.drawer import Direction
+from gesticulator.drawing.drawer import Direction, Keys
 from gesticulator.drawing.driver import BlockRequest, Driver, GeneratedMotion, OnBlock, requests
-from gesticulator.drawing.keys import Keys
 from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.plan import GesturePlan, PlanKnobs, edited_blocks
 
