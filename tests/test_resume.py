@@ -284,7 +284,7 @@ def test_the_server_is_killed_in_mid_sentence_and_no_hand_leaps() -> None:
         assert fastest < FASTEST and hardest < HARDEST
         assert "back" in events and any(idled) and not idled[0] and not idled[-1]
         # Once another server is there, the rest of the sentence is gestured.
-        late = [pose[0] for pose, when in zip(shown, speaking, strict=True) if 7.5 < when]
+        late = [pose[0] for pose, when in zip(shown, speaking, strict=True) if when > 7.5]
         assert np.abs(np.diff(np.stack(late), axis=0)).max() > 1e-3
         reading.cancel()
         await stream.close()
