@@ -29,7 +29,7 @@ from websockets.http11 import Request, Response
 from data_module.errors import InputError
 from gesticulator.serve.connection import CLOSE_SECONDS, Connection, Workplace
 from gesticulator.serve.door import Door, Keys, Tenant, network_of
-from gesticulator.serve.governor import RETRY_SECONDS, REVIEW_SECONDS, Governor, Room
+from gesticulator.serve.governor import PRIOR_COST, RETRY_SECONDS, REVIEW_SECONDS, Governor, Room
 from gesticulator.serve.metrics import CONTENT_TYPE, ServerMetrics, exposition, read_figures, write_figures
 from gesticulator.serve.pace import Effort
 from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, published
@@ -152,8 +152,8 @@ class LiveServer:
         self.draining = False
         # One thread: Python runs one at a time. Use more workers for more cores.
         self.scheduler = Scheduler()
-        costs = {} if self.cost is None else {"cost": self.cost}
-        self.governor = Governor(self.limits.core_share, self.limits.streams, **costs)
+        self.governor = Governor(self.limits.core_share, self.limits.streams,
+                                 PRIOR_COST if self.cost is None else self.cost)
         self.door = Door(self.limits.guests, self.limits.address_guests)
         self.keys = Keys(self.address.token, self.address.keys)
         self._accounts: dict[str, Account] = {}
@@ -200,7 +200,8 @@ class LiveServer:
     async def _listen(self, listening: socket.socket, answer: Callable[..., Any]) -> Server:
         return await serve(
             self._serve_one, sock=listening, process_request=answer, select_subprotocol=_subprotocol,
-            create_connection=partial(_Guest, self), max_size=self.limits.message_bytes, max_queue=_SOUND_QUEUE,
+            create_connection=partial(_Guest, self),  # type: ignore[arg-type]  # any factory will do
+            max_size=self.limits.message_bytes, max_queue=_SOUND_QUEUE,
             compression=None, open_timeout=OPEN_SECONDS, ping_interval=_PING_SECONDS, ping_timeout=_PING_SECONDS,
             close_timeout=CLOSE_SECONDS, logger=_quiet(), server_header=None)
 
