@@ -232,7 +232,7 @@ class Connection:
             self.socket.transport.abort()
             for _ in range(100):
                 if self.parked:
-                    break
+                    break  # type: ignore[unreachable]  # another task parks it meanwhile
                 await asyncio.sleep(0.01)
         if not self.parked or self._leaving:
             return False
