@@ -43,7 +43,8 @@ class Server:
 
     def __init__(self) -> None:
         command = "from gesticulator.serve.command import COMMAND as C; import sys; sys.exit(C.main('s', sys.argv[1:]))"
-        self.process = subprocess.Popen([sys.executable, "-c", command, "--port", "0", "--streams", "256"], cwd=ROOT,
+        self.process = subprocess.Popen([sys.executable, "-c", command, "--port", "0", "--streams", "256",
+                                         "--core-share", "100", "--address-opens", "4"], cwd=ROOT,
                                         stderr=subprocess.PIPE, text=True)
         assert self.process.stderr is not None
         self.port = 0

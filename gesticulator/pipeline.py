@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 __all__ = ["Gesticulator"]
 
 R = TypeVar("R", bound=SpeechInput)
+_WARM_SECONDS = 2
+"""Sound for warming up, seconds: several blocks."""
 
 
 class Gesticulator:
@@ -61,6 +63,7 @@ class Gesticulator:
         self._words: WordEncoder | None = None
         self._names: tuple[LexemeName, ...] | None = None
         self._used_interpreters: dict[str, LexemeInterpreter] = {}
+        self._warm: set[bool] = set()
 
     @classmethod
     def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
@@ -213,13 +216,36 @@ class Gesticulator:
         """Gesture for speech as it arrives, see `gesticulator.stream.Stream`.
 
         sample_rate: hertz of the sound that will be fed; latency: "full" or "low" (`BlockCutter`); text: words will be
-        added; options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`.
+        added; options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`. The first one
+        takes seconds to open, see `warm`.
         """
-        from gesticulator.stream import Stream
-
         checked = InferenceOptions.of(options)
         if checked.transcribe is not None:
             raise InputError("transcribe", "is not for streams", "give the words by add_words")
+        self.warm(text)
+        return self._stream(sample_rate, latency, text, checked)
+
+    def warm(self, text: bool = False) -> None:
+        """Load, compile and try everything that is needed on first use by a stream, so that no block waits for it:
+        one to three seconds, the first time. text: also what reads words. `stream` does it, if it has not been done."""
+        if text in self._warm:
+            return
+        if text:
+            self._check_reads_text()
+        self._warm.add(text)
+        noise = np.random.default_rng(0).normal(0, 0.05, _WARM_SECONDS * SAMPLE_RATE).astype(np.float32)
+        try:
+            for latency in ("full", "low"):
+                stream = self._stream(SAMPLE_RATE, latency, text, InferenceOptions())
+                stream.feed(noise)
+                stream.idle(0.5)
+                stream.finish()
+        except InputError:  # a bundle that cannot stream says so when a stream is opened
+            self._warm.discard(text)
+
+    def _stream(self, sample_rate: float, latency: str, text: bool, checked: InferenceOptions) -> Stream:
+        from gesticulator.stream import Stream
+
         if text:
             self._check_reads_text()
         cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder() if text else None,

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,9 @@ class StreamFrames:
         return Motion(self.skeleton, self.rotations, self.root_positions, self.fps)
 
 
-_Parts: TypeAlias = "list[tuple[Motion | None, Block | None]]"
+_Parts: TypeAlias = "Generator[tuple[Motion | None, Block | None], None, None]"
+StreamCall: TypeAlias = Literal["feed", "pass_over", "idle", "think", "listen", "interrupt", "finish"]
+"""A call of a stream that returns frames."""
 
 
 class Stream:
@@ -111,7 +113,7 @@ class Stream:
                              "use one with a lexicon of blocks and silence.rest=life")
         self._bundle, self._cast, self._new_cutter = bundle, cast, cutter
         self._gain = float(options.gain)
-        self._feed = SampleFeed(sample_rate, self._gain)
+        self._sound = SampleFeed(sample_rate, self._gain)
         self._voice = SampleFeed(sample_rate, self._gain)
         self._cutter: BlockCutter | None = cutter()
         self._text = self._cutter.reads
@@ -139,8 +141,8 @@ class Stream:
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._face = _face_of(options)
-        self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
         self._heard_from = -1.0  # start of the utterance that the face hears
+        self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
         self._state, self._finished, self._hurried = StreamState.IDLE, False, False
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
@@ -157,7 +159,7 @@ class Stream:
     @property
     def time(self) -> float:
         """Media time up to which sound or seconds were fed."""
-        return self._begun + self._feed.seconds
+        return self._begun + self._sound.seconds
 
     @property
     def made(self) -> int:
@@ -216,30 +218,31 @@ class Stream:
 
     # ------------------------------------------------------------------------------------------------------- input
 
+    def steps(self, call: StreamCall, *arguments: Any) -> Generator[StreamFrames, None, None]:
+        """A call in steps: the same frames in parts, at most one block or 0.4 s of idle motion at a time, each computed
+        when it is asked for. No other call is allowed until the last step, except after closing the iterator (a
+        generator): then idling ends at the frames returned so far, and so does media time; what else the call had to do
+        is dropped."""
+        self._check_open()
+        parts: _Parts = getattr(self, f"_{call}")(*arguments)
+        first = self._path.next
+        try:
+            for part in parts:
+                yield self._frames(first, part)
+                first = self._path.next
+        finally:
+            parts.close()
+
     def feed(self, samples: NDArray[Any]) -> StreamFrames:
         """Feed speech of the character: samples [n] in [-1, 1], or integers of any width; n may be 0. Returns the
         frames that became final."""
-        self._check_open()
-        first, sound = self._path.next, self._feed.take(samples)
-        if len(samples):
-            self._speak()
-            self._hear(sound)
-        return self._frames(first, self._draw(self._utterance().feed(sound)) if len(sound) else [])
+        return self._at_once("feed", samples)
 
     def pass_over(self, seconds: float) -> StreamFrames:
         """Skip so many seconds of speech that came too late to be generated, and advance media time by them. Sound that
         was fed but not generated yet is skipped too, and its words are forgotten. The hands stop softly and wait for
         the next `feed`. Returns frames up to the new media time, at about the cost of `idle`."""
-        self._check_open()
-        _check_seconds(seconds)
-        first = self._path.next
-        self._speak()
-        if self._meanings is not None:
-            self._meanings.forget(self._committed)
-        if self._face is not None:
-            self._face.end()
-        self._begin(self.time + seconds)
-        return self._frames(first, self._advance(self._begun))
+        return self._at_once("pass_over", seconds)
 
     def add_words(self, words: Sequence[Word]) -> tuple[Word, ...]:
         """Add words with their media time, seconds. They may come before their sound, late or never: a block is
@@ -263,17 +266,15 @@ class Stream:
     def idle(self, seconds: float) -> StreamFrames:
         """Advance media time by seconds without sound: the character comes to rest, with idle motion. Returns the
         frames up to the new media time, those of sound fed before included. 0 seconds end the utterance."""
-        return self._rest(seconds, StreamState.IDLE)
+        return self._at_once("idle", seconds)
 
     def think(self, seconds: float) -> StreamFrames:
         """As `idle`, while an answer is being prepared: the character looks away."""
-        return self._rest(seconds, StreamState.THINKING)
+        return self._at_once("think", seconds)
 
     def listen(self, samples: NDArray[Any]) -> StreamFrames:
         """As `idle` for the length of another speaker's sound [n]: the character nods in its pauses, and shifts."""
-        self._check_open()
-        voice = self._voice.take(samples)
-        return self._rest(len(samples) / self._voice.rate, StreamState.LISTENING, voice)
+        return self._at_once("listen", samples)
 
     def interrupt(self, at: float | None = None) -> StreamFrames:
         """Stop speaking: no new stroke begins, the hands are under 0.3 m/s within 300 ms and hang within 1.2 s.
@@ -282,7 +283,102 @@ class Stream:
         replaced by the returned ones, from number `first` on. None replaces no frame. Sound that was fed for later
         times is forgotten. `InputError` for a time in the future or longer ago than `history`.
         """
+        parts = list(self.steps("interrupt", at))
+        return self._joined(parts[0].first, parts)
+
+    def finish(self) -> StreamFrames:
+        """End the stream and return its last frames. `InputError` if nothing was ever fed."""
+        return self._at_once("finish")
+
+    # --------------------------------------------------------------------------------------------------- internals
+
+    def _meaning_track(self, options: InferenceOptions) -> MeaningTrack | None:
+        """The gestures that the words call for; None in a stream without words."""
+        if not self._text or representation_of(self._bundle.config).name != "rotations":
+            return None
+        from gesticulator.directing.meanings import track_of
+
+        return track_of(options)
+
+    def _meant(self, until: float) -> list[MeantCue]:
+        """The gestures of words and of marks that begin up to a time."""
+        return [*(() if self._meanings is None else self._meanings.cues(until)),
+                *(() if self._marks is None else self._marks.cues())]
+
+    def _at_once(self, call: StreamCall, *arguments: Any) -> StreamFrames:
         self._check_open()
+        first = self._path.next
+        return self._joined(first, list(self.steps(call, *arguments)))
+
+    def _joined(self, first: int, parts: Sequence[StreamFrames]) -> StreamFrames:
+        """All parts of a call as one."""
+        joints, faces = len(self.skeleton), [part.face for part in parts if part.face is not None]
+        if faces:
+            from data_module.face import joined
+        return StreamFrames(
+            first, self.fps, self.skeleton,
+            np.concatenate([np.zeros((0, joints, 4)), *(part.rotations for part in parts)]),
+            np.concatenate([np.zeros((0, 3)), *(part.root_positions for part in parts)]),
+            tuple(block for part in parts for block in part.blocks), joined(faces) if faces else None)
+
+    def _check_open(self) -> None:
+        if self._finished:
+            raise InputError("the stream", "is finished", "open another")
+
+    def _speak(self) -> None:
+        if self._state != StreamState.SPEAKING:
+            self._turns.release(self._committed)
+            self._state = StreamState.SPEAKING
+
+    def _hear(self, sound: Samples) -> None:
+        """Let the face hear more of the utterance, at 16 kHz."""
+        if self._face is None:
+            return
+        if self._heard_from != self._begun:
+            self._heard_from = self._begun
+            self._face.state(self._begun, "speaking")
+            self._face.begin(self._begun)
+        self._face.hear(sound)
+
+    def _utterance(self) -> BlockCutter:
+        """The cutter of the current utterance. Its blocks begin after the last knot that was generated."""
+        if self._cutter is None:
+            self._cutter = self._new_cutter(start=max(self._committed - self._begun, 0.0))
+        return self._cutter
+
+    def _begin(self, time: float) -> None:
+        """Begin the next utterance at media time `time`, without the sound that was fed before."""
+        self._begun, self._sound, self._cutter = time, SampleFeed(self._sound.rate, self._gain), None
+
+    def _feed(self, samples: NDArray[Any]) -> _Parts:
+        sound = self._sound.take(samples)
+        if len(samples):
+            self._speak()
+            self._hear(sound)
+        if len(sound):
+            yield from self._draw(self._utterance().feed(sound))
+
+    def _pass_over(self, seconds: float) -> _Parts:
+        _check_seconds(seconds)
+        self._speak()
+        if self._meanings is not None:
+            self._meanings.forget(self._committed)
+        if self._face is not None:
+            self._face.end()
+        self._begin(self.time + seconds)
+        yield from self._advance(self._begun)
+
+    def _idle(self, seconds: float) -> _Parts:
+        return self._rest(seconds, StreamState.IDLE)
+
+    def _think(self, seconds: float) -> _Parts:
+        return self._rest(seconds, StreamState.THINKING)
+
+    def _listen(self, samples: NDArray[Any]) -> _Parts:
+        voice = self._voice.take(samples)
+        return self._rest(len(samples) / self._voice.rate, StreamState.LISTENING, voice)
+
+    def _interrupt(self, at: float | None = None) -> _Parts:
         final = self._path.next / self.fps
         at = final if at is None else float(at)
         knots, features = self._history()
@@ -312,80 +408,34 @@ class Stream:
         if self._face is not None:
             self._face.interrupt(at)
             self._face.state(at, "idle")
-        return self._frames(self._path.next, self._advance(at))
+        yield None, None  # frames are replaced from here on, even if none follows at once
+        yield from self._advance(at)
 
-    def finish(self) -> StreamFrames:
-        """End the stream and return its last frames. `InputError` if nothing was ever fed."""
-        self._check_open()
+    def _finish(self) -> _Parts:
         if self.time == 0:
             raise InputError("speech", "holds no samples", "give a recording")
-        first, parts = self._path.next, self._end_utterance()
-        parts.append((self._path.finish(self._begun), None))
+        yield from self._end_utterance()
         self._finished = True
-        return self._frames(first, parts)
-
-    # --------------------------------------------------------------------------------------------------- internals
-
-    def _meaning_track(self, options: InferenceOptions) -> MeaningTrack | None:
-        """The gestures that the words call for; None in a stream without words."""
-        if not self._text or representation_of(self._bundle.config).name != "rotations":
-            return None
-        from gesticulator.directing.meanings import track_of
-
-        return track_of(options)
-
-    def _meant(self, until: float) -> list[MeantCue]:
-        """The gestures of words and of marks that begin up to a time."""
-        return [*(() if self._meanings is None else self._meanings.cues(until)),
-                *(() if self._marks is None else self._marks.cues())]
-
-    def _check_open(self) -> None:
-        if self._finished:
-            raise InputError("the stream", "is finished", "open another")
-
-    def _speak(self) -> None:
-        if self._state != StreamState.SPEAKING:
-            self._turns.release(self._committed)
-            self._state = StreamState.SPEAKING
-
-    def _hear(self, sound: Samples) -> None:
-        """Let the face hear more of the utterance, at 16 kHz."""
-        if self._face is None:
-            return
-        if self._heard_from != self._begun:
-            self._heard_from = self._begun
-            self._face.state(self._begun, "speaking")
-            self._face.begin(self._begun)
-        self._face.hear(sound)
-
-    def _utterance(self) -> BlockCutter:
-        """The cutter of the current utterance. Its blocks begin after the last knot that was generated."""
-        if self._cutter is None:
-            self._cutter = self._new_cutter(start=max(self._committed - self._begun, 0.0))
-        return self._cutter
-
-    def _begin(self, time: float) -> None:
-        """Begin the next utterance at media time `time`, without the sound that was fed before."""
-        self._begun, self._feed, self._cutter = time, SampleFeed(self._feed.rate, self._gain), None
+        yield self._path.finish(self._begun), None
 
     def _end_utterance(self) -> _Parts:
         """Generate the rest of the utterance, and set media time to its end."""
-        if self._feed.seconds == 0 or self._cutter is None:
-            return []
-        cutter, sound = self._cutter, self._feed.finish()
+        if self._sound.seconds == 0 or self._cutter is None:
+            return
+        cutter, sound = self._cutter, self._sound.finish()
         if self._face is not None:
             self._hear(sound)
             self._face.end()
-        parts = self._draw(cutter.feed(sound))
-        parts += self._draw(cutter.finish())
-        self._begin(self._begun + cutter.duration)
-        return parts
+        try:
+            yield from self._draw(cutter.feed(sound))
+            yield from self._draw(cutter.finish())
+        finally:
+            self._begin(self._begun + cutter.duration)
 
-    def _rest(self, seconds: float, state: StreamState, voice: Samples | None = None) -> StreamFrames:
+    def _rest(self, seconds: float, state: StreamState, voice: Samples | None = None) -> _Parts:
         """Advance by seconds in a state other than speaking. voice: samples of another speaker."""
-        self._check_open()
         _check_seconds(seconds)
-        first, parts = self._path.next, self._end_utterance()
+        yield from self._end_utterance()
         if state != self._state:
             self._turns.release(self._committed)
             if state == StreamState.THINKING:
@@ -395,24 +445,29 @@ class Stream:
                 self._face.state(self._begun, state.value, self._turns.side)
         if voice is not None:
             self._turns.listen(voice, max(self._committed, self._begun))
-        self._begin(self._begun + seconds)
-        return self._frames(first, parts + self._advance(self._begun))
+        until = self._begun + seconds
+        self._begin(until)
+        try:
+            yield from self._advance(until)
+        except GeneratorExit:
+            self._begin(min(until, self._path.next / self.fps))
+            raise
 
     def _advance(self, until: float) -> _Parts:
         """Generate idle motion until all frames before `until` seconds are final."""
         count, frames = math.ceil(until * self.fps - 1e-6), self._bundle.frames
         none = np.zeros((0, self._shown[-1][1].shape[1]), np.float32)
-        parts: _Parts = [(self._path.push(np.zeros(0), none, count), None)]
+        waiting = self._path.push(np.zeros(0), none, count)
+        if waiting is not None:
+            yield waiting, None
         while self._path.next < count:
             missing = until + self._path.reach - self._committed
             knots, start = min(max(math.ceil(missing / _KNOT), 1), frames), self._committed
             features = self._driver.idle(start, _KNOT, knots)
             times = start + _KNOT * np.arange(1, knots + 1, dtype=np.float64)
-            parts.append((self._show(times, features, count), None))
-        return parts
+            yield self._show(times, features, count), None
 
     def _draw(self, blocks: Sequence[SpeechBlock]) -> _Parts:
-        parts: _Parts = []
         for block in blocks:
             speech = replace(block, number=self._past_blocks, start=block.start + self._begun,
                              end=block.end + self._begun)
@@ -422,8 +477,7 @@ class Stream:
             generated = self._driver.draw(BlockRequest(
                 speech, controls_at(self._bundle.levels, self._cast.controls, times), direction))
             self._past_blocks += 1
-            parts.append((self._show(times, generated.motion), generated.block))
-        return parts
+            yield self._show(times, generated.motion), generated.block
 
     def _show(self, times: Array, features: NDArray[np.float32], until: int | None = None) -> Motion | None:
         """Add knots, features [K, D_m] at times [K]; return the frames that became final, those before `until`."""
@@ -443,17 +497,17 @@ class Stream:
                                for name in ("times", "poses", "gains"))
         return RestKnots(times, poses, gains), np.concatenate([features for _, features in self._shown])
 
-    def _frames(self, first: int, parts: _Parts) -> StreamFrames:
-        motions = [motion for motion, _ in parts if motion is not None]
+    def _frames(self, first: int, part: tuple[Motion | None, Block | None]) -> StreamFrames:
+        motion, block = part
         joints = len(self.skeleton)
         frames = StreamFrames(
-            first, self.fps, self.skeleton, np.concatenate([np.zeros((0, joints, 4)), *(m.rotations for m in motions)]),
-            np.concatenate([np.zeros((0, 3)), *(motion.root_positions for motion in motions)]),
-            tuple(block for _, block in parts if block is not None))
+            self._path.next if motion is None else first, self.fps, self.skeleton,
+            np.zeros((0, joints, 4)) if motion is None else motion.rotations,
+            np.zeros((0, 3)) if motion is None else motion.root_positions, () if block is None else (block,))
         if self._face is None:
             return frames
         self._face.blocks(frames.blocks)
-        return replace(frames, face=self._face.frames(first, frames.motion())) if len(frames) else frames
+        return replace(frames, face=self._face.frames(frames.first, frames.motion())) if len(frames) else frames
 
 
 def _face_of(options: InferenceOptions) -> Face | None:

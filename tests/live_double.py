@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +28,8 @@ from gesticulator.stream import StreamFrames, StreamState
 Share = float | Callable[[], float]
 """Seconds of work for a second of sound."""
 LOOK_AHEAD = 0.5
+STEP = 0.4
+"""Seconds of a wait that are computed at a time."""
 TURN = 0.001
 """Radians about Y for each frame."""
 
@@ -43,6 +47,14 @@ class TellingStream:
         self.made = 0
         self.state = StreamState.IDLE
         self.words: list[Word] = []
+
+    def steps(self, call: str, *arguments: Any) -> Generator[StreamFrames, None, None]:
+        """A call in one step; waits in steps of 0.4 s, which end where they are closed."""
+        if call not in ("idle", "think") or arguments[0] <= STEP:
+            yield getattr(self, call)(*arguments)
+            return
+        for number in range(math.ceil(arguments[0] / STEP)):
+            yield getattr(self, call)(min(STEP, arguments[0] - number * STEP))
 
     def feed(self, samples: np.ndarray) -> StreamFrames:
         share = self.share() if callable(self.share) else self.share
@@ -120,10 +132,11 @@ def served(limits: ServerLimits, pages: Mapping[str, Page], vmc: str | None = No
     loop = asyncio.new_event_loop()
 
     async def serve() -> None:
-        playing = None if output is None else asyncio.create_task(output.run())
+        if output is not None:
+            output.start()
         await server.run(listening)
-        if playing is not None:
-            playing.cancel()
+        if output is not None:
+            output.stop()
 
     thread = threading.Thread(target=lambda: loop.run_until_complete(serve()))
     thread.start()

@@ -32,8 +32,8 @@ from gesticulator.serve.command import COMMAND as SERVE
 from gesticulator.serve.command import read_limits
 from gesticulator.serve.connection import CLOSE_SECONDS
 from gesticulator.serve.metrics import ServerMetrics, exposition
-from gesticulator.serve.server import ANSWER_SECONDS
-from gesticulator.serve.settings import ServerLimits
+from gesticulator.serve.server import ANSWER_SECONDS, STUCK_SECONDS
+from gesticulator.serve.settings import STREAMS_PER_CORE, ServerLimits
 
 ROOT = Path(__file__).parents[1]
 DEPLOY = ROOT / "deploy"
@@ -176,15 +176,51 @@ def test_ports_and_numbers_of_streams_agree() -> None:
     compose = yaml.safe_load((DEPLOY / "compose.yaml").read_text())["services"]["server"]
     server = manifest("deployment.yaml")["spec"]["template"]["spec"]["containers"][0]
     asked = [image, asked_of(compose["command"]), asked_of(server["args"])]
-    assert {(one.port, one.streams, one.host, one.workers) for one in asked} == {(8765, 8, "0.0.0.0", 1)}
-    assert said("EXPOSE") == ["8765"] and compose["expose"] == ["8765"] and ":8765/healthz" in said("HEALTHCHECK")[-1]
+    streams = ServerLimits().streams
+    assert streams == STREAMS_PER_CORE
+    assert {(one.port, one.streams, one.host, one.workers) for one in asked} == {(8765, streams, "0.0.0.0", 1)}
+    assert len({one.drain_seconds for one in asked}) == 1
+    metrics = {str(one.metrics_port) for one in asked[1:]}
+    assert metrics == {"9100"} and compose["expose"] == ["8765", *metrics]
+    assert said("EXPOSE") == ["8765"] and ":8765/healthz" in said("HEALTHCHECK")[-1]
     port = server["ports"][0]
     assert port["containerPort"] == 8765 == manifest("service.yaml")["spec"]["ports"][0]["port"]
     probes = [server[f"{kind}Probe"]["httpGet"] for kind in ("startup", "readiness", "liveness")]
-    assert {(one["path"], one["port"]) for one in probes} == {("/healthz", port["name"])}
+    assert [(one["path"], one["port"]) for one in probes] == [
+        ("/healthz", port["name"]), ("/readyz", port["name"]), ("/healthz", port["name"])]
+    alive = server["livenessProbe"]
+    assert STUCK_SECONDS + alive["periodSeconds"] * alive["failureThreshold"] <= 10.0
+    monitor = yaml.safe_load((KUBERNETES / "monitoring" / "service-monitor.yaml").read_text())["spec"]
+    assert monitor["endpoints"][0]["port"] in {one["name"] for one in manifest("service.yaml")["spec"]["ports"]}
+    assert manifest("deployment.yaml")["spec"]["template"]["metadata"]["annotations"]["prometheus.io/port"] == "9100"
     assert manifest("service.yaml")["spec"]["ports"][0]["targetPort"] == port["name"]
-    assert "maxconn 8 " in (DEPLOY / "haproxy.cfg").read_text()
-    assert set(re.findall(r"max_conns=(\d+)", (DEPLOY / "nginx.conf").read_text())) == {"8"}
+    assert f"maxconn {streams} " in (DEPLOY / "haproxy.cfg").read_text()
+    assert set(re.findall(r"max_conns=(\d+)", (DEPLOY / "nginx.conf").read_text())) == {str(streams)}
+    for page in ("serve", "deploy"):
+        text = " ".join((ROOT / "docs" / f"{page}.md").read_text().split())
+        assert f"**{streams} streams per core**" in text, f"docs/{page}.md says another number"
+
+
+def test_compose_and_kubernetes_agree_on_limits() -> None:
+    compose = yaml.safe_load((DEPLOY / "compose.yaml").read_text())["services"]["server"]["deploy"]["resources"]
+    pod = manifest("deployment.yaml")["spec"]["template"]["spec"]["containers"][0]["resources"]
+    for own, theirs in (("limits", "limits"), ("reservations", "requests")):
+        assert compose[own]["memory"].removesuffix("m") == pod[theirs]["memory"].removesuffix("Mi")
+        assert compose[own].get("cpus", "none").removesuffix(".0") == pod[theirs].get("cpu", "none")
+
+
+def test_the_image_is_named_once_and_every_manifest_is_applied() -> None:
+    told = manifest("kustomization.yaml")
+    (image,) = told["images"]
+    used = set(re.findall(r"(?m)^ +image: (\S+)$", "".join((KUBERNETES / name).read_text() for name in OBJECTS)))
+    assert used == {image["name"]} and image["newTag"]
+    assert set(told["resources"]) == set(OBJECTS)
+    assert manifest("batch-job.yaml")["spec"]["suspend"] is True, "applying it starts nothing"
+    ingress, service = manifest("ingress.yaml")["spec"], manifest("service.yaml")
+    assert ingress["tls"][0]["hosts"] == [rule["host"] for rule in ingress["rules"]]
+    backend = ingress["rules"][0]["http"]["paths"][0]["backend"]["service"]
+    assert backend["name"] == service["metadata"]["name"]
+    assert backend["port"]["name"] == service["spec"]["ports"][0]["name"]
 
 
 def test_the_autoscaler_asks_for_a_figure_that_is_told() -> None:
@@ -203,9 +239,9 @@ def test_what_selects_pods_selects_these() -> None:
     told = manifest("deployment.yaml")["spec"]
     labels = told["template"]["metadata"]["labels"].items()
     for chosen in (told["selector"]["matchLabels"], manifest("service.yaml")["spec"]["selector"],
-                   manifest("pdb.yaml")["spec"]["selector"]["matchLabels"]):
+                   manifest("pdb.yaml")["spec"]["selector"]["matchLabels"],
+                   manifest("network-policy.yaml")["spec"]["podSelector"]["matchLabels"]):
         assert chosen.items() <= labels
-    assert set(manifest("kustomization.yaml")["resources"]) == set(OBJECTS) - {"batch-job.yaml"}
 
 
 @pytest.mark.parametrize("index", [0, 7])

@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import socket
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -33,12 +34,13 @@ from data_module.motion.smplx import smplx_arrays
 from gesticulator.serve import schema
 from gesticulator.serve import server as server_module
 from gesticulator.serve.protocol import CloseCode, StreamRequest, published
+from gesticulator.serve.scheduler import Member
 from gesticulator.serve.server import LiveServer, ServerAddress
 from gesticulator.serve.settings import ServerLimits
 
 RATE = 16000
-LIMITS = ServerLimits(streams=8, stream_seconds=100.0, message_bytes=2**16, waiting_seconds=10.0, unread_bytes=2**16,
-                      unread_seconds=1.0, hello_seconds=0.5, quiet_seconds=5.0, drain_seconds=0.5)
+LIMITS = ServerLimits(streams=8, address_opens=1e4, stream_seconds=100.0, message_bytes=2**16, waiting_seconds=10.0,
+                      unread_bytes=2**16, unread_seconds=1.0, hello_seconds=0.5, quiet_seconds=5.0, drain_seconds=0.5)
 
 
 @dataclass
@@ -482,6 +484,135 @@ def test_the_token_is_asked_for() -> None:
     run(test)
 
 
+def test_a_token_that_is_no_text_is_a_wrong_token() -> None:
+    async def test() -> None:
+        async with running(token="open sesame") as at:
+            hello = Hello(RATE, token="TOKEN").text().replace("TOKEN", "\\ud800")
+            assert (await closed_with(at.url, hello))[0] == CloseCode.BAD_TOKEN
+            hello = Hello(RATE).text().replace("pcm16", "\\ud800")
+            assert (await closed_with(at.url, hello))[0] == CloseCode.BAD_MESSAGE
+
+    run(test)
+
+
+def test_tokens_are_not_guessed_fast_and_other_clients_are_served() -> None:
+    async def test() -> None:
+        async with running(token="open sesame", proxies=("127.0.0.1",)) as at:
+            def as_client(address: str) -> dict[str, Any]:
+                return {"additional_headers": {"X-Forwarded-For": f"9.9.9.9, {address}"}}
+
+            wrong = Hello(RATE, token="guess").text()
+            for _ in range(5):
+                assert (await closed_with(at.url, wrong, **as_client("1.1.1.1")))[0] == CloseCode.BAD_TOKEN
+            with pytest.raises(InvalidStatus, match="429"):
+                await closed_with(at.url, wrong, **as_client("1.1.1.1"))
+            assert (await closed_with(at.url, wrong, **as_client("1.1.1.2")))[0] == CloseCode.BAD_TOKEN
+            assert at.server.metrics.numbers["wrong_tokens_total"] == 6
+
+    run(test)
+
+
+def test_connections_that_say_nothing_take_no_place() -> None:
+    """Forty WebSockets and forty half-open connections of one address beside a server of two streams."""
+    async def test() -> None:
+        limits = replace(LIMITS, streams=2, hello_seconds=20.0)
+        async with running(limits) as at:
+            silent = []
+            for number in range(40):
+                reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
+                silent.append(writer)
+                if number % 2:
+                    await _raw_handshake(writer, reader)
+                assert len(at.server.door) <= limits.address_guests and not at.server.connections
+            assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
+            assert at.server.metrics.numbers["guests_cut_total"] >= 40 - limits.address_guests
+            for writer in silent:
+                writer.transport.abort()
+            while len(at.server.door):
+                await asyncio.sleep(0.01)
+
+    run(test)
+
+
+def test_the_metrics_need_the_token_or_are_at_a_port_of_their_own() -> None:
+    async def test() -> None:
+        async with running(token="open sesame") as at:
+            assert (await at.get("/metrics"))[0] == 401 and (await at.get("/healthz"))[0] == 200
+
+            def fetch(token: str) -> int:
+                asked = urllib.request.Request(f"http://127.0.0.1:{at.port}/metrics",
+                                               headers={"Authorization": f"Bearer {token}"})
+                try:
+                    with urllib.request.urlopen(asked, timeout=5) as answer:
+                        return answer.status
+                except urllib.error.HTTPError as error:
+                    return error.code
+
+            assert await asyncio.to_thread(fetch, "open sesame") == 200
+            assert await asyncio.to_thread(fetch, "sesame") == 401
+        told = ServerAddress(port=0, token="open sesame", metrics_port=0)
+        listening, figures = told.listen(), told.listen(told.metrics_port)
+        server = LiveServer(told, LIMITS, opener(LIMITS))
+        ended = asyncio.create_task(server.run(listening, None, figures))
+        outer, inner = (Running(server, one.getsockname()[1], ended) for one in (listening, figures))
+        assert (await outer.get("/metrics"))[0] == 404 and (await inner.get("/metrics"))[0] == 200
+        assert (await inner.get("/healthz"))[0] == 200 and (await inner.get("/stream"))[0] == 404
+        server.stop()
+        await asyncio.wait_for(ended, 10)
+
+    run(test)
+
+
+def test_a_compute_thread_that_is_stuck_is_told_by_its_health(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test() -> None:
+        async with running() as at:
+            assert await at.get("/healthz") == (200, "ok\n") and (await at.get("/readyz"))[1] == "ok: 0 of 8 streams\n"
+            release, begun = threading.Event(), asyncio.Event()
+            loop = asyncio.get_running_loop()
+
+            def hang() -> None:
+                loop.call_soon_threadsafe(begun.set)
+                release.wait(20)
+
+            hanging = at.server.scheduler.submit(Member(), hang)
+            await begun.wait()
+            monkeypatch.setattr(server_module, "STUCK_SECONDS", 0.0)
+            status, text = await at.get("/healthz")
+            assert status == 503 and "turn" in text and (await at.get("/readyz"))[0] == 503
+            release.set()
+            await asyncio.wrap_future(hanging)
+            assert await at.get("/healthz") == (200, "ok\n")
+
+    run(test)
+
+
+def test_a_minute_of_idle_time_comes_a_block_at_a_time_and_ends_where_it_is_asked_to() -> None:
+    async def test() -> None:
+        limits = replace(LIMITS, waiting_seconds=100.0, unread_bytes=2**24)
+        async with running(limits, work=0.0) as at:
+            async with open_socket(at.url, max_size=None) as ws:
+                await ws.send(Hello(RATE).text())
+                assert json.loads(await ws.recv())["type"] == "hello"
+                await ws.send('{"type": "idle", "seconds": 50}')
+                await ws.send('{"type": "finish"}')
+                packets = [Poses.unpack(message) async for message in ws if isinstance(message, bytes)]
+            assert_whole(packets, 50.0)
+            assert max(len(one) for one in packets) <= 0.4 * 60 + 1
+            code, reason = await closed_with(at.url, Hello(RATE).text(), *['{"type": "idle", "seconds": 60}'] * 2)
+            assert code == CloseCode.TOO_MUCH_SOUND and "wait" in reason
+            async with connect(at.url, Hello(RATE)) as stream:
+                await stream._say({"type": "idle", "seconds": 50, "until_sound": True})
+                await stream.send(pcm(1.0))
+                await stream.finish()
+                messages = [message async for message in stream]
+                length = sum(len(one) for one in messages if isinstance(one, Poses))
+                spoken = [one for one in messages if isinstance(one, dict) and one.get("state") == "speaking"]
+                # The sound follows whatever was idled before it came.
+                assert 60 <= length < 60 * 51 and spoken[0]["time"] * 60 == pytest.approx(length - 60, abs=0.1)
+
+    run(test)
+
+
 @pytest.mark.parametrize(("origin", "allowed"), [
     (None, True), ("http://localhost:3000", True), ("http://127.0.0.1:8765", True), ("https://good.example", True),
     ("https://evil.example", False), ("null", False), ("http://localhost.evil.example", False), ("http://[", False)])
@@ -504,8 +635,12 @@ def test_no_more_streams_than_the_limit() -> None:
     async def test() -> None:
         async with running(replace(LIMITS, streams=2)) as at:
             async with connect(at.url, Hello(RATE)), connect(at.url, Hello(RATE)):
-                code, reason = await closed_with(at.url)
-                assert code == CloseCode.TOO_MANY_STREAMS and "2 streams" in reason
+                async with open_socket(at.url) as ws:
+                    await ws.send(Hello(RATE).text())
+                    told = json.loads(await ws.recv())
+                assert told["code"] == CloseCode.TOO_MANY_STREAMS and "2 streams" in told["message"]
+                assert 0 < told["retry_after"] < 60
+                assert (await at.get("/readyz"))[0] == 503 and await at.get("/healthz") == (200, "ok\n")
             async with asyncio.timeout(5):
                 while at.server.connections:
                     await asyncio.sleep(0.01)
@@ -568,7 +703,8 @@ def _frame(opcode: int, payload: bytes, mask: bytes = b"\0\0\0\0") -> bytes:
 def test_rude_clients_end_nothing_but_themselves(caplog: pytest.LogCaptureFixture) -> None:
     """Disconnects in the middle of a message and of a handshake, garbage, many connects: one line in the log each."""
     async def test() -> None:
-        async with running(replace(LIMITS, streams=64)) as at, connect(at.url, Hello(RATE)) as other:
+        limits = replace(LIMITS, streams=64, guests=128, address_guests=128)
+        async with running(limits) as at, connect(at.url, Hello(RATE)) as other:
             async def rude(number: int) -> None:
                 reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
                 if number % 4 == 0:

@@ -75,7 +75,8 @@ class Served:
 
 @contextmanager
 def served(*arguments: str) -> Iterator[Served]:
-    at = Served("--port", "0", "--drain-seconds", "5", *arguments)
+    at = Served("--port", "0", "--drain-seconds", "5", "--core-share", "100",
+                    "--address-opens", "1000", *arguments)
     try:
         yield at
     except BaseException:

@@ -110,6 +110,50 @@ def test_pieces_of_one_sample_and_of_none_give_the_same_bytes() -> None:
     assert np.array_equal(joined(parts), from_file(SHORT).rotations)
 
 
+def test_a_call_in_steps_gives_the_same_bytes_a_block_at_a_time() -> None:
+    """A conversation as a scheduler takes it, beside one that makes each call at once."""
+    sound = example()[:round(2 * SHORT * SAMPLE_RATE)]
+    calls: list[tuple[str, Any]] = [("feed", sound[:45_000]), ("idle", 3.1), ("listen", sound[:20_000]),
+                                    ("think", 0.7), ("feed", sound[45_000:70_000]), ("pass_over", 1.3),
+                                    ("feed", sound[70_000:]), ("interrupt", 9.0), ("idle", 2.0), ("finish", None)]
+    whole, stepped = system().stream(seed=3), system().stream(seed=3)
+    for call, value in calls:
+        given = () if value is None else (value,)
+        truth = getattr(whole, call)(*given)
+        parts = list(stepped.steps(call, *given))  # type: ignore[arg-type]
+        assert all(len(part.blocks) <= 1 for part in parts)
+        assert all(len(part) <= 0.7 * FPS for part in parts), "no part is longer than a block and what waited for it"
+        assert parts[0].first == truth.first
+        np.testing.assert_array_equal(np.concatenate([part.rotations for part in parts]), truth.rotations)
+        assert [block for part in parts for block in part.blocks] == list(truth.blocks)
+        assert (stepped.time, stepped.made, stepped.state) == (whole.time, whole.made, whole.state)
+
+
+def test_idling_that_is_closed_ends_at_its_last_frame_and_speech_goes_on_from_there() -> None:
+    stream = system().stream(seed=3)
+    before = [stream.feed(example()[:30_000])]
+    steps = stream.steps("idle", 60.0)
+    for _ in range(12):
+        before.append(next(steps))
+    steps.close()
+    assert stream.time == stream.made / FPS < 12.0
+    after = [stream.feed(example()[30_000:60_000]), stream.finish()]
+    assert stream.made == round((stream.time) * FPS)
+    rotations = joined([*before, *after])
+    hands = positions_of(Motion(stream.skeleton, rotations, np.zeros((len(rotations), 3)), FPS))
+    wrists = hands[:, [stream.skeleton.index(f"{side}Hand") for side in ("Left", "Right")]]
+    assert np.linalg.norm(np.diff(wrists, axis=0), axis=-1).max() * FPS < FASTEST
+
+
+@pytest.mark.parametrize("shape", [(2, 320), (8, 9), (1, 16000)])
+def test_channels_first_are_refused(shape: tuple[int, int]) -> None:
+    stream = system().stream()
+    with pytest.raises(InputError, match="channels"):
+        stream.feed(np.zeros(shape, np.float32))
+    assert stream.time == 0.0
+    assert len(stream.feed(np.zeros((320, 2), np.float32))) == 0 and stream.time == 0.02
+
+
 @pytest.mark.parametrize("asked", [{"legs": True, "fps": 25.0}, {"variation": 2, "hand_height": "low"},
                                    {"interpreter": "statistical", "gain": -6.0}], ids=["legs", "variation", "gain"])
 def test_what_is_asked_of_a_file_is_asked_of_a_stream(asked: dict) -> None:

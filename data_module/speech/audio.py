@@ -69,6 +69,8 @@ _FULL_SCALE = 16.0
 """Largest sample in floating point, times full scale (24 dB), that is clipped; more indicates another unit."""
 _MOST_CHANNELS = 1024
 """Most channels; more indicate that samples and channels are swapped."""
+_USUAL_CHANNELS = 8
+"""Channels (7.1) above which as few samples indicate the same."""
 _OPEN_END = 1 << 40
 """Samples (two years) above which a decoder's length means that it is unknown."""
 _STREAM_PIECE = 1 << 20
@@ -290,6 +292,9 @@ def _as_mono(samples: NDArray[Any]) -> Samples:
     if samples.ndim == 2 and not 1 <= samples.shape[1] <= _MOST_CHANNELS:
         raise InputError("speech", f"is shaped {list(samples.shape)}, which is {samples.shape[1]} channels",
                          "give [n, channels]: samples first")
+    if samples.ndim == 2 and samples.shape[1] > _USUAL_CHANNELS >= samples.shape[0] > 0:
+        raise InputError("speech", f"is shaped {list(samples.shape)}, which looks like [channels, n]",
+                         "give [n, channels]: samples first (transpose it)")
     if samples.dtype.kind in "iu":
         half = 2.0 ** (8 * samples.dtype.itemsize - 1)
         samples = (samples.astype(np.float64) - (half if samples.dtype.kind == "u" else 0.0)) / half

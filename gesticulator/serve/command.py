@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
@@ -11,11 +12,17 @@ from data_module.files import read_text
 from gesticulator.cli import Command
 
 if TYPE_CHECKING:
+    from gesticulator.serve.server import ServerAddress
     from gesticulator.serve.settings import ServerLimits
 
 TOKEN_VARIABLE = "GESTICULATOR_TOKEN"
 """Environment variable with the token, which keeps it out of process lists."""
-_LIMITS = {"streams": "maximum number of streams", "stream_seconds": "maximum duration of a stream",
+_LIMITS = {"streams": "maximum number of streams; fewer are admitted where the measured cost of a stream says so",
+           "address_streams": "maximum number of streams of an address or a tenant; 0 for no limit of its own",
+           "address_opens": "new streams per second of an address or a tenant",
+           "core_share": "computing time per second that may be promised to streams",
+           "resume_seconds": "time for which a lost stream is kept for its client",
+           "stream_seconds": "maximum duration of a stream",
            "waiting_seconds": "maximum of waiting audio", "message_bytes": "maximum message length",
            "unread_bytes": "maximum of unread poses", "drain_seconds": "time for open streams after SIGTERM"}
 """Field of `ServerLimits` -> help of its option."""
@@ -33,6 +40,13 @@ def arguments(p: argparse.ArgumentParser) -> None:
                        "always may); can be repeated")
     where.add_argument("--token-file", metavar="FILE", help="a file with the token that clients must send (or set "
                        f"{TOKEN_VARIABLE})")
+    where.add_argument("--keys-file", metavar="FILE", help="a file of tenants' keys, a line each: TENANT KEY "
+                       "[streams=N] [priority=N]; read again when it changes")
+    where.add_argument("--trusted-proxy", action="append", default=[], metavar="NETWORK",
+                       help="address or network of a proxy that says who a client is (X-Forwarded-For), such as "
+                       "10.0.0.0/8; can be repeated")
+    where.add_argument("--metrics-port", type=int, metavar="PORT", help="port of /metrics, without a token (default: "
+                       "the port of streams, with the token)")
     where.add_argument("--no-token", action="store_true", help="require no token for another --host")
     limits = p.add_argument_group("limits of each worker")
     for name, text in _LIMITS.items():
@@ -55,8 +69,29 @@ def run(args: argparse.Namespace) -> int:
     from gesticulator.serve.launch import Launch, launch
 
     return launch(Launch(
-        host=args.host, port=args.port, origins=tuple(args.origin), token=read_token(args),
-        limits=read_limits(args), workers=args.workers, vmc=args.vmc, bundle=args.bundle, threads=args.threads))
+        address=read_address(args), limits=read_limits(args), workers=args.workers, vmc=args.vmc, bundle=args.bundle,
+        threads=args.threads))
+
+
+def read_address(args: argparse.Namespace) -> ServerAddress:
+    """Where to listen and who may connect; `InputError` for invalid options, and without websockets."""
+    check_library()
+    from gesticulator.serve.door import read_keys
+    from gesticulator.serve.server import ServerAddress
+
+    keys = None if args.keys_file is None else Path(args.keys_file)
+    if keys is not None:
+        read_keys(keys)
+    return ServerAddress(args.host, args.port, tuple(args.origin), read_token(args), keys, tuple(args.trusted_proxy),
+                         args.metrics_port)
+
+
+def check_library() -> None:
+    """`InputError` without the package websockets."""
+    try:
+        import websockets  # noqa: F401
+    except ImportError:
+        raise InputError("serve", "needs the package websockets", "pip install 'gesticulator[live]'") from None
 
 
 def read_limits(args: argparse.Namespace) -> ServerLimits:
@@ -73,8 +108,9 @@ def read_token(args: argparse.Namespace) -> str:
         token = read_text(args.token_file, "write one line into it", 1 << 12).strip()
         if not token:
             raise InputError(args.token_file, "holds no token", "write one into it")
-    if not token and not args.no_token and args.host not in ("127.0.0.1", "::1", "localhost"):
-        raise InputError(f"--host {args.host}", "lets other machines connect", "give a --token-file, or --no-token")
+    if not (token or args.keys_file or args.no_token) and args.host not in ("127.0.0.1", "::1", "localhost"):
+        raise InputError(f"--host {args.host}", "lets other machines connect",
+                         "give a --token-file, a --keys-file, or --no-token")
     return token
 
 
@@ -96,11 +132,13 @@ def live_arguments(p: argparse.ArgumentParser) -> None:
 
 def run_live(args: argparse.Namespace) -> int:
     """Serve the page on this machine until SIGTERM or SIGINT; exit code 0."""
+    check_library()
     from gesticulator.serve.launch import Launch, launch
+    from gesticulator.serve.server import ServerAddress
     from gesticulator.serve.settings import ServerLimits
 
-    limits = ServerLimits(drain_seconds=1.0)
-    return launch(Launch(host="127.0.0.1", port=args.port, origins=(), token="", limits=limits, vmc=args.vmc,
+    limits = ServerLimits(drain_seconds=1.0, core_share=100.0)
+    return launch(Launch(ServerAddress(port=args.port), limits, vmc=args.vmc,
                          bundle=args.bundle, threads=args.threads, live=True, browser=not args.no_browser))
 
 

@@ -24,12 +24,17 @@ from gesticulator.serve.settings import ServerLimits
 
 if TYPE_CHECKING:
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.serve.server import ServerAddress
 
 LOG = logging.getLogger("gesticulator.serve")
 SAMPLE_RATE = 16000
 """Sampling rate of the models, Hz."""
-_WARM_UP = 2
-"""Audio for warming up, seconds: a block or two."""
+_MEASURED, _TRIES = 2, 4
+"""Audio by which the cost of a stream is measured, seconds, and how often; the first answer begins later."""
+_SYLLABLES = 3.5
+"""Syllables per second of it, as of speech: blocks are as long as their beats say."""
+_SENDING = 1.3
+"""Cost of a stream in a server, over that of its models: packets are packed and sent (docs/serve.md: .065 over .05)."""
 _WARM = "warm"
 """Marker file: a worker of this server has warmed up."""
 _TURN_SECONDS = 0.05
@@ -42,13 +47,10 @@ _MOST_SHORT_LIVES = 5
 
 @dataclass(frozen=True)
 class Launch:
-    """The configuration of a server, picklable for workers. vmc: "HOST:PORT" or None; live: serve the page of
-    `gesticulator live`; browser: open it when ready."""
+    """The configuration of a server, picklable for workers. address: where to listen, and who may connect; vmc:
+    "HOST:PORT" or None; live: serve the page of `gesticulator live`; browser: open it when ready."""
 
-    host: str
-    port: int
-    origins: tuple[str, ...]
-    token: str
+    address: ServerAddress
     limits: ServerLimits
     workers: int = 1
     vmc: str | None = None
@@ -61,9 +63,8 @@ class Launch:
 def launch(config: Launch) -> int:
     """Serve until SIGTERM or SIGINT; exit code 0. `InputError` for an invalid configuration."""
     from gesticulator.options import RANGES
-    from gesticulator.serve.server import ServerAddress, log_to_stderr
+    from gesticulator.serve.server import log_to_stderr
 
-    _check_library()
     if not 1 <= config.workers <= _MOST_WORKERS:
         raise InputError(f"--workers {config.workers}", "is out of range", f"choose 1 to {_MOST_WORKERS}")
     RANGES["threads"].check("--threads", config.threads)
@@ -76,32 +77,52 @@ def launch(config: Launch) -> int:
     if config.bundle is not None and not Path(config.bundle).is_dir():
         raise InputError(config.bundle, "is not a folder", "name a trained bundle")
     log_to_stderr()
-    listening = ServerAddress(config.host, config.port, config.origins, config.token).listen()
-    with listening:
+    address = config.address
+    with contextlib.ExitStack() as opened:
+        listening = opened.enter_context(address.listen())
+        figures = None if address.metrics_port is None else opened.enter_context(address.listen(address.metrics_port))
         host, port = listening.getsockname()[:2]
-        LOG.info("listening on ws://%s:%d/stream, /healthz and /metrics", f"[{host}]" if ":" in host else host, port)
+        host = f"[{host}]" if ":" in host else host
+        LOG.info("listening on ws://%s:%d/stream, /healthz, /readyz and /metrics", host, port)
+        if figures is not None:
+            LOG.info("metrics at http://%s:%d/metrics", host, figures.getsockname()[1])
+        sockets = Sockets(listening, figures)
         if config.workers == 1:
-            serve_here(config, listening)
+            serve_here(config, sockets)
         else:
             with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:
-                _Parent(config, listening, Path(folder)).run()
+                _Parent(config, sockets, Path(folder)).run()
     LOG.info("stopped")
     return 0
 
 
-def serve_here(config: Launch, listening: socket.socket, worker: int = 0, folder: Path | None = None) -> None:
+@dataclass(frozen=True)
+class Sockets:
+    """Where a server listens. figures: for metrics alone, or None."""
+
+    listening: socket.socket
+    figures: socket.socket | None = None
+
+    def close(self) -> None:
+        for one in (self.listening, self.figures):
+            if one is not None:
+                one.close()
+
+
+def serve_here(config: Launch, sockets: Sockets, worker: int = 0, folder: Path | None = None) -> None:
     """Load the models and serve in this process until stopped."""
     import asyncio
 
     import torch
 
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.serve.server import LiveServer, ServerAddress
+    from gesticulator.serve.server import LiveServer
     from gesticulator.serve.session import session_opener
 
     torch.set_num_threads(config.threads)
     system = Gesticulator.from_pretrained(config.bundle)
-    _warm_up_in_turn(system, folder)
+    cost = _warm_up_in_turn(system, folder)
+    listening = sockets.listening
 
     async def serve() -> None:
         output = None
@@ -112,20 +133,22 @@ def serve_here(config: Launch, listening: socket.socket, worker: int = 0, folder
         if config.live:
             from gesticulator.serve.page import pages
         server = LiveServer(
-            ServerAddress(config.host, config.port, config.origins, config.token), config.limits,
-            session_opener(system, config.limits), output, pages() if config.live else {}, folder, worker)
-        playing = None if output is None else asyncio.create_task(output.run())
+            config.address, config.limits, session_opener(system, config.limits), output,
+            pages() if config.live else {}, folder, worker, cost)
+        if output is not None:
+            output.start()
         _end_with_parent(server.stop)
-        await server.run(listening, lambda: _tell_ready(config, listening, worker))
-        if playing is not None:
-            playing.cancel()
+        LOG.info("worker %d has room for %d streams", worker, server.room.capacity)
+        await server.run(listening, lambda: _tell_ready(config, listening, worker), sockets.figures)
+        if output is not None:
+            output.stop()
 
     asyncio.run(serve())
 
 
-def _warm_up_in_turn(system: Gesticulator, folder: Path | None) -> None:
-    """Warm up, one worker first and the others after it: numba caches code compiled for librosa in files, and two
-    processes that write them at once crash in a third of cases."""
+def _warm_up_in_turn(system: Gesticulator, folder: Path | None) -> float:
+    """Warm up; returns the cost of a stream. One worker first and the others after it: numba caches code compiled
+    for librosa in files, and two processes that write them at once crash in a third of cases."""
     with contextlib.ExitStack() as held:
         while folder is not None and not (folder / _WARM).exists():
             try:
@@ -133,20 +156,27 @@ def _warm_up_in_turn(system: Gesticulator, folder: Path | None) -> None:
                 break
             except InputError:  # another worker holds it; the system releases the lock if it dies
                 time.sleep(_TURN_SECONDS)
-        _warm_up(system)
+        system.warm()
+        if system.reads_text:
+            system.warm(text=True)
         if folder is not None:
             (folder / _WARM).touch()
+    return _measured_cost(system)
 
 
-def _warm_up(system: Gesticulator) -> None:
-    """Trigger everything that is loaded on first use, so that no client waits for it."""
+def _measured_cost(system: Gesticulator) -> float:
+    """Seconds of the clock that a server needs for a second of speech: the best of a few tries, so that what else the
+    machine does for a moment does not count, plus what goes into sending."""
     import numpy as np
 
-    noise = np.random.default_rng(0).normal(0, 0.05, _WARM_UP * SAMPLE_RATE).astype(np.float32)
-    stream = system.stream()
-    stream.feed(noise)
-    stream.idle(0.5)
-    stream.finish()
+    noise = np.random.default_rng(0).normal(0, 0.1, _MEASURED * SAMPLE_RATE)
+    noise *= np.clip(np.sin(2 * np.pi * _SYLLABLES * np.arange(len(noise)) / SAMPLE_RATE), 0, 1)
+    stream, took = system.stream(latency="low"), []
+    for _ in range(_TRIES):
+        begin = time.perf_counter()
+        stream.feed(noise.astype(np.float32))
+        took.append(time.perf_counter() - begin)
+    return _SENDING * min(took[1:]) / _MEASURED
 
 
 def _end_with_parent(stop: Callable[[], None]) -> None:
@@ -180,28 +210,21 @@ def _tell_ready(config: Launch, listening: socket.socket, worker: int) -> None:
             threading.Thread(target=webbrowser.open, args=(page,), daemon=True).start()
 
 
-def _check_library() -> None:
-    try:
-        import websockets  # noqa: F401
-    except ImportError:
-        raise InputError("serve", "needs the package websockets", "pip install 'gesticulator[live]'") from None
-
-
-def _worker(config: Launch, listening: socket.socket, number: int, folder: str) -> None:
+def _worker(config: Launch, sockets: Sockets, number: int, folder: str) -> None:
     """Main function of a worker process."""
     from data_module.errors import one_line_errors
     from gesticulator.serve.server import log_to_stderr
 
     log_to_stderr()
     with one_line_errors("gesticulator serve"):
-        serve_here(config, listening, number, Path(folder))
+        serve_here(config, sockets, number, Path(folder))
 
 
 class _Parent:
     """Keeps worker processes alive that accept on one socket, and forwards the signal to stop."""
 
-    def __init__(self, config: Launch, listening: socket.socket, folder: Path) -> None:
-        self.config, self.listening, self.folder = config, listening, folder
+    def __init__(self, config: Launch, sockets: Sockets, folder: Path) -> None:
+        self.config, self.sockets, self.folder = config, sockets, folder
         self.context = multiprocessing.get_context("spawn")
         self.workers: dict[int, BaseProcess] = {}
         self.born: dict[int, float] = {}
@@ -219,7 +242,7 @@ class _Parent:
             while self.woken not in wait([self.woken, *(worker.sentinel for worker in self.workers.values())]):
                 self._replace_dead()
         finally:
-            self.listening.close()
+            self.sockets.close()
             for worker in self.workers.values():
                 with contextlib.suppress(OSError):
                     worker.terminate()  # SIGTERM: it drains
@@ -231,7 +254,7 @@ class _Parent:
                     worker.join()
 
     def _start(self, number: int) -> None:
-        worker = self.context.Process(target=_worker, args=(self.config, self.listening, number, str(self.folder)),
+        worker = self.context.Process(target=_worker, args=(self.config, self.sockets, number, str(self.folder)),
                                       name=f"gesticulator-worker-{number}", daemon=True)
         worker.start()
         self.workers[number], self.born[number] = worker, time.monotonic()

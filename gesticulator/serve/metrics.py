@@ -13,7 +13,7 @@ from data_module.errors import InputError
 from data_module.files import read_object
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-BUCKETS = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+BUCKETS = (0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 """Upper bounds of histogram buckets, seconds."""
 _KINDS = {
     "streams": ("gauge", "Open streams."),
@@ -26,9 +26,18 @@ _KINDS = {
     "waiting_seconds": ("gauge", "Seconds of audio waiting to be processed."),
     "unread_bytes": ("gauge", "Bytes of poses waiting to be read by clients."),
     "draining": ("gauge", "1 while the server is stopping."),
+    "capacity_streams": ("gauge", "Streams that fit, by the measured cost of a stream."),
+    "promised_load": ("gauge", "Computing time per second that open streams may need, by the measured cost."),
+    "downgraded_steps": ("gauge", "Steps by which streams are downgraded while compute is short."),
+    "parked": ("gauge", "Lost streams whose state is kept for their clients."),
+    "resumed_total": ("counter", "Streams that a client came back to."),
+    "guests": ("gauge", "Connections that have not sent a valid hello."),
+    "guests_cut_total": ("counter", "Connections cut off before a hello because there were too many."),
+    "wrong_tokens_total": ("counter", "Hellos with a wrong token."),
+    "stuck_seconds": ("gauge", "Time since the turn that is computed began."),
     "closed_total": ("counter", "Closed connections, by code."),
     "refused_total": ("counter", "Requests refused before becoming a stream, by HTTP status."),
-    "compute_seconds": ("histogram", "Time to process one piece of a stream (at most half a second of audio)."),
+    "compute_seconds": ("histogram", "Time of a turn of a stream: at most a block, or 30 ms."),
     "late_seconds": ("histogram", "Delay of processing behind playback when a piece is taken up."),
     "answer_seconds": ("histogram", "Time from the arrival of audio to the end of its processing."),
 }
@@ -59,6 +68,12 @@ class ServerMetrics:
     def add(self, name: str, amount: float = 1.0) -> None:
         """Add to a counter or a gauge."""
         self.numbers[name] += amount
+        if _KINDS[name][0] == "gauge" and self.numbers[name] < 1e-9:
+            self.numbers[name] = 0.0  # sums of floats end a little above or below it
+
+    def set(self, name: str, value: float) -> None:
+        """Set a gauge."""
+        self.numbers[name] = max(0.0, value)
 
     def count(self, name: str, code: int) -> None:
         """Count an event with a code."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import struct
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -28,6 +29,8 @@ _PLACES = (
 )
 _PCM16_FULL = 32768.0
 """Full scale of 16-bit audio."""
+_HALF_IN_TOKEN = re.compile(r'"token"\s*:\s*"[^"]*\\u[dD][89a-fA-F]')
+"""A token with a surrogate, which is no character by itself, and so no valid JSON."""
 _MOST_SAMPLE = 1e4
 """Largest float sample: full scale is 1; 16-bit values sent as floats by mistake reach 32768."""
 
@@ -50,8 +53,9 @@ class CloseCode(IntEnum):
 class RefusedError(Exception):
     """Closes a connection with a code and a reason for the client."""
 
-    def __init__(self, code: CloseCode, reason: str) -> None:
-        self.code, self.reason = code, reason
+    def __init__(self, code: CloseCode, reason: str, retry_after: float | None = None) -> None:
+        """retry_after: seconds after which the client may try again."""
+        self.code, self.reason, self.retry_after = code, reason, retry_after
         super().__init__(reason)
 
 
@@ -78,6 +82,9 @@ class StreamRequest:
     output: str = "joints"
     options: dict[str, Any] = field(default_factory=dict)
     token: str = ""
+    resumable: bool = False
+    resume: dict[str, Any] | None = None
+    """The session to go on with, and how many of the server's messages came; see the schema."""
 
     @property
     def keeps_up(self) -> bool:
@@ -123,7 +130,12 @@ def read_message(text: str) -> dict[str, Any]:
 
 def read_hello(text: str) -> StreamRequest:
     """Parse a client's first message; `RefusedError` if it is not a hello."""
-    message = read_message(text)
+    try:
+        message = read_message(text)
+    except RefusedError:
+        if _HALF_IN_TOKEN.search(text):
+            raise RefusedError(CloseCode.BAD_TOKEN, "the token holds half a character") from None
+        raise
     if message.pop("type") != "hello":
         raise RefusedError(CloseCode.BAD_MESSAGE, "the first message must be a hello")
     del message["protocol"]

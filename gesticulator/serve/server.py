@@ -1,4 +1,4 @@
-"""The server: WebSocket streams, `/healthz` and `/metrics` on one port, and one compute thread for all streams."""
+"""The server: WebSocket streams, health and metrics on one port, and one compute thread for all streams."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ import asyncio
 import contextlib
 import errno
 import http
+import ipaddress
 import itertools
 import json
 import logging
+import math
+import os
 import signal
 import socket
 import sys
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -25,9 +28,13 @@ from websockets.http11 import Request, Response
 
 from data_module.errors import InputError
 from gesticulator.serve.connection import CLOSE_SECONDS, Connection, Workplace
+from gesticulator.serve.door import Door, Keys, Tenant, network_of
+from gesticulator.serve.governor import PRIOR_COST, RETRY_SECONDS, REVIEW_SECONDS, Governor, Room
 from gesticulator.serve.metrics import CONTENT_TYPE, ServerMetrics, exposition, read_figures, write_figures
+from gesticulator.serve.pace import Effort
 from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, published
-from gesticulator.serve.settings import SOCKET_BYTES, ServerLimits
+from gesticulator.serve.scheduler import Account, Scheduler
+from gesticulator.serve.settings import OPENS_AT_ONCE, SOCKET_BYTES, ServerLimits
 
 if TYPE_CHECKING:
     from gesticulator.serve.session import Session
@@ -38,6 +45,12 @@ ANSWER_SECONDS = 10.0
 """Least time for finishing received audio when the server stops, seconds."""
 SAVE_SECONDS = 1.0
 """Interval in seconds at which a worker writes its metrics for the others."""
+STUCK_SECONDS = 5.0
+"""Time of a turn, which takes 30 ms, after which `/healthz` fails."""
+DEAD_SECONDS = 60.0
+"""The same after which a worker that others replace ends itself."""
+OPEN_SECONDS = 5.0
+"""Time for a client to send its HTTP request."""
 _BACKLOG = 512
 """Connections waiting to be accepted: enough for a burst of hundreds per second."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
@@ -52,31 +65,53 @@ class ServerAddress:
     """Where to listen, and who may connect.
 
     port: 0 for any free one. origins: web pages that may connect, such as "https://example.org"; pages of this machine
-    and clients other than browsers always may. token: required in a client's hello; "" for none.
+    and clients other than browsers always may. token: required in a client's hello, and for `/metrics`; "" for none.
+    keys: a file of tenants' keys, see `Keys`. proxies: networks of proxies that are believed about who a client is
+    (X-Forwarded-For). metrics_port: where `/metrics` is, without a token, in place of the port of streams.
     """
 
     host: str = "127.0.0.1"
     port: int = 8765
     origins: tuple[str, ...] = ()
     token: str = ""
+    keys: Path | None = None
+    proxies: tuple[str, ...] = ()
+    metrics_port: int | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65535:
-            raise InputError(f"port {self.port}", "is not a port", "choose 0 (any free one) to 65535")
+        for port in (self.port, self.metrics_port or 0):
+            if not 0 <= port <= 65535:
+                raise InputError(f"port {port}", "is not a port", "choose 0 (any free one) to 65535")
+        for network in self.proxies:
+            try:
+                ipaddress.ip_network(network)
+            except ValueError:
+                raise InputError(f"--trusted-proxy {network}", "is not an address or a network",
+                                 "such as 10.0.0.0/8") from None
 
     @property
     def local(self) -> bool:
         """Whether only this machine can connect."""
         return self.host in _LOOPBACK
 
-    def listen(self) -> socket.socket:
-        """Open a listening socket; `InputError` if that fails."""
+    def believed(self, address: str) -> bool:
+        """Whether it is the address of a trusted proxy."""
+        try:
+            found = ipaddress.ip_address(address.partition("%")[0])
+        except ValueError:
+            return False
+        return any(found in ipaddress.ip_network(network) for network in self.proxies)
+
+    def listen(self, port: int | None = None) -> socket.socket:
+        """Open a listening socket, at another port than that of streams if one is given; `InputError` if that
+        fails."""
+        port = self.port if port is None else port
         try:
             family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
-            listening = socket.create_server((self.host, self.port), family=family, backlog=_BACKLOG)
+            listening = socket.create_server((self.host, port), family=family, backlog=_BACKLOG)
         except (OSError, UnicodeError) as error:
             taken = getattr(error, "errno", None) == errno.EADDRINUSE
-            raise InputError(f"{self.host}:{self.port}", "is taken" if taken else f"cannot be listened on ({error})",
+            raise InputError(f"{self.host}:{port}", "is taken" if taken else f"cannot be listened on ({error})",
                              "choose another --port" if taken else "choose another --host or --port") from None
         for direction in (socket.SO_SNDBUF, socket.SO_RCVBUF):
             listening.setsockopt(socket.SOL_SOCKET, direction, SOCKET_BYTES)  # connections inherit it
@@ -98,7 +133,8 @@ class LiveServer:
     """Serves streams until stopped.
 
     open_session: creates a session for a stream's name and request; output: also receives the motion; pages: URL path
-    -> file; folder: where workers of one server share their metrics.
+    -> file; folder: where workers of one server share their metrics; cost: computing time of a second of speech,
+    seconds, as measured before the first stream; None for the usual one.
     """
 
     address: ServerAddress
@@ -108,13 +144,19 @@ class LiveServer:
     pages: Mapping[str, Page] = field(default_factory=dict)
     folder: Path | None = None
     worker: int = 0
+    cost: float | None = None
 
     def __post_init__(self) -> None:
         self.metrics = ServerMetrics(self.worker)
         self.connections: set[Connection] = set()
         self.draining = False
         # One thread: Python runs one at a time. Use more workers for more cores.
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="compute")
+        self.scheduler = Scheduler()
+        self.governor = Governor(self.limits.core_share, self.limits.streams,
+                                 PRIOR_COST if self.cost is None else self.cost)
+        self.door = Door(self.limits.guests, self.limits.address_guests)
+        self.keys = Keys(self.address.token, self.address.keys)
+        self._accounts: dict[str, Account] = {}
         self._numbers = itertools.count(1)
         self._stop = asyncio.Event()
         self._save_failed = False
@@ -127,55 +169,148 @@ class LiveServer:
                 connection.socket.transport.abort()
         self._stop.set()
 
-    async def run(self, listening: socket.socket, ready: Callable[[], None] | None = None) -> None:
-        """Serve on a listening socket until `stop`, SIGTERM or SIGINT."""
+    async def run(self, listening: socket.socket, ready: Callable[[], None] | None = None,
+                  figures: socket.socket | None = None) -> None:
+        """Serve on a listening socket until `stop`, SIGTERM or SIGINT. figures: where health and metrics are served
+        besides."""
         published()  # report a missing schema before anyone connects
         loop = asyncio.get_running_loop()
         for name in (signal.SIGTERM, signal.SIGINT):
             with contextlib.suppress(NotImplementedError, ValueError, RuntimeError):  # Windows; not the main thread
                 loop.add_signal_handler(name, self.stop)
         await self._save()  # so that each worker can report the metrics of all ready ones
-        server = await serve(
-            self._serve_one, sock=listening, process_request=self._answer, select_subprotocol=_subprotocol,
-            max_size=self.limits.message_bytes, max_queue=_SOUND_QUEUE, compression=None, open_timeout=10,
-            ping_interval=_PING_SECONDS, ping_timeout=_PING_SECONDS, close_timeout=CLOSE_SECONDS, logger=_quiet(),
-            server_header=None)
-        saver = asyncio.create_task(self._keep_saving())
+        self.scheduler.start()
+        server = await self._listen(listening, self._answer)
+        inner = None if figures is None else await self._listen(figures, self._tell)
+        tasks = [asyncio.create_task(self._keep_saving()), asyncio.create_task(self._keep_reviewing())]
         try:
             if ready is not None:
                 ready()
             await self._stop.wait()
             await self._drain(server)
         finally:
-            saver.cancel()
-            server.close()
-            await server.wait_closed()
-            self._thread.shutdown(wait=False, cancel_futures=True)
+            for task in tasks:
+                task.cancel()
+            for one in (server, inner):
+                if one is not None:
+                    one.close()
+                    await one.wait_closed()
+            self.scheduler.stop()
 
-    async def compute(self, job: Callable[[], Any]) -> Any:
-        """Run a job in the compute thread, after those queued."""
-        return await asyncio.get_running_loop().run_in_executor(self._thread, job)
+    async def _listen(self, listening: socket.socket, answer: Callable[..., Any]) -> Server:
+        return await serve(
+            self._serve_one, sock=listening, process_request=answer, select_subprotocol=_subprotocol,
+            create_connection=partial(_Guest, self),  # type: ignore[arg-type]  # any factory will do
+            max_size=self.limits.message_bytes, max_queue=_SOUND_QUEUE,
+            compression=None, open_timeout=OPEN_SECONDS, ping_interval=_PING_SECONDS, ping_timeout=_PING_SECONDS,
+            close_timeout=CLOSE_SECONDS, logger=_quiet(), server_header=None)
 
-    async def _serve_one(self, ws: ServerConnection) -> None:
-        name = f"{self.worker}-{next(self._numbers)}"
-        place = Workplace(self.limits, self.metrics, self.compute, self.open_session, self.output, self.address.token)
-        connection = Connection(ws, name, place)
-        if self.draining or len(self.connections) >= self.limits.streams:
-            code = CloseCode.GOING_AWAY if self.draining else CloseCode.TOO_MANY_STREAMS
-            reason = "the server is shutting down" if self.draining else \
-                f"the server has its {self.limits.streams} streams"
-            await connection.refuse(RefusedError(code, reason))
-            self._log(connection)
-            return
+    # ------------------------------------------------------------ streams
+
+    def admit(self, connection: Connection, request: StreamRequest) -> Connection | None:
+        """Give a connection a place, or find the stream that it resumes; see `Host`."""
+        tenant = self.keys.tenant(request.token)
+        if tenant is None:
+            self.door.wrong(connection.address)
+            self.metrics.add("wrong_tokens_total")
+            raise RefusedError(CloseCode.BAD_TOKEN, "the token is lacking or wrong")
+        self.door.leave(connection.socket)  # type: ignore[arg-type]
+        connection.tenant = tenant.name
+        if request.resume is not None:
+            for other in self.connections:
+                if other.session == request.resume["session"] and other.tenant == tenant.name:
+                    return other
+        self._check_room(connection, tenant)
+        connection.priority = tenant.priority
+        connection.member.account = self._account(tenant.name or connection.address)
         self.connections.add(connection)
         self.metrics.add("streams")
         self.metrics.add("streams_total")
+        return None
+
+    def _check_room(self, connection: Connection, tenant: Tenant) -> None:
+        """`RefusedError` if there is no place for another stream. Streams whose clients are gone give way."""
+        if self.draining:
+            raise RefusedError(CloseCode.GOING_AWAY, "the server is shutting down", retry_after=1.0)
+        client = f"tenant {tenant.name}" if tenant.name else connection.address
+        wait = self.door.open_wait(client, self.limits.address_opens, OPENS_AT_ONCE)
+        if wait > 0:
+            raise RefusedError(CloseCode.TOO_MANY_STREAMS, "this client opens streams too fast", math.ceil(wait))
+        same = [one for one in self.connections if (one.tenant == tenant.name if tenant.name
+                                                    else one.address == connection.address)]
+        most = tenant.streams or self.limits.address_streams
+        room = self.room
+        for full, streams in ((bool(most) and len(same) >= most, same), (not room.open, list(self.connections))):
+            parked = [one for one in streams if one.parked]
+            if full and not parked:
+                reason = room.reason if streams is not same else f"there are {len(same)} streams of this client"
+                raise RefusedError(CloseCode.TOO_MANY_STREAMS, reason, RETRY_SECONDS)
+            if full:
+                parked[0].give_up()
+                self.connections.discard(parked[0])
+                self.metrics.add("streams", -1)
+                return
+
+    @property
+    def room(self) -> Room:
+        """Whether another stream would be admitted."""
+        return self.governor.room(len(self.connections))
+
+    def _account(self, name: str) -> Account:
+        """What all streams of a tenant or an address share; forgotten with the last of them."""
+        account = self._accounts.setdefault(name, Account(name))
+        used = {one.member.account.name for one in self.connections}
+        for gone in [other for other in self._accounts if other not in used and other != name]:
+            del self._accounts[gone]
+        return account
+
+    def effort(self, connection: Connection) -> Effort:
+        """How a stream is served while compute is short."""
+        return self.governor.effort(connection, self.governor.ranked(self._by_age())) if self.governor.depth \
+            else Effort.FULL
+
+    def worked(self, seconds: float, took: float) -> None:
+        """Seconds of speech took so much computing."""
+        self.governor.worked(seconds, took)
+
+    def _by_age(self) -> list[Connection]:
+        return sorted(self.connections, key=lambda one: one.number)
+
+    async def _keep_reviewing(self) -> None:
+        while True:
+            await asyncio.sleep(REVIEW_SECONDS)
+            self.governor.review(self._by_age())
+            if self.folder is not None and self.scheduler.stuck_seconds > DEAD_SECONDS:
+                LOG.error("worker %d computes one turn for more than %g s: it ends, to be replaced", self.worker,
+                          DEAD_SECONDS)
+                os._exit(70)
+
+    async def _serve_one(self, ws: ServerConnection) -> None:
+        number = next(self._numbers)
+        place = Workplace(self.limits, self.metrics, self.scheduler, self.open_session, self, self.output)
+        connection = Connection(ws, f"{self.worker}-{number}", place, self._address_of(ws, ws.request))
+        connection.number = number
         try:
-            await connection.run()
+            if self.draining:
+                await connection.refuse(RefusedError(CloseCode.GOING_AWAY, "the server is shutting down", 1.0))
+            else:
+                await connection.run()
         finally:
-            self.connections.discard(connection)
-            self.metrics.add("streams", -1)
+            self.door.leave(ws)  # type: ignore[arg-type]
+            if connection in self.connections:
+                self.connections.discard(connection)
+                self.metrics.add("streams", -1)
             self._log(connection)
+
+    def _address_of(self, ws: ServerConnection, request: Request | None) -> str:
+        """The client's address, by a trusted proxy's word if it came through one."""
+        peer = ws.remote_address
+        address = str(peer[0]) if peer else ""
+        if request is not None and self.address.believed(address):
+            for told in reversed(",".join(request.headers.get_all("X-Forwarded-For")).split(",")):
+                if told.strip() and not self.address.believed(told.strip()):
+                    return network_of(told.strip())
+        return network_of(address)
 
     def _log(self, connection: Connection) -> None:
         self.metrics.count("closed_total", connection.code)
@@ -201,7 +336,7 @@ class LiveServer:
     async def _wait_for_streams(self, seconds: float) -> None:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                while self.connections:
+                while any(not one.parked for one in self.connections):
                     await asyncio.sleep(0.02)
 
     async def _keep_saving(self) -> None:
@@ -213,6 +348,7 @@ class LiveServer:
         """Write the metrics for the other workers, in a thread so that a slow disk blocks no stream."""
         if self.folder is None:
             return
+        self._measure()
         text = json.dumps(self.metrics.figures())
         try:
             await asyncio.to_thread(write_figures, self.folder, self.worker, text)
@@ -229,20 +365,80 @@ class LiveServer:
         """None to open a WebSocket, else the HTTP response."""
         path = request.path.partition("?")[0]
         if path == published()["path"]:
-            origin = request.headers.get("Origin")
-            if origin is None or self._may(origin):
-                return None
-            return self._refusal(http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect; see --origin\n")
+            return self._opening(ws, request)
+        if path == "/metrics" and self.address.metrics_port is not None:
+            return self._refusal(http.HTTPStatus.NOT_FOUND, "the metrics are at another port\n")
+        if path == "/metrics" and not self._may_read(request):
+            refused = self._refusal(http.HTTPStatus.UNAUTHORIZED, "send Authorization: Bearer TOKEN\n")
+            refused.headers["WWW-Authenticate"] = "Bearer"
+            return refused
+        if path in self.pages:
+            return _response(http.HTTPStatus.OK, self.pages[path].body, self.pages[path].kind)
+        return await self._tell(ws, request)
+
+    async def _tell(self, ws: ServerConnection, request: Request) -> Response:
+        """Health and metrics."""
+        path = request.path.partition("?")[0]
         if path == "/healthz":
-            return self._refusal(http.HTTPStatus.SERVICE_UNAVAILABLE, "stopping\n") if self.draining \
-                else _response(http.HTTPStatus.OK, b"ok\n", "text/plain; charset=utf-8")
+            return self._health()
+        if path == "/readyz":
+            return self._readiness()
         if path == "/metrics":
+            self._measure()
             others = [] if self.folder is None else await asyncio.to_thread(read_figures, self.folder, self.worker)
             text = exposition([self.metrics.figures(), *others])
             return _response(http.HTTPStatus.OK, text.encode(), CONTENT_TYPE)
-        if path in self.pages:
-            return _response(http.HTTPStatus.OK, self.pages[path].body, self.pages[path].kind)
-        return self._refusal(http.HTTPStatus.NOT_FOUND, f"there are {published()['path']}, /healthz and /metrics\n")
+        return self._refusal(http.HTTPStatus.NOT_FOUND,
+                             f"there are {published()['path']}, /healthz, /readyz and /metrics\n")
+
+    def _opening(self, ws: ServerConnection, request: Request) -> Response | None:
+        """None for a WebSocket that may be opened."""
+        origin = request.headers.get("Origin")
+        if origin is not None and not self._may(origin):
+            return self._refusal(http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect; see --origin\n")
+        address = self._address_of(ws, request)
+        wait = self.door.wait(address)
+        if wait > 0:
+            refused = self._refusal(http.HTTPStatus.TOO_MANY_REQUESTS, "too many wrong tokens from this address\n")
+            refused.headers["Retry-After"] = str(math.ceil(wait))
+            return refused
+        self.metrics.add("guests_cut_total", self.door.enter(ws, address))  # type: ignore[arg-type]
+        return None
+
+    def _may_read(self, request: Request) -> bool:
+        """Whether a request may read the metrics: with the server's own token, if there are tokens."""
+        if not self.keys:
+            return True
+        kind, _, token = request.headers.get("Authorization", "").partition(" ")
+        return kind.lower() == "bearer" and self.keys.tenant(token.strip()) == Tenant()
+
+    def _health(self) -> Response:
+        """Whether the server works: its compute thread goes on, and it is not stopping."""
+        stuck = self.scheduler.stuck_seconds
+        if stuck > STUCK_SECONDS:
+            return self._refusal(http.HTTPStatus.SERVICE_UNAVAILABLE, f"one turn has been computed for {stuck:.0f} s\n")
+        return self._refusal(http.HTTPStatus.SERVICE_UNAVAILABLE, "stopping\n") if self.draining \
+            else _response(http.HTTPStatus.OK, b"ok\n", "text/plain; charset=utf-8")
+
+    def _readiness(self) -> Response:
+        """Whether another stream would be admitted, and what the server has room for."""
+        health, room = self._health(), self.room
+        if health.status_code != http.HTTPStatus.OK:
+            return health
+        if not room.open:
+            refused = self._refusal(http.HTTPStatus.SERVICE_UNAVAILABLE, f"full: {room.reason}\n")
+            refused.headers["Retry-After"] = str(math.ceil(RETRY_SECONDS))
+            return refused
+        text = f"ok: {room.streams} of {room.capacity} streams\n"
+        return _response(http.HTTPStatus.OK, text.encode(), "text/plain; charset=utf-8")
+
+    def _measure(self) -> None:
+        """Bring the gauges up to date that nothing else counts."""
+        room = self.room
+        for name, value in (("capacity_streams", room.capacity), ("promised_load", room.load),
+                            ("downgraded_steps", self.governor.depth), ("guests", len(self.door)),
+                            ("stuck_seconds", self.scheduler.stuck_seconds)):
+            self.metrics.set(name, value)
 
     def _refusal(self, status: http.HTTPStatus, text: str) -> Response:
         self.metrics.count("refused_total", status)
@@ -261,6 +457,30 @@ class LiveServer:
         except ValueError:
             return False
         return self.address.local and host in _LOOPBACK
+
+
+class _Guest(ServerConnection):
+    """A connection that is counted from its first byte until its hello or its end."""
+
+    def __init__(self, server: LiveServer, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._live = server
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        peer = transport.get_extra_info("peername")
+        address = str(peer[0]) if peer else ""
+        # Behind a proxy, whose client it is becomes known with the request.
+        known = "" if self._live.address.believed(address) else network_of(address)
+        self._live.metrics.add("guests_cut_total", self._live.door.enter(self, known))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._live.door.leave(self)
+        super().connection_lost(exc)
+
+    def cut(self) -> None:
+        """End the connection at once: there are too many like it."""
+        self.transport.abort()
 
 
 def _subprotocol(ws: ServerConnection, offered: Any) -> Any:

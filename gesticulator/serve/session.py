@@ -1,11 +1,11 @@
-"""A stream without networking: samples and commands in, packets and events out."""
+"""A stream without networking: samples and commands in, packets and events out, a step at a time."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -33,8 +33,7 @@ class SessionFacts:
 
 @dataclass
 class SessionAnswer:
-    """The result of one piece of processing. messages: packets (bytes) and events (text), in order; frames: the same
-    poses."""
+    """The result of some processing. messages: packets (bytes) and events (text), in order; frames: the same poses."""
 
     messages: list[bytes | str] = field(default_factory=list)
     frames: list[StreamFrames] = field(default_factory=list)
@@ -42,6 +41,11 @@ class SessionAnswer:
     def say(self, kind: str, **values: Any) -> None:
         """Add an event."""
         self.messages.append(json.dumps({"type": kind, **values}))
+
+
+Work: TypeAlias = Generator[SessionAnswer, None, None]
+"""Processing in steps of at most a block (15 ms of processor time), each done when it is asked for; see
+`Stream.steps`."""
 
 
 class Session:
@@ -63,6 +67,11 @@ class Session:
         """Least duration of the avatar's audio that produces output, seconds."""
         return self._stream.lacking
 
+    @property
+    def until(self) -> float:
+        """Media time up to which there are frames, seconds."""
+        return self._stream.made / self.request.fps
+
     def unplayed(self, seconds: float) -> None:
         """Record that the last `seconds` sent cannot have been played yet, so that an interruption can take them
         back."""
@@ -82,61 +91,67 @@ class Session:
                        "stream_seconds": limits.stream_seconds},
         }
 
-    def feed(self, samples: Samples, heard: bool = False, effort: Effort = Effort.FULL) -> SessionAnswer:
+    def feed(self, samples: Samples, heard: bool = False, effort: Effort = Effort.FULL) -> Work:
         """Process audio of the avatar or, with `heard`, of another speaker."""
         seconds = len(samples) / self.request.sample_rate
         self._received += seconds
         if heard:
-            return self._answer(self._stream.listen(samples))
+            yield from map(self._answer, self._stream.steps("listen", samples))
+            return
         if effort == Effort.NONE:
             self._skipped += seconds
-            frames = self._pass_over(seconds)
+            yield from self._pass_over(seconds)
         else:
             self._stream.hurried = effort == Effort.LESS
-            frames = self._stream.feed(samples)
-        answer = self._answer(frames)
+            yield from map(self._answer, self._stream.steps("feed", samples))
         if effort != self._effort or effort == Effort.NONE:
             self._effort = effort
+            answer = SessionAnswer()
             answer.say("pace", effort=str(effort.value), passed=round(self._skipped, 6))
-        return answer
+            yield answer
 
-    def obey(self, message: dict[str, Any]) -> SessionAnswer:
+    def obey(self, message: dict[str, Any]) -> Work:
         """Execute a client's command; see the schema."""
         kind = message["type"]
         if kind in ("idle", "think"):
-            return self.wait(kind, float(message.get("seconds", 0.0)))
-        if kind == "interrupt":
+            yield from self.wait(kind, float(message.get("seconds", 0.0)))
+        elif kind == "interrupt":
             at = message.get("time")
             self._words = [word for word in self._words if at is not None and word.start < at]
-            return self._answer(self._interrupt(None if at is None else float(at)))
-        if kind == "words":
-            return self._add_words(message["words"])
-        if kind == "finish":
-            # A stream without input has no remaining frames.
-            answer = self._answer(self._stream.finish()) if self._stream.time > 0 else SessionAnswer()
+            yield from map(self._answer, self._interrupt(None if at is None else float(at)))
+        elif kind == "words":
+            self._add_words(message["words"])
+        elif kind == "finish":
+            if self._stream.time > 0:  # a stream without input has no remaining frames
+                yield from map(self._answer, self._stream.steps("finish"))
+            answer = SessionAnswer()
             answer.say("done", frames=self._stream.made)
-            return answer
-        return SessionAnswer()  # listen and speak affect the audio that follows
+            yield answer
+        # listen and speak affect the audio that follows
 
-    def wait(self, kind: str, seconds: float) -> SessionAnswer:
-        """Advance media time without audio. kind: "idle" or "think"."""
-        return self._answer(self._stream.think(seconds) if kind == "think" else self._stream.idle(seconds))
+    def wait(self, kind: str, seconds: float) -> Work:
+        """Advance media time without audio. kind: "idle" or "think". Closing the iterator ends it at the last frame."""
+        steps = self._stream.steps("think" if kind == "think" else "idle", seconds)
+        try:
+            for frames in steps:
+                yield self._answer(frames)
+        finally:
+            steps.close()
 
-    def _pass_over(self, seconds: float) -> StreamFrames:
-        frames = self._stream.pass_over(seconds)
+    def _pass_over(self, seconds: float) -> Work:
+        yield from map(self._answer, self._stream.steps("pass_over", seconds))
         later = [word for word in self._words if word.start >= self._stream.time]
         if later:
             self._stream.add_words(later)  # only words of the skipped audio are dropped
-        return frames
 
-    def _interrupt(self, at: float | None) -> StreamFrames:
+    def _interrupt(self, at: float | None) -> list[StreamFrames]:
         stream = self._stream
         try:
-            return stream.interrupt(None if at is None else min(at, stream.time))
+            return list(stream.steps("interrupt", None if at is None else min(at, stream.time)))
         except InputError:  # too long ago to take back: stop after what was sent
-            return stream.interrupt(None)
+            return list(stream.steps("interrupt", None))
 
-    def _add_words(self, entries: list[dict[str, Any]]) -> SessionAnswer:
+    def _add_words(self, entries: list[dict[str, Any]]) -> None:
         if not self.request.options.get("text", False):
             raise RefusedError(CloseCode.BAD_MESSAGE, "words came for a stream without the option text")
         try:
@@ -147,7 +162,6 @@ class Session:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {_MOST_WORDS} words wait for their sound")
         spoken = self._stream.add_words(words)
         self._words = sorted([*self._words, *spoken], key=lambda word: word.start)
-        return SessionAnswer()
 
     def _answer(self, frames: StreamFrames) -> SessionAnswer:
         answer = SessionAnswer()

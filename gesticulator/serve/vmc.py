@@ -1,16 +1,17 @@
 """Sends poses by the Virtual Motion Capture protocol (OSC over UDP), which avatar programs receive.
 
-Each frame is one OSC bundle: the model's availability, the sender's time, the root, and every bone of the VRM humanoid
-under its Unity name, with position and rotation in the parent bone's frame. Unity's axes are left-handed: Y up, the
-character faces +Z, and its left is -X. Ours are their mirror image in X.
+Each frame is some OSC bundles, each small enough for one packet of a network: the model's availability, the sender's
+time, the root, and every bone of the VRM humanoid under its Unity name, with position and rotation in the parent bone's
+frame. Unity's axes are left-handed: Y up, the character faces +Z, and its left is -X. Ours are their mirror image in X.
+Frames are sent from a thread of its own, so that their pace does not depend on what the server computes.
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import socket
 import struct
+import threading
 import time
 from bisect import bisect_right
 from dataclasses import dataclass
@@ -28,12 +29,16 @@ if TYPE_CHECKING:
     from gesticulator.export.nodes import NodeMotion
     from gesticulator.stream import StreamFrames
 
+RATE = 60.0
+"""Hertz at which the output looks for a first frame."""
 PORT = 39539
 """Usual port of receivers."""
 LATEST = 0.25
 """Delay of frames in seconds above which the playback clock is reset; smaller delays are caught up."""
 MOST_SECONDS = 600.0
 """Most motion waiting to be played, seconds."""
+DATAGRAM = 1400
+"""Bytes of a datagram at most: a larger one is cut into parts on the way, and lost with any of them."""
 _BUNDLE = b"#bundle\0" + struct.pack(">Q", 1)
 """Header of a bundle for immediate use."""
 _THUMB = {"Metacarpal": "Proximal", "Proximal": "Intermediate", "Distal": "Distal"}
@@ -94,12 +99,21 @@ class VmcFrames:
     def __len__(self) -> int:
         return len(self._numbers)
 
-    def bundle(self, frame: int, seconds: float) -> bytes:
-        """A frame as a bundle; seconds: the sender's time."""
+    def bundles(self, frame: int, seconds: float) -> list[bytes]:
+        """A frame as bundles of at most `DATAGRAM` bytes; seconds: the sender's time."""
         messages = [*_available(1, seconds), _ROOT + struct.pack(">7f", 0, 0, 0, 0, 0, 0, 1)]
         numbers = self._numbers[frame].astype(">f4").tobytes()
         messages += [head + numbers[28 * bone:28 * bone + 28] for bone, head in enumerate(self._heads)]
-        return _bundled(messages + (self._faces[frame] if self._faces else []))
+        messages += self._faces[frame] if self._faces else []
+        parts: list[list[bytes]] = [[]]
+        size = len(_BUNDLE)
+        for message in messages:
+            if size + 4 + len(message) > DATAGRAM:
+                parts.append([])
+                size = len(_BUNDLE)
+            parts[-1].append(message)
+            size += 4 + len(message)
+        return [_bundled(part) for part in parts]
 
 
 _BLENDS = {"aa": "A", "ih": "I", "ou": "U", "ee": "E", "oh": "O", "blink": "Blink", "happy": "Joy", "sad": "Sorrow"}
@@ -183,7 +197,9 @@ class VmcOutput:
         self.host, self.port = read_target(target)
         self.stream: str | None = None
         self._parts: list[_Played] = []
-        self._came = asyncio.Event()
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
         self._begin = time.monotonic()
         self._zero = 0.0
         """time.monotonic() of frame 0."""
@@ -200,53 +216,66 @@ class VmcOutput:
         first, fps = frames.first, frames.fps
         if self.stream not in (None, stream):
             return
-        now = time.monotonic()
-        if self.stream is None or now > self._zero + first / fps + LATEST:
-            self._zero = now - first / fps
-        self.stream = stream
-        self._parts = [part for part in self._parts if part.first < first]
-        if first / fps < now - self._zero + MOST_SECONDS:
-            self._parts.append(_Played(first, VmcFrames(frames.motion(), frames.face)))
-            self._came.set()
+        made = VmcFrames(frames.motion(), frames.face)
+        with self._lock:
+            now = time.monotonic()
+            if self.stream is None or now > self._zero + first / fps + LATEST:
+                self._zero = now - first / fps
+            self.stream = stream
+            self._parts = [part for part in self._parts if part.first < first]
+            if first / fps < now - self._zero + MOST_SECONDS:
+                self._parts.append(_Played(first, made))
 
     def leave(self, stream: str) -> None:
         """End a stream. Its remaining frames are played unless another stream adds frames."""
         if self.stream == stream:
             self.stream = None
 
-    def due(self, now: float) -> bytes | None:
-        """The bundle of the frame due at a time of time.monotonic(), or of the last frame."""
-        if not self._parts:
-            return None
-        fps = self._parts[0].frames.fps
-        frame = int((now - self._zero) * fps)
-        place = max(bisect_right([part.first for part in self._parts], frame) - 1, 0)
-        del self._parts[:place]
-        part = self._parts[0]
-        end = self._parts[1].first if len(self._parts) > 1 else part.first + len(part.frames)
+    def due(self, now: float) -> list[bytes] | None:
+        """The bundles of the frame due at a time of time.monotonic(), or of the last frame."""
+        with self._lock:
+            if not self._parts:
+                return None
+            fps = self._parts[0].frames.fps
+            frame = int((now - self._zero) * fps)
+            place = max(bisect_right([part.first for part in self._parts], frame) - 1, 0)
+            del self._parts[:place]
+            part = self._parts[0]
+            end = self._parts[1].first if len(self._parts) > 1 else part.first + len(part.frames)
         at = min(max(frame, part.first), end - 1) - part.first
-        return part.frames.bundle(min(at, len(part.frames) - 1), now - self._begin)
+        return part.frames.bundles(min(at, len(part.frames) - 1), now - self._begin)
 
-    async def _wait(self, now: float) -> None:
-        """Wait until the next frame is due, or for the first one; at most a second."""
-        if self._parts:
+    def start(self) -> None:
+        """Send the bundles of each frame from a thread, until `stop`."""
+        self._thread = threading.Thread(target=self._run, name="vmc", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _pause(self, now: float) -> float:
+        """Seconds until the next frame is due, or until one is looked for."""
+        with self._lock:
+            if not self._parts:
+                return 1 / RATE
             period = 1 / self._parts[0].frames.fps
-            await asyncio.sleep(period - (now - self._zero) % period)
-            return
-        self._came.clear()
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(1.0):
-                await self._came.wait()
+            return period - (now - self._zero) % period
 
-    async def run(self) -> None:
-        """Send a bundle for each frame, until cancelled."""
+    def _run(self) -> None:
+        told = -1.0
         try:
-            while True:
+            while not self._ended.is_set():
                 now = time.monotonic()
-                bundle = self.due(now)
-                # A missing receiver or a congested network must not end the streams.
-                with contextlib.suppress(OSError):
-                    self._socket.sendto(bundle or _bundled(_available(0, now - self._begin)), self._address)
-                await self._wait(now)
+                bundles = self.due(now)
+                if bundles is None and now - told >= 1.0:  # no model yet: said once a second
+                    bundles, told = [_bundled(_available(0, now - self._begin))], now
+                for bundle in bundles or ():
+                    # A missing receiver or a congested network must not end anything.
+                    with contextlib.suppress(OSError):
+                        self._socket.sendto(bundle, self._address)
+                self._ended.wait(self._pause(now))
         finally:
             self._socket.close()

@@ -9,5 +9,8 @@
 from pipecat_gesticulator.client import GestureStream, connect
 from pipecat_gesticulator.player import PosePlayer
 from pipecat_gesticulator.protocol import SCHEMA, Hello, Joint, Poses, Welcome
+from pipecat_gesticulator.resuming import ResumingStream, connect_resuming
+from pipecat_gesticulator.steady import SteadyPlayer
 
-__all__ = ["SCHEMA", "GestureStream", "Hello", "Joint", "PosePlayer", "Poses", "Welcome", "connect"]
+__all__ = ["SCHEMA", "GestureStream", "Hello", "Joint", "PosePlayer", "Poses", "ResumingStream", "SteadyPlayer",
+           "Welcome", "connect", "connect_resuming"]

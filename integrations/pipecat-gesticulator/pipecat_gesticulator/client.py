@@ -12,7 +12,7 @@ from websockets.asyncio.client import connect as open_socket
 
 from pipecat_gesticulator.protocol import SUBPROTOCOL, Hello, Poses, Welcome
 
-_LONGEST_MESSAGE = 2**24
+LONGEST_MESSAGE = 2**24
 """Bytes: a minute of 54 joints at 60 frames per second."""
 
 
@@ -78,7 +78,7 @@ async def connect(url: str, hello: Hello) -> AsyncIterator[GestureStream]:
 
     url: such as "ws://127.0.0.1:8765/stream". ConnectionError with the server's reason where it refuses.
     """
-    async with open_socket(url, subprotocols=[SUBPROTOCOL], max_size=_LONGEST_MESSAGE, compression=None) as socket:  # type: ignore[list-item]
+    async with open_socket(url, subprotocols=[SUBPROTOCOL], max_size=LONGEST_MESSAGE, compression=None) as socket:  # type: ignore[list-item]
         await socket.send(hello.text())
         answer = await socket.recv()
         text = answer if isinstance(answer, str) else answer.decode("utf-8", "replace")

@@ -33,9 +33,9 @@ from pipecat.frames.frames import (
 from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 from websockets.exceptions import WebSocketException
 
-from pipecat_gesticulator.client import GestureStream, connect
 from pipecat_gesticulator.marks import timed_words, without_marks
 from pipecat_gesticulator.protocol import Hello, Poses, Welcome
+from pipecat_gesticulator.resuming import ResumingStream, connect_resuming
 
 TICK_SECONDS = 0.05
 """How often idle motion is asked for while nobody speaks; poses of idle time come so much late."""
@@ -49,7 +49,7 @@ FEW_LETTERS = 12
 """Letters below which a sentence says little about the voice."""
 LETTER_SECONDS = 0.065
 """How long a voice takes for a letter, before it is known."""
-_Order = Callable[[GestureStream], Awaitable[None]]
+_Order = Callable[[ResumingStream], Awaitable[None]]
 
 
 @dataclass
@@ -64,18 +64,23 @@ class GesticulatorProcessor(FrameProcessor):
     """Sends what the synthesiser says to a gesticulator server, and pushes the poses downstream.
 
     An interruption takes back the poses that were not played yet. While the user speaks the avatar listens, then it
-    thinks until it is answered. A server that cannot be reached costs an error frame and nothing else.
+    thinks until it is answered. A server that is lost is waited for, and the stream goes on where it was
+    (`ResumingStream`); show the poses with a `SteadyPlayer`. One that cannot be reached at all, or does not come back
+    within `patience`, costs an error frame and nothing else.
 
-    With the option "text" the server gets the words, too, before their sound, at times that are estimated from how fast
-    the voice spoke so far; gesture marks in them are made. The voice leaves the marks out if the synthesiser has the
-    text transform `marks.spoken_text`.
+    With the option "text" the server gets the words, too. A synthesiser that tells when it says each word
+    (`TTSTextFrame` with a time) has its times passed on; for others, they are estimated before their sound from how
+    fast the voice spoke so far. Gesture marks in them are made. The voice leaves the marks out if the synthesiser has
+    the text transform `marks.spoken_text`.
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765/stream", *, fps: float = 60.0, seed: int = 0,
-                 options: dict[str, Any] | None = None, token: str | None = None, **kwargs: Any) -> None:
-        """url: of the server. options: as in the schema, such as {"activity": 0.6}; `keep_up` is true unless told."""
+                 options: dict[str, Any] | None = None, token: str | None = None, patience: float = 300.0,
+                 **kwargs: Any) -> None:
+        """url: of the server. options: as in the schema, such as {"activity": 0.6}; `keep_up` is true unless told.
+        patience: seconds for which a lost server is waited for."""
         super().__init__(**kwargs)
-        self._url = url
+        self._url, self._patience = url, patience
         self._asked = {"fps": fps, "seed": seed, "options": {"keep_up": True, **(options or {})}, "token": token}
         self._rate = 24000
         self._orders: asyncio.Queue[_Order] = asyncio.Queue(MOST_ORDERS)
@@ -93,6 +98,10 @@ class GesticulatorProcessor(FrameProcessor):
         """Seconds per letter; letters of the sentence that is spoken now, and the media time at which it began."""
         self._sentence = ""
         """The sentence that was announced and has no sound yet."""
+        self._timed = False
+        """Whether the synthesiser tells when it says each word, so that nothing is estimated."""
+        self._began: tuple[int, float] | None = None
+        """Pipeline time (nanoseconds) and media time at which the sound of this answer began."""
 
     def media_time(self) -> float:
         """The media time that is played now, seconds, where sound is played as it comes."""
@@ -125,19 +134,24 @@ class GesticulatorProcessor(FrameProcessor):
     def _tell(self, frame: Frame) -> None:
         if isinstance(frame, TTSAudioRawFrame):
             self._waits = "idle"
+            if self._began is None:
+                self._began = self._pipeline_time(), self._sent
             self._say()
             self._send(frame)
-        elif isinstance(frame, AggregatedTextFrame) and not isinstance(frame, TTSTextFrame):
-            if self._text and frame.will_be_spoken:
+        elif isinstance(frame, TTSTextFrame):
+            self._pass_on(frame)
+        elif isinstance(frame, AggregatedTextFrame):
+            if self._text and not self._timed and frame.will_be_spoken:
                 self._measure()
                 self._sentence = frame.text
         elif isinstance(frame, TTSStoppedFrame):
             self._measure()
+            self._began = None
             self._order(lambda stream: stream.idle(0.0))  # the last poses wait for sound that does not come
         elif isinstance(frame, InterruptionFrame):
             at = self.media_time()
             self._sent, self._play_end, self._letters = at, time.monotonic(), 0
-            self._sentence = ""
+            self._sentence, self._began = "", None
             self._order(lambda stream: stream.interrupt(at))
         elif isinstance(frame, UserStartedSpeakingFrame):
             self._user_speaks = True
@@ -147,6 +161,27 @@ class GesticulatorProcessor(FrameProcessor):
             self._order(lambda stream: stream.speak())
         elif isinstance(frame, InputAudioRawFrame) and self._user_speaks and self._play_end <= time.monotonic():
             self._send(frame)
+
+    def _pipeline_time(self) -> int:
+        try:
+            return int(self.get_clock().get_time())
+        except Exception:  # noqa: BLE001 - a processor outside a pipeline has no clock
+            return 0
+
+    def _pass_on(self, frame: TTSTextFrame) -> None:
+        """Send a word at the time that the synthesiser says, if it says one."""
+        if not self._text or not frame.pts or self._began is None or not frame.text.strip():
+            return
+        if not self._timed:
+            self._timed = True  # this sentence was estimated; the next ones are not
+            if self._letters:
+                return
+        if self._letters:
+            return
+        begun, said_at = self._began
+        start = said_at + max(0.0, (frame.pts - begun) / 1e9)
+        for first in range(0, len(words := timed_words(frame.text, start, self._letter)), MOST_WORDS):
+            self._order(_words(words[first:first + MOST_WORDS]))
 
     def _say(self) -> None:
         """Have the words of the announced sentence sent, whose sound begins."""
@@ -182,7 +217,7 @@ class GesticulatorProcessor(FrameProcessor):
     async def _work(self) -> None:
         """Hold the stream open, and push what comes from it."""
         try:
-            async with connect(self._url, Hello(self._rate, **self._asked)) as stream:
+            async with connect_resuming(self._url, Hello(self._rate, **self._asked), self._patience) as stream:
                 sending = self.create_task(self._obey(stream))
                 try:
                     async for message in stream:
@@ -196,7 +231,7 @@ class GesticulatorProcessor(FrameProcessor):
             self._lost = True
             self._ended.set()
 
-    async def _obey(self, stream: GestureStream) -> None:
+    async def _obey(self, stream: ResumingStream) -> None:
         with contextlib.suppress(WebSocketException):  # whoever receives hears of it too
             while True:
                 await (await self._orders.get())(stream)

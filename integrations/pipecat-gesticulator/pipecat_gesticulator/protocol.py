@@ -87,7 +87,8 @@ class Poses:
     first: number of the first frame. rotations: [count, J, 4] quaternions, w first, local to the parent; for SMPL-X
     [count, 55, 3], axis times angle in radians. root_positions: [count, 3] metres. state: "idle", "speaking",
     "listening" or "thinking". received: seconds of sound that the server had taken in when it made them. face: [count,
-    20] with the option "face" (the schema lists the values).
+    20] with the option "face" (the schema lists the values). source: number of the session that they are of, in a
+    `ResumingStream`: where it changes, poses do not join.
     """
 
     first: int
@@ -97,6 +98,7 @@ class Poses:
     state: str
     received: float
     face: NDArray[np.float32] | None = None
+    source: int = 0
 
     def __len__(self) -> int:
         return len(self.rotations)

@@ -1,0 +1,4 @@
+export { GestureStream } from "./stream.js";
+export { SteadyPlayer } from "./steady.js";
+export { feedMicrophone, feedTrack } from "./microphone.js";
+export { BONES, VrmDriver } from "./vrm.js";

@@ -1,0 +1,229 @@
+// One stream on the server, on as many connections as it takes: a hello, sound out, poses in.
+// The protocol is published as protocol.json of pipecat-gesticulator.
+
+const FIRST_WAIT = 250, LONGEST_WAIT = 10_000; // milliseconds before a try to come back
+const JOURNAL_SECONDS = 60; // of sent messages that are kept to be sent once more
+const FINAL = new Set([4400, 4401, 4408, 4413]); // close codes after which it is no use to come back
+
+/** Poses are kept by their number until they were shown. */
+export class GestureStream {
+  /**
+   * url: of the server, such as "wss://gestures.example.org/stream". sampleRate: hertz of the sound that will be sent, mono, Float32Array.
+   * onEvent: is given the server's events, { type: "poses", end, state } for each packet, and "lost", "back" and "closed".
+   * patience: seconds for which a lost server is waited for.
+   */
+  constructor(url, { sampleRate, options = {}, fps = 60, seed = 0, token, onEvent = () => {}, patience = 300, random = Math.random, Socket = globalThis.WebSocket }) {
+    Object.assign(this, { url, sampleRate, options, fps, seed, token, onEvent, patience, random, Socket });
+    this.frames = new Map();
+    this.end = 0; // number of the frame after the last
+    this.total = 0;
+    this.time = 0; // media time of what was sent, seconds
+    this.welcome = null;
+    this.source = 0; // sessions before this one
+    this.offset = 0; // frames before this session's first one
+    this.journal = [];
+    this.numbered = 0; // messages that this session sent, or will
+    this.got = 0; // messages of the server in this session
+    this.session = null;
+    this.heard = false;
+    this.ended = false;
+    this.ready = new Promise((resolve, reject) => { this.settle = { resolve, reject }; });
+    this.ready.catch(() => {}); // it is also told as "closed"
+    this.lostSince = 0;
+    this.open();
+  }
+
+  get connected() { return this.live === true; }
+
+  /** Send a command of the protocol. */
+  say(message) {
+    const seconds = (message.type === "idle" || message.type === "think") && message.seconds ? message.seconds : 0;
+    if (message.type === "listen" || message.type === "speak") this.heard = message.type === "listen";
+    this.record(message, seconds);
+  }
+
+  /** Send sound: Float32Array, mono, at the sample rate. */
+  send(samples) { this.record(samples.slice(), samples.length / this.sampleRate); }
+
+  idle(seconds) { this.say(seconds === undefined ? { type: "idle" } : { type: "idle", seconds }); }
+  think(seconds) { this.say(seconds === undefined ? { type: "think" } : { type: "think", seconds }); }
+  listen() { this.say({ type: "listen" }); }
+  speak() { this.say({ type: "speak" }); }
+  addWords(words) { this.say({ type: "words", words }); }
+  finish() { this.say({ type: "finish" }); }
+
+  /** The voice was cut off at a media time, seconds; left out: at the last pose that came. */
+  interrupt(time = this.end / this.fps) {
+    const at = Math.min(time, this.time);
+    this.end = Math.min(this.end, Math.ceil(at * this.fps - 1e-6));
+    for (const k of this.frames.keys()) if (k >= this.end) this.frames.delete(k);
+    this.journal = this.journal.map((sent) => cutEnd(sent, at, this.sampleRate));
+    this.time = at;
+    this.record({ type: "interrupt", time: at }, 0);
+  }
+
+  /** Let go of the server. */
+  close() {
+    this.ended = true;
+    clearTimeout(this.retry);
+    this.live = false;
+    this.socket.onclose = this.socket.onmessage = this.socket.onopen = null;
+    this.socket.close();
+  }
+
+  /** The frame of a media time; the nearest there is. Earlier ones are let go of. */
+  at(time) {
+    const wanted = Math.max(0, Math.min(Math.floor(time * this.fps + 1e-6), this.end - 1));
+    this.forget(wanted);
+    return this.frames.get(wanted);
+  }
+
+  /** The frame of a media time, or undefined where it has not come. */
+  frameAt(time) {
+    const wanted = Math.floor(time * this.fps + 1e-6);
+    this.forget(Math.min(wanted, this.end - 1));
+    return this.frames.get(wanted);
+  }
+
+  forget(before) {
+    for (const k of this.frames.keys()) {
+      if (k >= before) break;
+      this.frames.delete(k);
+    }
+  }
+
+  record(message, seconds) {
+    this.journal.push({ message, start: this.time, seconds, heard: this.heard });
+    this.time += seconds;
+    this.numbered++;
+    while (this.journal.length && this.journal[0].start + this.journal[0].seconds < this.time - JOURNAL_SECONDS) this.journal.shift();
+    if (this.live) this.transmit(message);
+  }
+
+  transmit(message) {
+    if (this.socket.readyState !== this.Socket.OPEN) return; // lost: what is in the journal is sent later
+    this.socket.send(ArrayBuffer.isView(message) ? message : JSON.stringify(this.shifted(message)));
+  }
+
+  /** A command with its times in this session's media time. */
+  shifted(message) {
+    const back = this.offset / this.fps, moved = { ...message };
+    if (moved.time !== undefined) moved.time = Math.max(0, moved.time - back);
+    if (moved.words) {
+      moved.words = moved.words.filter((word) => word.end >= back)
+        .map((word) => ({ ...word, start: Math.max(0, word.start - back), end: Math.max(0, word.end - back) }));
+    }
+    return moved;
+  }
+
+  open() {
+    this.refused = null;
+    this.wait ??= FIRST_WAIT;
+    const socket = this.socket = new this.Socket(this.url, "gesticulator.v1");
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => socket.send(JSON.stringify({
+      type: "hello", protocol: 1, sample_rate: this.sampleRate, format: "float32", fps: this.fps, seed: this.seed, options: this.options, resumable: true,
+      ...(this.token ? { token: this.token } : {}), ...(this.session ? { resume: { session: this.session, messages: this.got } } : {}),
+    }));
+    socket.onmessage = ({ data }) => {
+      if (socket !== this.socket) return;
+      if (typeof data !== "string") { this.got++; this.take(data); } else this.hear(JSON.parse(data));
+    };
+    socket.onclose = ({ code, reason }) => { if (socket === this.socket) this.lost(code, reason); };
+  }
+
+  hear(message) {
+    if (message.type === "hello") { this.begin(message); return; }
+    if (message.type === "error") this.refused = message;
+    else this.got++;
+    const back = this.offset / this.fps;
+    for (const name of ["time", "start", "end"]) if (name in message) message[name] += back;
+    if (message.type === "done") this.ended = true;
+    this.onEvent(message);
+  }
+
+  begin(welcome) {
+    const again = this.session !== null;
+    this.welcome = welcome;
+    let sent = welcome.resumed ? welcome.messages : 0;
+    if (!welcome.resumed) sent = this.anew(welcome.session ?? "", again);
+    for (; sent < this.numbered; sent++) this.transmit(this.journal[this.journal.length + sent - this.numbered].message);
+    this.live = true;
+    this.wait = FIRST_WAIT;
+    this.lostSince = 0;
+    this.settle.resolve(this);
+    this.onEvent(again ? { type: "back", resumed: welcome.resumed } : welcome);
+  }
+
+  /** A new session from the first frame that did not come; how many of its messages were sent. */
+  anew(session, again) {
+    this.session = session;
+    this.got = 0;
+    if (!again) return 0;
+    this.offset = this.end;
+    this.source++;
+    const begin = this.offset / this.fps;
+    this.journal = this.journal.map((sent) => cutStart(sent, begin, this.sampleRate)).filter(Boolean);
+    this.numbered = this.journal.length;
+    if (!this.journal[0]?.heard) return 0;
+    this.numbered++;
+    this.transmit({ type: "listen" });
+    return 1;
+  }
+
+  lost(code, reason) {
+    const was = this.live;
+    this.live = false;
+    if (this.ended || (code === 1000 && !this.refused)) { if (!this.ended) this.end_(code, reason); return; }
+    if (FINAL.has(code) || FINAL.has(this.refused?.code)) { this.end_(this.refused?.code ?? code, this.refused?.message ?? reason); return; }
+    if (was) this.onEvent({ type: "lost", code, reason });
+    this.lostSince ||= Date.now();
+    const asked = Math.max(this.wait, 1000 * (this.refused?.retry_after ?? 0));
+    if (Date.now() - this.lostSince + asked > 1000 * this.patience) { this.end_(code, this.refused?.message ?? (reason || "the server did not come back")); return; }
+    this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
+    this.retry = setTimeout(() => this.open(), asked * (0.5 + 0.5 * this.random()));
+  }
+
+  end_(code, reason) {
+    this.ended = true;
+    this.settle.reject(new Error(reason || String(code)));
+    this.onEvent({ type: "closed", code, reason });
+  }
+
+  take(packet) {
+    const size = new DataView(packet).getUint32(0, true);
+    const head = JSON.parse(new TextDecoder().decode(new Uint8Array(packet, 4, size)));
+    const numbers = new Float32Array(packet, 4 + size);
+    const roots = head.count * head.joints * 4, first = head.first + this.offset;
+    for (let k = first; k < this.end; k++) this.frames.delete(k); // taken back by an interruption
+    for (let k = 0; k < head.count; k++) {
+      this.frames.set(first + k, {
+        turns: numbers.subarray(k * head.joints * 4, (k + 1) * head.joints * 4),
+        root: numbers.subarray(roots + k * 3, roots + k * 3 + 3), source: this.source,
+      });
+    }
+    this.end = first + head.count;
+    this.total += head.count;
+    this.onEvent({ type: "poses", end: this.end / this.fps, state: head.state });
+  }
+}
+
+/** What of a sent message lies after a media time; null for nothing. */
+function cutStart(sent, begin, rate) {
+  const { message, start, seconds } = sent, end = start + seconds, lost = Math.max(0, begin - start);
+  if (ArrayBuffer.isView(message)) {
+    return end <= begin + 1e-9 ? null : { ...sent, message: message.slice(Math.round(lost * rate)), start: Math.max(start, begin), seconds: seconds - lost };
+  }
+  if (seconds > 0) {
+    const left = Math.min(seconds, end - begin);
+    return left <= 0 ? null : { ...sent, message: { ...message, seconds: left }, start: Math.max(start, begin), seconds: left };
+  }
+  return start >= begin - 1e-9 || message.type === "words" || (message.type === "idle" && !("seconds" in message)) ? sent : null;
+}
+
+/** What of a sent message lies before a media time; it is still one message. */
+function cutEnd(sent, end, rate) {
+  const left = Math.max(0, Math.min(sent.seconds, end - sent.start));
+  if (ArrayBuffer.isView(sent.message)) return { ...sent, message: sent.message.slice(0, Math.round(left * rate)), seconds: left };
+  return left < sent.seconds ? { ...sent, message: { ...sent.message, seconds: left }, seconds: left } : sent;
+}

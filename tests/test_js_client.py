@@ -1,0 +1,224 @@
+"""The npm package: its stream in a real browser against the server, its player beside the reference player, its VRM
+driver beside our own figures, and its licence."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import chromium
+from live_double import TURN, served
+from pipecat_gesticulator import Joint, Poses, SteadyPlayer, Welcome
+
+from data_module.motion import kinematics, rotation
+from data_module.motion.skeletons import CHARACTER
+from gesticulator.export.vrma import BONES
+from gesticulator.serve.server import Page
+from gesticulator.serve.settings import ServerLimits
+
+FOLDER = Path(__file__).resolve().parents[1] / "integrations" / "gesticulator-client"
+_PATIENCE = 240_000
+"""Milliseconds for what the page does, on a machine that many share."""
+HTML = b"""<!doctype html><meta charset="utf-8"><script type="module">
+import * as client from "/index.js";
+Object.assign(window, { client, events: [] });
+const numbers = new Map();
+window.talk = async (seconds, slowly) => {
+  const stream = window.stream = new client.GestureStream(location.origin.replace("http", "ws") + "/stream",
+    { sampleRate: 16000, onEvent: (event) => window.events.push(event) });
+  await stream.ready;
+  for (let k = 0; k < seconds * 10; k++) {
+    stream.send(new Float32Array(1600));
+    if (slowly) await new Promise((go) => setTimeout(go, 20));
+  }
+  stream.idle(0.5);
+  stream.finish();
+};
+document.body.dataset.ready = "true";
+</script><body></body>"""
+
+
+def node(script: str) -> Any:
+    """What a module prints as JSON."""
+    program = shutil.which("node")
+    if program is None:
+        pytest.skip("node is not installed")
+    done = subprocess.run([program, "--input-type=module", "-e", script], cwd=FOLDER, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_a_stream_in_the_browser_comes_back_and_lacks_no_frame() -> None:
+    pages = {f"/{file.name}": Page(file.read_bytes(), "text/javascript") for file in (FOLDER / "src").glob("*.js")}
+    pages["/"] = Page(HTML, "text/html; charset=utf-8")
+    with served(ServerLimits(core_share=100.0), pages) as (server, port), chromium() as browser:
+        page = browser.new_page()
+        page.set_default_timeout(_PATIENCE)
+        complaints: list[str] = []
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector("body[data-ready=true]", state="attached")
+        page.evaluate("() => { window.talk(5, true); }")
+        page.wait_for_function("() => window.stream?.total > 60")
+        for connection in list(server.connections):
+            page_socket = connection.socket.transport
+            page_socket.get_loop().call_soon_threadsafe(page_socket.abort) if hasattr(page_socket, "get_loop") \
+                else page_socket._loop.call_soon_threadsafe(page_socket.abort)
+        page.wait_for_function("() => window.events.some((event) => event.type === 'done')")
+        events = page.evaluate("() => window.events.filter((event) => event.type !== 'poses')")
+        kinds = [event["type"] for event in events]
+        assert kinds.count("lost") == kinds.count("back") == 1 and kinds[-1] == "done"
+        assert next(event for event in events if event["type"] == "back")["resumed"] is True
+        frames = page.evaluate("() => [...window.stream.frames].map(([k, { turns }]) => [k, turns[0], turns[2]])")
+        assert [k for k, _, _ in frames] == list(range(330))
+        turned = [2 * np.arctan2(y, w) for _, w, y in frames]
+        np.testing.assert_allclose(turned, np.arange(330) * TURN, atol=1e-6)
+        assert complaints == []
+
+
+def test_a_server_that_lost_the_stream_gets_the_sound_again_and_frames_are_numbered_on() -> None:
+    """Against a socket that is written here: what is sent on the second connection, and how its frames are numbered."""
+    got = node("""
+        import { GestureStream } from "./src/stream.js";
+        const sockets = [];
+        class Socket {
+          static OPEN = 1;
+          constructor() { this.sent = []; this.readyState = 1; sockets.push(this); setTimeout(() => this.onopen(), 0); }
+          send(data) { this.sent.push(typeof data === "string" ? JSON.parse(data) : data.length); }
+          close() {}
+          say(message) { this.onmessage({ data: JSON.stringify(message) }); }
+          poses(first, count) {
+            const text = JSON.stringify({ first, count, joints: 1, fps: 60, state: "speaking" });
+            const head = new TextEncoder().encode(text.padEnd(100));
+            const packet = new ArrayBuffer(104 + 4 * count * 7);
+            new DataView(packet).setUint32(0, 100, true);
+            new Uint8Array(packet, 4, 100).set(head);
+            this.onmessage({ data: packet });
+          }
+        }
+        const events = [], pause = (time) => new Promise((go) => setTimeout(go, time));
+        const onEvent = (event) => events.push(event.type);
+        const stream = new GestureStream("", { sampleRate: 16000, Socket, random: () => 0, onEvent });
+        await pause(5);
+        sockets[0].say({ type: "hello", joints: [], session: "a", resumed: false, messages: 0 });
+        for (let k = 0; k < 20; k++) stream.send(new Float32Array(1600));
+        stream.idle(1);
+        sockets[0].poses(0, 87);
+        sockets[0].onclose({ code: 1006, reason: "" });
+        stream.send(new Float32Array(800));
+        stream.addWords([{ text: "on", start: 3.1, end: 3.4 }]);
+        await pause(200);
+        sockets[1].say({ type: "hello", joints: [], session: "b", resumed: false, messages: 0 });
+        stream.interrupt(2.45);
+        sockets[1].poses(0, 30);
+        sockets[1].say({ type: "state", state: "idle", time: 0.5 });
+        console.log(JSON.stringify({ hello: sockets[1].sent[0], sent: sockets[1].sent.slice(1), end: stream.end,
+          source: stream.frames.get(90).source, frames: [...stream.frames.keys()], events, time: stream.time }));
+        stream.close();
+    """)
+    assert got["hello"]["resume"] == {"session": "a", "messages": 1}
+    # 87 frames are 1.45 s: half of the piece from 1.4 s, five more, the wait, and what was said meanwhile.
+    assert got["sent"][:8] == [800, *[1600] * 5, {"type": "idle", "seconds": 1}, 800]
+    words = got["sent"][8]["words"][0]
+    assert (words["start"], words["end"]) == (pytest.approx(1.65), pytest.approx(1.95))
+    assert got["sent"][9]["type"] == "interrupt" and got["sent"][9]["time"] == pytest.approx(1.0)
+    assert got["frames"] == list(range(117)) and got["end"] == 117 and got["source"] == 1
+    assert got["time"] == pytest.approx(2.45)
+    assert got["events"] == ["hello", "poses", "lost", "back", "poses", "state"]
+
+
+def test_its_player_shows_what_the_reference_player_shows() -> None:
+    """Through the stream, idling, and another session."""
+    rng = np.random.default_rng(4)
+    t = np.arange(300)[:, None, None] / 60
+    walk = rotation.from_exponential_map(sum(rng.normal(0, 0.3, (1, 3, 3)) * np.sin(f * t + rng.uniform(0, 6, 3))
+                                             for f in (1.0, 3.0))).astype(np.float32)
+    roots = rng.normal(0, 0.02, (300, 3)).cumsum(0).astype(np.float32)
+    joints = tuple(Joint(name, number - 1, (0, 0, 0)) for number, name in enumerate(("Hips", "Spine1", "Neck")))
+    player = SteadyPlayer(Welcome("", 60.0, "joints", 0.0, joints, {}))
+    parts = [(0, 100, 0, 0), (160, 300, 160, 1)]  # frames, at which picture they come, source
+    ours = []
+    for picture in range(300):
+        for first, end, when, source in parts:
+            if picture == when:
+                player.add(Poses(first, 60.0, walk[first:end], roots[first:end], "", 0.0, source))
+        pose = player.pose_at(picture / 60 + 1e-4)
+        assert pose is not None
+        ours.append([*pose[0].ravel(), *pose[1]])
+    data = json.dumps({"walk": walk.reshape(300, -1).tolist(), "roots": roots.tolist(), "parts": parts})
+    theirs = node(f"""
+        import {{ SteadyPlayer }} from "./src/steady.js";
+        import {{ GestureStream }} from "./src/stream.js";
+        const {{ walk, roots, parts }} = {data};
+        const stream = Object.create(GestureStream.prototype);
+        const joints = ["Hips", "Spine1", "Neck"].map((name) => ({{ name }}));
+        Object.assign(stream, {{ frames: new Map(), fps: 60, end: 0, welcome: {{ joints }} }});
+        const player = new SteadyPlayer(stream), shown = [];
+        for (let picture = 0; picture < 300; picture++) {{
+          for (const [first, end, when, source] of parts) if (picture === when) {{
+            for (let k = first; k < end; k++)
+              stream.frames.set(k, {{ turns: Float32Array.from(walk[k]), root: roots[k], source }});
+            stream.end = end;
+          }}
+          const {{ turns, root }} = player.poseAt(picture / 60 + 1e-4);
+          shown.push([...turns, ...root]);
+        }}
+        console.log(JSON.stringify(shown));
+    """)
+    np.testing.assert_allclose(np.array(theirs), np.array(ours), atol=1e-5)
+    assert np.abs(np.diff(np.array(ours)[:, 12:], axis=0)).max() < 0.12
+
+
+def test_a_vrm_character_is_turned_as_our_skeleton_is() -> None:
+    """World rotations of the character's bones are those of the joints that they take."""
+    rng = np.random.default_rng(2)
+    local = rotation.from_exponential_map(rng.normal(0, 0.5, (1, len(CHARACTER), 3)))
+    worlds = dict(zip(CHARACTER.names, kinematics.global_rotations(CHARACTER, local)[0], strict=True))
+    joints = [{"name": name, "parent": parent} for name, parent in zip(CHARACTER.names, CHARACTER.parents, strict=True)]
+    got = node(f"""
+        import {{ BONES, VrmDriver }} from "./src/vrm.js";
+        const nodes = {{}};
+        for (const bone of Object.keys(BONES).filter((bone) => bone !== "leftShoulder")) {{
+          const position = {{ y: 1.0, set(...p) {{ this.place = p; }} }};
+          const quaternion = {{ set(...q) {{ this.turn = q; }} }};
+          nodes[bone] = {{ position, quaternion }};
+        }}
+        const vrm = {{ humanoid: {{ getNormalizedBoneNode: (bone) => nodes[bone] ?? null }} }};
+        const turns = Float32Array.from({json.dumps(local[0].ravel().tolist())});
+        new VrmDriver({json.dumps(joints)}, vrm).show({{ turns, root: [0.1, 0.9, 0.2] }});
+        console.log(JSON.stringify([Object.fromEntries(Object.entries(nodes).filter(([, node]) => node.quaternion.turn)
+          .map(([bone, node]) => [bone, node.quaternion.turn])), nodes.hips.position.place]));
+    """)
+    turned, place = got
+    world: dict[str, np.ndarray] = {}
+    for bone in BONES:
+        if bone not in turned:
+            continue
+        above = BONES[bone][0]
+        while above is not None and above not in world:
+            above = BONES[above][0]
+        own = np.array(turned[bone])[[3, 0, 1, 2]]
+        world[bone] = own if above is None else rotation.multiply(world[above], own)
+        if bone != "spine":  # of two joints the one that a client without three takes
+            truth = worlds[BONES[bone][1][0]]
+            assert min(np.abs(world[bone] - truth).max(), np.abs(world[bone] + truth).max()) < 1e-5, bone
+    assert {"hips", "chest", "head", "leftUpperArm", "rightHand"} <= world.keys() and "leftShoulder" not in world
+    np.testing.assert_allclose(place, np.array([0.1, 0.9, 0.2]) / 0.9, atol=1e-6)
+
+
+def test_its_licence_its_files_and_its_only_peer() -> None:
+    package = json.loads((FOLDER / "package.json").read_text())
+    assert package["license"] == "BSD-2-Clause" and (FOLDER / "LICENSE").read_text().startswith("BSD 2-Clause License")
+    assert "dependencies" not in package and set(package["peerDependencies"]) == {"three"}
+    for name in (package["main"], package["types"], "src/capture.js"):
+        assert (FOLDER / name).is_file()
+    exported = set(node("console.log(JSON.stringify(Object.keys(await import('./src/index.js'))))"))
+    types = (FOLDER / package["types"]).read_text()
+    assert all(name in types for name in exported)
+    for file in (FOLDER / "src").glob("*.js"):
+        assert 'from "three"' not in file.read_text(), "it works without three"
