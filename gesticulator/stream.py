@@ -123,7 +123,7 @@ class Stream:
             from gesticulator.directing import directions as directing
 
             self._director = directing.Director(bundle, options, (), math.inf)
-            shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]),
+            shaping = directing.Shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]),
                                         None if self._meanings is None else self._meanings.cues)
         self._marks: StreamMarks | None = None
         if self._text:

@@ -38,7 +38,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ([], "speech: is missing"), (["a.wav", "b.wav"], "names 2 recordings"), (["-"], "cannot be viewed"),
     (["none.wav"], "none.wav"), (["SOUND", "--character", "rig.fbx"], "cannot be shown by the page"),
     (["SOUND", "--port", "70000"], "--port 70000: cannot be used"), (["SOUND", "--port", "x"], "--port"),
-    (["SOUND", "--list", "speakers"], "is an option of gesticulator infer"),
     (["SOUND", "--plan", "a.json", "--beside", "lstm"], "leave one of them out"),
     (["SOUND", "--beside", "nobody"], "--beside"), (["SOUND", "-o", "out.bvh"], "-o"),
 ])
@@ -48,6 +47,12 @@ def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, re
         COMMAND.main("gesticulator view", [str(recording) if word == "SOUND" else word for word in words])
     error = capsys.readouterr().err
     assert stop.value.code == 2 and error.count("\n") == 1 and said in error
+
+
+def test_it_lists_what_the_bundle_contains(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        sys.exit(COMMAND.main("gesticulator view", ["--list", "interpreters"]))
+    assert not stop.value.code and "(default)" in capsys.readouterr().out
 
 
 def _poses(take: dict[str, Any]) -> np.ndarray:

@@ -76,6 +76,7 @@ class GestureDraw:
     turns: float
 
 
+@functools.cache
 def longest(name: str) -> Phases:
     """The longest phases of a gesture; what is drawn is at most so long."""
     rows = [(script.preparation, script.stroke, _hold(script), script.retraction) for script in SCRIPTS[name]]

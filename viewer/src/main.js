@@ -6,11 +6,13 @@ import { $, notice } from "./dom.js";
 import { characterGlb, figureGlb, vrmaOf } from "./exports.js";
 import { bindFiles, fileName, save } from "./files.js";
 import { Inspector } from "./inspector.js";
+import { Kept } from "./kept.js";
 import { bindKeys, fillSheet } from "./keys.js";
 import { Live } from "./live.js";
 import { bytesOf, clamp, minutes } from "./numbers.js";
 import * as edits from "./plan.js";
 import { readJson } from "./plan.js";
+import { Palette } from "./palette.js";
 import { Performer } from "./performer.js";
 import { Session } from "./session.js";
 import { silencePicture, signPicture, TITLES } from "./signs.js";
@@ -243,6 +245,7 @@ const actions = {
   "Backspace": () => inspector.deleteBeat(), "ctrl+z": () => session.undo(), "ctrl+shift+z": () => session.redo(), "ctrl+y": () => session.redo(),
   "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": () => { session.select(null); $("file-menu").open = false; document.activeElement?.blur(); },
   "f": () => look("front"), "s": () => look("side"), "c": () => look("close"), "r": () => look("reset"), "t": toggleTrails, "d": toggleTogether,
+  "p": () => palette?.toggle(),
   "a": () => session.activate(1 - session.active), "+": () => zoom(1.3), "=": () => zoom(1.3), "-": () => zoom(1 / 1.3), "?": () => $("sheet").showModal(),
   ...Object.fromEntries([1, 2, 3, 4, 5].map((rank) => [String(rank), () => inspector.chooseRank(rank)])),
 };
@@ -283,7 +286,9 @@ function bindDesk() {
     if (event.detail) event.target.closest?.("button, summary, input[type=range]")?.blur();
   });
   addEventListener("change", (event) => { if (event.target.matches("select")) event.target.blur(); });
-  addEventListener("beforeunload", (event) => { if (session.plan !== session.original && session.plan !== saved) event.preventDefault(); });
+  addEventListener("beforeunload", (event) => {
+    if (!kept && session.plan !== session.original && session.plan !== saved) event.preventDefault();
+  });
 }
 
 // ---------------------------------------------------------------- one picture after the other
@@ -299,7 +304,7 @@ function tick(now) {
     const time = clamp(clock.time, 0, data.duration);
     timeline.follow(time, clock.playing);
     const block = edits.blockAt(session.plan, time);
-    if (panelFor !== block) { panelFor = block; inspector.update(); }
+    if (panelFor !== block) { panelFor = block; inspector.update(); palette?.mark(); }
     writeClock(time);
     timeline.draw(time);
     stage?.draw(time);
@@ -344,7 +349,15 @@ session.on("edited", refresh);
 session.on("selected", refresh);
 session.on("takes", performers);
 session.on("refused", () => notice("A motion from a file has no plan to edit: choose the other take."));
-new Live(session, data.live, status);
+const live = new Live(session, data.live, status, () => [timeline.left, timeline.left + timeline.span]);
+const kept = session.lanes.length === 1 && session.plan.sound?.sha256
+  ? new Kept(session, `${data.live?.token ?? "file"} ${session.plan.sound.sha256.slice(0, 16)} ${session.plan.seed}`, notice) : null;
+const palette = data.live ? new Palette(session, clock, live, async () => {
+  const answer = await fetch("figures");
+  if (!answer.ok) throw new Error(answer.statusText);
+  return answer.json();
+}, timeline) : null;
+$("palette-open").hidden = !palette;
 clock.load(data.sound, data.soundType, () => notice("This browser cannot play the sound (Ogg Vorbis).", true));
 refresh();
 resized();

@@ -74,10 +74,13 @@ export function deleteBeat(plan, k) {
   return withBlocks(plan, [...plan.blocks.slice(0, k - 1), joined, ...plan.blocks.slice(k + 1)]);
 }
 
-/** Put a beat at a time: the block there becomes two of one gesture. */
+/** Put a beat at a time: the block there becomes two of one gesture; `null` where it is too short for that. */
 export function addBeat(plan, time) {
-  const k = blockAt(plan, time), block = plan.blocks[k], at = rounded(time);
-  if (at - block.start < SHORTEST || block.end - at < SHORTEST) return plan;
+  const k = blockAt(plan, time), block = plan.blocks[k];
+  if (block.end - block.start < 2 * SHORTEST + 1e-9) return null;
+  // Near an edge it goes as far from it as a block must last.
+  const at = rounded(clamp(time, block.start + SHORTEST + 5e-4, block.end - SHORTEST - 5e-4));
+  if (at - block.start < SHORTEST || block.end - at < SHORTEST) return null;
   const second = drawnAnew({ ...block, start: at });
   return withBlocks(plan, [...plan.blocks.slice(0, k), { ...block, end: at, flag: "edited" }, second, ...plan.blocks.slice(k + 1)]);
 }
@@ -115,6 +118,37 @@ export function countChanges(plan, original) {
   const plain = (part) => JSON.stringify(part && Object.keys(part).length ? part : null);
   const parts = ["knobs", "cues", "meanings"].filter((name) => plain(plan[name]) !== plain(original[name]));
   return here + parts.length;
+}
+
+/** What leads from one plan to another: { blocks: [[first, last + 1, new blocks]], parts }. */
+export function changesBetween(from, to) {
+  const old = from.blocks, now = to.blocks, least = Math.min(old.length, now.length), parts = {}, blocks = [];
+  if (old.length === now.length) {
+    for (let last = old.length; last > 0; last--) {
+      if (old[last - 1] === now[last - 1]) continue;
+      let first = last - 1;
+      while (first > 0 && old[first - 1] !== now[first - 1]) first--;
+      blocks.push([first, last, now.slice(first, last)]);
+      last = first + 1;
+    }
+  } else {
+    let head = 0, tail = 0;
+    while (head < least && old[head] === now[head]) head++;
+    while (tail < least - head && old[old.length - 1 - tail] === now[now.length - 1 - tail]) tail++;
+    blocks.push([head, old.length - tail, now.slice(head, now.length - tail)]);
+  }
+  for (const name of new Set([...Object.keys(from), ...Object.keys(to)])) {
+    if (name !== "blocks" && from[name] !== to[name]) parts[name] = to[name] ?? null;
+  }
+  return { blocks, parts };
+}
+
+/** A plan with changes; the blocks that did not change are the same objects. */
+export function withChanges(plan, { blocks, parts }) {
+  const made = { ...plan, ...parts, blocks: [...plan.blocks] };
+  for (const [first, last, now] of blocks) made.blocks.splice(first, last - first, ...now);
+  for (const [name, value] of Object.entries(parts)) if (value === null) delete made[name];
+  return made;
 }
 
 /** What is wrong with a plan that somebody opens, in words; null where nothing is. */

@@ -38,7 +38,7 @@ export class Timeline {
     const row = (name, tall) => { rows[name] = { top: y, tall: tall * u }; y += tall * u; };
     row("ruler", 18);
     row("cues", cuesOf(plan).length ? 20 : 0);
-    row("words", plan.words?.length ? 18 : 0);
+    row("words", plan.words?.length ? 28 : 0);
     row("beats", 18);
     row("wave", 52);
     row("gap", 4);
@@ -134,15 +134,17 @@ export class Timeline {
   drawWords(pen, time) {
     const { top, tall } = this.rows.words, u = sizes.unit;
     if (!tall) return;
-    let free = -Infinity;
+    // Two lines, so that every word has room at the usual zoom; far out, what has none on either is left out.
+    const free = [-Infinity, -Infinity];
     for (const { text, start, end } of this.session.plan.words) {
-      if (end < this.left || start > this.left + this.span) continue;
-      const at = Math.max(this.x(start), free), wide = pen.measureText(text).width;
-      // What has no room is left out; a zoom shows it.
-      if (at > this.x(end) && wide > 8 * u) continue;
+      if (end < this.left - 2 || start > this.left + this.span) continue;
+      const from = this.x(start), wide = pen.measureText(text).width;
+      const line = free[0] <= from ? 0 : free[1] <= from ? 1 : free[0] <= free[1] ? 0 : 1;
+      const at = Math.max(from, free[line]);
+      if (at > from + 30 * u && at > this.x(end)) continue;
       pen.fillStyle = time >= start && time < end ? colours.ink : colours.soft;
-      pen.fillText(text, at, top + tall / 2);
-      free = at + wide + 5 * u;
+      pen.fillText(text, at, top + tall * (line ? 0.75 : 0.27));
+      free[line] = at + wide + 5 * u;
     }
   }
 
