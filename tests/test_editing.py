@@ -144,6 +144,10 @@ def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
         BLOCK[what](blocks[at], value % 200)
     elif what in BEATS:
         BEATS[what](blocks, at)
+    elif what == "curve":
+        begin = blocks[at]["start"]
+        plan["curves"] = [{"knob": "intensity", "times": [begin, begin + 1.0, begin + 2.0],
+                           "values": [1.0, (0.2, 1.8)[value % 2], 1.0]}][:value % 3]
     elif what == "cue":
         plan["cues"] = [*plan.get("cues", ()), {"gesture": ("wave", "shrug", "nod")[value % 3],
                                                "time": blocks[at]["start"]}]
@@ -152,8 +156,8 @@ def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
     return plan
 
 
-EDITS = st.lists(st.tuples(st.sampled_from(["undo", "cue", *BLOCK, *BLOCK, *BEATS, *KNOBS]), st.integers(0, 30),
-                           st.integers(0, 10_000)), min_size=3, max_size=7)
+EDITS = st.lists(st.tuples(st.sampled_from(["undo", "cue", "curve", *BLOCK, *BLOCK, *BEATS, *KNOBS]),
+                           st.integers(0, 30), st.integers(0, 10_000)), min_size=3, max_size=7)
 
 
 @settings(max_examples=5, phases=[Phase.generate])  # an example that fails is short enough as it is
@@ -173,34 +177,55 @@ def test_any_edits_give_the_frames_of_the_plan_rendered_anew(
     assert made.plan() == replace(again, sound=made.plan().sound)
 
 
+def _counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Counts the blocks that are drawn from now on."""
+    count, draw = [0], Driver.draw
+
+    def counted(self: Driver, request: Any) -> Any:
+        count[0] += 1
+        return draw(self, request)
+
+    monkeypatch.setattr(Driver, "draw", counted)
+    return count
+
+
 def test_an_edit_sends_its_stretch_and_undo_draws_nothing(system: Gesticulator, first: Performance,
                                                           monkeypatch: pytest.MonkeyPatch) -> None:
     page = Page(system, first)
     original, frames = page.plan, page.frames.copy()
-    drawn = 0
-    draw = Driver.draw
-
-    def counted(self: Driver, request: Any) -> Any:
-        nonlocal drawn
-        drawn += 1
-        return draw(self, request)
-
-    monkeypatch.setattr(Driver, "draw", counted)
+    drawn = _counted(monkeypatch)
     page.edit(edited(original, "swap", 8, 77))
-    assert drawn == 1, "the block, and not the recording: its drawing was kept"
+    assert drawn == [1], "the block, and not the recording: its drawing was kept"
     swapped = page.plan
     assert 0 < page.sent < 60 * 2.2, "frames of the block, its blend and the smoothing"
     page.edit(original)
     np.testing.assert_array_equal(page.frames, frames)
     page.edit(swapped)
-    assert drawn == 1, "both are remembered"
+    assert drawn == [1], "both are remembered"
     page.edit(edited(swapped, "activity", 0, 0))
-    whole = drawn
+    whole = drawn[0]
     assert whole >= len(original["blocks"])
     page.edit(edited(page.plan, "swap", 12, 33))
-    assert drawn <= whole + 1, "with other knobs too, an edit costs its block"
+    assert drawn[0] <= whole + 1, "with other knobs too, an edit costs its block"
     page.edit(edited(page.plan, "join", 3, 0))
-    assert drawn <= whole + 3
+    assert drawn[0] <= whole + 3
+
+
+def test_a_curve_sizes_where_it_runs_and_leaves_locked_blocks(system: Gesticulator, first: Performance) -> None:
+    page = Page(system, first)
+    before = page.frames.copy()
+    plan = copy.deepcopy(page.plan)
+    plan["curves"] = [{"knob": "intensity", "times": [2.0, 3.0, 4.0], "values": [1.0, 0.1, 1.0]}]
+    page.edit(plan)
+    changed = np.flatnonzero((page.frames != before).any(axis=(1, 2)))
+    assert changed[0] >= 2.0 * 60 - 8 and 3.9 * 60 <= changed[-1] <= 4.0 * 60 + 8
+    hand = first.joints.index("RightArm")
+    rest = before[0, hand].astype(int)
+    assert np.abs(page.frames[180, hand] - rest).max() < np.abs(before[180, hand] - rest).max(), "nearer to rest"
+    for block in plan["blocks"]:
+        block["locked"] = True
+    page.edit(plan)
+    np.testing.assert_array_equal(page.frames, before)
 
 
 def test_the_visible_stretch_comes_first_and_a_new_wish_ends_the_old(system: Gesticulator, first: Performance,
@@ -216,6 +241,20 @@ def test_the_visible_stretch_comes_first_and_a_new_wish_ends_the_old(system: Ges
     page.edit(louder)
     full = page.plans.render(parse_plan(json.dumps(page.plan)))
     np.testing.assert_array_equal(page.frames, frames_of_take(full))
+    # Where all has to be drawn again, a draft of the visible stretch comes before that, and then how far it is.
+    monkeypatch.setattr("gesticulator.serve.edits.REPORTS", 5)
+    calm = edited(page.plan, "activity", 0, 0)
+    parts = page.plans.answer({"have": page.have, "view": [2.0, 3.0],
+                               "changes": {"blocks": [], "parts": {"knobs": calm["knobs"]}}})
+    drawn = _counted(monkeypatch)
+    (draft, numbers), = messages([next(parts)])
+    assert draft["kind"] == "frames" and drawn[0] < len(calm["blocks"]) - 4
+    at = slice(*draft["ranges"][0])
+    shown = np.frombuffer(numbers, "<i2").reshape(-1, *page.frames.shape[1:])[:at.stop - at.start]
+    assert np.abs(shown.astype(int) - page.frames[at]).max() < 32767, "from the pose that is there"
+    rest = [header for header, _ in messages(parts)]
+    assert [one["kind"] for one in rest] == ["progress"] * 3 + ["frames", "done"]
+    assert [one["share"] for one in rest[:3]] == sorted(one["share"] for one in rest[:3])
     with pytest.raises(AbandonedError):
         list(page.plans.answer({**request, "changes": {"blocks": [], "parts": {"knobs": {
             **louder["knobs"], "activity": 0.3}}}}, lambda: True))

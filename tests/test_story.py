@@ -32,11 +32,11 @@ SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 
 
 @pytest.fixture(scope="module")
-def first() -> Iterator[tuple[Gesticulator, Performance]]:
+def first() -> tuple[Gesticulator, Performance]:
     samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
     system = Gesticulator.from_pretrained()
     system.keeps_drawings = True
-    yield system, system(Speech(samples, rate), seed=1).labelled("talk.wav")
+    return system, system(Speech(samples, rate), seed=1).labelled("talk.wav")
 
 
 @pytest.fixture
@@ -61,7 +61,8 @@ def served(first: tuple[Gesticulator, Performance], tmp_path: Path) -> Iterator[
 
 def _rotations(page: Any) -> np.ndarray:
     """The frames that are shown, as the numbers that were sent."""
-    text = page.evaluate("""() => { const r = Int16Array.from(preview.session.take.rotations, (v) => Math.round(v * 32767));
+    text = page.evaluate("""() => {
+        const r = Int16Array.from(preview.session.take.rotations, (v) => Math.round(v * 32767));
         let s = ""; for (const b of new Uint8Array(r.buffer)) s += String.fromCharCode(b); return btoa(s); }""")
     return np.frombuffer(base64.b64decode(text), "<i2")
 
@@ -94,13 +95,15 @@ def test_gestures_are_seen_tried_taken_dragged_and_there_again_tomorrow(
         page.select_option("#palette-size", "far")
         few = page.locator("#palette-figures li:not([hidden])")
         assert 0 < few.count() < 150
-        assert all("both hands" in text or ("right hand" in text and "left hand" in text) for text in few.locator(".called").all_inner_texts()[:5])
+        names = few.locator(".called").all_inner_texts()
+        assert all("both hands" in name or ("right hand" in name and "left hand" in name) for name in names)
         # Try: hovering plays it in its place, and leaving takes it back.
         block = page.evaluate("() => preview.inspector.stretch[0]")
         choice = few.locator('.figure[aria-pressed="false"]').first
         lexeme = int(choice.locator(".called").inner_text().split(" ·")[0])
         choice.hover()
-        page.wait_for_function("() => document.getElementById('status').textContent.startsWith('a try')", timeout=60_000)
+        page.wait_for_function("() => document.getElementById('status').textContent.startsWith('a try')",
+                               timeout=60_000)
         assert (_rotations(page) != first).any()
         assert opened.plan()["blocks"][block]["lexeme"] == playing, "nothing is taken"
         page.screenshot(path=PICTURES / "palette.png" if PICTURES else folder / "palette.png")

@@ -283,6 +283,8 @@ class Shaping:
                              "this one has joint positions", "leave them out")
         self._edges, self._meant, self._seed = edges, meant, options.seed or 0
         self._sizes, self._both, self._mirrored, self._locked = _levels(options, len(edges) - 1)
+        curves = () if options.plan is None else options.plan.curves
+        self._curve = next((curve for curve in curves if curve.knob == "intensity"), None)
         self._shares = [eased_levels(edges, rest_share(side), REST_FADE, self._locked) for side in self._sizes.T]
         cues = cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle))
         self._cues = sorted([(cue.cue, cue.time) for cue in cues if cue.lexeme is None], key=_by_time)
@@ -292,11 +294,15 @@ class Shaping:
     def levels(self, times: Array) -> ShapeLevels:
         """The levels at `times` [M]."""
         edges, locked = self._edges, self._locked
-        return ShapeLevels(ArmScales(
-            np.stack([levels_at(edges, side, times, FADE, locked) for side in self._sizes.T], axis=1),
-            np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in self._shares], axis=1),
-            levels_at(edges, self._both, times, REST_FADE, locked)),
-            levels_at(edges, self._mirrored, times, MIRROR_FADE, locked))
+        intensity = np.stack([levels_at(edges, side, times, FADE, locked) for side in self._sizes.T], axis=1)
+        share = np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in self._shares], axis=1)
+        if self._curve is not None:
+            factor = np.interp(times, self._curve.times, self._curve.values)
+            factor = 1.0 + (factor - 1.0) * levels_at(edges, 1.0 - locked, times, FADE, locked)
+            intensity = np.minimum(intensity * factor[:, None], 2.0)
+            share = share * rest_share(np.minimum(factor, 1.0))[:, None]
+        return ShapeLevels(ArmScales(intensity, share, levels_at(edges, self._both, times, REST_FADE, locked)),
+                           levels_at(edges, self._mirrored, times, MIRROR_FADE, locked))
 
     def named(self, times: Array) -> tuple[list[tuple[GestureCue, float]], list[MeantCue]]:
         """The gestures, with the times of their strokes, that may be made within `times`, and those broken off."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import cast
 
 import numpy as np
@@ -37,6 +37,8 @@ BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""
 LEAST_REMEMBERED, REMEMBERED = 2000, 4
 """Drawn blocks in memory: at least, and for each block of the recording."""
+WARMS_UP = 3
+"""Blocks before a stretch that are drawn for a draft of it, and not shown."""
 Rows = NDArray[np.float32]
 
 
@@ -137,6 +139,7 @@ class PlanRenderer:
         self._first = _Generation("first", [DrawnBlock(number, state, None) for number, state in zip(
             numbers, self.drawing.states, strict=False)], self.drawing.blocks, numbers[1:])
         self._windows = {window(self._edges, at): at for at in range(count)}
+        self._complete: set[tuple[float, str | None]] = set()
         self._recut: dict[Window, SpeechBlock] = {}
         self._faded: dict[Hashable, tuple[int, Rows]] = {}
 
@@ -192,32 +195,53 @@ class PlanRenderer:
 
     # ------------------------------------------------------------------------------------------ what runs are made of
 
-    def generation(self, knobs: PlanKnobs, on_block: OnBlock | None = None) -> _Generation:
-        """The recording generated with these knobs, without edits: the first generation where they do not matter."""
+    def generation(self, knobs: PlanKnobs, on_block: OnBlock | None = None, count: int | None = None) -> _Generation:
+        """The recording, or its first `count` blocks, generated with these knobs, without edits: the first generation
+        where they do not matter."""
         if knobs.draws_as(self._drawn.knobs):
             return self._first
-        key = knobs.share, knobs.handedness
-        bias, times = self._redrawer.bias(knobs.handedness), self._cut.knot_times.reshape(len(self._cut), -1)
-
-        def begun() -> Driver:
-            driver = self._redrawer.drivers(knobs.share)
-            driver.begin(self._encoded.text is not None)
-            return driver
-
-        steps = [self._tree.beginning(key, begun)]
-        numbers = list(self._drawn.numbers or range(len(self._cut)))
-        for at in range(len(self._cut)):
-            def request(at: int = at) -> BlockRequest:
-                speech = replace(self._encoded.block(at), number=numbers[at], key=self._keys[numbers[at]])
-                still = still_frames(self._drawn.knobs, times[at], float(self._cut.edges[at]))
-                return BlockRequest(speech, self._redrawer.control(times[at]),
-                                    Direction(None, Keys(*self._seed), still, bias))
-
-            steps.append(self._tree.drawn(steps[-1], ("knobs", at), request))
+        count = len(self._cut) if count is None else count
+        steps = [self._tree.beginning((knobs.share, knobs.handedness), lambda: self._begun(knobs))]
+        for at in range(count):
+            steps.append(self._tree.drawn(steps[-1], ("knobs", at), partial(self._with_knobs, knobs, at)))
             if on_block is not None:
-                on_block(at + 1, len(self._cut))
+                on_block(at + 1, count)
+        if count == len(self._cut):
+            self._complete.add((knobs.share, knobs.handedness))
         blocks = [step.block for step in steps[1:] if step.block is not None]
         return _Generation("knobs", steps[:-1], blocks, [step.number for step in steps[1:]])
+
+    def knows(self, knobs: PlanKnobs) -> bool:
+        """Whether the whole recording has been generated with these knobs, and most of it is remembered."""
+        return (knobs.share, knobs.handedness) in self._complete
+
+    def _begun(self, knobs: PlanKnobs) -> Driver:
+        driver = self._redrawer.drivers(knobs.share)
+        driver.begin(self._encoded.text is not None)
+        return driver
+
+    def _with_knobs(self, knobs: PlanKnobs, at: int) -> BlockRequest:
+        """The request for a block of the first generation with other knobs."""
+        number = self._drawn.numbers[at] if self._drawn.numbers else at
+        times = self._cut.knot_times.reshape(len(self._cut), -1)[at]
+        still = still_frames(self._drawn.knobs, times, float(self._cut.edges[at]))
+        return BlockRequest(replace(self._encoded.block(at), number=number, key=self._keys[number]),
+                            self._redrawer.control(times),
+                            Direction(None, Keys(*self._seed), still, self._redrawer.bias(knobs.handedness)))
+
+    def draft(self, knobs: PlanKnobs, view: tuple[float, float]) -> tuple[Blocks, list[PlayedBlock], list[int]]:
+        """The first generation, with the blocks of a stretch (seconds) roughly as they will be with changed knobs; its
+        blocks, and which of them. The models begin anew shortly before the stretch, in the pose that is there."""
+        first = max(int(np.searchsorted(self._cut.edges[1:], view[0])) - WARMS_UP, 0)
+        last = min(int(np.searchsorted(self._cut.edges[:-1], view[1])), len(self._cut))
+        driver = self._begun(knobs)
+        driver.stand_as(self.drawing.states[first])
+        played = [PlayedBlock(block, block.motion, number) for block, number in
+                  zip(self.drawing.blocks, self._first.numbers, strict=True)]
+        for at in range(first, last):
+            block = driver.draw(self._with_knobs(knobs, at))
+            played[at] = PlayedBlock(block, block.motion, self._tree.new_number())
+        return self._cut, played, list(range(min(first + WARMS_UP, max(last - 1, first)), last))
 
     def speech(self, edges: Sequence[float], flags: Sequence[BeatFlag], wanted: Sequence[int]
                ) -> dict[int, SpeechBlock]:

@@ -17,6 +17,8 @@ SHORTEST, LONGEST = 0.1, 1.0
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
 CUES_PER_SECOND, ALLOWED_CUES = 4.0, 100
 """Most cues per second of sound; so many are allowed in any case. A gesture takes a second, so more cannot be seen."""
+MOST_INTENSITY = 2.0
+"""Greatest value of an intensity curve."""
 _EPS = 1e-6
 """Largest difference of two equal times, seconds: numbers in files are rounded."""
 _FINGERPRINT = re.compile("([A-Za-z0-9+/]{8})+")
@@ -64,6 +66,9 @@ def _check_sections(plan: GesturePlan) -> None:
     knobs = [curve.knob for curve in plan.curves]
     for at, curve in enumerate(plan.curves):
         check_points(("curves", at), ("times", "values"), (curve.times, curve.values), plan.error)
+        outside = [value for value in curve.values if not 0.0 <= value <= MOST_INTENSITY]
+        if curve.knob == "intensity" and outside:
+            raise plan.error(("curves", at, "values"), f"hold {outside[0]:g}", f"give 0 to {MOST_INTENSITY:g}")
         if curve.knob in knobs[:at]:
             raise plan.error(("curves", at, "knob"), f"is {curve.knob} again", "give one curve per knob")
     if plan.fingerprint is not None and not _is_fingerprint(plan.fingerprint, plan.sound.duration):

@@ -462,7 +462,7 @@ def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
 def shapes(plan: GesturePlan) -> bool:
     """Whether the plan may change the generated poses, by intensity, mirroring or handedness."""
     knobs = plan.knobs
-    if knobs.size != 1.0 or knobs.handedness is not None:
+    if knobs.size != 1.0 or knobs.handedness is not None or any(curve.knob == "intensity" for curve in plan.curves):
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)

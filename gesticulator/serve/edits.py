@@ -48,6 +48,8 @@ _USUAL_BLOCK = 0.33
 """Seconds of a block, about."""
 _PIECE = 20
 """Frames of a piece of a motion that is always made as a whole."""
+REPORTS = 24
+"""Blocks between two reports of progress: about a second."""
 FIRST_SHOWN = 24
 """Pieces outside of the visible stretch from which on that stretch is sent first: they take a tenth of a second."""
 
@@ -158,6 +160,7 @@ class LivePlans:
         if self._in_pieces(options):
             maker = self._maker(options)
             assert options.plan is not None
+            yield from self._drafted(maker, options, asked)
             played = maker.renderer.played(options.plan, lambda done, total: asked.check())
             made = self._decided(options, played)
             pieces = yield from self._pieces(maker, options, played, asked, sent)
@@ -188,6 +191,29 @@ class LivePlans:
         body = mirrored_motion(body) if options.mirrored else body
         shape = {**describe_shape(body, self._speech.duration), "frames": frames}
         return shape, root_path(body)
+
+    def _drafted(self, maker: _Maker, options: InferenceOptions, asked: _Asked) -> Iterator[bytes]:
+        """Where knobs have all of a recording generated again: a draft of the visible stretch, then the progress. What
+        was generated is remembered."""
+        plan, renderer = options.plan, maker.renderer
+        assert plan is not None
+        count = len(plan.drawn.lexemes)
+        if plan.knobs.draws_as(plan.drawn.knobs) or all(block.locked for block in plan.blocks) \
+                or renderer.knows(plan.knobs):
+            return
+        cut, played, seen = renderer.draft(plan.knobs, asked.view)
+        times = cut.knot_times.reshape(len(cut), -1)
+        posed = maker.shaped.blocks(played, cut, self._shaping(replace(options, plan=replace(
+            plan, blocks=tuple(one.block.block for one in played))), cut.edges))
+        frames = self._frames(maker, options)
+        pieces = [piece for _, piece in frames.pieces(times, posed, float(cut.edges[-1]), seen)]
+        if pieces:
+            ranges, data = frames_of(SignedPieces(0, pieces, np.ones((len(pieces), pieces[0].ends.shape[1]), np.int16)),
+                                     range(len(pieces)))
+            yield message({"kind": "frames", "ranges": ranges}, data)
+        for done in range(REPORTS, count, REPORTS):
+            renderer.generation(plan.knobs, lambda at, total: asked.check(), done)
+            yield message({"kind": "progress", "ranges": [], "share": done / count})
 
     def _pieces(self, maker: _Maker, options: InferenceOptions, played: Sequence[PlayedBlock], asked: _Asked,
                 sent: dict[int, int]) -> Iterator[bytes]:

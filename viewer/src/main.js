@@ -2,7 +2,7 @@
 
 import { readCharacter } from "./character.js";
 import { Clock } from "./clock.js";
-import { $, notice } from "./dom.js";
+import { $, element, notice } from "./dom.js";
 import { characterGlb, figureGlb, vrmaOf } from "./exports.js";
 import { bindFiles, fileName, save } from "./files.js";
 import { Inspector } from "./inspector.js";
@@ -234,6 +234,26 @@ function toggleTrails() {
   changed();
 }
 
+let clipboard = null;
+
+function copy() {
+  clipboard = edits.copied(session.plan, ...inspector.stretch);
+  notice(`${clipboard.length === 1 ? "A gesture is" : `${clipboard.length} blocks are`} copied: go to another place and press Ctrl V.`);
+}
+
+function paste() {
+  if (!clipboard) return;
+  const [first] = inspector.stretch, gestures = clipboard.slice(0, session.plan.blocks.length - first);
+  session.edit(edits.pasted(session.plan, first, gestures));
+  session.select(first, first + gestures.length - 1);
+}
+
+function toggleCurve() {
+  timeline.curved = !timeline.curved;
+  $("curve").setAttribute("aria-pressed", String(timeline.curved));
+  refresh();
+}
+
 function toggleOf(id) { $(id).click(); }
 
 const actions = {
@@ -243,6 +263,7 @@ const actions = {
   "h": () => toggleOf("silence"), "m": () => toggleOf("mirror"), "k": () => toggleOf("lock"), "[": () => inspector.nudge(-edits.INTENSITY.step),
   "]": () => inspector.nudge(edits.INTENSITY.step), "n": () => toggleOf("draw-again"), "b": () => inspector.addBeat(), "Delete": () => inspector.deleteBeat(),
   "Backspace": () => inspector.deleteBeat(), "ctrl+z": () => session.undo(), "ctrl+shift+z": () => session.redo(), "ctrl+y": () => session.redo(),
+  "ctrl+c": copy, "ctrl+v": paste,
   "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": () => { session.select(null); $("file-menu").open = false; document.activeElement?.blur(); },
   "f": () => look("front"), "s": () => look("side"), "c": () => look("close"), "r": () => look("reset"), "t": toggleTrails, "d": toggleTogether,
   "p": () => palette?.toggle(),
@@ -272,6 +293,7 @@ function bindDesk() {
   click("export-glb", () => exportAs("glb"));
   click("export-vrma", () => exportAs("vrma"));
   click("trails", toggleTrails);
+  click("curve", toggleCurve);
   click("together", toggleTogether);
   click("help", () => $("sheet").showModal());
   click("notice", () => notice(""));
@@ -358,6 +380,13 @@ const palette = data.live ? new Palette(session, clock, live, async () => {
   return answer.json();
 }, timeline) : null;
 $("palette-open").hidden = !palette;
+$("variations").hidden = !data.live;
+$("variations").replaceChildren(...[1, 2, 3].map((number) => {
+  const plan = () => edits.varied(session.plan, ...inspector.stretch, number), see = () => live.try(plan()), leave = () => live.forget();
+  return element("button", { "type": "button", "title": `Variation ${number} of these blocks: hover to see it, click to take it`, "aria-label": `Variation ${number}`,
+    "onpointerenter": see, "onpointerleave": leave, "onfocus": see, "onblur": leave, "onclick": () => { leave(); session.edit(plan()); } }, `V${number}`);
+}));
+if (edits.curveOf(session.plan).length) toggleCurve();
 clock.load(data.sound, data.soundType, () => notice("This browser cannot play the sound (Ogg Vorbis).", true));
 refresh();
 resized();

@@ -93,6 +93,38 @@ export const drawAgain = (plan, first, last) => changed(plan, first, last, drawn
 /** Turn a knob of the whole take. */
 export const setKnob = (plan, name, value) => ({ ...plan, knobs: { ...plan.knobs, [name]: value } });
 
+/** The blocks of a gesture unit: [first, last]. */
+export function blocksOfUnit(plan, unit) {
+  const first = blockAt(plan, unit.start + 1e-3), last = blockAt(plan, unit.end - 1e-3);
+  return [first, Math.max(first, last)];
+}
+
+/** What blocks can hand on to others: their gestures, sizes and sides. */
+export const copied = (plan, first, last) => plan.blocks.slice(first, last + 1)
+  .map(({ lexeme, name = null, silent, intensity = 1, mirror = false }) => ({ lexeme, name, silent, intensity, mirror }));
+
+/** Put the gestures of copied blocks on as many blocks from one on. */
+export const pasted = (plan, at, gestures) => changed(plan, at, at + gestures.length - 1, (block, k) => ({ ...block, ...gestures[k - at] }));
+
+/** The points of the intensity curve: [[seconds, factor]], in order. */
+export function curveOf(plan) {
+  const curve = (plan.curves ?? []).find(({ knob }) => knob === "intensity");
+  return curve ? curve.times.map((time, k) => [time, curve.values[k]]) : [];
+}
+
+/** A plan with these points of the intensity curve; without points, without the curve. */
+export function withCurve(plan, points) {
+  const others = (plan.curves ?? []).filter(({ knob }) => knob !== "intensity");
+  const sorted = [...points].sort((a, b) => a[0] - b[0]).filter(([time], k, all) => k === 0 || time > all[k - 1][0]);
+  const curves = sorted.length ? [...others, { knob: "intensity", times: sorted.map(([time]) => time), values: sorted.map(([, value]) => value) }] : others;
+  const { curves: _, ...rest } = plan;
+  return curves.length ? { ...rest, curves } : rest;
+}
+
+/** Blocks drawn with another variation: the same lexemes in a manner of its own for each number from 1. */
+export const varied = (plan, first, last, number) => changed(plan, first, last, (block) => (
+  block.draw ? { ...block, draw: { ...block.draw, variation: (block.draw.variation + number) % 2 ** 32 } } : block));
+
 /** Put blocks back as they were in another plan: those of it that start within the stretch and stand on its edges. */
 export function restored(plan, original, first, last) {
   const from = plan.blocks[first].start, to = plan.blocks[last].end;
