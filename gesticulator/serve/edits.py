@@ -115,6 +115,10 @@ class LivePlans:
         performance = self._system.render(self._speech, options, self._maker(options).renderer)
         return performance.labelled(self._name, plan.notes)
 
+    def performance(self, plain: Mapping[str, Any]) -> Performance:
+        """The performance of a plan in plain values; `InputError` as in `render`."""
+        return self.render(self._exchange.read(dict(plain)))
+
     def opened(self, performance: Performance, plain: Mapping[str, Any]) -> int:
         """The number of the rendering that a page begins with. plain: its plan, as the page has it."""
         plan = performance.plan()

@@ -1,10 +1,11 @@
 """A server for one page and one user: it listens on this machine only, and renders the plans sent by its page.
 
 `GET /SECRET/` is the page; `POST /SECRET/render` takes the page's request and answers with the messages of
-`gesticulator.serve.edits`, or with `{"error": ...}`. Other users of this machine can find the port, so the address
-holds a secret. Any page open in a browser can send requests to a local server; so a request must name this server as
-its host (which a foreign name resolved to this machine does not), and a rendering must come from its own page and carry
-the page's token.
+`gesticulator.serve.edits`, or with `{"error": ...}`; `POST /SECRET/export` answers with a file, and `GET
+/SECRET/figures` with the figures of the palette. Other users of this machine can find the port, so the address holds a
+secret. Any page open in a browser can send requests to a local server; so a request must name this server as its host
+(which a foreign name resolved to this machine does not), and a rendering must come from its own page and carry the
+page's token.
 """
 
 from __future__ import annotations
@@ -67,6 +68,8 @@ class PageServer(ThreadingHTTPServer):
     block_on_close = False
     page: bytes = b""
     render: Render | None = None
+    export: Callable[[dict[str, Any]], bytes] | None = None
+    """Makes the answer to `POST /SECRET/export`: the file that a request asks for."""
     figures: Callable[[], bytes] | None = None
     """Makes the answer to `GET /SECRET/figures`: the figures of the palette as JSON."""
     saved: SavedEdits | None = None
@@ -181,7 +184,8 @@ class _PageHandler(BaseHTTPRequestHandler):
         self.close_connection = True
         if not self._is_ours() or not self._is_from_page():
             return
-        if self._place() != "render":
+        place = self._place()
+        if place not in ("render", "export") or (place == "export" and self.server.export is None):
             self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
             return
         length = self.headers.get("Content-Length", "")
@@ -191,7 +195,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the plan has more than {MOST_BYTES >> 20} MB")
         else:
             self.server.speaks(self.connection)
-            self._render(self.rfile.read(int(length)))
+            self._render(self.rfile.read(int(length)), place)
 
     def _place(self) -> str | None:
         """The path below the secret one; None elsewhere."""
@@ -217,7 +221,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             return False
         return True
 
-    def _render(self, body: bytes) -> None:
+    def _render(self, body: bytes, place: str) -> None:
         try:
             request = parse_json(body, "the request", "")
         except InputError as error:
@@ -234,7 +238,10 @@ class _PageHandler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "another plan is being rendered")
             return
         try:
-            self._stream(self.server.render(request, abandoned))
+            if place == "export" and self.server.export is not None:
+                self._answer(HTTPStatus.OK, self.server.export(request), "application/octet-stream")
+            else:
+                self._stream(self.server.render(request, abandoned))
         except AbandonedError:
             self._refuse(HTTPStatus.CONFLICT, "the page has asked for something else")
         except UnknownRenderingError as error:

@@ -20,8 +20,9 @@ from gesticulator.arguments import (
     performance_arguments,
     print_list,
 )
-from gesticulator.batch.jobs import STDIN, Job, load, performed
+from gesticulator.batch.jobs import STDIN, Job, load, performed, retargeter_for
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
+from gesticulator.serve.page_export import exported, formats
 from gesticulator.serve.saved_edits import SavedEdits, place_of, put_aside, read_saved
 from interpreters import INTERPRETERS
 
@@ -97,13 +98,14 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
     described = [html.describe(scene) for scene in scenes.values()]
     numbers = [plans.opened(take, one["plan"]) for take, one in zip(takes.values(), described, strict=True)]
     assert job.source is not None
-    more = {"live": {"token": server.token, "renderings": numbers}, **character}
+    more = {"live": {"token": server.token, "renderings": numbers, "formats": formats()}, **character}
     server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1, more=more).encode()
     if job.source is not None and args.beside is None:
         saved = server.saved = SavedEdits(place_of(job.source))
         # What is only tried is not saved.
         plans.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(lambda: plan)
     server.render = plans.answer
+    server.export = partial(exported, rendered=plans.performance, retargeter=retargeter_for(args))
     server.figures = cache(partial(_figures, system, takes))
 
 
