@@ -41,9 +41,11 @@ export class Timeline {
     const row = (name, tall) => { rows[name] = { top: y, tall: tall * u }; y += tall * u; };
     row("ruler", 18);
     row("cues", cuesOf(plan).length ? 20 : 0);
-    row("words", plan.words?.length ? 28 : 0);
+    // A phone held sideways has little height.
+    const low = innerHeight <= 520;
+    row("words", plan.words?.length ? (low ? 15 : 28) : 0);
     row("beats", 18);
-    row("wave", 52);
+    row("wave", low ? 26 : 52);
     row("gap", 4);
     row("curve", this.curved ? 44 : 0);
     row("units", plan.units?.length ? 15 : 0);
@@ -142,7 +144,7 @@ export class Timeline {
     const { top, tall } = this.rows.words, u = sizes.unit;
     if (!tall) return;
     // Two lines, so that every word has room at the usual zoom; far out, what has none on either is left out.
-    const free = [-Infinity, -Infinity];
+    const two = tall > 20 * u, free = [-Infinity, two ? -Infinity : Infinity];
     for (const { text, start, end } of this.session.plan.words) {
       if (end < this.left - 2 || start > this.left + this.span) continue;
       const from = this.x(start), wide = pen.measureText(text).width;
@@ -150,7 +152,7 @@ export class Timeline {
       const at = Math.max(from, free[line]);
       if (at > from + 30 * u && at > this.x(end)) continue;
       pen.fillStyle = time >= start && time < end ? colours.ink : colours.soft;
-      pen.fillText(text, at, top + tall * (line ? 0.75 : 0.27));
+      pen.fillText(text, at, top + tall * (line ? 0.75 : two ? 0.27 : 0.5));
       free[line] = at + wide + 5 * u;
     }
   }
