@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import copy
 import cProfile
+import gc
 import json
 import pstats
 import time
@@ -187,6 +188,8 @@ def main() -> None:
     drawn = time.process_time() - begin
     plan = describe(first.scene())["plan"]
     plans = LivePlans(system, first)
+    gc.collect()
+    gc.freeze()  # as gesticulator view does
     begin = time.process_time()
     editor = Editor(plans, plan, plans.opened(first, plan))
     opened = time.process_time() - begin

@@ -80,6 +80,7 @@ class Page:
         self.sent = 0
 
     def edit(self, plan: Plain) -> None:
+        plan = json.loads(json.dumps(plan))  # what comes over the network is not shared
         old, new = self.plan["blocks"], plan["blocks"]
         parts = {name: plan.get(name) for name in {*self.plan, *plan} if name != "blocks"
                  and plan.get(name) != self.plan.get(name)}

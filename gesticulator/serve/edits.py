@@ -102,7 +102,7 @@ class LivePlans:
         self._sound = sound_hash(first.speech)
         self._makers: list[tuple[tuple[Any, ...], _Maker]] = []  # the most recently used comes last
         self._drawings = [(_identity(one.decided), one.drawing) for one in performances if one.drawing is not None]
-        self._exchange = PlanExchange()
+        self._exchange = PlanExchange(frozen=True)
         self._renderings: OrderedDict[int, Rendering] = OrderedDict()
         self.on_edit: Callable[[Mapping[str, Any], GesturePlan], None] = lambda request, plan: None
         """Called with the request and the rendered plan after each answer."""
