@@ -125,7 +125,7 @@ def _check_blocks(plan: GesturePlan) -> None:
         if block.lexeme is not None and known and block.lexeme not in known:
             raise plan.error((*place, "lexeme"), f"is {block.lexeme}", f"give {min(known)} to {max(known)}, or null")
         # The name beside a lexeme that was edited may still be that of the lexeme before.
-        if block.name and known.get(block.lexeme, block.name) != block.name \
+        if block.name and block.lexeme is not None and known.get(block.lexeme, block.name) != block.name \
                 and decided.get((block.start, block.end)) == block.lexeme:
             raise plan.error((*place, "name"), f"is {shown(block.name)}, but lexeme {block.lexeme} is "
                              f"{shown(known[block.lexeme])}", "edit `lexeme`, which determines the motion")

@@ -11,7 +11,7 @@ import hashlib
 import itertools
 import json
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -220,7 +220,7 @@ class LivePlans:
             yield message({"kind": "progress", "ranges": [], "share": done / count})
 
     def _pieces(self, maker: _Maker, options: InferenceOptions, played: Sequence[PlayedBlock], asked: _Asked,
-                sent: dict[int, int]) -> Iterator[bytes]:
+                sent: dict[int, int]) -> Generator[bytes, None, SignedPieces]:
         """The pieces of a plan; yields those of the visible stretch first where the others take long. sent: receives
         the numbers of blocks and of the pieces that were sent for them."""
         assert options.plan is not None
