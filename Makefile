@@ -10,7 +10,7 @@ types:       ## static types
 contracts:   ## which package, and which room of it, may import which
 	lint-imports
 
-test:        ## every test
+test:        ## the tests, without the longest (tests/full.txt)
 	python -m pytest
 
 test-fast:   ## the tests that are not marked slow

@@ -1,7 +1,7 @@
 """Is the style that is heard obeyed? `python benchmarks/unit_style.py STORE [--bundle DIR] [--seconds 60] [--limit N]`.
 
 Every recording of the test split (unseen voices, texts and takes) is gestured for three times by the default speaker:
-with the style codes that the interpreter hears (`interpreters.unit_style`), with zeros, and with codes that are drawn
+with the style codes that the interpreter hears (`interpreters.planner`), with zeros, and with codes that are drawn
 at random for each unit with the same deviations. Of each gesture unit in the output, speed, range, height and reach of
 the hands are measured (`unit_styles.style_of`), and compared with the code that was *heard* in the unit's sound:
 
@@ -37,8 +37,7 @@ from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages.planner import RATE, units_of
 from gesticulator.training.stages.unit_styles import spans, style_of
 from interpreters.base import BlockFeatures
-from interpreters.planner import PHASES
-from interpreters.unit_style import CODE, UnitStyleInterpreter, UnitStyleState
+from interpreters.planner import CODE, PHASES, UnitStyleInterpreter, UnitStyleState
 
 WINDOW = 8.0
 _STILL, _FEWEST = 0.02, 6

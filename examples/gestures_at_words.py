@@ -8,7 +8,8 @@ from __future__ import annotations
 import sys
 
 from gesticulator import Gesticulator
-from gesticulator.plan.plan import GESTURES, GestureCue
+from gesticulator.plan.gestures import GESTURES
+from gesticulator.plan.plan import GestureCue
 
 
 def main(sound: str, said: str, wanted: str, output: str) -> None:

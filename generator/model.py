@@ -140,7 +140,7 @@ class GeneratorConfig:
     @property
     def styled(self) -> bool:
         """Whether it takes style codes: one a block with the regression head, learned (RG 5.3); one a gesture unit with
-        the flow head, measured (`interpreters.unit_style`)."""
+        the flow head, measured (`interpreters.planner`)."""
         return self.style_width > 0
 
     def temperature(self, progress: float) -> float:

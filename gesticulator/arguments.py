@@ -79,8 +79,9 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     body = p.add_argument_group("character", "Your own character, from Mixamo, VRM, Unreal, Blender or "
                                 "elsewhere; see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE",
-                      help="animate this character: .bvh, .glb, .gltf, .vrm, or .fbx if Blender is installed; it "
-                      "stands unless it is seated in the file or --seated is given")
+                      help="animate this character: .bvh, .glb, .gltf, .vrm, or .fbx if Blender is installed "
+                      "(FILE#NAME: one of several in the file); it stands unless it is seated in the file or --seated "
+                      "is given")
     body.add_argument("--mapping", metavar="FILE.json",
                       help="which nodes are which joints, if they are not identified automatically")
     body.add_argument("--save-mapping", metavar="FILE.json", help="write the joint mapping, to check or correct it")
@@ -136,6 +137,8 @@ def check_choices(args: argparse.Namespace) -> None:
 
 def check_cues(system: Gesticulator, args: argparse.Namespace) -> None:
     """`InputError` for a cue that names an unknown gesture, before any recording is processed."""
+    if not args.cues:
+        return
     from gesticulator.plan.gestures import GESTURES, near_gestures
 
     unknown = [cue.gesture for cue in args.cues if cue.gesture not in GESTURES]

@@ -23,7 +23,7 @@ from gesticulator.arguments import (
     plan_from_args,
     print_list,
 )
-from gesticulator.batch.jobs import Job, check_job, is_folder, perform, plan, retargeter_for
+from gesticulator.batch.jobs import Job, check_job, clip_is_asked, is_folder, perform, plan, retargeter_for
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.export.writers import UNITS, WRITERS, check_output, suffix_of
 
@@ -56,6 +56,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
                      help="the gesture plan: every decision, to read, edit and render again with --plan")
     out.add_argument("--retime-report", metavar="FILE.json", help="with --retime: what was kept, moved, decided anew "
                      "and lost")
+    _clip_arguments(p)
     many = p.add_argument_group("many recordings", "A manifest records what was done; a second run processes only "
                                                    "what is missing or changed.")
     many.add_argument("--manifest", metavar="FILE",
@@ -66,6 +67,29 @@ def arguments(p: argparse.ArgumentParser) -> None:
     many.add_argument("--ray", metavar="WHERE",
                       help="process on a Ray cluster: auto, its address, or local:N for N workers on this machine")
     performance_arguments(p)
+
+
+def _clip_arguments(p: argparse.ArgumentParser) -> None:
+    clip = p.add_argument_group("clips for animation tools", "See docs/clips.md.")
+    clip.add_argument("--clip-name", metavar="NAME", help="name of the animation in the file (default gesture)")
+    clip.add_argument("--keys", metavar="DEGREES", type=_keys, help="leave out keys that interpolation restores within "
+                      "so many degrees in .glb, .vrma and .fbx, or all to write every frame (default 0.1)")
+    clip.add_argument("--loop", action="store_true", help="the end passes into the beginning without a seam")
+    clip.add_argument("--mask", choices=("upper",), help="upper: animate the upper body alone; hips and legs have no "
+                      "tracks")
+    clip.add_argument("--layer", choices=("additive",), help="additive: the upper body relative to its resting pose, "
+                      "to be added to an idle clip of the file")
+    clip.add_argument("--root", choices=("hips", "none"), default="hips", help="none: the hips stay in place (default "
+                      "hips: they travel a few centimetres as the weight shifts)")
+    clip.add_argument("--sound", action="store_true", help="write the speech as WAV beside the motion")
+    clip.add_argument("--one-file", action="store_true", help="write several recordings as clips of one .glb file, "
+                      "named after them")
+
+
+def _keys(text: str) -> float:
+    from gesticulator.export.clip import parse_keys
+
+    return parse_keys(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -89,6 +113,11 @@ def run(args: argparse.Namespace) -> int:
                     return 0
                 check_cues(system, args)
                 controls = controls_from_args(system, args)
+                if args.one_file:
+                    from gesticulator.batch.clips import perform_together
+
+                    perform_together(jobs, system, args, controls, retargeter)
+                    return 0
                 done = sum(_succeeded(partial(perform, job, system, args, controls, retargeter), alone)
                            for job in ready)
     return 0 if alone else _conclude(len(jobs), done, args.quiet)
@@ -139,7 +168,12 @@ def _succeeded(step: Callable[[], object], alone: bool) -> bool:
 def _plan(args: argparse.Namespace) -> list[Job]:
     if not args.speech:
         raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
-    jobs = plan(args.speech, _output_files(args), args.text)
+    outputs = _output_files(args)
+    if clip_is_asked(args):
+        from gesticulator.batch.clip_options import check_clip_outputs
+
+        check_clip_outputs(args, list(outputs))
+    jobs = plan(args.speech, outputs, args.text, together=args.one_file)
     if args.retime_report is not None:
         if not args.retime:
             raise InputError("--retime-report", "is for --retime alone", "add --retime, or leave it out")
@@ -196,6 +230,8 @@ COMMAND = Command(
         "infer speech.wav -o gesture.glb -o gesture.vrma -o gesture.mp4",
         "infer recordings/ -o out/ --format fbx",
         "infer speech.wav --character rig.glb -o talk.glb",
+        "infer silence.wav --character rig.glb -o idle.glb --loop --clip-name idle",
+        "infer hello.wav bye.wav --character rig.glb -o rig_talking.glb --one-file --mask upper",
         "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
         "infer speech.wav -o gesture.bvh --plan-out plan.json --energy calm",
         "infer speech.wav -o again.bvh --plan plan.json --intensity 1.3",

@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 
     from data_module.types import Array, Blocks, Motion, Speech
     from gesticulator.characters.mapping import RigMapping
+    from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import Character, CharacterMotion
     from gesticulator.directing.retiming_report import RetimingReport
     from gesticulator.drawing.driver import Drawing
+    from gesticulator.export.clip import ClipLayout
     from gesticulator.export.scene import Scene
     from gesticulator.options import InferenceOptions
     from gesticulator.plan.plan import GesturePlan, LexemeName
@@ -58,6 +60,10 @@ class Performance:
     """The first generation, from which edits start (`Gesticulator.keeps_drawings`)."""
     character: CharacterMotion | None = None
     """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
+    clip: ClipLayout | None = None
+    """How files for animation tools are laid out (`as_clip`); None: by default."""
+    rest: Callable[[], Motion] | None = None
+    """Returns the speaker's resting pose, a motion of one frame."""
 
     def __post_init__(self) -> None:
         import numpy as np
@@ -174,13 +180,54 @@ class Performance:
         """
         check_output(path, unit)  # before a folder is made
         Path(path).parent.mkdir(parents=True, exist_ok=True)
+        if self.clip is not None and self.clip.sound:
+            from gesticulator.export.sound_beside import write_sound
+
+            write_sound(Path(path), self.speech)
         return write(path, self.scene(), unit=unit)
 
     def scene(self) -> Scene:
-        """The input of writers: motion, sound, plan and character."""
+        """The input of writers: motion, sound, plan, character and layout."""
         from gesticulator.export.scene import Scene
 
-        return Scene(self.motion, self.speech, self.plan, self.character)
+        motion = self.motion
+        if self.clip is not None and self.clip.additive:
+            from gesticulator.body.planting import added_to_rest
+
+            motion = added_to_rest(motion, self._rest_of(motion))
+        return Scene(motion, self.speech, self.plan, self.character, self.clip)
+
+    def as_clip(self, clip: ClipLayout) -> Performance:
+        """The performance laid out as a clip for animation tools: looped, of the upper body alone, in place. Do it
+        before `on`; ValueError after. `InputError` if the motion is too short for a loop, or if there is no resting
+        pose for an additive clip."""
+        if self.character is not None and clip.changes_motion:
+            raise ValueError("make the clip first, then transfer it to a character")
+        motion = self.motion
+        if clip.changes_motion:
+            from gesticulator.body.planting import in_place, upper_alone
+
+            motion = upper_alone(motion) if clip.bare else motion if clip.root else in_place(motion)
+            if clip.loop:
+                from gesticulator.body.looping import looped
+
+                motion = looped(motion)
+        made = replace(self, motion=motion, clip=clip)
+        if clip.additive:
+            made._rest_of(motion)
+        return made
+
+    def _rest_of(self, motion: Motion) -> Motion:
+        """The resting pose on the skeleton of a motion, of the upper body alone."""
+        from data_module.errors import InputError
+        from data_module.motion.skeletons import resized
+        from gesticulator.body.planting import upper_alone
+
+        if self.rest is None:
+            raise InputError("--layer additive", "needs a resting pose, which these weights lack",
+                             "use a bundle whose motion is in rotations")
+        rest = upper_alone(resized(self.rest(), motion.skeleton))
+        return replace(rest, root_positions=motion.root_positions[:1])
 
     def on(self, character: Character | str | os.PathLike[str],
            mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True) -> Performance:
@@ -190,9 +237,27 @@ class Performance:
         written by `save_mapping`, needed where the joints are not recognised. contacts: keep the hands out of the
         character's trunk. `InputError` if the character cannot be read or its joints are ambiguous.
         """
-        from gesticulator.characters.retarget import retarget
+        from gesticulator.characters.mapping import RigMapping, load_mapping
+        from gesticulator.characters.reading import read_character
+        from gesticulator.characters.retarget import Retargeter
+        from gesticulator.characters.rig import Character
 
-        return replace(self, character=retarget(self.motion, character, mapping, contacts=contacts))
+        rig = character if isinstance(character, Character) else read_character(character)
+        joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
+        legs = False if self.clip is not None and self.clip.bare else None
+        return self.moved_by(Retargeter(rig, joints, contacts=contacts, legs=legs))
+
+    def moved_by(self, retargeter: Retargeter) -> Performance:
+        """The performance with the motion of a retargeter's character. Clips of the upper body need one with
+        `legs=False`."""
+        moved = retargeter(self.motion)
+        if self.clip is not None and self.clip.bare:
+            moved = replace(moved, translations=None)
+        if self.clip is not None and self.clip.additive:
+            from gesticulator.characters.additive import added_to_rest
+
+            moved = added_to_rest(moved, retargeter(self._rest_of(self.motion)))
+        return replace(self, character=moved)
 
     def plan(self) -> GesturePlan:
         """The plan with the names of lexemes. It can be edited and rendered again (`InferenceOptions.plan`)."""

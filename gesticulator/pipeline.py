@@ -336,7 +336,8 @@ class Gesticulator:
         plan = (plan_of(speech, cut, blocks, origin) if options.plan is None else
                 rendered_plan(options.plan, speech, blocks, origin))
         return Performance(motion, speech, cut, np.array([block.lexeme for block in blocks], np.int64),
-                           np.stack([block.code for block in blocks]), plan, origin.options, self.lexeme_names)
+                           np.stack([block.code for block in blocks]), plan, origin.options, self.lexeme_names,
+                           rest=partial(self._rest_pose, cast.speaker))
 
     def shaping(self, speech: Speech, options: InferenceOptions, speaker: int, edges: Array,
                 meanings: tuple[PlanMeaning, ...]) -> Shaping | None:
@@ -361,6 +362,10 @@ class Gesticulator:
                        controls=cast.controls, hand_height=None, hand_speed=None, hand_radius=None)
         return Origin(used, self._program(), self._settings(used, self.reads_words_of(speech)), cast.score_is, meanings)
 
+    def _rest_pose(self, speaker: int) -> Motion:
+        """The speaker's resting pose, a motion of one frame."""
+        return representation_of(self.bundle.config).motion(self.bundle.statistics.rest_pose[speaker][None], 1.0)
+
     def _meanings(self, speech: Speech, options: InferenceOptions) -> tuple[PlanMeaning, ...]:
         """The meanings of the plan, or those that the words call for."""
         if options.plan is not None:
@@ -369,7 +374,7 @@ class Gesticulator:
             return ()
         from gesticulator.directing.meanings import track_of
 
-        track = track_of(options, speech.words, speech.duration)
+        track = track_of(options, speech)
         if track is None:
             return ()
         track.add(speech.words)

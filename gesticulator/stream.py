@@ -37,7 +37,7 @@ from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import Block
 
 if TYPE_CHECKING:
-    from gesticulator.directing.directions import Director
+    from gesticulator.directing.directions import Director, MeantCue
     from gesticulator.directing.meanings import MeaningTrack
     from gesticulator.directing.stream_marks import StreamMarks
 
@@ -117,20 +117,20 @@ class Stream:
         if options.plan is not None:
             raise InputError("plan", "needs a whole recording", "render it without a stream")
         self._director: Director | None = None
-        shaping = None
+        self._marks: StreamMarks | None = None
         self._meanings = self._meaning_track(options)
+        shaping = None
         if options.shaped or options.directed or self._meanings is not None:
             from gesticulator.directing import directions as directing
 
             self._director = directing.Director(bundle, options, (), math.inf)
-            shaping = directing.Shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]),
-                                        None if self._meanings is None else self._meanings.cues)
-        self._marks: StreamMarks | None = None
+            shaping = directing.Shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]), self._meant)
         if self._text:
+            from gesticulator.directing.directions import gestures_over
             from gesticulator.directing.stream_marks import StreamMarks
 
-            shaping = self._marks = StreamMarks(shaping, representation_of(bundle.config).name == "rotations",
-                                                options.seed or 0)
+            self._marks = StreamMarks(representation_of(bundle.config).name == "rotations")
+            shaping = shaping or gestures_over(self._meant, options.seed or 0)
         self._path = MotionPath(bundle, cast.speaker, options, self._cutter.latency == "low", shaping)
         self._path.history = HISTORY
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
@@ -322,6 +322,11 @@ class Stream:
         from gesticulator.directing.meanings import track_of
 
         return track_of(options)
+
+    def _meant(self, until: float) -> list[MeantCue]:
+        """The gestures of words and of marks that begin up to a time."""
+        return [*(() if self._meanings is None else self._meanings.cues(until)),
+                *(() if self._marks is None else self._marks.cues())]
 
     def _check_open(self) -> None:
         if self._finished:

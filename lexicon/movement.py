@@ -3,7 +3,7 @@
 Blocks are represented by `data_module.motion.movement`: coefficients y of the motion that a block adds to its past. A
 latent is y with every part of the body scaled to the same variance (an arm moves ten times as far as a torso), and a
 lexeme is the nearest of S codewords. Residual codebooks for each part (`LexiconConfig.levels`) encode the remainder.
-All codebooks are fitted by k-means. `lexicon.movement_vqvae` learns the latents and the lexemes instead.
+All codebooks are fitted by k-means, or encoder, lexemes and decoder are learned together (`MovementVqVae`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from data_module.motion.movement import PAST, MovementBasis, Pasts
 from data_module.types import Array
 from lexicon.settings import LexiconConfig
 
-__all__ = ["MovementLexicon", "basis_for", "code_width"]
+__all__ = ["MovementLexicon", "MovementVqVae", "basis_for", "code_width"]
 
 _TOGETHER = 8192
 """Blocks that are compared with the codebook at a time, which bounds the memory."""
@@ -123,6 +123,62 @@ class MovementLexicon(nn.Module):
                                                for rows in rest[:, at].split(_TOGETHER)])]
         nearest = torch.cat([self.distances(part) for part in coefficients.split(_TOGETHER)]).argmin(0)
         self.examples.copy_(past.frames[nearest])
+
+
+class MovementVqVae(MovementLexicon):
+    """Basis, encoder, lexemes, decoder and residual codebooks over blocks [B, K, D_m] with their pasts, learned by
+    `lexicon.movement_vqvae`."""
+
+    def __init__(self, config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> None:
+        """As of `MovementLexicon`."""
+        super().__init__(config, frames, parts)
+        self.encoder = BentMap(self.basis.width, config.hidden, config.code_width)
+        self.decoder = BentMap(config.code_width, config.hidden, self.basis.width)
+
+    def latents(self, coefficients: Tensor) -> Tensor:
+        """E: coefficients [B, n] to latents [B, D_s], before quantisation."""
+        out: Tensor = self.encoder(coefficients * self.basis.weight)
+        return out
+
+    def decode(self, codes: Tensor) -> Tensor:
+        """D: codes [B, D_s] to coefficients [B, n]."""
+        out: Tensor = self.decoder(codes) / self.basis.weight
+        return out
+
+    @torch.no_grad()
+    def added(self, lexemes: Tensor) -> Tensor:
+        """Coefficients [B, n] of lexemes [B]."""
+        return self.decode(self.vectors)[lexemes]
+
+    @torch.no_grad()
+    def fit(self, motion: Tensor, past: Pasts, mask: Tensor, seed: int) -> None:
+        """Fit the basis to blocks, as of `MovementLexicon`; place the lexemes by k-means on the latents of the encoder
+        as it is, and fit the levels below them. Training goes on from there (`MovementLearner`)."""
+        from lexicon.movement_vqvae import MovementLearner
+
+        coefficients = self.basis.fit(motion, past, mask)
+        learner = MovementLearner(self)
+        learner.start_codebook(coefficients, seed)
+        learner.finish(coefficients, past, seed)
+
+
+class BentMap(nn.Module):
+    """x A + MLP(x) over [..., width], to [..., out]; the MLP is 0 at the start."""
+
+    def __init__(self, width: int, hidden: int, out: int) -> None:
+        """hidden: units of each of the two hidden layers."""
+        super().__init__()
+        self.straight = nn.Linear(width, out, bias=False)
+        nn.init.orthogonal_(self.straight.weight)
+        last = nn.Linear(hidden, out)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.bend = nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), last)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[..., width] to [..., out]."""
+        out: Tensor = self.straight(x) + self.bend(x)
+        return out
 
 
 def basis_for(config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> MovementBasis:

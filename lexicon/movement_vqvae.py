@@ -1,4 +1,4 @@
-"""The lexicon of movements as a VQ-VAE: encoder and decoder are learned together with the lexemes.
+"""The training of the lexicon of movements as a VQ-VAE: encoder and decoder are learned together with the lexemes.
 
 With y the coefficients of what a block adds to its past and w the weights that give every part of the body the same
 variance (`lexicon.movement`), x = w y:
@@ -14,73 +14,17 @@ whatever draws or rates movements takes it in place of a codeword.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import torch
 from torch import Tensor, nn
 
 from data_module.motion.movement import Pasts
-from lexicon.movement import MovementLexicon
+from lexicon.movement import MovementVqVae
 from lexicon.quantizer import Quantizer
-from lexicon.settings import LexiconConfig
 
-__all__ = ["MovementLearner", "MovementVqVae"]
+__all__ = ["MovementLearner"]
 
 _PLACED_ON = 20_000
 """Blocks whose latents k-means starts the lexemes from."""
-
-
-class MovementVqVae(MovementLexicon):
-    """Basis, encoder, lexemes, decoder and residual codebooks over blocks [B, K, D_m] with their pasts."""
-
-    def __init__(self, config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> None:
-        """As of `MovementLexicon`."""
-        super().__init__(config, frames, parts)
-        self.encoder = BentMap(self.basis.width, config.hidden, config.code_width)
-        self.decoder = BentMap(config.code_width, config.hidden, self.basis.width)
-
-    def latents(self, coefficients: Tensor) -> Tensor:
-        """E: coefficients [B, n] to latents [B, D_s], before quantisation."""
-        out: Tensor = self.encoder(coefficients * self.basis.weight)
-        return out
-
-    def decode(self, codes: Tensor) -> Tensor:
-        """D: codes [B, D_s] to coefficients [B, n]."""
-        out: Tensor = self.decoder(codes) / self.basis.weight
-        return out
-
-    @torch.no_grad()
-    def added(self, lexemes: Tensor) -> Tensor:
-        """Coefficients [B, n] of lexemes [B]."""
-        return self.decode(self.vectors)[lexemes]
-
-    @torch.no_grad()
-    def fit(self, motion: Tensor, past: Pasts, mask: Tensor, seed: int) -> None:
-        """Fit the basis to blocks, as of `MovementLexicon`; place the lexemes by k-means on the latents of the encoder
-        as it is, and fit the levels below them. Training goes on from there (`MovementLearner`)."""
-        coefficients = self.basis.fit(motion, past, mask)
-        learner = MovementLearner(self)
-        learner.start_codebook(coefficients, seed)
-        learner.finish(coefficients, past, seed)
-
-
-class BentMap(nn.Module):
-    """x A + MLP(x) over [..., width], to [..., out]; the MLP is 0 at the start."""
-
-    def __init__(self, width: int, hidden: int, out: int) -> None:
-        """hidden: units of each of the two hidden layers."""
-        super().__init__()
-        self.straight = nn.Linear(width, out, bias=False)
-        nn.init.orthogonal_(self.straight.weight)
-        last = nn.Linear(hidden, out)
-        nn.init.zeros_(last.weight)
-        nn.init.zeros_(last.bias)
-        self.bend = nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), last)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """[..., width] to [..., out]."""
-        out: Tensor = self.straight(x) + self.bend(x)
-        return out
 
 
 class MovementLearner(nn.Module):

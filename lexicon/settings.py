@@ -25,7 +25,7 @@ class LexiconConfig:
     """"pose": the VQ-VAE over blocks (RG 5.1); "movement": the movement relative to the past (`lexicon.movement`)."""
     quantizer: Annotated[str, SettingChoice(("k-means", "vq-vae"))] = "k-means"
     """Of the lexicon of movements: "k-means" over the coefficients of a movement, without steps or the settings below
-    `levels`; "vq-vae": a learned encoder, codebook and decoder (`lexicon.movement_vqvae`)."""
+    `levels`; "vq-vae": a learned encoder, codebook and decoder (`lexicon.movement`)."""
     size: Width = 50
     """N_s, lexemes in the lexicon (50 Trinity and Chinese, 100 TED)."""
     trunk_components: Width = 24

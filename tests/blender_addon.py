@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-ADDON = Path(__file__).resolve().parent.parent / "integrations" / "blender" / "gesticulator_blender.py"
+ADDON = Path(__file__).resolve().parent.parent / "integrations" / "blender" / "gesticulator_blender" / "__init__.py"
 
 
 def curves_of(action: Any) -> list[Any]:
@@ -66,7 +66,13 @@ def main(rig: str, sound: str, program: str, fps: str, target: str) -> None:
     before = {thing.name for thing in bpy.data.objects}
     armatures = len(bpy.data.armatures)
     assert addon.GestureFromSpeech.poll(bpy.context)
-    action = addon.gesture(armature, Path(sound), program, [], 10)
+    addon.gesture(armature, Path(sound), program, ["--seed", "7"], 3)
+    action = addon.gesture(armature, Path(sound), program, [], 10)  # replaces the sound strip of the first
+    cancelled = addon.GestureJob(armature, Path(sound), program, [], 10)
+    cancelled.begin()
+    assert cancelled.runs
+    cancelled.cancel()
+    assert not cancelled.runs
     assert {thing.name for thing in bpy.data.objects} == before, "what was made for the way is removed"
     assert len(bpy.data.armatures) == armatures
     editor = scene.sequence_editor

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 import torch
+from filelock import FileLock
 from hypothesis import HealthCheck, settings
 
 # No deadline: the first call of a numerical library is slow and says nothing about the code under test.
@@ -42,13 +45,28 @@ SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8"
 """FILE::FUNCTION of the other tests, and of fixtures of one file, that take more than two seconds of the processor."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is slow, so that `pytest -m "not slow"` is done in three minutes."""
+FULL = frozenset((Path(__file__).parent / "full.txt").read_text(encoding="utf-8").split())
+"""FILE::FUNCTION of the longest tests, each of which covers in the large what other tests cover in the small."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--full", action="store_true", help="run the longest tests (tests/full.txt), too")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what is slow, so that `pytest -m "not slow"` is done in three minutes. The longest tests are left out unless
+    --full is given or a test is named."""
+    longest = []
     for item in items:
+        function = getattr(item, "originalname", item.name)
         fixtures = set(getattr(item, "fixturenames", ()))
-        names = {getattr(item, "originalname", item.name), *fixtures}
-        if SLOW_FIXTURES & fixtures or SLOW & {f"{item.path.name}::{name}" for name in names}:
+        if SLOW_FIXTURES & fixtures or SLOW & {f"{item.path.name}::{name}" for name in {function, *fixtures}}:
             item.add_marker(pytest.mark.slow)
+        if f"{item.path.name}::{function}" in FULL:
+            longest.append(item)
+    if longest and not config.getoption("full") and not any("::" in argument for argument in config.args):
+        config.hook.pytest_deselected(items=longest)
+        items[:] = [item for item in items if item not in longest]
 
 
 @pytest.fixture(scope="session")
@@ -81,14 +99,35 @@ def meaning_data(outside_data: Path) -> Path:
     return _part_of(outside_data, "meaning", "meanings.csv")
 
 
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], int]) -> Path:
+    """The folder `name` that `make` fills and returns 0 for, once for all processes of a run: the others wait for the
+    one that came first. Tests read it and change nothing in it."""
+    base = factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared" / name
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    complete = folder.with_suffix(".complete")
+    with FileLock(folder.with_suffix(".lock")):
+        if not complete.exists():
+            assert make(folder) == 0
+            complete.touch()
+    return folder
+
+
+def trained_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], int]) -> Path:
+    """A copy, for this process alone, of the bundle that `make` trains once for all, with its work folder beside it."""
+    trained, own = made_once(factory, name, make), factory.mktemp(name) / "bundle"
+    for suffix in ("", ".work"):
+        shutil.copytree(trained.with_name(name + suffix), own.with_name("bundle" + suffix))
+    return own
+
+
 @pytest.fixture(scope="session")
 def tiny_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store of about three minutes by the procedural performer and the numpy speaker, made once for all tests."""
     from data_module.build import main
 
-    folder = tmp_path_factory.mktemp("corpus") / "store"
-    assert main(["performer", "--preset", "tiny", "--out", str(folder), "--seed", "5", "--workers", "1"]) == 0
-    return folder
+    return made_once(tmp_path_factory, "store", lambda folder: main(
+        ["performer", "--preset", "tiny", "--out", str(folder), "--seed", "5", "--workers", "1"]))
 
 
 @pytest.fixture(scope="session")
@@ -96,9 +135,8 @@ def tiny_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     """The `tiny` preset, trained once by the real command."""
     from gesticulator.training.command import main
 
-    out = tmp_path_factory.mktemp("trained") / "bundle"
-    assert main(["--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet"]) == 0
-    return out
+    return trained_once(tmp_path_factory, "trained", lambda out: main(
+        ["--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet"]))
 
 
 @pytest.fixture(scope="session")
@@ -106,7 +144,6 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
     """The `default` preset (movements, flow head, 46 joints) at toy size, trained once by the real command."""
     from gesticulator.training.command import main
 
-    out = tmp_path_factory.mktemp("moving") / "bundle"
     short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "planner": 20, "reward": 10,
              "cql": 10, "advantage": 10, "style": 20}
     settings = [*(f"schedules.{stage}.steps={steps}" for stage, steps in short.items()),
@@ -127,9 +164,8 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
         "cql.width=16", "cql.heads=2", "cql.layers=2", "cql.decisions=6", "cql.audio_features=4",
         "cql.audio_bottleneck=8", "cql.copy_every=5", "episodes.prefix=2")]
     given = [part for setting in settings for part in ("--set", setting)]
-    assert main(["--data", str(tiny_store), "--out", str(out), "--preset", "default", "--threads", "1", "--quiet",
-                 *given]) == 0
-    return out
+    return trained_once(tmp_path_factory, "moving", lambda out: main(
+        ["--data", str(tiny_store), "--out", str(out), "--preset", "default", "--threads", "1", "--quiet", *given]))
 
 
 @pytest.fixture(scope="session")

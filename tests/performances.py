@@ -12,6 +12,7 @@ from data_module.types import BeatFlag, Blocks, Motion, Skeleton, Speech, Word
 from gesticulator.directing.record import Origin, plan_of
 from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.export import writers
+from gesticulator.export.clip import EVERY_FRAME
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
@@ -22,7 +23,7 @@ NONE = np.empty((1, 0), np.float32)
 
 def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height: float = 0.0,
             skeleton: Skeleton = CHARACTER) -> Performance:
-    """Small smooth motion on a tone with a silent middle, cut into blocks at random."""
+    """Small smooth motion on a tone with a silent middle, cut into blocks at random; written with every frame."""
     rng = np.random.default_rng(seed)
     count = round(seconds * fps)
     waves = rng.normal(size=(2, len(skeleton), 3)) * 0.4
@@ -44,7 +45,7 @@ def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height:
                           NONE[0]) for i in range(n)]
     settings = {"seed": 0, "variation": 0, "speaker": "", "interpreter": ""}
     plan = plan_of(speech, cut, blocks, Origin(InferenceOptions(), {}, settings, "log-probability"))
-    return Performance(motion, speech, cut, best[:, 0].copy(), np.empty((n, 0), np.float32), plan)
+    return Performance(motion, speech, cut, best[:, 0].copy(), np.empty((n, 0), np.float32), plan, clip=EVERY_FRAME)
 
 
 def _block(cut: Blocks, i: int, best: list[int], scores: list[float]) -> Block:

@@ -25,7 +25,8 @@ from gesticulator.training.stages import Run, Stage, closure, wanted
 from gesticulator.training.stages.base import Figures
 from gesticulator.training.stages.caches import weights_hash
 from lexicon.autoencoder import Lexicon
-from lexicon.movement_vqvae import MovementLearner, MovementVqVae
+from lexicon.movement import MovementVqVae
+from lexicon.movement_vqvae import MovementLearner
 from lexicon.racer import RacerCodec
 from lexicon.settings import LexiconConfig, RacerConfig
 

@@ -50,7 +50,7 @@ def worst(rig: Rig, motion: Motion, moved: CharacterMotion) -> dict[str, float]:
         out["feet"] = max(out["feet"], degrees(*(way * level for way in bone(side + "Foot", side + "ToeBase"))))
         # What is up in the foot's own axes at rest is up in ours: soles are level where ours are.
         turns = moved.world_matrices()[:, at[side + "Foot"], :3, :3]
-        own = np.linalg.inv(rig.character.world_matrices()[at[side + "Foot"], :3, :3]) @ rig.axes[1]
+        own = np.linalg.inv(rig.bound()[at[side + "Foot"], :3, :3]) @ rig.axes[1]
         up = rotation.rotate(world[:, names.index(side + "Foot")], np.array([0.0, 1.0, 0.0]))
         out["feet"] = max(out["feet"], degrees(turns @ own @ rig.axes.T, up))
         length = sum(float(np.linalg.norm(bone(side + a, side + b)[1][0]))
@@ -60,7 +60,7 @@ def worst(rig: Rig, motion: Motion, moved: CharacterMotion) -> dict[str, float]:
         out["slide"] = max(out["slide"], float(np.linalg.norm(there - there.mean(axis=0) - travel, axis=-1).max()))
     chest, head = rig.spine[-1], at["Head"]
     for node, name in ((chest, "Spine3"), (head, "Head")):
-        rest = rig.character.world_matrices()[node, :3, :3]
+        rest = rig.bound()[node, :3, :3]
         for axis in np.eye(3):
             own = np.linalg.inv(rest) @ rig.axes.T @ axis
             there = moved.world_matrices()[:, node, :3, :3] @ own @ rig.axes.T

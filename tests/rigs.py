@@ -27,6 +27,7 @@ class Rig:
     """A character, and what is true of it.
 
     truth: our joint -> node; spine and neck: their chains. axes: [3, 3] ours = axes @ file's. unit: metres per unit.
+    bind: [N, 4, 4] the pose that the mesh was bound in, where it is not the rest pose.
     """
 
     character: Character
@@ -39,6 +40,11 @@ class Rig:
     pose: str
     size: float
     torso: tuple[float, float]
+    bind: np.ndarray | None = None
+
+    def bound(self) -> np.ndarray:
+        """[N, 4, 4] the nodes in the pose that the mesh was bound in, where `axes` hold."""
+        return self.character.world_matrices() if self.bind is None else self.bind
 
 
 @dataclass
@@ -117,6 +123,78 @@ _SNAKE = {"Hips": "hips", "Head": "head", "Shoulder": "shoulder", "Arm": "upper_
           **{f"Spine{i or ''}": f"spine.{i + 1:03d}" for i in range(6)},
           **{f"Neck{i or ''}": f"neck.{i + 1:03d}" for i in range(3)}, **{f: f.lower() for f in FINGERS}}
 
+
+
+def _named(names: str, pattern: str, fingers: str, sides: Sequence[str] = SIDES, numbers: dict[str, str] | None = None
+           ) -> Callable[[str], str]:
+    """Names of a tool: hips, head, spine and neck (with a place for their number), shoulder, arm, forearm, hand, thigh,
+    shin, foot, toes and the five fingers, in this order."""
+    hips, head, spine, neck, *rest = names.split()
+    parts = {"Hips": hips, "Head": head, **{f"Spine{i or ''}": spine.format(i + 1) for i in range(6)},
+             **{f"Neck{i or ''}": neck.format(i + 1) for i in range(3)}}
+    keys = ("Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot", "ToeBase", *FINGERS)
+    return _table(parts | dict(zip(keys, rest, strict=True)), pattern, fingers, sides, numbers)
+
+
+def _rigify(key: str) -> str:
+    """Rigify's deforming bones: three joints of the trunk, two of the neck and the head are all named spine."""
+    places = {"Hips": "", "Spine": ".001", "Spine1": ".002", "Spine2": ".003", "Neck": ".004", "Neck1": ".005",
+              "Head": ".006"}
+    if key in places:
+        return "DEF-spine" + places[key]
+    return _table(_SNAKE, "DEF-{part}.{side}", "DEF-f_{finger}.0{place}.{side}", "LR")(key)
+
+
+_LANGUAGES = {
+    "german": _named("Becken Kopf Wirbelsäule{} Hals{} Schlüsselbein Oberarm Unterarm Hand Oberschenkel Unterschenkel "
+                     "Fuß Zehen Daumen Zeigefinger Mittelfinger Ringfinger KleinerFinger", "{part}_{side}",
+                     "{finger}{place}_{side}", ("links", "rechts")),
+    "french": _named("Bassin Tête Colonne{} Cou{} Clavicule Bras Avant-Bras Main Cuisse Jambe Pied Orteils Pouce Index "
+                     "Majeur Annulaire Auriculaire", "{part}_{side}", "{finger}{place}_{side}", ("gauche", "droite")),
+    "french g": _named("Bassin Tête Colonne{} Cou{} Épaule Bras Avant-Bras Main Cuisse Jambe Pied Orteils Pouce Index "
+                       "Majeur Annulaire Auriculaire", "{part}.{side}", "{finger}{place}.{side}", ("G", "D")),
+    "spanish": _named("Cadera Cabeza Columna{} Cuello{} Clavícula Brazo Antebrazo Mano Muslo Pantorrilla Pie DedosPie "
+                      "Pulgar Índice Medio Anular Meñique", "{part}_{side}", "{finger}{place}_{side}",
+                      ("izquierda", "derecha")),
+    "italian": _named("Bacino Testa Colonna{} Collo{} Clavicola Braccio Avambraccio Mano Coscia Gamba Piede DitaPiede "
+                      "Pollice Indice Medio Anulare Mignolo", "{part}_{side}", "{finger}{place}_{side}", ("sx", "dx")),
+    "portuguese": _named("Quadril Cabeça Coluna{} Pescoço{} Clavícula Braço Antebraço Mão Coxa Canela Pé DedosPé "
+                         "Polegar Indicador Médio Anelar Mindinho", "{part}_{side}", "{finger}{place}_{side}",
+                         ("esquerda", "direita")),
+    "russian": _named("Таз Голова Позвоночник{} Шея{} Ключица Плечо Предплечье Кисть Бедро Голень Стопа Носок Большой "
+                      "Указательный Средний Безымянный Мизинец", "{part}_{side}", "{finger}{place}_{side}",
+                      ("Левая", "Правая")),
+    "japanese": _named("センター 頭 上半身{} 首{} 肩 腕 ひじ 手首 足 ひざ 足首 つま先 親指 人指 中指 薬指 小指",
+                       "{side}{part}", "{side}{finger}{place}", "左右"),
+    "chinese": _named("骨盆 头 脊柱{} 脖子{} 锁骨 上臂 前臂 手 大腿 小腿 脚 脚趾 拇指 食指 中指 无名指 小指",
+                      "{side}{part}", "{side}{finger}{place}", "左右"),
+}
+_TOOLS = {
+    "rigify": _rigify,
+    "auto-rig": _named("root.x head.x spine_{:02d}.x neck_{:02d}.x shoulder arm_stretch forearm_stretch hand "
+                       "thigh_stretch leg_stretch foot toes_01 thumb index middle ring pinky", "{part}.{side}",
+                       "{finger}{place}.{side}", "lr"),
+    "second life": _named("mPelvis mHead mSpine{} mNeck{} Collar Shoulder Elbow Wrist Hip Knee Ankle Foot Thumb Index "
+                          "Middle Ring Pinky", "m{part}{side}", "mHand{finger}{place}{side}"),
+    "source": _named("ValveBiped.Bip01_Pelvis ValveBiped.Bip01_Head1 ValveBiped.Bip01_Spine{} ValveBiped.Bip01_Neck{} "
+                     "Clavicle UpperArm Forearm Hand Thigh Calf Foot Toe0 0 1 2 3 4", "ValveBiped.Bip01_{side}_{part}",
+                     "ValveBiped.Bip01_{side}_Finger{finger}{place}", "LR", {"1": "", "2": "1", "3": "2"}),
+    "r15": _named("LowerTorso Head UpperTorso{} Neck{} Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes "
+                  "Thumb Index Middle Ring Little", "{side}{part}", "{side}{finger}{place}"),
+    "makehuman": _named("pelvis head spine{:02d} neck{:02d} clavicle upperarm01 lowerarm01 wrist upperleg01 lowerleg01 "
+                        "foot toe1-1 1 2 3 4 5", "{part}.{side}", "finger{finger}-{place}.{side}", "LR"),
+    "daz 9": _named("hip head spine{} neck{} shoulder upperarm forearm hand thigh shin foot toes thumb index mid ring "
+                    "pinky", "{side}_{part}", "{side}_{finger}{place}", "lr"),
+    "kaykit": _named("hips head spine{} neck{} shoulder upperarm lowerarm wrist upperleg lowerleg foot toes thumb "
+                     "index middle ring pinky", "{part}.{side}", "{finger}{place}.{side}", "lr"),
+    "quaternius": _named("Hips Head Torso{} Neck{} Shoulder UpperArm LowerArm Wrist UpperLeg LowerLeg Foot Toes Thumb "
+                         "Index Middle Ring Pinky", "{part}{side}", "{finger}{place}{side}", "LR"),
+    "unity": _named("Hips Head Spine{} Neck{} Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes Thumb Index "
+                    "Middle Ring Pinky", "{side}_{part}", "{side}_{finger}{place}",
+                    numbers={"1": "Proximal", "2": "Intermediate", "3": "Distal"}),
+    "ethan": lambda key: "Ethan" + key,
+}
+
 STYLES: dict[str, Callable[[str], str]] = {
     "mixamo": _camel("mixamorig:"), "mixamo plain": _camel(), "mixamo 7": _camel("mixamorig7:"),
     "ready player me": _camel(), "trinity": _camel(), "beat": _camel(), "zeroeggs": _camel(), "ours": _camel(),
@@ -136,6 +214,7 @@ STYLES: dict[str, Callable[[str], str]] = {
     "daz": _table(_DAZ, "{side}{part}", "{side}{finger}{place}", "lr"),
     "blender": _table(_SNAKE, "DEF-{part}.{side}", "DEF-f_{finger}.0{place}.{side}", "LR"),
     "unknown": lambda key: "",
+    **_TOOLS, **_LANGUAGES,
 }
 """Tool -> name of each of our joints there."""
 _VRM_BONES = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
@@ -192,9 +271,11 @@ class _Builder:
         self.add("Hips", top, hips)
         fewest = 2 if self.style.startswith("rocketbox") else 1  # of its spine's joints the first carries the legs
         count = {"cmu": 3, "smplx": 3, "vrm": 3, "soma": 3, "beat": 4, "trinity": 4, "ours": 4, "zeroeggs": 4,
-                 "manny": 5, "metahuman": 5, "mixamo": 3, "vrm table": 3}.get(self.style, int(rng.integers(fewest, 6)))
+                 "manny": 5, "metahuman": 5, "mixamo": 3, "vrm table": 3, "rigify": 3}.get(
+                     self.style, int(rng.integers(fewest, 6)))
         necks = {"cmu": 2, "smplx": 1, "vrm": 1, "vrm table": 1, "mixamo": 1, "soma": 2, "manny": 2, "metahuman": 2,
-                 "beat": 2, "trinity": 2, "ours": 2, "zeroeggs": 2}.get(self.style, int(rng.integers(1, 4)))
+                 "beat": 2, "trinity": 2, "ours": 2, "zeroeggs": 2, "rigify": 2}.get(
+                     self.style, int(rng.integers(1, 4)))
         chest = hips + np.array([0.0, 0.40, -0.02]) * trunk * s
         neck = chest + np.array([0.0, 0.13, 0.01]) * trunk * s
         head = neck + np.array([0.0, 0.08, 0.015]) * s
@@ -474,22 +555,31 @@ class _Builder:
                    self.style, pose, self.size, torso)
 
 
-def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None) -> bytes:
+def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None, above: np.ndarray | None = None,
+           mesh: np.ndarray | None = None, tubes: bool = False) -> bytes:
     """The rig as a GLB with a skin, its inverse bind matrices, a mesh of points and, where it has one, the VRM table.
 
     turned: node -> [4] local rotation, w first, that the file stands in, other than the pose of the inverse matrices.
+    above: [4, 4] matrix of a node that holds all others. mesh: [4, 4] from the mesh's space to that node's. tubes: a
+    mesh of triangles around trunk and limbs instead of points around the trunk.
     """
     character = rig.character
     joints = np.flatnonzero(character.skinned).tolist()
-    inverse = np.linalg.inv(character.world_matrices()[joints]).transpose(0, 2, 1).astype("<f4")
-    weights = np.zeros((len(character.flesh), 4), "<f4")
+    mesh = np.eye(4) if mesh is None else mesh
+    inverse = (np.linalg.inv(character.world_matrices()[joints]) @ mesh).transpose(0, 2, 1).astype("<f4")
+    points, which, weights = (character.flesh, np.zeros((len(character.flesh), 4), "<u2"),
+                              np.zeros((len(character.flesh), 4), "<f4"))
     weights[:, 0] = 1.0
-    which = np.zeros((len(character.flesh), 4), "<u2")
     which[:, 0] = [joints.index(int(node)) for node in character.flesh_nodes]
-    parts = [inverse.tobytes(), character.flesh.astype("<f4").tobytes(), which.tobytes(), weights.tobytes()]
+    corners = np.zeros(0, "<u2")
+    if tubes:
+        points, which, weights, corners = _tubes(rig, joints)
+    points = (points - mesh[:3, 3]) @ np.linalg.inv(mesh[:3, :3]).T
+    parts = [inverse.tobytes(), points.astype("<f4").tobytes(), which.tobytes(), weights.tobytes()]
+    parts += [corners.tobytes()] if tubes else []
     starts = np.cumsum([0, *map(len, parts)]).tolist()
     kinds = ((5126, "MAT4", len(joints)), (5126, "VEC3", len(which)), (5123, "VEC4", len(which)),
-             (5126, "VEC4", len(which)))
+             (5126, "VEC4", len(which)), (5123, "SCALAR", len(corners)))
     nodes: list[dict[str, Any]] = []
     for node, name in enumerate(character.names):
         w, x, y, z = (turned or {}).get(node, character.rotations[node]).tolist()
@@ -497,15 +587,19 @@ def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None) -> bytes:
                       "scale": character.scales[node].tolist()})
         below = [child for child, parent in enumerate(character.parents) if parent == node]
         nodes[-1] |= {"children": below} if below else {}
-    nodes.append({"name": "mesh", "mesh": 0, "skin": 0})
+    nodes.append({"name": "mesh", "mesh": 0, "skin": 0, "matrix": mesh.T.ravel().tolist()})
+    if above is not None:
+        tops = [node for node, parent in enumerate(character.parents) if parent < 0]
+        nodes.append({"name": "Scene", "matrix": above.T.ravel().tolist(), "children": [*tops, len(character)]})
     document: dict[str, Any] = {
         "asset": {"version": "2.0"}, "nodes": nodes, "skins": [{"joints": joints, "inverseBindMatrices": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "JOINTS_0": 2, "WEIGHTS_0": 3}, "mode": 0}]}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "JOINTS_0": 2, "WEIGHTS_0": 3},
+                                    **({"indices": 4} if tubes else {"mode": 0})}]}],
         "buffers": [{"byteLength": starts[-1]}],
         "bufferViews": [{"buffer": 0, "byteOffset": start, "byteLength": len(part)}
                         for start, part in zip(starts, parts, strict=False)],
         "accessors": [{"bufferView": view, "componentType": component, "type": kind, "count": count}
-                      for view, (component, kind, count) in enumerate(kinds)]}
+                      for view, (component, kind, count) in enumerate(kinds[:len(parts)])]}
     if character.humanoid:
         bones = {bone: {"node": node} for bone, node in character.humanoid.items()}
         document["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
@@ -515,6 +609,99 @@ def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None) -> bytes:
     binary += b"\0" * (-len(binary) % 4)
     return (struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary)) + struct.pack("<I4s", len(text), b"JSON")
             + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+
+
+def _tubes(rig: Rig, joints: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points [V, 3], joints and weights [V, 4] and corners of triangles of tubes along trunk, arms and legs."""
+    world = rig.character.world_matrices()[:, :3, 3]
+    chains = [[rig.truth["Hips"], *rig.spine, *rig.neck, rig.truth["Head"]]]
+    for side in SIDES:
+        names = ("Arm", "ForeArm", "Hand", "HandMiddle1"), ("UpLeg", "Leg", "Foot", "ToeBase")
+        chains += [[rig.truth[side + name] for name in limb if side + name in rig.truth] for limb in names]
+    points, which, shares, corners = [], [], [], []
+    for chain in chains:
+        width = 0.04 * rig.size / rig.unit
+        for place, (node, below) in enumerate(zip(chain, [*chain[1:], chain[-1]], strict=True)):
+            way = world[below] - world[node] if below != node else world[node] - world[chain[place - 1]]
+            x = np.cross(way, [0.3, 0.5, 0.8]) / np.linalg.norm(np.cross(way, [0.3, 0.5, 0.8])) * width
+            y = np.cross(way, x) / np.linalg.norm(np.cross(way, x)) * width
+            for step in range(4):
+                first, before = len(points), chain[place - 1] if place and step == 0 else node
+                points += [world[node] + way * step / 4 * (0.5 if below == node else 1.0) + a for a in (x, y, -x, -y)]
+                which += [[joints.index(node), joints.index(before), 0, 0]] * 4
+                shares += [[0.5, 0.5, 0.0, 0.0] if before != node else [1.0, 0.0, 0.0, 0.0]] * 4
+                if place or step:
+                    corners += [row for i in range(4) for row in (
+                        first + i, first + (i + 1) % 4, first + i - 4, first + (i + 1) % 4, first + (i + 1) % 4 - 4,
+                        first + i - 4)]
+    return np.array(points), np.array(which, "<u2"), np.array(shares, "<f4"), np.array(corners, "<u2")
+
+
+PLACES = ("as bound", "everywhere", "one limb", "hips turned", "turned", "leaning", "lying", "small", "large",
+          "mirrored", "mesh in centimetres, Z up")
+"""How a file may stand other than in the pose that its mesh was bound in, or place it."""
+
+
+def placed(rig: Rig, place: str, rng: np.random.Generator, path: Path, tubes: bool = True) -> Rig:
+    """The rig as it is read from a GLB that stands or is placed as one of `PLACES` says, and what is true of it."""
+    above, mesh, turned = np.eye(4), np.eye(4), {}
+    axes, bound = rig.axes, rig.character.world_matrices()
+    if place in ("everywhere", "one limb", "hips turned"):
+        turned = _posed(rig, place, rng)
+    elif place in ("turned", "leaning", "lying"):
+        turn = {"turned": Rotation.from_euler("Y", float(rng.uniform(-180, 180)), degrees=True),
+                "leaning": Rotation.from_euler("X", float(rng.choice([-35, -20, 25, 40])), degrees=True),
+                "lying": Rotation.from_euler(str(rng.choice(["X", "Z"])), float(rng.choice([-90, 90])), degrees=True)}[
+                    place].as_matrix()
+        above[:3, :3] = turn
+        if place == "turned":
+            axes, bound = axes @ turn.T, above @ bound
+        elif place == "lying":  # set upright, facing as the format defines it
+            bound[:, :3, :3] = axes @ bound[:, :3, :3]
+            axes = np.eye(3)
+    elif place in ("small", "large"):
+        above[:3, :3] *= 0.01 if place == "small" else 100.0
+    elif place == "mirrored":
+        above[0, 0] = -1.0
+        bound, axes = above @ bound, axes @ np.diag([-1.0, 1.0, 1.0]) * np.array([[-1.0], [1.0], [1.0]])
+    elif place != "as bound":
+        mesh[:3, :3] = Rotation.from_euler("X", -90.0, degrees=True).as_matrix() * 0.01
+        if rng.random() < 0.5:
+            turned = _posed(rig, "everywhere", rng)
+    path.write_bytes(as_glb(rig, turned, above, mesh, tubes))
+    return _read_again(rig, path, axes, bound, {"small": 100.0, "large": 0.01}.get(place, 1.0), place == "mirrored")
+
+
+def _posed(rig: Rig, place: str, rng: np.random.Generator) -> dict[int, np.ndarray]:
+    """Node -> local rotation of another pose: of all joints, of those of one arm, or of the hips."""
+    most = {"Arm": 70, "ForeArm": 60, "Hand": 30, "UpLeg": 35, "Leg": 40, "Foot": 20}
+    joints = rig.truth | {f"Spine{i}": node for i, node in enumerate([*rig.spine, *rig.neck])}
+    if place != "everywhere":
+        side = str(rng.choice(SIDES))
+        kept = ("Hips",) if place == "hips turned" else tuple(side + part for part in ("Arm", "ForeArm", "Hand"))
+        joints = {name: node for name, node in rig.truth.items() if name.startswith(kept)}
+    out = {}
+    for name, node in joints.items():
+        largest = 90 if place == "hips turned" else most.get(_sided(name)[1], 12)
+        turn = Rotation.from_rotvec(rng.uniform(-1, 1, 3) / np.sqrt(3) * np.radians(largest))
+        out[node] = (Rotation.from_quat(rig.character.rotations[node], scalar_first=True) * turn).as_quat(
+            scalar_first=True)
+    return out
+
+
+def _read_again(rig: Rig, path: Path, axes: np.ndarray, bound: np.ndarray, unit: float, swapped: bool) -> Rig:
+    """The rig with the character of the file, its nodes in the order in which they are read."""
+    from gesticulator.characters.reading import read_character
+
+    character = read_character(path)
+    at = {number: node for node, number in enumerate(character.node_ids)}
+    other = {"Left": "Right", "Right": "Left"} if swapped else {side: side for side in SIDES}
+    truth = {other.get(_sided(name)[0], "") + _sided(name)[1]: at[node] for name, node in rig.truth.items()}
+    whole = character.world_matrices()
+    for node in range(len(rig.character)):
+        whole[at[node]] = bound[node]
+    return Rig(character, truth, [at[node] for node in rig.spine], [at[node] for node in rig.neck], axes, unit,
+               rig.style, rig.pose, rig.size, rig.torso, whole)
 
 
 def _is_ours(key: str) -> bool:

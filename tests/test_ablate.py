@@ -80,8 +80,7 @@ def test_random_codes_are_normal_and_repeat() -> None:
     assert abs(sampled(1).mean()) < 0.05 and abs(sampled(1).std() - 1) < 0.05
 
 
-def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, work: Path, tmp_path: Path,
-                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_and_figures_of_the_paper(ablation: Ablation, work: Path, tmp_path: Path) -> None:
     names = ["ours", "no-audio-no-style", "no-lexemes", "random-style", "style-editing"]
     drawn = {"figure-2": "svg", "figure-6": "png", "figure-9-ours": "png", "figure-9-performer": "png",
              "figure-10": "png", "figure-11": "svg", "figure-14": "svg", "figure-17": "png"}
@@ -91,17 +90,30 @@ def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, work: Path
     assert facts["refused"] == {"figure-16": "not run: range-0.5-1.0, range-0.2-1.0"}
     assert read_bvh(work / "played" / "ours-1" / f"{own.rg.names('test')[0]}.bvh").fps > 10
     for name, kind in drawn.items():
-        figure = loads((own.cells.folder / f"{name}.json").read_text())
-        assert figure["figure"].startswith("RG Fig.") and figure["caption"]
-        assert (own.cells.folder / f"{name}.{kind}").stat().st_size > 1000
+        check_figure(own, name, kind)
+    alone = own.cells.read()["no-lexemes"][1]["clips"][0]
+    assert math.isnan(alone["accuracy"]), "it has no lexemes that could be right"
+    assert alone["diversity"] >= 0, "its motion is read by the lexicon of ours"
+
+
+def check_figure(own: Ablation, name: str, kind: str) -> None:
+    figure = loads((own.cells.folder / f"{name}.json").read_text())
+    assert figure["figure"].startswith("RG Fig.") and figure["caption"]
+    assert (own.cells.folder / f"{name}.{kind}").stat().st_size > 1000
+
+
+def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+                                                  ) -> None:
+    own = into(ablation, tmp_path / "ablation")
+    facts = ablate.ablate(own, only=["ours", "random-style", "figure-17", "figure-16"], seeds=1)
+    assert {"ours", "random-style", "performer"} <= set(facts["rows"])
+    assert facts["refused"] == {"figure-16": "not run: range-0.5-1.0, range-0.2-1.0"}
+    check_figure(own, "figure-17", "png")
     cells = own.cells.read()
     one, random = cells["ours"][1], cells["random-style"][1]
     assert len(one["clips"]) == 1 and set(COLUMNS) <= set(one["clips"][0])
     assert 0 <= one["clips"][0]["accuracy"] <= 100 and one["sets"]["fgd"][0]["distance"] > 0
     assert one["stages"]["generator"] > 0 and set(random["stages"].values()) == {0.0}, "the same weights, played anew"
-    alone = cells["no-lexemes"][1]["clips"][0]
-    assert math.isnan(alone["accuracy"]), "it has no lexemes that could be right"
-    assert alone["diversity"] >= 0, "its motion is read by the lexicon of ours"
     performer = cells["performer"][0]["clips"][0]
     assert performer["maje"] == 0 and performer["fgd"] == pytest.approx(0, abs=1e-9)
     titles = [table.title for table in load(own.cells.folder / "table.json")]

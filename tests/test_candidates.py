@@ -13,7 +13,7 @@ from eval.baselines import controls as baselines
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
-from gesticulator.drawing.candidates import FASTEST, CandidateChooser, depth, in_time, slow_enough
+from gesticulator.drawing.candidates import FASTEST, CandidateChooser, apart_from_hands, depth, in_time, slow_enough
 from gesticulator.drawing.cutter import encode_speech
 from gesticulator.pipeline import Gesticulator
 from tests.untrained import MOVING, PLAIN, untrained
@@ -58,7 +58,8 @@ def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(b
 
 
 def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_kept(bundle: Bundle) -> None:
-    places = np.zeros((4, 2, 7, 3))
+    places = np.zeros((4, 2, 8, 3))
+    places[:, :, 7, 1] = 9.0  # a head far from the arms
     places[:, :, 6, 1], places[:, :, :4, 0], places[:, :, 4:6, 1] = 0.5, 0.5, 0.6
     places[1, :, 0] = [0.0, 0.25, 0.07]  # half the radius from the middle of the trunk
     places[2, 0, 3] = [0.0, 0.7, 0.05]  # an elbow 20 cm over the chest
@@ -69,12 +70,50 @@ def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_ke
     past, wide = swing(bundle, 0.0)
     skeleton = representation_of(bundle.config).motion(bundle.statistics.rest_pose[:1], 1.0).skeleton
     poses = bundle.statistics.denormalise(wide, 0)
+    outside = poses.copy()
     poses[:, 3 * skeleton.index("RightArm") + 2] += 2.0 * np.arange(1, FRAMES + 1) / FRAMES  # through the body
     blocks, shown = np.stack([bundle.statistics.normalise(poses, 0), wide]), np.array([1.0, 1.2])
-    assert depth(chooser._places(blocks))[0] > 0.1 and depth(chooser._places(blocks))[1] == 0.0
+    deep = depth(chooser._places(np.stack([poses, outside])))
+    assert deep[0] > 0.1 and deep[1] == 0.0
     assert chooser.choose(block_of(np.zeros(0)), past, blocks, shown) == 1
     careless = CandidateChooser(bundle, 0)
     assert careless.choose(block_of(np.zeros(0)), past, blocks, shown) == 0
+
+
+def test_an_arm_before_the_face_is_as_near_as_its_nearest_point() -> None:
+    """The middle of the face is 9 cm over the joint of the head and 8 cm before it; the sphere has a radius of 22 cm,
+    and a hand reaches 36 % of the forearm beyond the wrist."""
+    places = np.zeros((4, 1, 8, 3))
+    places[:, :, 7, 1], places[:, :, 6, 1] = 0.6, 0.4
+    places[:, :, :4], places[:, :, 4:6, 1] = [0.6, 0.2, 0.0], -9.0
+    places[1, :, 0], places[1, :, 2] = [-0.2, 0.69, 0.19], [0.2, 0.69, 0.19]  # a forearm 11 cm before it
+    places[2, :, 0], places[2, :, 2] = [-0.186, 0.69, 0.08], [-0.436, 0.69, 0.08]  # the hand ends 9.6 cm beside it
+    places[3, :, 0], places[3, :, 2] = [-0.31, 0.69, 0.08], [-0.56, 0.69, 0.08]  # 22 cm beside it
+    np.testing.assert_allclose(depth(places), [0.0, 0.5, 1.0 - 0.096 / 0.22, 0.0], atol=1e-6)
+
+
+def test_the_code_of_a_style_moves_the_choice_as_far_as_it_is_from_habit(bundle: Bundle) -> None:
+    chooser = CandidateChooser(replace(bundle, config=with_settings(bundle.config, ["selection.as_styled=1"])), 0)
+    past, still = swing(bundle, 0.0)
+    blocks, speech, shown = np.stack([still, swing(bundle, 1.0)[1]]), block_of(np.zeros(0)), np.array([1.0, 1.0])
+    lively, calm, habit = np.array([1.5, 0, 0, 0]), np.array([-1.5, 0, 0, 0]), np.zeros(4)
+    assert chooser.choose(speech, past, blocks, shown, code=lively) == 1
+    assert chooser.choose(speech, past, blocks, shown, code=calm) == 0
+    assert chooser.choose(speech, past, blocks, np.array([1.0, 1.001]), code=habit) == 0
+    assert chooser.choose(speech, past, blocks, np.array([1.001, 1.0]), code=habit) == 1, "habit asks for nothing"
+
+
+def test_a_head_that_turns_with_the_hands_is_nearer_to_them_than_one_that_does_not() -> None:
+    times = np.arange(-3, 11) * 0.05
+    way = np.maximum(times, 0.0)[:, None, None] * np.array([1.0, 0.0, 0.0])  # both hands at 1 m/s
+    hands = np.repeat(np.repeat(way, 2, axis=1)[None], 3, axis=0)
+    head = np.zeros((3, len(times), 6))
+    # Twice as fast as in speech, as the hands are: 0.8 rad/s, of two joints together.
+    head[0, :, 0] = head[0, :, 3] = 0.4 * np.maximum(times, 0.0)
+    head[1, :, 0] = 0.4 * np.maximum(times, 0.0)
+    apart = apart_from_hands(head, hands, times)
+    np.testing.assert_allclose(apart, [0.0, np.log(2.1 / 1.1), np.log(2.1 / 0.1)], atol=1e-9)
+    np.testing.assert_allclose(apart_from_hands(0 * head, 0 * hands, times), 0.0, atol=1e-9)
 
 
 def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(bundle: Bundle) -> None:

@@ -31,7 +31,7 @@ from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages.lexicon import token_labels
-from interpreters.unit_style import CODE, UnitStyleInterpreter
+from interpreters.planner import CODE, UnitStyleInterpreter
 from lexicon.movement import MovementLexicon
 
 AHEAD = 1.5

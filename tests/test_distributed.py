@@ -111,10 +111,17 @@ def test_every_stage_has_the_losses_of_one_process(two: Path, tiny_bundle: Path,
     assert (two / of / stage / "weights-0").read_text() == (two / of / stage / "weights-1").read_text()
 
 
+@pytest.fixture(scope="module")
+def codebooks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What one process leaves that trains the codebooks."""
+    out = tmp_path_factory.mktemp("codebooks")
+    ranks.codebooks(out, 100)
+    return out
+
+
 @pytest.mark.parametrize("name", ["lexicon", "codec", "movements"])
-def test_codebooks_follow_the_whole_batch_for_a_hundred_steps(two: Path, tmp_path: Path, name: str) -> None:
-    ranks.codebooks(tmp_path, 100)
-    ours, alone = rows(two / "codebooks" / name, name), rows(tmp_path / name, name)
+def test_codebooks_follow_the_whole_batch_for_a_hundred_steps(two: Path, codebooks: Path, name: str) -> None:
+    ours, alone = rows(two / "codebooks" / name, name), rows(codebooks / name, name)
     assert len(ours) == 100 and alone[-1]["loss"] < 0.9 * alone[0]["loss"]
     assert_same_losses(ours, alone)
 

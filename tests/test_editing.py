@@ -198,7 +198,7 @@ def test_an_edit_sends_its_stretch_and_undo_draws_nothing(system: Gesticulator, 
     page.edit(edited(original, "swap", 8, 77))
     assert drawn == [1], "the block, and not the recording: its drawing was kept"
     swapped = page.plan
-    assert 0 < page.sent < 60 * 2.2, "frames of the block, its blend and the smoothing"
+    assert 0 < page.sent < 60 * 3.5, "frames of the block, its blend, and the blocks beside them"
     page.edit(original)
     np.testing.assert_array_equal(page.frames, frames)
     page.edit(swapped)

@@ -56,7 +56,7 @@ def test_the_program_that_defines_them_agrees(judge: ModuleType, take: tuple[Pat
     theirs = judge.load(str(file) + ":15")
     told = {**judge.together_measures(theirs), **judge.together_sound(theirs, judge.read_sound(str(sound)))}
     found = every_figure(common_body(motion), hear(load_speech(sound)))
-    assert set(found) == set(JUDGE)
+    assert set(found) == {*JUDGE, "eye_face"}
     for name, key in JUDGE.items():
         value = math.nan if told[key] is None else told[key]
         assert found[name] == pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True), name
@@ -106,6 +106,19 @@ def test_the_azimuth_of_a_level_forearm_is_its_angle(degrees: float) -> None:
     assert found["eye_elbow"] == pytest.approx(90.0, abs=0.5) and found["eye_folded"] == 0.0
     # A forearm is 25 cm long, so the wrist is 8 cm outside from asin(8 / 25) = 18.7 degrees on.
     assert found["eye_splay"] == found["eye_splay_both"] == (100.0 if degrees > 18.7 else 0.0)
+
+
+def test_an_arm_is_before_the_face_where_its_hand_covers_it() -> None:
+    hanging, ahead = posed(2.0, lambda time: {}), arms_ahead(0.0)
+    body = common_body(ahead)
+    assert posture.figures(common_body(hanging))["eye_face"] == posture.figures(body)["eye_face"] == 0.0
+    # The right forearm stands upright before the chest; its wrist is at the height of the mouth, in half of the time.
+    face = body.points["Head"] + np.array([0.0, 0.09, 0.08])
+    points, half = dict(body.points), len(body) // 2
+    points["RightForeArm"], points["RightHand"] = body.points["RightForeArm"].copy(), body.points["RightHand"].copy()
+    points["RightHand"][:half] = (face + np.array([0.0, -0.05, 0.12]))[:half]
+    points["RightForeArm"][:half] = (face + np.array([0.0, -0.30, 0.12]))[:half]
+    assert posture.figures(replace(body, points=points))["eye_face"] == pytest.approx(50.0, abs=1.0)
 
 
 def test_one_splayed_arm_is_half_of_the_time_and_never_both() -> None:

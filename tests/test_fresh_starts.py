@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from gesticulator.drawing.fresh_starts import FADES, FirstPoses, Offset
-from gesticulator.drawing.keys import Keys
+from gesticulator.drawing.drawer import Keys
+from gesticulator.drawing.rollout import FADES, FirstPoses, Offset
 
 NAMES = ["Spine", "LeftArm", "RightArm"]
 REST = np.concatenate([np.full(3, 9.0), np.full(3, 2.0), np.full(3, -4.0)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gesticulator.drawing.keys import Keys
+from gesticulator.drawing.drawer import Keys
 from interpreters.base import select
 
 LEXEMES = 60
@@ -69,3 +69,12 @@ def test_a_small_change_of_scores_rarely_changes_the_choice() -> None:
         p, q = (np.exp(scores) / np.exp(scores).sum() for scores in (one, two))
         apart += 0.5 * np.abs(p - q).sum()
     assert 0.7 * apart < changed < 2.2 * apart
+
+
+def test_activity_is_standard_normal_waxes_over_seconds_and_is_keyed() -> None:
+    far = np.array([Keys(seed).activity(6.0 * n) for seed in range(8) for n in range(100)])
+    assert stats.kstest(far, stats.norm.cdf).pvalue > 0.01
+    path = np.array([Keys(3).activity(0.1 * n) for n in range(3000)])
+    near, second, later = (np.corrcoef(path[:-n], path[n:])[0, 1] for n in (3, 30, 60))
+    assert near > 0.95 and second < 0.6 and abs(later) < 0.3
+    assert Keys(3).activity(1.25) == Keys(3).activity(1.25) != Keys(3, 1).activity(1.25)

@@ -24,6 +24,7 @@ from data_module.types import Motion, Samples
 from gesticulator import infer
 from gesticulator.batch import jobs as one
 from gesticulator.batch.long import WRITERS
+from gesticulator.export.clip import EVERY_FRAME
 from gesticulator.export.glb import skeleton_glb
 from gesticulator.export.glb_pieces import GlbFile
 from gesticulator.export.nodes import of_motion
@@ -117,7 +118,7 @@ def test_signs_of_quaternions_in_pieces_are_those_of_all_of_them(sizes: list[int
 
 @pytest.mark.parametrize("sizes", [(40,), (1, 7, 1, 31)])
 def test_a_glb_in_pieces_holds_every_frame(sizes: tuple[int, ...], tmp_path: Path) -> None:
-    motion, file = frames(40), GlbFile(tmp_path / "a.glb", CHARACTER, 60.0)
+    motion, file = frames(40), GlbFile(tmp_path / "a.glb", CHARACTER, 60.0, EVERY_FRAME)
     begin = 0
     for size in sizes:
         file.add(motion.crop(begin, begin + size))
@@ -139,7 +140,7 @@ def test_a_glb_in_pieces_holds_every_frame(sizes: tuple[int, ...], tmp_path: Pat
 def test_a_glb_in_pieces_takes_no_more_memory_when_it_is_longer(tmp_path: Path) -> None:
     def peak(pieces: int) -> tuple[int, int]:
         tracemalloc.start()
-        file, piece = GlbFile(tmp_path / "a.glb", CHARACTER, 60.0), frames(500)
+        file, piece = GlbFile(tmp_path / "a.glb", CHARACTER, 60.0, EVERY_FRAME), frames(500)
         for _ in range(pieces):
             file.add(piece)
         file.finish()
@@ -154,7 +155,7 @@ def test_a_glb_in_pieces_takes_no_more_memory_when_it_is_longer(tmp_path: Path) 
 
 def test_a_glb_holds_26_hours_and_no_27(tmp_path: Path) -> None:
     """46 joints at 60 frames a second: 752 bytes a frame, and 2^32 bytes in all."""
-    file = GlbFile(tmp_path / "a.glb", CHARACTERS[46], 60.0)
+    file = GlbFile(tmp_path / "a.glb", CHARACTERS[46], 60.0, EVERY_FRAME)
     file.expect(26 * 3600 * 60)
     with pytest.raises(InputError, match=r"would take 4\.4 GB, and a GLB file holds 4\.3 GB.*--fps"):
         file.expect(27 * 3600 * 60)
@@ -179,7 +180,7 @@ def test_frames_beyond_what_a_glb_holds_are_refused_as_they_come(tmp_path: Path,
                                                                  monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a header does not say how long the sound is."""
     monkeypatch.setattr("gesticulator.export.glb_pieces.LARGEST", 200_000)
-    file = GlbFile(tmp_path / "a.glb", CHARACTER, 60.0)
+    file = GlbFile(tmp_path / "a.glb", CHARACTER, 60.0, EVERY_FRAME)
     file.add(frames(200))  # 272 bytes each
     with pytest.raises(InputError, match="a GLB file holds"):
         file.add(frames(100))
@@ -190,7 +191,7 @@ def test_frames_beyond_what_a_glb_holds_are_refused_as_they_come(tmp_path: Path,
 def test_a_motion_at_once_that_a_glb_cannot_hold_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gesticulator.export.gltf.LARGEST", 30_000)
     with pytest.raises(InputError, match="a GLB file holds"):
-        skeleton_glb(of_motion(frames(20)))
+        skeleton_glb(of_motion(frames(20)), EVERY_FRAME)
 
 
 def test_what_breaks_off_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,

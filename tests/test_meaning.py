@@ -16,7 +16,8 @@ from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.text.cue_patterns import cue_pattern, spoken_text
 from data_module.text.meaning import CalledGesture, language_of, meaning_cues
 from data_module.types import Speech, Word
-from gesticulator.directing.meanings import AGAIN, LEVELS, Called, Level, MeaningTrack, chosen, stroke_time
+from gesticulator.directing.directions import stroke_of_word
+from gesticulator.directing.meanings import AGAIN, LEVELS, Called, Level, MeaningTrack, chosen
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.options import MEANING_LEVELS, InferenceOptions
 from gesticulator.performance import Performance
@@ -250,7 +251,7 @@ def test_an_interruption_breaks_off_what_has_begun_and_drops_the_rest() -> None:
 
 @given(st.floats(0.0, 100.0), st.floats(0.05, 1.5))
 def test_a_stroke_lies_around_the_beginning_of_its_word(start: float, lasts: float) -> None:
-    at = stroke_time(Word("idea", start, start + lasts))
+    at = stroke_of_word(Word("idea", start, start + lasts))
     assert max(start - 0.2, 0.0) <= at <= start + 0.5 * lasts
 
 
@@ -288,7 +289,7 @@ def test_words_move_the_body_at_their_gesture_and_nowhere_else() -> None:
     entry, = take("normal").plan().meanings
     before, after = span_of_gesture("shrug")
     assert entry.source == "words" and (entry.kind, entry.gesture, entry.word) == ("shrug", "shrug", "idea")
-    assert entry.time is not None and 3.3 <= entry.time <= 3.55
+    assert entry.time is not None and 3.3 <= entry.time <= 3.85
     assert entry.time - before - 0.5 <= moved[0] <= entry.time and moved[-1] <= entry.time + after + 0.5
     assert not take("off").plan().meanings
 
@@ -311,7 +312,14 @@ def test_a_stream_whose_words_come_first_shows_what_a_file_shows() -> None:
     stream.add_words(spoken().words or ())
     parts = [stream.feed(piece) for piece in np.array_split(spoken().samples, 50)]
     made = np.concatenate([part.rotations for part in (*parts, stream.finish())])
-    assert np.array_equal(made, take("normal").rotations)
+    # The gesture begins before its word is heard, so that the times of the word place it and its size is the plain one.
+    words_alone = MeaningTrack("normal")
+    words_alone.add(spoken().words or ())
+    assert np.array_equal(made, system()(spoken(), plan=replace(
+        take("normal").plan(), meanings=words_alone.meanings())).rotations)
+    heard, unheard = take("normal").plan().meanings, words_alone.meanings()
+    assert [one.gesture for one in heard] == [one.gesture for one in unheard]
+    assert all(abs((a.time or 0.0) - (b.time or 0.0)) < 0.25 for a, b in zip(heard, unheard, strict=True))
 
 
 def test_an_interruption_ends_a_gesture_softly() -> None:

@@ -13,11 +13,12 @@ from data_module.errors import InputError
 from data_module.text.meaning import meaning_cues
 from eval.commands import PROBE
 from eval.probes import meaning
+from eval.stats import share
 
 
 @pytest.mark.parametrize(("hits", "count"), [(156, 160), (0, 10), (10, 10), (3, 7)])
 def test_a_share_has_wilsons_interval(hits: int, count: int) -> None:
-    here, there = meaning.share(hits, count), binomtest(hits, count).proportion_ci(method="wilson")
+    here, there = share(hits, count), binomtest(hits, count).proportion_ci(method="wilson")
     assert (here.mean, here.low, here.high) == pytest.approx((hits / count, there.low, there.high), abs=1e-3)
 
 

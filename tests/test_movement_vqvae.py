@@ -15,8 +15,8 @@ from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import models
 from gesticulator.bundle.config import with_settings
 from gesticulator.training import presets
-from lexicon.movement import MovementLexicon
-from lexicon.movement_vqvae import MovementLearner, MovementVqVae
+from lexicon.movement import MovementLexicon, MovementVqVae
+from lexicon.movement_vqvae import MovementLearner
 from lexicon.settings import LexiconConfig
 
 SMALL = LexiconConfig(kind="movement", quantizer="vq-vae", size=4, levels=(8, 8), trunk_components=6, arm_components=6,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTERS, FINGERED, FINGERS
 from data_module.types import Array, Motion
 from gesticulator.body.mirror import mirrored_motion
-from gesticulator.characters.contacts import our_distances, pose_of
+from gesticulator.characters.contacts import MARGIN, head_distances, our_distances, pose_of
 from gesticulator.cli import main
 from gesticulator.directing.gesture_arms import arm_turns, hand_rotation
 from gesticulator.directing.gesture_phases import drawn_gesture, longest
@@ -309,3 +310,29 @@ def test_the_page_tells_what_the_verb_lists() -> None:
         assert kinds.split(", ") == ([kind for kind in ("core", "weak", "offensive") if getattr(gesture, kind)] or [""])
         np.testing.assert_allclose([float(one) for one in seconds.split(", ")],
                                    [phases.before, phases.hold, phases.retraction], atol=0.006)
+
+
+# ------------------------------------------------------------------------------------------- head and speed
+
+@functools.cache
+def raised() -> Array:
+    """[M, 3 J] the same body with both hands before the chest."""
+    poses = moving().reshape(len(times()), -1, 3).copy()
+    for name, turn in {"RightArm": (0.2, 0.8, 0.5), "RightForeArm": (0.1, 1.9, 0.3)}.items():
+        for side, flip in (("Right", (1.0, 1.0, 1.0)), ("Left", (1.0, -1.0, -1.0))):
+            joint = name.replace("Right", side)
+            poses[:, FINGERED.index(joint)] += np.multiply(flip, turn) - _HANGING[joint]
+    return poses.reshape(len(times()), -1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("start", [moving, raised])
+def test_no_hand_enters_the_head_or_is_thrown(name: str, start: Callable[[], Array]) -> None:
+    """In all sizes, from hands that hang and from raised ones. People reach 2.5 m/s in the largest gestures."""
+    head_is_touched = any(script.faces for script in SCRIPTS[name])
+    for size in (0.6, 1.0, 1.5):
+        motion = motion_of(laid_over(start(), times(), [(GestureCue(name, time=AT, intensity=size), AT)]))
+        gaps = head_distances(pose_of(motion))
+        for side in hands_of(name):
+            assert gaps[side].min() > (-0.012 if head_is_touched else MARGIN - 0.015)
+            assert speeds(in_chest(motion, f"{side}Hand", "Spine3")).max() < 2.6

@@ -43,9 +43,11 @@ def test_the_constraints_hold_a_tested_version_of_every_requirement() -> None:
 def test_slow_tests_are_there() -> None:
     functions = {f"{file.name}::{node.name}" for file in (ROOT / "tests").glob("test_*.py")
                  for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.FunctionDef)}
-    slow = (ROOT / "tests" / "slow.txt").read_text().split()
-    assert slow == sorted(set(slow))
-    assert set(slow) <= functions, sorted(set(slow) - functions)
+    slow, full = ((ROOT / "tests" / name).read_text().split() for name in ("slow.txt", "full.txt"))
+    for names in (slow, full):
+        assert names == sorted(set(names))
+        assert set(names) <= functions, sorted(set(names) - functions)
+    assert set(full) <= set(slow)
 
 
 def metadata(url: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.body.mirror import mirrored_motion
 from gesticulator.bundle.features import representation_of
-from gesticulator.characters.contacts import MARGIN, our_distances, pose_of
+from gesticulator.characters.contacts import our_distances, pose_of
 from gesticulator.directing.directions import cues_at
 from gesticulator.directing.editing import BLEND
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
@@ -200,10 +200,8 @@ def test_intensity_scales_the_hands_and_keeps_them_in_range_and_out_of_the_body(
     beyond = np.maximum(angles - high[columns], low[columns] - angles).max()
     # Idle life and smoothing bring the drawing itself to the edge; pushing a hand out of the trunk may take a little.
     assert beyond <= max(np.maximum(before - high[columns], low[columns] - before).max(), 0.0) + 0.16
-    gaps, were = our_distances(pose_of(made.motion)), our_distances(pose_of(drawn.motion))
-    for side, gap in gaps.items():
-        deeper = np.minimum(were[side], MARGIN) - gap
-        assert (deeper > 0.02 * max(intensity, 1.0)).mean() < 0.02, "no deeper, but for a frame of a fast pass"
+    for gap in our_distances(pose_of(made.motion)).values():
+        assert gap.min() > -0.01, "no hand in the trunk, at no frame"
 
 
 def poses_of(made: Performance, step: int = 3) -> tuple[Array, Array]:

@@ -9,8 +9,10 @@ import pytest
 import torch
 from scipy.stats import chisquare
 
+from gesticulator.bundle.config import SelectionConfig
+from gesticulator.bundle.features import SpeechBlock
 from gesticulator.directing.record import units_of_blocks
-from gesticulator.drawing.rollout import BlockMotion
+from gesticulator.drawing.rollout import BlockMotion, phrasing
 from gesticulator.plan.plan import Block, BlockDraw
 from gesticulator.training.stages.planner import units_of
 from interpreters.base import BlockFeatures
@@ -116,6 +118,41 @@ def test_a_decision_is_a_sample_of_its_distribution() -> None:
     counts = np.bincount(drawn, minlength=len(PHASES))
     assert chisquare(counts, shares / shares.sum() * 3000).pvalue > 1e-3
     assert len({model.step(model.start(1), features(rows), numbers(9))[0] for _ in range(3)}) == 1
+
+
+def test_a_bias_moves_the_odds_of_a_phase_and_a_hold_needs_raised_hands() -> None:
+    model, rows = planner(), torch.zeros(3 * FRAMES, WIDTH)
+    for last, raised in ((PHASES.index("stroke"), True), (PHASES.index("rest"), False)):
+        begun = replace(model.start(1), last=torch.tensor([[last, 1, 0, 0]]))
+        heard, _ = model.hear(rows[None, None], begun.speaker, begun.last[:, None])
+        logits = model.logits(heard, 0, torch.zeros(1, 1, 0, dtype=torch.long))[0, 0].double().detach().numpy()
+        for name in ("preparation", "hold"):
+            bias = 1.5 * (np.array(PHASES) == name)
+            shares = np.exp(logits + (bias if raised or name != "hold" else 0.0))
+            drawn = [model.step(begun, features(rows), numbers(k), 1.0, bias)[0].phase for k in range(2000)]
+            counts = np.bincount(drawn, minlength=len(PHASES))
+            assert chisquare(counts, shares / shares.sum() * 2000).pvalue > 1e-3
+
+
+def test_a_pause_that_goes_on_holds_and_one_that_ends_prepares() -> None:
+    settings = SelectionConfig(hold=0.5, phrasing=2.0)
+    quiet, voiced = np.ones(FRAMES, bool), np.zeros(FRAMES, bool)
+    nothing = np.zeros((3 * FRAMES, 2), np.float32)
+
+    def of(now: np.ndarray, ahead: np.ndarray | None) -> dict[str, float]:
+        speech = SpeechBlock(4, 2.0, 2.4, (0.4, 0.4, 0.4), (False, bool(now.all()), False), nothing, nothing, None, now,
+                             ahead)
+        return {name: value for name, value in zip(PHASES, phrasing(settings, speech), strict=True) if value}
+
+    assert of(quiet, quiet) == {"hold": 2.5}
+    assert of(quiet, voiced) == of(quiet, np.array([True, True, True, False])) == {"hold": 0.5, "preparation": 2.0}
+    assert of(voiced, voiced) == of(voiced, quiet) == of(quiet, None) == {"hold": 0.5}
+
+
+def test_a_stroke_follows_another_after_its_apex() -> None:
+    stroke, apex = (UnitDecision(2, 1, 1, APEXES.index(name)) for name in ("later", "now"))
+    assert stroke.follows(apex) and not stroke.follows(stroke) and not stroke.follows(None)
+    assert not UnitDecision(3, 1, 0, 0).follows(apex)
 
 
 def test_a_new_unit_forgets_the_sound_before_its_last_decision() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from eval.acceptance.racer.command import CQL, LSTM, MAJORITY, MATCHED, PERFORME
 from eval.acceptance.racer.playing import PlayedFigures
 from eval.claim import Verdict, at_least, judged
 from eval.commands import PROBE
+from eval.metrics import gesture_features
 from eval.runner.policy import entropy_of, matched_temperature
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel
@@ -128,7 +130,10 @@ def test_an_entry_is_plain_json() -> None:
                                             "bound": "at least 0.60", "holds": False, "reason": "why"}
 
 
-def test_the_command_judges_every_clause(tiny_store: Path, tiny_movement_bundle: Path, tmp_path: Path) -> None:
+def test_the_command_judges_every_clause(tiny_store: Path, tiny_movement_bundle: Path, tmp_path: Path,
+                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    # The networks of FGD as after a few steps: their distances are judged, whatever they are.
+    monkeypatch.setattr(gesture_features, "SETTINGS", replace(gesture_features.SETTINGS, steps=20))
     work = tiny_movement_bundle.with_name(tiny_movement_bundle.name + ".work")
     out, list_of = tmp_path / "racer.json", tmp_path / "racer_acceptance.json"
     assert PROBE.main("gesticulator probe", [

@@ -22,7 +22,7 @@ from gesticulator.characters.mapping import SURE
 from gesticulator.characters.retarget import Retargeter
 from gesticulator.characters.rig import CharacterMotion
 from tests.rig_errors import LIMITS, places_of, worst
-from tests.rigs import NAMED, POSES, STYLES, Rig, draw
+from tests.rigs import NAMED, PLACES, POSES, STYLES, Rig, draw, placed
 
 SEEDS: tuple[int, ...] = (
     1897878, 4143999, 12039805, 13142800, 14479038, 20174414, 27049426, 27078753, 27959164, 31660470, 55795855,
@@ -117,6 +117,24 @@ def test_the_bones_of_two_hundred_rigs_point_as_ours(performed: Motion) -> None:
         if over:
             bad[seed, rig.style, rig.pose] = over
     assert not bad
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_files_that_stand_or_are_placed_otherwise_come_out_as_bound(place: str, performed: Motion, tmp_path: Path
+                                                                    ) -> None:
+    """Through a file, with a mesh: the pose at rest, and where the file puts it, change nothing of what is moved."""
+    made = 0
+    for seed in SEEDS[:40]:
+        rig = drawn(seed)
+        if rig.character.kind != "glb" or made == 3:
+            continue
+        made += 1
+        there = placed(rig, place, np.random.default_rng(seed), tmp_path / "rig.glb")
+        found = find_joints(there.character)
+        assert dict(found.joints) == there.truth and list(found.spine) == there.spine, (seed, rig.style)
+        errors = worst(there, performed, Retargeter(there.character, found, contacts=False)(performed))
+        assert {name: value for name, value in errors.items() if value > LIMITS[name]} == {}, (seed, rig.style)
+    assert made == 3
 
 
 @pytest.mark.parametrize("style", NAMED)

@@ -6,7 +6,7 @@ import pytest
 
 from data_module.settings import with_settings
 from gesticulator.bundle.bundle import required
-from gesticulator.bundle.system import system_of
+from gesticulator.bundle.config import system_of
 from gesticulator.training.presets import PRESETS, preset
 from gesticulator.training.stages import STAGES, wanted
 

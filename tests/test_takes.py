@@ -9,10 +9,10 @@ import pytest
 
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
+from data_module.motion.inertialisation import quintic_offset
 from data_module.motion.skeletons import CHARACTER, FINGER_JOINTS, FINGERED
 from data_module.performer import takes, talks
 from data_module.performer.chaining import chain, seam_ratio
-from data_module.performer.inertialisation import quintic_offset
 from data_module.performer.living_fingers import living_fingers
 from data_module.performer.takes import FPS, HIPS, SKULL, SPINE, Library, MotionRange, RealTake
 from data_module.types import Array

@@ -9,8 +9,8 @@ import torch
 from gesticulator.training.stages.planner import RATE
 from gesticulator.training.stages.unit_styles import spans, style_of
 from interpreters.base import BlockFeatures
+from interpreters.planner import CODE, UnitStyleInterpreter
 from interpreters.settings import StyleConfig
-from interpreters.unit_style import CODE, UnitStyleInterpreter
 
 FRAMES, WIDTH, SPEAKERS = 4, 6, 2
 

@@ -21,6 +21,7 @@ from data_module.motion import kinematics
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, standing
 from gesticulator.characters.reading import choose
 from gesticulator.export import html
+from gesticulator.export.clip import EVERY_FRAME
 from gesticulator.export.vrma import vrm_animation
 
 SECONDS = 4.0
@@ -401,7 +402,7 @@ def test_hands_are_kept_out_of_a_wide_trunk_as_the_command_does(browser: Any, tm
 def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> None:
     motion = standing(perform(seconds=SECONDS).motion)
     ours, theirs, figure = tmp_path / "ours.vrma", tmp_path / "page.vrma", tmp_path / "figure.glb"
-    ours.write_bytes(vrm_animation(motion))
+    ours.write_bytes(vrm_animation(motion, EVERY_FRAME))
     theirs.write_bytes(opened.saved("#export-vrma").read_bytes())
     a, b = (GlbFile.parse(path.read_bytes()) for path in (ours, theirs))
     told, made = (file.document["extensions"]["VRMC_vrm_animation"] for file in (a, b))
@@ -429,7 +430,7 @@ def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> 
 
 def test_a_motion_from_a_file_stands_beside_ours(browser: Any, tmp_path: Path) -> None:
     other = standing(perform(seconds=SECONDS, seed=9).motion)
-    (tmp_path / "<i>.vrma").write_bytes(vrm_animation(other))
+    (tmp_path / "<i>.vrma").write_bytes(vrm_animation(other, EVERY_FRAME))
     page = OpenedPage(browser, write(tmp_path / "talk.html", perform(seconds=SECONDS)).as_uri())
     page.page.set_input_files("#pick-motion", str(tmp_path / "<i>.vrma"))
     page.page.wait_for_function("() => preview.stage.performers.length === 2")

@@ -17,10 +17,10 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from data_module.motion import rotation
+from data_module.motion.inertialisation import minimum_jerk, quintic_offset
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.performer import plan as planning
 from data_module.performer.hands import Levels, Manner, PhraseHands, waiting_levels
-from data_module.performer.inertialisation import minimum_jerk, quintic_offset
 from data_module.performer.living_fingers import living_fingers
 from data_module.performer.plan import BRAKE, Casting, Habits, Planned
 from data_module.performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet

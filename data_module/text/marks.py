@@ -26,9 +26,12 @@ EMOJI = {
 }
 """Emoji -> the gesture that it marks. None of them points: to whose left an arrow of a hand points is ambiguous."""
 SOUNDS = frozenset((
-    "applause", "blank audio", "cheering", "cough", "crosstalk", "inaudible", "laughs", "laughter", "music", "noise",
-    "silence", "unintelligible"))
-"""Notes in brackets that recognisers write for sounds; they are left out like marks, without a warning."""
+    "applause", "background noise", "beep", "blank audio", "breath", "breathing", "cheering", "cheers", "chuckle",
+    "chuckles", "clapping", "clears throat", "cough", "coughing", "coughs", "cross talk", "crosstalk", "crying", "gasp",
+    "gasps", "inaudible", "indistinct", "laugh", "laughing", "laughs", "laughter", "music", "music playing", "no audio",
+    "noise", "pause", "phone ringing", "sic", "sigh", "sighs", "silence", "silent", "singing", "sound", "static",
+    "unclear", "unintelligible"))
+"""Notes in brackets that recognisers and typists write; they are left out like marks, without a warning."""
 
 # A skin tone, the emoji form of a character, and a gender; "shrug" often comes with all three.
 _VARIANT = "[\U0001f3fb-\U0001f3ff]?\ufe0f?(?:\u200d[\u2640\u2642]\ufe0f?)?"

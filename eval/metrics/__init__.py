@@ -167,6 +167,7 @@ EYE_METRICS: dict[str, Metric] = {
     "eye_azimuth": _eye("posture", "azimuth of the forearm, outward", "deg", 0, "near", _STILL_TOO),
     "eye_elbow": _eye("posture", "elbow bend", "deg", 0, "near", _STILL_TOO),
     "eye_folded": _eye("posture", "elbow folded, of the time", "%", 1, "low", _STILL_TOO),
+    "eye_face": _eye("posture", "arm before the face, of the time", "%", 1, "low", _STILL_TOO),
     "eye_hands_apart": _eye("posture", "hands apart", "cm", 0, "near", _STILL_TOO),
     "eye_shoulder": _eye("posture", "shoulder lift, spread", "cm", 1, "near", _SEEN_BACKWARDS),
     "eye_wrist_50": _eye("posture", "wrist bend, median", "deg", 0, "near", ()),

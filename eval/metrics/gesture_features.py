@@ -283,12 +283,13 @@ class Autoencoder(nn.Module):
 
 
 def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = None,
-          settings: FitSettings = SETTINGS, *, seed: int = 0, progress: bool = True) -> Autoencoder:
-    """Our own network on the windows of a store's training split; `folder` holds the run's checkpoint and log.
+          settings: FitSettings | None = None, *, seed: int = 0, progress: bool = True) -> Autoencoder:
+    """Our own network on the windows of a store's training split; `folder` holds the run's checkpoint and log, and the
+    default of `settings` is `SETTINGS`.
 
     The figures of its validation split are kept in `origin`. InputError when no recording is as long as two windows.
     """
-    chosen = config or AutoencoderConfig()
+    chosen, settings = config or AutoencoderConfig(), settings or SETTINGS
     data, held = (np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)), *(
         windows(store.load(info.name).motion, chosen.frames, chosen.fps, max(1, chosen.frames // 4))
         for info in store.of_split(split))]) for split in ("train", "val"))

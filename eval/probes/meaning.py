@@ -12,8 +12,11 @@ excerpt with the word and what the gesture means, in another order. These two we
 
 What fools these figures: one author wrote the cue phrases and marked the sites, so the recall is that of a lenient
 judge; conventions are prepared and emphatic, more than small talk; and a gesture that was not among the judged ones
-counts as unknown, not as wrong. A detector that never fires has perfect precision: read
-it beside recall and rate. Word times of the talk are those of an even 150 words a minute.
+counts as unknown, not as wrong. A detector that never fires has perfect precision: read it beside recall and rate.
+Word times of the talk are those of an even 150 words a minute. Cue phrases were extended later by 196 sites that their
+author marked in the other half, on which the recall is too good therefore; of the gestures that are new, 80 were judged
+by the author among 24 wrong ones, without the method. Where the stressed vowels are is found by phones and stress, not
+by loudness (`eval.metrics.stressed_vowels`).
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from __future__ import annotations
 import argparse
 import functools
 import hashlib
+import itertools
 import re
 import struct
 import time
@@ -32,8 +36,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import butter, sosfiltfilt
 
 from data_module.errors import InputError
 from data_module.files import parse_json, read_object, read_table
@@ -41,15 +43,17 @@ from data_module.settings import whole_number
 from data_module.speech.audio import load_speech
 from data_module.text.meaning import CalledGesture, meaning_cues
 from data_module.text.transcript import as_transcript, with_transcript
-from data_module.types import Array, Speech, Word
+from data_module.types import Word
 from eval.claim import Verdict, at_least, at_most, judged, skipped, verdict_table
-from eval.stats import Interval
+from eval.metrics.stressed_vowels import available, stressed_vowels
+from eval.stats import Interval, share
 from eval.table import Cell, Column, Table
-from gesticulator.directing.meanings import LEVELS, Called, chosen, stroke_time
+from gesticulator.directing.directions import stroke_of_word
+from gesticulator.directing.meanings import AGAIN, LEVELS, Called, chosen
+from gesticulator.directing.word_sound import WordSounds
 
 WORDS_A_MINUTE = 150.0
 _LEVEL = "normal"
-_HOP = 0.01
 _NEAR = 2
 """Words by which a gesture may miss a marked site."""
 _MOST_BYTES = 64 << 20
@@ -78,7 +82,7 @@ class Talk:
     def calls(self) -> list[Called]:
         """All calls, at the rate of `WORDS_A_MINUTE`."""
         words = evenly(self.text.split())
-        return [Called(one, words[one.word], stroke_time(words[one.word]))
+        return [Called(one, words[one.word], stroke_of_word(words[one.word]))
                 for one in meaning_cues("en").called([word.text for word in words])]
 
     def shown(self, level: str = _LEVEL) -> list[CalledGesture]:
@@ -154,14 +158,6 @@ def judgements() -> Mapping[str, Any]:
 
 # -------------------------------------------------------------------------------------------------------- figures
 
-def share(hits: int, count: int) -> Interval:
-    """A share with its 95 % interval (Wilson)."""
-    z, p = 1.96, hits / max(count, 1)
-    middle = (p + z * z / (2 * count)) / (1 + z * z / count) if count else 0.0
-    half = z * np.sqrt(p * (1 - p) / count + z * z / (4 * count * count)) / (1 + z * z / count) if count else 1.0
-    return Interval(p, float(middle - half), float(middle + half), count)
-
-
 def kappa(first: Sequence[bool], second: Sequence[bool]) -> float:
     """Cohen's kappa of two judgements; NaN where chance explains all."""
     one, two = np.array(first), np.array(second)
@@ -176,10 +172,9 @@ def rates(talks: Sequence[Talk]) -> dict[str, Cell]:
                                for level in _SHOWING}}
 
 
-def recalled(talks: Sequence[Talk], played: bool) -> Interval:
+def recalled(talks: Sequence[Talk], played: bool, sites: Sequence[Any]) -> Interval:
     """Share of the marked sites at which a fitting gesture is found, or played after the budget."""
     by_name, hits = {talk.name: talk for talk in talks}, 0
-    sites = judgements()["sites"]
     for name, word, labels in sites:
         calls = by_name[name].shown() if played else [
             call.gesture for call in by_name[name].calls if call.gesture.score >= LEVELS[_LEVEL].score]
@@ -187,10 +182,38 @@ def recalled(talks: Sequence[Talk], played: bool) -> Interval:
     return share(hits, len(sites))
 
 
-def precision_of(talks: Sequence[Talk], judge: int) -> tuple[Interval, int]:
-    """Precision of the gestures that are shown and were judged, by column `judge` of the judgements; their number."""
+def playable(talks: Sequence[Talk], sites: Sequence[Any]) -> Interval:
+    """Share of the marked sites that the budget would let a perfect detector play, which fired nowhere else."""
+    by_name, count = {talk.name: talk for talk in talks}, 0
+    for name, group in itertools.groupby(sites, key=lambda site: site[0]):
+        words = evenly(by_name[name].text.split())
+        calls = [(stroke_of_word(words[word]), label.split()) for _, word, label in sorted(group)]
+        count += _most_played(calls)
+    return share(count, len(sites))
+
+
+def _most_played(calls: Sequence[tuple[float, Sequence[str]]]) -> int:
+    """Of calls (second, labels of which one is shown) the most that fit in the budget, by dynamic programming over
+    those shown within the last `AGAIN` seconds."""
+    states: dict[tuple[tuple[float, str], ...], int] = {(): 0}
+    for at, labels in calls:
+        after: dict[tuple[tuple[float, str], ...], int] = {}
+        for shown, count in states.items():
+            recent = tuple(one for one in shown if at - one[0] < AGAIN)
+            after[recent] = max(after.get(recent, 0), count)
+            for label in labels:
+                if all(at - before >= LEVELS[_LEVEL].apart and label != other for before, other in recent):
+                    longer = (*recent, (at, label))
+                    after[longer] = max(after.get(longer, 0), count + 1)
+        states = after
+    return max(states.values())
+
+
+def precision_of(talks: Sequence[Talk], judge: int, rows: str = "judged") -> tuple[Interval, int]:
+    """Precision of the gestures that are shown and were judged, by column `judge` of these rows of the judgements;
+    their number."""
     shown = {(talk.name, one.word, one.label) for talk in talks for one in talk.shown()}
-    found = [row for row in judgements()["judged"] if tuple(row[:3]) in shown]
+    found = [row for row in judgements()[rows] if tuple(row[:3]) in shown]
     return share(sum(row[judge] for row in found), len(found)), len(found)
 
 
@@ -238,33 +261,15 @@ def of_sentences(path: Path) -> dict[str, float]:
             for key, value in counts.items()}
 
 
-def stroke_errors(sound: Path, text: Path) -> list[float]:
-    """Seconds from the vowel of the loudest syllable of each word of four letters or more to its stroke."""
+def stroke_errors(sound: Path, text: Path) -> list[tuple[float, float, bool]]:
+    """For each word whose stressed vowel is known: seconds from the vowel to the stroke by the times of the word, and
+    to the stroke by the sound; whether the word has four letters or more."""
     speech = load_speech(sound)
     speech, _ = with_transcript(speech, as_transcript(text, speech))
-    level = vowel_level(speech)
-    return [stroke_time(word) - vowel_onset(level, word) for word in speech.words or ()
-            if len(word.text) >= 4 and word.end - word.start >= 0.1]
-
-
-def vowel_level(speech: Speech) -> Array:
-    """[T] decibels between 300 and 2500 Hz, where vowels are loud, every `_HOP` seconds."""
-    band = butter(2, (300, 2500), "bandpass", fs=speech.sample_rate, output="sos")
-    power = sosfiltfilt(band, speech.samples.astype(np.float64)) ** 2
-    hop = round(_HOP * speech.sample_rate)
-    frames = power[:len(power) // hop * hop].reshape(-1, hop).mean(axis=1)
-    level: Array = gaussian_filter1d(10.0 * np.log10(frames + 1e-9), 2.0)
-    return level
-
-
-def vowel_onset(level: Array, word: Word) -> float:
-    """Seconds at which the loudest vowel of a word begins: the steepest rise in the .15 s before its peak."""
-    first = min(max(round(word.start / _HOP), 0), len(level) - 2)
-    last = max(min(round(word.end / _HOP), len(level)), first + 2)
-    peak = first + int(np.argmax(level[first:last]))
-    begin = max(peak - round(0.15 / _HOP), first, 0)
-    rises = np.diff(level[begin:peak + 1])
-    return (begin + (int(np.argmax(rises)) + 1 if len(rises) else 0)) * _HOP
+    words = speech.words or ()
+    sounds = WordSounds(speech, [word for word in words if word.text.strip()])
+    return [(stroke_of_word(words[at]) - vowel, sounds.stroke(words[at]) - vowel, len(words[at].text) >= 4)
+            for at, vowel in stressed_vowels(speech).items()]
 
 
 # ---------------------------------------------------------------------------------------------------------- probe
@@ -296,10 +301,26 @@ def run(arguments: argparse.Namespace) -> Sequence[Table]:
     if arguments.sentences is not None:
         tables.append(Table("Sentences with a marked word", {"share": Column("share", "", 2)}, {
             key: {"share": value} for key, value in of_sentences(arguments.sentences).items()}, "outcome"))
+    if talks:
+        tables.append(_recall(talks))
     found = [*_of_talk(halves["talk, half for the report"]), *_of_prose(prose), *_of_traps(), *_of_strokes(arguments)]
     return [*tables, verdict_table("Meaning: what is asked of it", found, [
         "The raters (language models) saw excerpts and what the gestures mean, not the method; 50 wrong gestures are "
         "in the agreement. The author of the cue phrases marked the sites."])]
+
+
+def _recall(talks: Sequence[Talk]) -> Table:
+    """Recall of the sites of both halves."""
+    rows: dict[str, dict[str, Cell]] = {}
+    for name, key in (("half for thresholds", "tuning_sites"), ("half for the report", "sites")):
+        sites = judgements()[key]
+        rows[name] = {"sites": len(sites), "found": recalled(talks, False, sites).mean,
+                      "played": recalled(talks, True, sites).mean, "perfect": playable(talks, sites).mean}
+    return Table("Marked sites in talk", {
+        "sites": Column("sites"), "found": Column("found", "", 2), "played": Column("played", "", 2),
+        "perfect": Column("played by a perfect detector", "", 2)}, rows, "talk", [
+        "The cue phrases were written by the first half. The budget, 3 s between gestures and 20 s between the same, "
+        "lets even a detector that finds all sites and nothing else play no more than the last column."])
 
 
 def _of_talk(talks: Sequence[Talk]) -> list[Verdict]:
@@ -307,15 +328,17 @@ def _of_talk(talks: Sequence[Talk]) -> list[Verdict]:
         return [skipped("precision, recall and rate in talk", "no --talk")]
     rows = judgements()["judged"]
     (author, count), (first, _), (second, _) = (precision_of(talks, column) for column in (4, 5, 6))
+    later, sites = precision_of(talks, 4, "judged_later"), judgements()["sites"]
     rate = rates(talks)[_LEVEL]
     assert isinstance(rate, float)
     return [judged(f"precision, first rater, {count} gestures", first, at_least(0.85)),
             judged(f"precision, second rater, {count} gestures", second, at_least(0.85)),
             judged("precision, by the author of the cue phrases", author),
+            judged(f"precision, by the author, {later[1]} gestures of later cue phrases", later[0], at_least(0.85)),
             judged("agreement of the two raters, kappa", kappa([bool(row[5]) for row in rows],
                                                                [bool(row[6]) for row in rows]), at_least(0.6)),
-            judged(f"recall of {len(judgements()['sites'])} sites, found", recalled(talks, False), at_least(0.45)),
-            judged("recall of the same, played within the budget", recalled(talks, True)),
+            judged(f"recall of {len(sites)} sites, found", recalled(talks, False, sites), at_least(0.45)),
+            judged("recall of the same, played within the budget", recalled(talks, True, sites), at_least(0.45)),
             judged("gestures a minute of talk, at least", rate, at_least(3.0)),
             judged("gestures a minute of talk, at most", rate, at_most(6.0)),
             judged("cost, ms a word", cost([talk.text for talk in talks]), at_most(0.5))]
@@ -336,10 +359,17 @@ def _of_traps() -> list[Verdict]:
 
 
 def _of_strokes(arguments: argparse.Namespace) -> list[Verdict]:
+    if not arguments.speech:
+        return [skipped("strokes at the stressed vowel", "no --speech")]
+    if not available():
+        return [skipped("strokes at the stressed vowel", "needs pocketsphinx and espeak-ng")]
     errors = [error for sound, text in zip(arguments.speech, arguments.text, strict=True)
               for error in stroke_errors(sound, text)]
-    if not errors:
-        return [skipped("strokes at the stressed vowel", "no --speech")]
-    hits = sum(-0.20 <= error <= 0.05 for error in errors)
-    return [judged(f"strokes -.20 to +.05 s of the loudest vowel, {len(errors)} words", share(hits, len(errors)),
-                   at_least(0.9))]
+    long = [error for error in errors if error[2]]
+    found = []
+    for name, rows in ((f"{len(errors)} words", errors), (f"{len(long)} words of four letters or more", long)):
+        for way, by in ((0, "times"), (1, "sound")):
+            hits = sum(-0.20 <= row[way] <= 0.05 for row in rows)
+            found.append(judged(f"strokes -.20 to +.05 s of the stressed vowel by the {by}, {name}",
+                                share(hits, len(rows)), at_least(0.9)))
+    return found

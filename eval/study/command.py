@@ -2,7 +2,10 @@
 
     gesticulator study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
                               [--videos mp4|webm]
+    gesticulator study meaning --speech FILE ... --out FOLDER [--gestures NAME ... --takes 1 --seed 0]
     gesticulator study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
+
+`meaning` is another study, of what gestures say (`eval.study.meaning`).
 
 `make` takes folders that hold motion (BVH) and its speech under the same names in each. It writes the page, one file
 that works from a disk without a server (FOLDER/page/index.html), and FOLDER/key.json, which raters must not get. The
@@ -42,7 +45,7 @@ from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
 from eval.clip.foreign import find_sound
 from eval.study import anova
-from eval.table import Provenance, publish
+from eval.table import Provenance, Table, publish
 from gesticulator.cli import PROGRAM
 from gesticulator.export import film, sound
 from gesticulator.export.figure import figure_points
@@ -236,7 +239,7 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     if videos is None:
         data |= {"stepsPerMetre": STEPS_PER_METRE, "points": list(shown[items[0]]), "soundType": sound.MEDIA_TYPE,
                  "sounds": [base64.b64encode(sound.compress(heard[c])).decode() for c in sounds],
-                 "items": [{"id": ids[c, k], "sound": sounds.index(c), "motion": _encode(shown[c, k])}
+                 "items": [{"id": ids[c, k], "sound": sounds.index(c), "motion": encoded_points(shown[c, k])}
                            for c, k in items]}
     else:
         data |= {"videos": videos, "items": [{"id": ids[pair]} for pair in items]}
@@ -245,7 +248,8 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     write_text(out / "key.json", json.dumps(key, indent=1) + "\n")
     if videos is not None:
         _film({ids[c, k]: (shown[c, k], heard[c]) for c, k in items}, out / "page", f".{videos}")
-    write_text(out / "page" / "index.html", _page(data))
+    # Videos lie beside the page, on a disk or a server; without them nothing but the page itself is ever read.
+    write_text(out / "page" / "index.html", page_of("study.html", data, "blob:" if videos is None else "'self' file:"))
     return out / "page" / "index.html"
 
 
@@ -278,7 +282,8 @@ def _places(motion: Motion, start: float, seconds: float) -> dict[str, NDArray[n
                                             (len(motion) - 1) / motion.fps))
 
 
-def _encode(points: dict[str, NDArray[np.float64]]) -> str:
+def encoded_points(points: dict[str, NDArray[np.float64]]) -> str:
+    """Places [T, 3] of points, metres, as the page reads them: int16 in base64, frame by frame."""
     steps = np.round(np.stack(list(points.values()), axis=1) * STEPS_PER_METRE)
     return base64.b64encode(np.clip(steps, -32768, 32767).astype("<i2").tobytes()).decode()
 
@@ -293,11 +298,12 @@ def _stretch(speech: Speech, start: float, seconds: float) -> Speech:
     return Speech(samples, speech.sample_rate)
 
 
-def _page(data: dict[str, Any]) -> str:
+def page_of(template: str, data: dict[str, Any], media: str = "blob:") -> str:
+    """A page of `eval/assets` with its data, the program that draws the figure, and where its media may come from."""
     told = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\u002f")
-    # Videos lie beside the page, on a disk or a server; without them nothing but the page itself is ever read.
-    parts = {"data": told, "study": data["study"], "media": "'self' file:" if "videos" in data else "blob:"}
-    text = (resources.files("eval") / "assets" / "study.html").read_text(encoding="utf-8")
+    text, figure = ((resources.files("eval") / "assets" / name).read_text(encoding="utf-8")
+                    for name in (template, "figure.js"))
+    parts = {"data": told, "study": data["study"], "media": media, "figure": figure}
     return _SLOT.sub(lambda found: parts[found.group(1)], text)
 
 
@@ -320,7 +326,19 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                    help="the question to the raters")
     m.add_argument("--videos", choices=[suffix[1:] for suffix in film.FORMATS],
                    help="write each item as a video beside the page, instead of drawing it on the page")
-    a = commands.add_parser("analyse", help="compute means, intervals, ANOVA, Tukey HSD and ranks")
+    n = commands.add_parser("meaning", help="make a page on which raters name the meaning of gestures, without sound")
+    n.add_argument("--speech", nargs="+", type=Path, required=True, metavar="FILE",
+                   help="recordings in which the gestures are made; raters do not hear them")
+    n.add_argument("--out", type=Path, required=True, metavar="FOLDER",
+                   help="output folder for page/index.html and key.json")
+    n.add_argument("--gestures", nargs="+", metavar="NAME",
+                   help="the gestures (default: those that talk often calls for; gesticulator gestures lists them)")
+    n.add_argument("--takes", type=int, default=1, metavar="N", help="clips of each gesture (default 1)")
+    n.add_argument("--seed", type=int, default=0, metavar="K", help="seed of clips, answers and orders (default 0)")
+    n.add_argument("--raters", type=int, default=30, metavar="N", help="number of different orders (default 30)")
+    n.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    a = commands.add_parser("analyse", help="compute means, intervals, ANOVA, Tukey HSD and ranks; of a study of "
+                            "meanings, shares and confusions")
     a.add_argument("--key", type=Path, required=True, metavar="FILE.json")
     a.add_argument("ratings", nargs="+", type=Path, metavar="RATINGS", help="the raters' answers, .json or .csv")
     a.add_argument("--without", nargs="+", default=[], metavar="RATER", help="exclude these raters")
@@ -331,14 +349,33 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Make the page, or analyse what was saved; InputError for input that cannot be used."""
     if arguments.command == "analyse":
-        key = anova.read_key(arguments.key)
-        ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
-        about = Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]]))
-        publish(anova.tables(ratings, arguments.seed), arguments.out, about)
+        publish(_analysed(arguments), arguments.out, Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]])))
         return 0
-    page = make(parse_systems(arguments.systems), arguments.out, StudyOptions(
-        arguments.clips, arguments.seconds, arguments.seed, arguments.raters, list(dict.fromkeys(arguments.aspects)),
-        arguments.videos))
+    page = _meaning_page(arguments) if arguments.command == "meaning" else _comparison_page(arguments)
     print(f"{page} is for the raters (1 to {arguments.raters}: page?rater=7 fills in the number); "
           f"keep {arguments.out / 'key.json'} to yourself")
     return 0
+
+
+def _analysed(arguments: argparse.Namespace) -> list[Table]:
+    from eval.study import meaning_answers
+
+    if meaning_answers.is_meaning_key(arguments.key):
+        return meaning_answers.analysed(arguments.key, arguments.ratings, arguments.without, arguments.seed)
+    key = anova.read_key(arguments.key)
+    ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
+    return list(anova.tables(ratings, arguments.seed))
+
+
+def _meaning_page(arguments: argparse.Namespace) -> Path:
+    from eval.study import meaning
+    from gesticulator.pipeline import Gesticulator
+
+    options = meaning.MeaningOptions(arguments.gestures, arguments.takes, arguments.seed, arguments.raters)
+    return meaning.make(Gesticulator.from_pretrained(arguments.bundle), arguments.speech, arguments.out, options)
+
+
+def _comparison_page(arguments: argparse.Namespace) -> Path:
+    return make(parse_systems(arguments.systems), arguments.out, StudyOptions(
+        arguments.clips, arguments.seconds, arguments.seed, arguments.raters, list(dict.fromkeys(arguments.aspects)),
+        arguments.videos))

@@ -58,9 +58,11 @@ class Job:
         return "standard input" if self.source is None else printable(self.source.name)
 
 
-def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:
+def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None, together: bool = False
+         ) -> list[Job]:
     """The jobs of a command. names: files, folders, patterns, or "-". outputs: suffix (".bvh") -> the file or folder
-    to write to. text: a transcript, or a folder of transcripts named like the recordings.
+    to write to. text: a transcript, or a folder of transcripts named like the recordings. together: one file holds all
+    recordings.
 
     A path that ends in a slash, or that is a folder, means a folder; anything else is a file. `InputError` for an
     output with the wrong suffix, one file for several recordings, two recordings of one name, or a place that cannot be
@@ -70,7 +72,9 @@ def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = No
     if not outputs:
         raise InputError("output", "is missing", "name a file or a folder with -o")
     for suffix, given in outputs.items():
-        _check_output(given, suffix, len(sources))
+        if together and is_folder(given):
+            raise InputError(given, "is a folder, and --one-file writes one file", f"name a file that ends in {suffix}")
+        _check_output(given, suffix, 1 if together else len(sources))
     if text is not None:
         _check_text(text, len(sources))
     written_by: dict[Path, Path | None] = {}
@@ -80,7 +84,7 @@ def plan(names: Sequence[str], outputs: Mapping[str, str], text: str | None = No
         targets = tuple(Path(given) / f"{stem}{suffix}" if is_folder(given) else Path(given)
                         for suffix, given in outputs.items())
         for target in targets:
-            if target in written_by:
+            if target in written_by and not together:
                 raise InputError(source or STDIN, f"would be written to {target}, like {written_by[target] or STDIN}",
                                  "rename one of them, or give them folders of their own")
             written_by[target] = source
@@ -169,6 +173,8 @@ def _check_place(target: Path) -> None:
         raise InputError(target, "cannot be written", "choose another output or change its rights")
 
 
+CLIP_OPTIONS = ("clip_name", "loop", "mask", "layer", "sound", "one_file")
+"""Options of clips that are given if they are true (`gesticulator.batch.clips`)."""
 STREAMED = (".bvh", ".glb")
 """Suffixes of formats that can be written in pieces (`gesticulator.batch.long`), in bounded memory."""
 
@@ -202,10 +208,17 @@ def retargeter_for(args: argparse.Namespace) -> Retargeter | None:
         return None
     from gesticulator.characters.reading import choose
     from gesticulator.characters.retarget import Retargeter
+    from gesticulator.characters.several import note_of
 
     character, mapping = choose(args.character, args.mapping, args.save_mapping)
-    legs = False if args.seated else True if args.legs else None
+    upper = args.mask is not None or args.layer is not None
+    legs = False if args.seated or upper else True if args.legs else None
+    note = note_of(character, mapping.joints["Hips"])
+    if note and not args.quiet:
+        complain(f"{PROGRAM}: {args.character}: {note}")
     retargeter = Retargeter(character, mapping, contacts=not args.no_contacts, legs=legs)
+    for doubt in () if args.quiet else retargeter.doubts:
+        complain(f"{PROGRAM}: {args.character}: {doubt}; look at the result")
     if legs is None and not retargeter.legs and not args.quiet:
         complain(f"{PROGRAM}: {args.character}: is seated, so hips and legs stay as they are; --legs makes it stand")
     return retargeter
@@ -222,8 +235,13 @@ def perform(job: Job, system: Gesticulator, args: argparse.Namespace, controls: 
     stands = retargeter is not None and retargeter.mapping.legs and retargeter.legs
     performance = performed(job, speech, system, args, controls, args.legs or stands)
     performance = performance.labelled(job.name, performance.notes)
+    if clip_is_asked(args):
+        from gesticulator.batch.clip_options import clip_from_args
+
+        clip = clip_from_args(args)
+        performance = performance.as_clip(replace(clip, sound=clip.sound and not _is_beside(job)))
     if retargeter is not None:
-        performance = replace(performance, character=retargeter(performance.motion))
+        performance = performance.moved_by(retargeter)
     spent = time.perf_counter() - begin
     written = [performance.save(target, unit=args.unit if target.suffix.lower() == ".bvh" else "cm")
                for target in job.targets]
@@ -248,6 +266,17 @@ class _Done:
     factor: float
 
 
+def clip_is_asked(args: argparse.Namespace) -> bool:
+    """Whether any option of clips is given."""
+    return any(getattr(args, name) for name in CLIP_OPTIONS) or args.keys is not None or args.root != "hips"
+
+
+def _is_beside(job: Job) -> bool:
+    """Whether the sound beside an output is the recording itself, which must not be replaced."""
+    return job.source is not None and any(target.with_suffix(".wav").resolve() == job.source.resolve()
+                                          for target in job.targets)
+
+
 def _print_summary(job: Job, args: argparse.Namespace, done: _Done, written: Sequence[Path], notes: Sequence[str] = ()
               ) -> None:
     if not args.quiet:
@@ -265,7 +294,8 @@ def _in_pieces(job: Job, args: argparse.Namespace, system: Gesticulator) -> bool
     can be written in pieces."""
     from gesticulator.batch.long import can_be_done
 
-    whole = args.character, args.plan, args.text, args.cues or None
+    whole = (args.character, args.plan, args.text, args.cues or None, args.loop or None, args.mask, args.layer,
+             args.sound or None, None if args.root == "hips" else args.root)
     return (whole == (None,) * len(whole) and all(target.suffix.lower() in STREAMED for target in job.targets)
             and can_be_done(system.bundle))
 
@@ -283,8 +313,13 @@ def _perform_long(job: Job, sound: SpeechPieces, system: Gesticulator, args: arg
         def on_sound(seconds: float) -> None:
             bar.update(round(seconds) - bar.n)
 
+        clip = None
+        if clip_is_asked(args):
+            from gesticulator.batch.clip_options import clip_from_args
+
+            clip = clip_from_args(args)
         result = perform_long(system, sound, job.targets, options_from_args(args, controls, args.legs), args.unit,
-                            on_sound)
+                              on_sound, clip)
     if result.note is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {result.note}")
     spent = time.perf_counter() - begin

@@ -27,6 +27,7 @@ from gesticulator.options import InferenceArguments
 
 if TYPE_CHECKING:
     from gesticulator.bundle.bundle import Bundle
+    from gesticulator.export.clip import ClipLayout
     from gesticulator.pipeline import Gesticulator
 
 _COPIED = 1 << 20
@@ -52,7 +53,8 @@ class FrameWriter(Protocol):
 class BvhFile:
     """A .bvh file. Its header holds the number of frames, so frames are kept in a temporary file until it is known."""
 
-    def __init__(self, path: Path, skeleton: Skeleton, fps: float, unit: str = "cm") -> None:
+    def __init__(self, path: Path, skeleton: Skeleton, fps: float, unit: str = "cm",
+                 _clip: ClipLayout | None = None) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._path, self._text = path, BvhWriter(skeleton, fps, UNITS[unit])
         self._rows: IO[bytes] = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115 - closed by `close`
@@ -84,14 +86,16 @@ class LongPerformance:
     note: str | None
 
 
-def _glb(path: Path, skeleton: Skeleton, fps: float, unit: str) -> FrameWriter:
+def _glb(path: Path, skeleton: Skeleton, fps: float, unit: str, clip: ClipLayout | None) -> FrameWriter:
+    from gesticulator.export.clip import ClipLayout
     from gesticulator.export.glb_pieces import GlbFile
 
-    return GlbFile(path, skeleton, fps)
+    return GlbFile(path, skeleton, fps, clip or ClipLayout())
 
 
-WRITERS: dict[str, Callable[[Path, Skeleton, float, str], FrameWriter]] = {".bvh": BvhFile, ".glb": _glb}
-"""Suffix -> writer that takes frames in pieces: (path, skeleton, frames per second, unit of a BVH file)."""
+WRITERS: dict[str, Callable[[Path, Skeleton, float, str, ClipLayout | None], FrameWriter]] = {
+    ".bvh": BvhFile, ".glb": _glb}
+"""Suffix -> writer that takes frames in pieces: (path, skeleton, frames per second, unit of a BVH file, clip)."""
 
 
 def can_be_done(bundle: Bundle) -> bool:
@@ -100,17 +104,20 @@ def can_be_done(bundle: Bundle) -> bool:
 
 
 def perform_long(system: Gesticulator, sound: SpeechPieces, targets: Sequence[Path], options: InferenceArguments,
-                 unit: str = "cm", on_sound: Callable[[float], None] | None = None) -> LongPerformance:
+                 unit: str = "cm", on_sound: Callable[[float], None] | None = None, clip: ClipLayout | None = None
+                 ) -> LongPerformance:
     """Write the gestures for a recording, atomically.
 
-    targets: files with a suffix in `WRITERS`. unit: of a BVH file. on_sound(seconds) is called after each piece.
+    targets: files with a suffix in `WRITERS`. unit: of a BVH file. on_sound(seconds) is called after each piece. clip:
+    name and keys of the animation.
     `InputError` if the recording cannot be processed or has more frames than a file can hold; OSError for disk errors.
     """
     stream = system.stream(SAMPLE_RATE, **options)
     lexemes: list[int] = []
     meter, gain = LevelMeter(), 10.0 ** (options.get("gain", 0.0) / 20)
     with ExitStack() as open_files:
-        writers = [WRITERS[target.suffix.lower()](target, stream.skeleton, stream.fps, unit) for target in targets]
+        writers = [WRITERS[target.suffix.lower()](target, stream.skeleton, stream.fps, unit, clip)
+                   for target in targets]
         for writer in writers:
             open_files.callback(writer.close)
         for writer in writers:

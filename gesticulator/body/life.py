@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.motion.inertialisation import minimum_jerk
 from data_module.motion.kinematics import positions_of
 from data_module.motion.representation import Representation
 from data_module.types import Array
@@ -214,8 +215,7 @@ _STEPS = np.array([_SWAY_STEP] * _SWAYS + [step for *_, step in _DRIFTS] + [_CUR
 
 def eased(share: Array) -> Array:
     """[...] 0 to 1 with zero slope at both ends: 10 s^3 - 15 s^4 + 6 s^5."""
-    s = np.clip(share, 0.0, 1.0)
-    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+    return np.asarray(minimum_jerk(np.clip(share, 0.0, 1.0)))
 
 
 def weight_shifts(seed: int) -> Shifts:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from data_module.blocks import KnotPath
 from data_module.types import Array, Motion
+from gesticulator.body.clearance import cleared, cleared_poses
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
 from gesticulator.options import InferenceOptions
@@ -99,7 +100,10 @@ class MotionPath:
 
     def _poses(self, times: Array, features: NDArray[np.floating]) -> Array:
         poses = self._statistics.denormalise(features.astype(np.float64), self._speaker)
-        return poses if self._shaping is None or not len(poses) else self._shaping(poses, times)
+        if not len(poses):
+            return poses
+        poses = poses if self._shaping is None else self._shaping(poses, times)
+        return poses if self._whole is not None else cleared_poses(poses, self._representation)
 
     def _motion(self, frames: Array) -> Motion | None:
         if len(frames) == 0:
@@ -113,6 +117,8 @@ class MotionPath:
 
     def _moved(self, frames: Array) -> Motion:
         body = self._representation.motion(frames, self._knots.fps)
+        if self._whole is None:
+            body = cleared(body)
         if self._stance is not None:
             first = self._knots.next - len(frames)
             self._stances.append((first, self._stance.fork()))

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from data_module.controls import Levels
 from data_module.errors import InputError
-from gesticulator.bundle.config import Config, from_dict, section, to_dict
+from gesticulator.bundle.config import Config, System, from_dict, section, system_of, to_dict
 from gesticulator.bundle.features import Normaliser, Statistics, representation_of
 from gesticulator.bundle.files import (
     CARD,
@@ -45,7 +45,6 @@ from gesticulator.bundle.models import (
     codebook_shape,
     part_table,
 )
-from gesticulator.bundle.system import System, system_of
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
 
@@ -58,10 +57,9 @@ if TYPE_CHECKING:
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
-    from interpreters.planner import UnitPlanner
+    from interpreters.planner import UnitPlanner, UnitStyleInterpreter
     from interpreters.reward import RewardEnsemble
     from interpreters.statistical import StatisticalInterpreter
-    from interpreters.unit_style import UnitStyleInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec

@@ -1,4 +1,5 @@
-"""The settings of a bundle: a tree of the settings of its parts, each with its range and its reason."""
+"""The settings of a bundle, a tree of the settings of its parts, each with its range and its reason; and the system
+that they make: its lexicon, its generator, and what follows from them (`system_of`)."""
 
 from __future__ import annotations
 
@@ -215,10 +216,18 @@ class SelectionConfig:
     """Flow head: guidance on the lexeme; -1 (`UNTOLD`) removes the lexeme."""
     style: Annotated[float, SettingRange(0.0, 4.0)] = 1.0
     """Flow head: factor on the style codes heard in the voice; 0 for the speaker's habit."""
+    waxing: Annotated[float, SettingRange(0.0, 4.0)] = 0.0
+    """Flow head: deviation of the style codes' own rise and fall over seconds."""
     hold: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
     """Added to the planner's logit of a hold after a stroke: what is generated holds less than people do."""
+    phrasing: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
+    """Added to the planner's logits in a pause: of a hold where the pause goes on, and of a preparation where the voice
+    returns in the next block, since people prepare before they speak."""
     unit_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
     """Flow head: guidance on the planner's decision, for heads that take it (`generator.units`); 0 adds none."""
+    style_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
+    """Flow head: guidance on the style code of the unit, away from the speaker's habit (a code of zeros); 0 adds
+    none."""
     history: Share = 1.0
     """Flow head: weight of past motion, from v without history (0) to v (1), for heads trained with history dropout
     (`generator.history_dropout`)."""
@@ -244,9 +253,13 @@ class SelectionConfig:
     """Weight, relative to `timing`, of wrists and elbows outside the trunk, and of arms that are not folded."""
     as_asked: NotNegative = 0.0
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
+    together: NotNegative = 0.0
+    """Weight, relative to `timing`, of a head that turns as fast as goes with the speed of the hands."""
+    as_styled: NotNegative = 0.0
+    """Weight, relative to `timing`, of hands that are as fast, high and far as the unit's style code says."""
     fresh: bool = False
     """Whether each preparation is generated as the first of a performance, so that takes of nearly the same sound come
-    together again (`gesticulator.drawing.fresh_starts`)."""
+    together again (`gesticulator.drawing.rollout`)."""
     activity: Share = 1.0
     """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of speech time
     that is gestured."""
@@ -325,3 +338,88 @@ def _other(name: str, value: Any) -> Any:
         raise InputError(f"others.{name}", f"is {value!r:.40}", "give a group of settings")
     check(settings, f"others.{name}")
     return settings
+
+
+@dataclass(frozen=True)
+class Naming:
+    """A kind of lexicon.
+
+    stage: the stage that trains it. codebook: the tensor of its code vectors. blocks: it labels blocks at the beat one
+    by one, so that a block can be generated again; otherwise all codes are decoded together. in_context: what a lexeme
+    shows depends on the block before. knows_silence: some of its lexemes are silent.
+    """
+
+    stage: str
+    codebook: str
+    blocks: bool = True
+    in_context: bool = False
+    knows_silence: bool = True
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A kind of generator. name: its name. parts: required parts of a bundle besides the lexicon. idle: training stages
+    that it does not use. samples: it can render a lexeme in several ways. styled: it is trained with style codes, one
+    for each training block."""
+
+    name: str
+    parts: tuple[str, ...] = ()
+    idle: frozenset[str] = frozenset()
+    samples: bool = False
+    styled: bool = False
+
+
+POSES = Naming("lexicon", "quantizer.vectors")
+"""The lexicon of poses (RG 5.1)."""
+MOVEMENTS = Naming("lexicon", "vectors", in_context=True)
+"""The lexicon of movements."""
+CODES = Naming("codec", "quantizer.vectors", blocks=False, knows_silence=False)
+"""RACER's codec at a fixed rate (RACER 4.1)."""
+
+REGRESSION = Drawing("regression", ("generator", "interpreter"), frozenset(("codec",)), styled=True)
+"""The paper's generator with style codes (RG 5.2)."""
+FLOW = Drawing("flow", ("generator", "interpreter"), frozenset(("codec",)), samples=True)
+"""The generator with a flow head, which samples."""
+DECODED = Drawing("decoded", ("q_network",), frozenset(
+    ("lexicon", "generator", "interpreter", "interpreter_text", "style", "style_text", "gate", "planner",
+     "advantage")))
+"""No generator: the codec decodes its codes (RACER 5.2)."""
+
+
+@dataclass(frozen=True)
+class System:
+    """The kind of a bundle. naming: its lexicon; drawing: its generator; lives: rest is decided phrase by phrase, with
+    idle motion (silence.rest=life)."""
+
+    naming: Naming
+    drawing: Drawing
+    lives: bool
+
+    @property
+    def blocks(self) -> bool:
+        """Blocks are labelled and generated one by one, with a generator and a lexeme interpreter."""
+        return self.naming.blocks
+
+    @property
+    def varies(self) -> bool:
+        """The same lexemes can be rendered in different ways."""
+        return self.drawing.samples
+
+    @property
+    def streams(self) -> bool:
+        """It can rest without speech, so that a stream can continue indefinitely."""
+        return self.blocks and self.lives
+
+    def uses(self, stage: str) -> bool:
+        """Whether it uses the training stage of this name."""
+        return stage not in self.drawing.idle
+
+
+def system_of(config: Config) -> System:
+    """The system of the settings. Other code asks it, and not the settings, so that another lexicon or generator is
+    one more value above."""
+    lives = config.silence.rest == "life"
+    if config.tokens == "racer":
+        return System(CODES, DECODED, lives)
+    return System(MOVEMENTS if config.lexicon.kind == "movement" else POSES,
+                  FLOW if config.generator.head == "flow" else REGRESSION, lives)

@@ -18,10 +18,9 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from data_module.layers import freeze
-from gesticulator.bundle.config import Config, RewardConfig, section
+from gesticulator.bundle.config import Config, RewardConfig, section, system_of
 from gesticulator.bundle.features import CONTROL_WIDTH, representation_of
 from gesticulator.bundle.files import Weights, lexicon_hash
-from gesticulator.bundle.system import system_of
 from interpreters import InterpreterEntry, entries
 from interpreters.base import InterpreterSizes
 
@@ -31,9 +30,8 @@ if TYPE_CHECKING:
     from generator.model import Generator
     from interpreters.gate import ActivityGate
     from interpreters.lstm import StyleInterpreter
-    from interpreters.planner import UnitPlanner
+    from interpreters.planner import UnitPlanner, UnitStyleInterpreter
     from interpreters.reward import RewardEnsemble
-    from interpreters.unit_style import UnitStyleInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec
@@ -110,7 +108,7 @@ def lexicon(sizes: Sizes) -> Lexicon | MovementLexicon:
 def movement_lexicon(config: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> MovementLexicon:
     """The lexicon of movements of these settings; arguments as of `MovementLexicon`."""
     if config.quantizer == "vq-vae":
-        from lexicon.movement_vqvae import MovementVqVae
+        from lexicon.movement import MovementVqVae
 
         return MovementVqVae(config, frames, parts)
     from lexicon.movement import MovementLexicon
@@ -157,7 +155,7 @@ def style(sizes: Sizes, reads: bool = False) -> StyleInterpreter | UnitStyleInte
     units, which does not read."""
     config = sizes.config.style
     if system_of(sizes.config).drawing.samples:
-        from interpreters.unit_style import UnitStyleInterpreter
+        from interpreters.planner import UnitStyleInterpreter
 
         return UnitStyleInterpreter(config, sizes.frames, sizes.low, sizes.speakers, sizes.config.generator.style_width)
     from interpreters.lstm import StyleInterpreter

@@ -20,11 +20,10 @@ from data_module.errors import InputError
 from data_module.layers import freeze
 from gesticulator.bundle import models
 from gesticulator.bundle.bundle import rest_distances
-from gesticulator.bundle.config import Config, from_dict, to_dict
+from gesticulator.bundle.config import Config, from_dict, system_of, to_dict
 from gesticulator.bundle.features import Statistics, representation_of
 from gesticulator.bundle.files import CARD, INDEX, OLDER, lexicon_hash, read_json, replace_folder, write_index
 from gesticulator.bundle.models import Sizes
-from gesticulator.bundle.system import system_of
 
 SETTINGS = {("silence", "settle"): "rest_decay", ("interpreter", "text_reading"): "text_head",
             ("interpreter", "reading_dropout"): "text_head_dropout"}

@@ -90,7 +90,7 @@ def _values(character: Character, node: int, channels: tuple[str, ...], turns: A
 
 
 def turns_of(matrices: Array) -> Array:
-    """[..., 3, 3] the nearest rotations to matrices [..., 4, 4], by singular value decomposition."""
+    """[..., 3, 3] the nearest rotations to matrices [..., 4, 4], by singular value decomposition; a mirrored matrix
+    stays mirrored (determinant -1)."""
     left, _, right = np.linalg.svd(matrices[..., :3, :3])
-    left[..., :, 2] *= np.sign(np.linalg.det(left @ right))[..., None]
-    return left @ right
+    return np.asarray(left @ right)

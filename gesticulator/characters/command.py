@@ -15,18 +15,29 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the joint of each node; `InputError` if the mapping is unusable."""
+    """Print the joint of each node, and what was measured in some poses; `InputError` if the mapping is unusable or
+    what comes out is not sound."""
     from gesticulator.characters.joints import find_joints
     from gesticulator.characters.mapping import check, described, load_mapping, save_mapping
     from gesticulator.characters.reading import read_character
+    from gesticulator.characters.retarget import Retargeter
+    from gesticulator.characters.several import note_of
 
     character = read_character(args.character)
     mapping = find_joints(character) if args.mapping is None else load_mapping(args.mapping, character)
     print(described(mapping, character), flush=True)
+    note = note_of(character, mapping.joints["Hips"]) if "Hips" in mapping.joints else ""
+    if note:
+        print(note, flush=True)
     if args.save_mapping is not None:
         Path(args.save_mapping).parent.mkdir(parents=True, exist_ok=True)
         save_mapping(args.save_mapping, mapping, character)
     check(mapping, character)
+    odd = [doubt for doubt in Retargeter(character, mapping).doubts if doubt not in mapping.doubts]
+    for doubt in odd:
+        print(f"  doubt: {doubt}")
+    print("  moved to check it: " + ("look at the result" if odd else "stands upright and gestures; its mesh follows"
+                                     if len(character.skin.points) else "stands upright and gestures"))
     return 0
 
 

@@ -112,10 +112,10 @@ def _measured(body: Body) -> Trunk | None:
     limbs[list(mapping.neck)] = True
     for node, parent in enumerate(character.parents):  # children of the trunk other than limbs move with it
         trunk[node] |= parent >= 0 and trunk[parent] and not limbs[node]
-    points = character.flesh[trunk[character.flesh_nodes]] @ body.axes.T * body.unit
+    points = character.flesh[trunk[character.flesh_nodes]] @ body.bind_axes.T * body.unit
     if len(points) < 30:
         return None
-    hips, neck = (places @ body.axes.T * body.unit for places in _bind_ends(body))
+    hips, neck = (places @ body.bind_axes.T * body.unit for places in _bind_ends(body))
     axis = neck - hips
     length = float(np.linalg.norm(axis))
     up = axis / length
@@ -144,6 +144,16 @@ def _bind_ends(body: Body) -> tuple[Array, Array]:
     places = bind_matrices(body.character)[:, :3, 3]
     top = body.mapping.neck[0] if body.mapping.neck else body.mapping.joints["Head"]
     return places[body.mapping.joints["Hips"]], places[top]
+
+
+OUR_HEAD = Trunk(np.array([0.0, 0.2, 0.5, 0.8, 1.0]), np.array([0.04, 0.066, 0.078, 0.068, 0.035]),
+                 np.array([0.06, 0.088, 0.1, 0.086, 0.045]), np.zeros(5))
+"""The head of the default character, from chin to crown: that of an adult, 0.22 m high."""
+_CHIN, _CROWN = np.array([0.0, -0.025, 0.02]), np.array([0.0, 0.195, 0.02])
+"""From the joint of the head, metres."""
+_PALM = ("Hand", "HandMiddle1")
+_HAND = (*_PALM, *(f"Hand{finger}{joint}" for finger in ("Thumb", "Index", "Middle", "Pinky") for joint in (2, 3)))
+"""Joints of a hand that are kept out of the trunk, and of the head."""
 
 
 @dataclass(frozen=True)
@@ -239,17 +249,45 @@ def kept_out_of_us(motion: Motion, near: Mapping[str, Array]) -> Motion:
     near: side -> [T] metres, as from `our_distances`; beyond `MARGIN` a hand is free. Frames that need no correction
     are unchanged bit for bit.
     """
-    names, pose = motion.skeleton.index, pose_of(motion)
-    turns = {joint: pose.turns[name] for joint, name in enumerate(motion.skeleton.names)}
+    pose = pose_of(motion)
     column = plain_trunk(*OURS), pose.places["Hips"], pose.places["Neck"], pose.turns["Spine3"]
-    limbs, rotations, now = OurLimbs(motion.skeleton), motion.rotations.copy(), our_distances(pose)
+    return _kept_out(motion, pose, {side: (our_distances(pose)[side], near[side]) for side in SIDES}, _PALM, column)
+
+
+def head_distances(ours: Pose) -> dict[str, Array]:
+    """Side -> [T] metres from the default character's head to the nearest of wrist, knuckles and fingertips; negative
+    inside."""
+    return {side: np.min([OUR_HEAD.distance(ours.places[side + name], *_head_of(ours))[0] for name in _HAND
+                          if side + name in ours.places], axis=0) for side in SIDES}
+
+
+def kept_off_our_head(motion: Motion, near: Mapping[str, Array]) -> Motion:
+    """As `kept_out_of_us`, with hands and fingers kept at the distances `near` (`head_distances`) from the head."""
+    pose = pose_of(motion)
+    return _kept_out(motion, pose, {side: (head_distances(pose)[side], near[side]) for side in SIDES}, _HAND,
+                     (OUR_HEAD, *_head_of(pose)))
+
+
+def _head_of(ours: Pose) -> tuple[Array, Array, Array]:
+    """[T, 3] chin and crown, and [T, 3, 3] the axes of the head."""
+    turns, place = ours.turns["Head"], ours.places["Head"]
+    return place + turns @ _CHIN, place + turns @ _CROWN, turns
+
+
+def _kept_out(motion: Motion, pose: Pose, gaps: Mapping[str, tuple[Array, Array]], parts: Sequence[str],
+              column: tuple[Trunk, Array, Array, Array]) -> Motion:
+    """A motion with the parts of the hands pushed out of a column. gaps: side -> [T] metres from it, and those that are
+    wanted; beyond `MARGIN` a hand is free."""
+    names = motion.skeleton.index
+    turns = {joint: pose.turns[name] for joint, name in enumerate(motion.skeleton.names)}
+    limbs, rotations = OurLimbs(motion.skeleton), motion.rotations.copy()
     for side in SIDES:
-        wanted = np.minimum(near[side], MARGIN)
-        touched = now[side] < wanted - 1e-5
+        wanted = np.minimum(gaps[side][1], MARGIN)
+        touched = gaps[side][0] < wanted - 1e-5
         if not touched.any():
             continue
         chain = (names(side + "Arm"), names(side + "ForeArm"), names(side + "Hand"))
-        points = [chain[2], *([names(side + "HandMiddle1")] if side + "HandMiddle1" in motion.skeleton.names else [])]
+        points = [names(side + part) for part in parts if side + part in motion.skeleton.names]
         push_out(turns, limbs, chain, points, np.where(touched, wanted, -np.inf), column)
         for joint in chain:
             local = np.swapaxes(turns[motion.skeleton.parents[joint]], -1, -2) @ turns[joint]

@@ -1,4 +1,4 @@
-"""Run inside Blender: write the largest armature of an FBX file as JSON.
+"""Run inside Blender: write the largest armature of an FBX file, and a sample of its meshes, as JSON.
 
     python fbx_child.py IN.fbx OUT.json
 
@@ -12,9 +12,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+MOST_TRIANGLES = 6000
+"""Most triangles written, evenly over each mesh."""
+
 
 def export_armature(source: str, target: str) -> None:
-    """Import the file into an empty scene and write its armature object and bones, parents first."""
+    """Import the file into an empty scene and write its armature object and bones, parents first, and the meshes that
+    the bones move: {"bones": [...], "points": [[x, y, z]], "joints": [[4 bones]], "weights", "triangles"}."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -33,7 +37,34 @@ def export_armature(source: str, target: str) -> None:
             at[bone.name] = len(nodes)
             nodes.append({"name": bone.name, "parent": parent, "matrix": _rows(local), "length": bone.length})
             todo += [(child, at[bone.name]) for child in reversed(bone.children)]
-    Path(target).write_text(json.dumps(nodes), encoding="utf-8")
+    skin: dict[str, list[Any]] = {"points": [], "joints": [], "weights": [], "triangles": []}
+    if armatures:
+        meshes = [thing for thing in bpy.data.objects if thing.type == "MESH" and any(
+            modifier.type == "ARMATURE" and modifier.object == armature for modifier in thing.modifiers)]
+        step = max(1, sum(len(thing.data.polygons) for thing in meshes) // MOST_TRIANGLES)
+        for thing in meshes:
+            _add_mesh(thing, at, step, skin)
+    Path(target).write_text(json.dumps({"bones": nodes, **skin}), encoding="utf-8")
+
+
+def _add_mesh(thing: Any, at: dict[str, int], step: int, skin: dict[str, list[Any]]) -> None:
+    """Add every `step`-th polygon of a mesh, in the world of the rest pose, with its four largest weights."""
+    bones = {group.index: at[group.name] for group in thing.vertex_groups if group.name in at}
+    place: dict[int, int] = {}
+    for polygon in list(thing.data.polygons)[::step]:
+        rows = list(polygon.vertices)[:3]
+        for vertex in rows:
+            if vertex in place:
+                continue
+            found = sorted(((entry.weight, bones[entry.group]) for entry in thing.data.vertices[vertex].groups
+                            if entry.group in bones and entry.weight > 0.0), reverse=True)[:4]
+            whole = sum(weight for weight, _ in found)
+            place[vertex] = len(skin["points"])
+            skin["points"].append([float(value) for value in thing.matrix_world @ thing.data.vertices[vertex].co])
+            skin["joints"].append([bone for _, bone in found] + [0] * (4 - len(found)))
+            skin["weights"].append([weight / whole for weight, _ in found] + [0.0] * (4 - len(found))
+                                   if whole else [1.0, 0.0, 0.0, 0.0])
+        skin["triangles"].append([place[vertex] for vertex in rows])
 
 
 def _rows(matrix: Any) -> list[float]:

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import os
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.files import read_json
 from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.bvh_rig import turns_of
-from gesticulator.characters.rig import Character
+from gesticulator.characters.rig import Character, Skin, decomposed
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 _LARGEST = 1 << 28
@@ -35,10 +35,16 @@ def read_fbx_character(path: str | os.PathLike[str]) -> Character:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "rig.json"
         run_in_blender(source, SCRIPT, str(source.resolve()), str(target))
-        bones: list[dict[str, Any]] = read_json(target, "export it again", _LARGEST)
+        document: dict[str, Any] = read_json(target, "export it again", _LARGEST)
+    bones = document["bones"]
     if len(bones) < 2:
         raise InputError(path, "holds no armature", "export the armature, too")
-    return from_bones(source, bones)
+    character = from_bones(source, bones)
+    if not document["triangles"]:
+        return character
+    joints, weights = np.array(document["joints"], dtype=np.int64), np.array(document["weights"])
+    skin = Skin(np.array(document["points"]), joints, weights, np.array(document["triangles"], dtype=np.int64))
+    return replace(character, skin=skin, flesh=skin.points, flesh_nodes=joints[:, 0])
 
 
 def from_bones(path: Path, bones: list[dict[str, Any]]) -> Character:
@@ -51,8 +57,7 @@ def from_bones(path: Path, bones: list[dict[str, Any]]) -> Character:
     skinned = np.ones(n, dtype=bool)
     skinned[0] = False
     return Character(
-        tuple(node["name"] for node in bones), tuple(node["parent"] for node in bones), matrices[:, :3, 3],
-        Rotation.from_matrix(turns_of(matrices)).as_quat(scalar_first=True),
-        np.linalg.norm(matrices[:, :3, :3], axis=1), path, "fbx", skinned, unit=1.0,
+        tuple(node["name"] for node in bones), tuple(node["parent"] for node in bones), *decomposed(matrices), path,
+        "fbx", skinned, space=turns_of(matrices[0]), unit=1.0,
         tips={index: np.array([0.0, float(node["length"]), 0.0]) for index, node in enumerate(bones)
               if index and not any(other["parent"] == index for other in bones)})

@@ -21,10 +21,13 @@ from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.mapping import SIDES, RigMapping, ancestors
-from gesticulator.characters.rig import Character
+from gesticulator.characters.names import labels
+from gesticulator.characters.rig import UPS, Character
 
 _UPRIGHT = np.radians(30.0)
 """An axis of the file within this angle of the direction from hips to head is up; otherwise the body lies or hangs."""
+_LEVEL = np.radians(1.0)
+"""An axis of the mesh within this angle of the format's up axis is up."""
 _SQUARE = np.radians(8.0)
 """A body that faces within this angle of an axis of the file faces along it: shoulders are never exactly level."""
 _BENT = np.radians(15.0)
@@ -58,10 +61,12 @@ class Body:
     """A character measured in our axes (Y up, facing +Z, left +X) and in metres.
 
     axes: [3, 3] rows are the character's left, up and forward in the file's axes: ours = axes @ file's * unit.
+    bind_axes: [3, 3] the same in the bind pose, which differs if that lies or leans where the file places it.
     unit: metres per unit of the character's world. lift: metres that the character is lifted to stand on the floor.
     rest_places: [N, 3] positions of the nodes at rest; rest_turns: [N, 3, 3] from the nodes' axes to ours at rest;
     local_turns: [N, 3, 3] the same to their parents' axes. offsets: [N, 3] metres from each node's parent, in the
-    parent's axes. leg_ratio: length of the character's leg relative to ours.
+    parent's axes. leg_ratio: length of the character's leg relative to ours. ankles: [2] heights of the left and the
+    right ankle of a character that stands, metres; empty without legs.
     """
 
     character: Character
@@ -76,13 +81,21 @@ class Body:
     leg_ratio: float
     segments: tuple[BoneSegment, ...]
     leg_nodes: frozenset[int]
+    bind_axes: Array
+    ankles: Array
 
     @property
     def sits(self) -> bool:
         """Whether the character sits in the rest pose of its file: thighs ahead and about level, shins down."""
+        hips = self.mapping.joints["Hips"]
+        bound = self.rest_turns[hips]
+        if self.character.bind is not None:
+            bound = self.bind_axes @ turns_of(self.character.bind[hips])
+        upright = bound @ self.rest_turns[hips].T  # a body that leans as a whole does not sit
+
         def way(above: str, below: str) -> Array:
             bone = self.rest_places[self.mapping.joints[below]] - self.rest_places[self.mapping.joints[above]]
-            return np.asarray(bone / max(float(np.linalg.norm(bone)), 1e-9))
+            return np.asarray(upright @ bone / max(float(np.linalg.norm(bone)), 1e-9))
 
         return self.mapping.legs and all(
             way(side + "UpLeg", side + "Leg")[2] > _AHEAD and way(side + "Leg", side + "Foot")[1] < -_DOWN
@@ -108,14 +121,15 @@ def _matrix(quaternion: Array) -> Array:
 def measure(character: Character, mapping: RigMapping) -> Body:
     """Measure a character; `InputError` if required bones have no length."""
     bind = shape.bind_matrices(character)
-    axes = _axes(character, mapping, bind[:, :3, 3])
+    bind_axes = _axes(character, mapping, bind[:, :3, 3])
+    axes = _upright(character, bind_axes)
     rest, turns, local = character.world_matrices()[:, :3, 3], character.world_turns(), character.local_turns()
-    unit = character.unit or _unit(mapping, rest)
+    unit = _unit(character, mapping, rest)
     places = rest @ axes.T * unit
     parents = np.maximum(character.parents, 0)
     # Row vectors: v @ M is the transpose of M times v.
     offsets = unit * np.einsum("ni,nij->nj", rest - rest[parents], turns[parents])
-    rig = _Rig(character, mapping, axes @ (turns if character.bind is None else turns_of(bind)), offsets)
+    rig = _Rig(character, mapping, bind_axes @ (turns if character.bind is None else turns_of(bind)), offsets)
     segments = (*rig.trunk(), *rig.arms(), *rig.legs())
     legs = frozenset(mapping.joints[name] for name in skeletons.LEG_JOINTS if name in mapping.joints)
     lift, ratio = 0.0, 1.0
@@ -128,7 +142,9 @@ def measure(character: Character, mapping: RigMapping) -> Body:
             ankle = float(np.mean([places[mapping.joints[side + "Foot"], 1] for side in SIDES]))
             # Without toes or tips the height of the ankle is unknown: use that of the default skeleton, scaled.
             lift = -min(lowest, ankle - _ANKLE * ratio)
-    return Body(character, mapping, axes, unit, lift, places, axes @ turns, local, offsets, ratio, segments, legs)
+    ankles = _ankles(character, mapping, (axes, bind_axes), places, unit) if mapping.legs else np.zeros(0)
+    return Body(character, mapping, axes, unit, lift, places, axes @ turns, local, offsets, ratio, segments, legs,
+                bind_axes, ankles + lift)
 
 
 _OURS = {name: WHOLE_BODY.offsets[index] for index, name in enumerate(WHOLE_BODY.names)}
@@ -136,13 +152,42 @@ _ANKLE = 0.08
 """Height of the default skeleton's ankle above the floor, metres."""
 
 
-def _unit(mapping: RigMapping, rest: Array) -> float:
-    """Metres per unit: 1, 0.01 or 0.001, whichever brings the distance from hips to head nearest to an adult's."""
+def _ankles(character: Character, mapping: RigMapping, axes: tuple[Array, Array], rest: Array, unit: float) -> Array:
+    """[2] heights of the ankles of a character that stands, metres, without its lift.
+
+    They are those at rest if its feet rest where the bind pose has them, else those of the bind pose: on the floor of
+    the mesh, or on the floor of the file if the mesh does not stand upright there. axes: upright, and of the bind pose.
+    """
+    feet = [mapping.joints[side + "Foot"] for side in SIDES]
+    if character.bind is None:
+        return rest[feet, 1]
+    upright, bind_axes = axes
+    bound = character.bind[:, :3, 3] @ bind_axes.T * unit
+    stands = upright is bind_axes
+    if stands and np.abs(bound[feet] - rest[feet]).max() < _SAME_PLACE * float(np.ptp(bound[:, 1])):
+        return rest[feet, 1]
+    if stands:
+        return bound[feet, 1]
+    below = [bound[node, 1] for name, node in mapping.joints.items() if name in skeletons.LEG_JOINTS]
+    flesh = character.flesh @ bind_axes[1] * unit
+    return np.asarray(bound[feet, 1] - min(*below, *([float(flesh.min())] if len(flesh) else [])))
+
+
+_SAME_PLACE = 0.01
+"""Share of the height within which feet rest where the bind pose has them."""
+
+
+def _unit(character: Character, mapping: RigMapping, rest: Array) -> float:
+    """Metres per unit, by the file's format; if it defines none, or the body is ten times too large or too small by it,
+    whichever power of ten brings the distance from hips to head nearest to an adult's."""
     chain = [mapping.joints["Hips"], *mapping.spine, *mapping.neck, mapping.joints["Head"]]
     length = float(np.linalg.norm(np.diff(rest[chain], axis=0), axis=1).sum())
     if length <= 0:
         return 1.0
-    return min((1.0, 0.01, 0.001), key=lambda unit: abs(float(np.log(length * unit / _LENGTH))))
+    if character.unit is None:
+        return min((1.0, 0.01, 0.001), key=lambda unit: abs(float(np.log(length * unit / _LENGTH))))
+    off = float(np.log10(_LENGTH / (length * character.unit)))
+    return character.unit * 10.0 ** round(off) if abs(off) > 1.0 else character.unit
 
 
 def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
@@ -150,9 +195,12 @@ def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
     joints = mapping.joints
     up = _unit_vector(character, places[joints["Head"]] - places[joints["Hips"]], "hips and head")
     axis = _nearest_axis(up)
-    known = {"glb": [0.0, 1.0, 0.0], "fbx": [0.0, 0.0, 1.0]}.get(character.kind)
-    if known is not None and up @ np.array(known) > 0.5:
-        up = np.array(known)
+    known = UPS.get(character.kind)
+    modelled = character.space @ _nearest_axis(character.space.T @ up)  # along an axis of the mesh
+    if known is not None and up @ modelled > np.cos(_UPRIGHT) and modelled @ known < np.cos(_LEVEL):
+        up = modelled
+    elif known is not None and up @ known > 0.5:
+        up = known
     elif up @ axis > np.cos(_UPRIGHT):
         up = axis
     left = np.zeros(3)
@@ -161,10 +209,24 @@ def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
             across = places[joints["Left" + part]] - places[joints["Right" + part]]
             left = left + (across - (across @ up) * up)
     left = _unit_vector(character, left, "both shoulders")
-    axis = _nearest_axis(left)
+    # A mesh is modelled along its axes, whatever the turn that the file gives it.
+    axis = _nearest_axis(left) if known is None else character.space @ _nearest_axis(character.space.T @ left)
+    axis = axis - (axis @ up) * up if known is not None else axis
     if left @ axis > np.cos(_SQUARE) and abs(axis @ up) < 1e-9:
-        left = axis
+        left = axis / np.linalg.norm(axis)
     return np.stack([left, up, np.cross(left, up)])
+
+
+def _upright(character: Character, axes: Array) -> Array:
+    """[3, 3] the axes of the bind pose, set upright by the shortest turn where the format defines what is up: a body
+    that lies faces forward as the format defines it."""
+    known = UPS.get(character.kind)
+    if known is None or axes[1] @ known > 1.0 - 1e-12:
+        return axes
+    if axes[1] @ known > 0.5:
+        return np.asarray(axes @ _turn(axes[1], known).T)
+    left = np.array([-1.0 if character.vrm == "0.x" else 1.0, 0.0, 0.0])
+    return np.stack([left, known, np.cross(left, known)])
 
 
 def _nearest_axis(vector: Array) -> Array:
@@ -318,8 +380,18 @@ class _Rig:
                 # A hand without fingers has the roll of its forearm.
                 hand = _turn(fore @ along, ours_along) @ fore
             out += [self._segment(side + "ForeArm", fore), self._segment(side + "Hand", hand)]
+            out += [BoneSegment(node, side + "Hand", hand @ self.bind[node]) for node in self._rest_of_hand(side)]
             out += self._fingers(side, along, back, ours_back, hand)
         return out
+
+    def _rest_of_hand(self, side: str) -> list[int]:
+        """The nodes beside the hand's that are parts of it, in characters with one bone for each finger's palm."""
+        parents, hand = self.character.parents, self.joints[side + "Hand"]
+        found = labels(self.character.names)
+        taken = {*self.joints.values(), *self.mapping.spine, *self.mapping.neck}
+        return [node for node, parent in enumerate(parents) if parent == parents[hand] and node not in taken
+                and not found[node].aid and not found[node].tip
+                and (found[node].parts[:1] == ("Hand",) or found[node].finger)]
 
     def _palm(self, side: str, sign: float, forearm: Array) -> tuple[Array, Array | None, Array, Array]:
         """Direction along the hand and out of its back in the bind pose (None without fingers), and those of ours."""

@@ -21,6 +21,13 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError, shown
 from data_module.files import parse_json, read_bytes
+from gesticulator.characters.gltf_compression import (
+    compressed_view,
+    draco_attributes,
+    is_fallback,
+    unpacked_mesh,
+    unpacked_view,
+)
 
 LARGEST = 1 << 31
 """Largest size of a file, and of all its separate files together, bytes (2 GiB): film characters have some hundreds of
@@ -44,8 +51,10 @@ _MOST_ZEROS = 1 << 25
 FARTHEST = 1e9
 """Largest accepted distance from a node to its parent in metres, and largest scale."""
 _KNOWN = re.compile("(KHR_materials_|KHR_texture_|EXT_texture_|MSFT_texture_|KHR_lights_|EXT_lights_|KHR_xmp|VRM).*"
-                    "|KHR_mesh_quantization|KHR_node_visibility|KHR_animation_pointer")
-"""Supported required extensions: they affect neither nodes, skins, nor the storage of accessors."""
+                    "|KHR_mesh_quantization|KHR_node_visibility|KHR_animation_pointer|EXT_meshopt_compression"
+                    "|KHR_draco_mesh_compression")
+"""Supported required extensions: the two compressions are unpacked where parts are read
+(`gesticulator.characters.gltf_compression`), the others affect neither nodes, skins, nor the storage of accessors."""
 
 
 def read_gltf(path: str | os.PathLike[str]) -> GltfFile:
@@ -84,11 +93,14 @@ class GltfFile:
         self.path, self.document, self._binary = path, document, binary
         self._beside: dict[Path, bytes] = {}
         self._embedded: dict[int, bytes] = {}
+        self._unpacked: dict[int, bytes] = {}
+        self._meshes: dict[int, dict[int, NDArray[Any]]] = {}
         for name in _LISTS:
             self._check_list(name)
         self._check_extensions()
         self._check_buffers()
         self._check_nodes()
+        self._draco = draco_attributes(document)
 
     def rows(self, name: str) -> list[dict[str, Any]]:
         """The entries of a top-level list; empty if the file has none."""
@@ -143,6 +155,12 @@ class GltfFile:
             if end > buffer["byteLength"]:
                 raise self.error(f"{where} lies beyond its buffer")
             self._size(view, "byteStride", where)
+            packed = compressed_view(view)
+            if packed is not None:
+                buffer = self.rows("buffers")[self._index(packed, "buffer", len(self.rows("buffers")), where)]
+                end = self._size(packed, "byteOffset", where) + self._size(packed, "byteLength", where, None)
+                if end > buffer["byteLength"]:
+                    raise self.error(f"{where} lies beyond its buffer")
         for number, accessor in enumerate(self.rows("accessors")):
             self._check_accessor(accessor, f"accessors[{number}]")
         for number, image in enumerate(self.rows("images")):
@@ -241,7 +259,9 @@ class GltfFile:
         source = self.rows("accessors")[accessor]
         kind, width = np.dtype(_TYPES[source["componentType"]]), math.prod(_SHAPES[source["type"]])
         chosen = range(first, source["count"], step)[:most]
-        if "bufferView" in source:
+        if accessor in self._draco:
+            values = self._draco_values(accessor, width)[first::step][:most].astype(np.float64)
+        elif "bufferView" in source:
             with np.errstate(invalid="ignore"):  # a signalling NaN; what takes the values checks that they are finite
                 values = self._numbers(source, source["count"], kind, width)[first::step][:most].astype(np.float64)
         else:
@@ -259,11 +279,35 @@ class GltfFile:
             values = np.maximum(values / np.iinfo(kind).max, -1.0)
         return values
 
+    def _draco_values(self, accessor: int, width: int) -> NDArray[Any]:
+        """[count, width] the values of an accessor in a Draco mesh."""
+        view, number = self._draco[accessor]
+        if view not in self._meshes:
+            if not 0 <= view < len(self.rows("bufferViews")):
+                raise self.error(f"accessors[{accessor}] is in a Draco mesh that is not there")
+            self._meshes[view] = unpacked_mesh(self._view_bytes(self.rows("bufferViews")[view]), self.path)
+        values = self._meshes[view].get(number)
+        if values is None or values.reshape(len(values), -1).shape != (self.count(accessor), width):
+            raise self.error(f"accessors[{accessor}] is not what its Draco mesh holds")
+        return values.reshape(len(values), -1)
+
+    def _view_bytes(self, view: dict[str, Any]) -> bytes:
+        """The bytes of a buffer view, or of its compressed form."""
+        start = view.get("byteOffset", 0)
+        return bytes(self._buffer(view["buffer"])[start:start + view["byteLength"]])
+
     def _numbers(self, part: dict[str, Any], count: int, kind: np.dtype[Any], width: int) -> NDArray[Any]:
         """[count, width] the data in the view of an accessor or of a sparse part, without copying."""
         view = self.rows("bufferViews")[part["bufferView"]]
-        start = view.get("byteOffset", 0) + part.get("byteOffset", 0)
         step = view.get("byteStride", 0) or kind.itemsize * width
+        packed = compressed_view(view)
+        if packed is not None:
+            number = part["bufferView"]
+            if number not in self._unpacked:
+                self._unpacked[number] = unpacked_view(packed, self._view_bytes(packed), view["byteLength"], self.path)
+            return np.ndarray((count, width), kind, self._unpacked[number], part.get("byteOffset", 0),
+                              (step, kind.itemsize))
+        start = view.get("byteOffset", 0) + part.get("byteOffset", 0)
         return np.ndarray((count, width), kind, self._buffer(view["buffer"]), start, (step, kind.itemsize))
 
     def _buffer(self, index: int) -> bytes | memoryview:
@@ -317,9 +361,15 @@ class GltfFile:
             return bytes(self._binary or b"")
         if len(buffers) == 1 and "uri" not in buffers[0]:
             return bytes(self._buffer(0))
-        joined, starts = bytearray(), []
+        joined, starts = bytearray(), list[int]()
         places: dict[str, int] = {}
+        # Buffers without data stand for views that are compressed; they keep a row of their own.
+        empty = [index for index, buffer in enumerate(buffers) if is_fallback(buffer) and index]
+        rows = {index: empty.index(index) + 1 if index in empty else 0 for index in range(len(buffers))}
         for index, buffer in enumerate(buffers):
+            if index in empty:
+                starts.append(0)
+                continue
             uri = buffer.get("uri", "")
             source = uri if not uri or uri.startswith("data:") else str(self.beside(uri))
             if source not in places:
@@ -329,9 +379,11 @@ class GltfFile:
             self._buffer(index)
             starts.append(places[source])
         for view in self.rows("bufferViews"):
-            view["byteOffset"] = view.get("byteOffset", 0) + starts[view["buffer"]]
-            view["buffer"] = 0
-        self.document["buffers"] = [{}]
+            for part in (view, compressed_view(view)):
+                if part is not None:
+                    part["byteOffset"] = part.get("byteOffset", 0) + starts[part["buffer"]]
+                    part["buffer"] = rows[part["buffer"]]
+        self.document["buffers"] = [{}, *(buffers[index] for index in empty)]
         return bytes(joined)
 
 

@@ -7,24 +7,37 @@ uses metres and Y up; a VRM 0.x character faces -Z, others +Z.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.types import Array
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.gltf_file import AGAIN, FARTHEST, GltfFile, read_gltf
-from gesticulator.characters.rig import Character
+from gesticulator.characters.gltf_skin import read_skin
+from gesticulator.characters.mapping import ancestors
+from gesticulator.characters.rig import Character, decomposed
 
 MOST_POINTS = 20_000
 """Most vertices kept, evenly subsampled: enough to measure the width of a trunk."""
 _MOST_PARTS = 1 << 16
 """Most mesh primitives in use: one mesh may be referenced by every node."""
 _LONGEST_NAME = 1000
+_MOST_CANDIDATES = 400
+"""Most joints that are asked for the place of the mesh."""
+_MOST = 0.5
+"""Share of the joints that must rest in the bind pose for their word to count."""
+_SAME_PLACE, _SAME_TURN = 1e-3, float(np.radians(0.5))
+"""Share of the skeleton's size, and radians, within which a joint is where the bind pose has it."""
+_LEVEL = float(np.radians(1.0))
+"""An axis within this angle of the vertical is vertical."""
+_AS_AT_REST = float(np.radians(60.0))
+"""Largest median angle between trunk and legs at rest and in the bind pose: a stride turns them by 30 degrees."""
+_AS_TURNED = float(np.radians(100.0))
+"""The same for a body whose joints all rest in the bind pose but for one that turns the whole of it."""
 _SKINNED = ("POSITION", "JOINTS_0", "WEIGHTS_0")
 """Attributes of a skinned mesh."""
 
@@ -67,9 +80,16 @@ def _character(file: GltfFile) -> Character:
     inverse = _inverse_bind(file, place)
     if not inverse:
         return character
-    bind, to_world = _bind(character, inverse)
+    bind, to_world = _bind(character, inverse, _mesh_nodes(file, place))
     flesh, flesh_nodes = _flesh(file, place, to_world)
-    return Character(**{**vars(character), "bind": bind, "flesh": flesh, "flesh_nodes": flesh_nodes})
+    return Character(**{**vars(character), "bind": bind, "space": turns_of(to_world), "flesh": flesh,
+                        "flesh_nodes": flesh_nodes, "skin": read_skin(file, place, to_world)})
+
+
+def _mesh_nodes(file: GltfFile, place: Mapping[int, int]) -> list[int]:
+    """The nodes that carry skinned meshes, without repetition."""
+    nodes = file.rows("nodes")
+    return list(dict.fromkeys(place[node] for node, entry in enumerate(nodes) if "mesh" in entry and "skin" in entry))
 
 
 def _parents_first(file: GltfFile, count: int, parent_of: Mapping[int, int]) -> list[int]:
@@ -91,9 +111,7 @@ def _parents_first(file: GltfFile, count: int, parent_of: Mapping[int, int]) -> 
 def _transform(node: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     """Translation, rotation (w first) and scale of a node."""
     if "matrix" in node:
-        matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-        turn = Rotation.from_matrix(turns_of(matrix)).as_quat(scalar_first=True)
-        return matrix[:3, 3], turn, np.linalg.norm(matrix[:3, :3], axis=0)
+        return decomposed(np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T)
     x, y, z, w = map(float, node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
     turn = np.array([w, x, y, z])
     length = float(np.linalg.norm(turn))
@@ -136,23 +154,28 @@ def _inverse_bind(file: GltfFile, place: Mapping[int, int]) -> dict[int, Array]:
     return out
 
 
-def _bind(character: Character, inverse: Mapping[int, Array]) -> tuple[Array, Array]:
+def _bind(character: Character, inverse: Mapping[int, Array], meshes: Sequence[int]) -> tuple[Array, Array]:
     """[N, 4, 4] world matrices of the bind pose, and [4, 4] from mesh space to the world.
 
-    Inverse bind matrices give each joint's place in mesh space. Mesh space is aligned to the world such that most
-    joints are where they are at rest (all of them, if the file rests in its bind pose).
+    Inverse bind matrices give each joint's place in mesh space. The place of mesh space in the world is that which
+    explains most of them: a joint that rests in its bind pose says where it is, and all that do agree. If most joints
+    rest in another pose, the nodes that carry the meshes say it, or else the joint nearest to the root.
     """
     rest = character.world_matrices()
     joints = list(inverse)
     there = np.array([np.linalg.inv(inverse[node]) for node in joints])
-    candidates = np.array([rest[node] @ inverse[node] for node in joints])
-    size = max(float(np.ptp(rest[joints, :3, 3], axis=0).max()), 1e-9)
-    step = max(1, len(joints) // 40)
-    gaps = [float(np.median(np.linalg.norm((candidate @ there)[:, :3, 3] - rest[joints, :3, 3], axis=-1)))
-            for candidate in candidates[::step]]
-    # The first of equal candidates, which is nearest to the root of the skin.
-    best = next(place for place, gap in enumerate(gaps) if gap <= min(gaps) + 1e-4 * size)
-    to_world = candidates[::step][best]
+    candidates = np.array([rest[node] @ inverse[node] for node in joints])[::max(1, len(joints) // _MOST_CANDIDATES)]
+    counts = [int(_explained(candidate @ there, rest[joints]).sum()) for candidate in candidates]
+    to_world = candidates[int(np.argmax(counts))]  # the first of equals, which is nearest to the root of the skin
+    agree = max(counts) >= _MOST * len(joints)
+    if not (agree and _is_level(to_world)):
+        better = _placed_by_nodes(character, joints, there, meshes, _AS_TURNED if agree else _AS_AT_REST)
+        if better is not None:
+            to_world = better
+        elif not agree:
+            depth = [len(ancestors(character.parents, node)) for node in joints]
+            first = int(np.argmin(depth))
+            to_world = rest[joints[first]] @ inverse[joints[first]]
     bind = rest.copy()
     local = character.local_matrices()
     for node, parent in enumerate(character.parents):
@@ -161,6 +184,53 @@ def _bind(character: Character, inverse: Mapping[int, Array]) -> tuple[Array, Ar
         elif parent >= 0:
             bind[node] = bind[parent] @ local[node]
     return bind, to_world
+
+
+def _explained(there: Array, rest: Array) -> NDArray[np.bool_]:
+    """[J] which joints are at rest where the bind pose has them: both [J, 4, 4] in the world."""
+    size = max(float(np.ptp(rest[:, :3, 3], axis=0).max()), 1e-9)
+    near = np.linalg.norm(there[:, :3, 3] - rest[:, :3, 3], axis=-1) < _SAME_PLACE * size
+    return np.asarray(near & (_angles(there, rest) < _SAME_TURN))
+
+
+def _angles(a: Array, b: Array) -> Array:
+    """[J] radians between the rotations of matrices [J, 4, 4]; pi if one is mirrored and the other is not."""
+    apart = np.swapaxes(turns_of(a), -1, -2) @ turns_of(b)
+    cosine = (np.trace(apart, axis1=-2, axis2=-1) - 1.0) / 2.0
+    return np.where(np.linalg.det(apart) > 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)), np.pi)
+
+
+def _is_level(to_world: Array) -> bool:
+    """Whether one of the axes of mesh space is vertical in the world."""
+    return bool(np.abs(turns_of(to_world)[1]).max() > np.cos(_LEVEL))
+
+
+def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, meshes: Sequence[int], most: float
+                     ) -> Array | None:
+    """[4, 4] from mesh space to the world as the nodes say that carry the meshes, or the skeleton; None if none of
+    them has the size of the skeleton and leaves the trunk within `most` radians of its rest pose (in the median)."""
+    rest = character.world_matrices()
+    place = {node: index for index, node in enumerate(joints)}
+    bones = [(place[node], place[character.parents[node]]) for node in joints if character.parents[node] in place]
+    if not bones:
+        return None
+    below, above = np.array(bones).T
+    here, bound = (np.linalg.norm(m[below, :3, 3] - m[above, :3, 3], axis=-1) for m in (rest[joints], there))
+    long = bound > 0.1 * bound.max()
+    scale = float(np.median(here[long] / bound[long]))
+    tops = [character.parents[node] for node in joints if character.parents[node] not in place]
+    depth = [len(ancestors(character.parents, node)) for node in joints]
+    trunk = np.argsort(depth, kind="stable")[:max(3, len(joints) // 3)]  # the others are mostly fingers
+    best, best_angle = None, most
+    for node in dict.fromkeys([*meshes, *tops]):
+        to_world = rest[node] if node >= 0 else np.eye(4)
+        size = float(np.cbrt(abs(np.linalg.det(to_world[:3, :3]))))
+        if not (size > 0.0 and abs(np.log(size / scale)) < 0.02 and _is_level(to_world)):
+            continue
+        angle = float(np.median(_angles(to_world @ there[trunk], rest[joints][trunk])))
+        if angle < best_angle - 1e-6:
+            best, best_angle = to_world, angle
+    return best
 
 
 def _flesh(file: GltfFile, place: Mapping[int, int], to_world: Array) -> tuple[Array, NDArray[np.int64]]:

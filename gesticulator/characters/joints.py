@@ -16,9 +16,10 @@ import numpy as np
 from data_module.motion.skeletons import FINGERS, NAME_TABLES
 from data_module.types import Array
 from gesticulator.characters import shape
+from gesticulator.characters.conventions import conventional
 from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, NEEDED, SIDES, RigMapping, ancestors
-from gesticulator.characters.names import Label, label
-from gesticulator.characters.rig import Character
+from gesticulator.characters.names import Label
+from gesticulator.characters.rig import UPS, Character
 
 _VRM_PARTS = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
               "Leg": "LowerLeg", "Foot": "Foot", "ToeBase": "Toes"}
@@ -31,6 +32,8 @@ _LONGEST_PATH = 14
 _METACARPAL = 0.45
 """A finger starts with a metacarpal if its first joint is nearer to the wrist than this share of the distance to its
 second joint: knuckles are at 0.65 in hands, bases of metacarpals at 0.3 in rigs."""
+_BACKWARDS = 0.5
+"""Cosine between feet and backwards above which the sides in names are taken for exchanged."""
 _BY_NAME, _BY_SECOND_NAME, _BY_SHAPE = 1.0, 0.95, 0.7
 """Confidence of a joint with a matching name, a name that other tools give to its neighbour, or no known name."""
 
@@ -68,18 +71,19 @@ def find_joints(character: Character) -> RigMapping:
     """
     if character.humanoid:
         return _from_vrm(character)
-    labels = tuple(label(name) for name in character.names)
+    labels = conventional(character)
     places = shape.bind_matrices(character)[:, :3, 3]
     # glTF and Blender define the up axis; BVH does not.
-    ups = {"glb": [(0.0, 1.0, 0.0)], "fbx": [(0.0, 0.0, 1.0)]}.get(
-        character.kind, [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
+    ups = list(np.eye(3)[[1, 2, 0]])
+    if character.kind in UPS:  # and those of a body that lies where the file places it
+        ups = [UPS[character.kind], *(sign * axis for axis in character.space.T for sign in (1.0, -1.0))]
     candidates = []
     for up in ups:
-        search = Search(character, labels, places, np.array(up))
+        search = Search(character, labels, places, up)
         candidates.append(_found(search))
         if candidates[-1].confidence >= 0.9:
             break
-    return max(candidates, key=lambda mapping: mapping.confidence)
+    return max(candidates, key=lambda mapping: (round(mapping.confidence, 2), len(mapping.joints)))
 
 
 # ---------------------------------------------------------------------------------------------------- by the table
@@ -99,8 +103,11 @@ def _from_vrm(character: Character) -> RigMapping:
                     joints[f"{side}Hand{finger}{place + 1}"] = table[f"{side.lower()}{theirs}{kind}"]
     spine = tuple(table[bone] for bone in ("spine", "chest", "upperChest") if bone in table)
     neck = (table["neck"],) if "neck" in table else ()
+    exchanged: list[str] = []
+    up = UPS.get(character.kind, np.eye(3)[1])
+    joints = _turned_round(Search(character, (), shape.bind_matrices(character)[:, :3, 3], up), joints, True, exchanged)
     lacking = [name for name in NEEDED if name not in joints]
-    doubts = (f"its VRM table lacks {', '.join(lacking)}",) if lacking else ()
+    doubts = (*exchanged, *((f"its VRM table lacks {', '.join(lacking)}",) if lacking else ()))
     return RigMapping(joints, spine, neck, "vrm humanoid", 0.0 if lacking else 1.0, doubts)
 
 
@@ -111,6 +118,7 @@ def _found(search: Search) -> RigMapping:
     joints: dict[str, int] = {}
     sure: dict[str, float] = {}
     doubts: list[str] = []
+    joints |= _legs_without_feet(search, ends)
     for kind, parts, least in (("Hand", ARM_PARTS, 3), ("Foot", LEG_PARTS, 3)):
         pair = [ends.get(side + kind) for side in SIDES]
         if pair[0] is None or pair[1] is None:
@@ -131,11 +139,24 @@ def _found(search: Search) -> RigMapping:
     for side in SIDES:
         if side + "Hand" in joints:
             joints |= _fingers(search, side, joints[side + "Hand"])
-    if not any(search.labels[node].side for name, node in ends.items() if name != "Head"):
-        joints = _turned_round(search, joints, doubts)
+    joints = _turned_round(search, joints, any(search.labels[node].side for name, node in ends.items()
+                                               if name != "Head"), doubts)
     confidence = _confidence(search, joints, sure, doubts)
     family = _family(search.character.names, [*joints.values(), *spine, *neck])
     return RigMapping(joints, spine, neck, family, confidence, tuple(doubts))
+
+
+def _legs_without_feet(search: Search, ends: Mapping[str, int]) -> dict[str, int]:
+    """Thighs and shins by name of legs whose feet hang elsewhere, as controls of inverse kinematics do."""
+    out: dict[str, int] = {}
+    for side in SIDES:
+        for part in ("UpLeg", "Leg"):
+            nodes = [node for node, entry in enumerate(search.labels) if entry.side == side and not entry.aid
+                     and not entry.tip and entry.parts[:1] == (part,)]
+            if len(nodes) != 1 or nodes[0] in ancestors(search.character.parents, ends.get(side + "Foot", -1)):
+                return {}
+            out[side + part] = nodes[0]
+    return out
 
 
 def _ends(search: Search) -> dict[str, int]:
@@ -254,6 +275,9 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
         return None
     fork = search.meeting(arms[0], arms[-1])
     head_sure = _BY_NAME
+    if head is not None and not search.character.skinned[head] and any(
+            search.labels[node].parts[:1] == ("Spine",) for node in search.path(search.meeting(fork, head), fork)):
+        head = None  # a mesh or a control of this name beside the spine
     if head is None:
         head = shape.head_above(search.character, search.places, search.up, fork, joints.values())
         head_sure = _BY_SHAPE
@@ -323,13 +347,16 @@ def _one_line(search: Search, nodes: Sequence[int]) -> list[int]:
     return best
 
 
-def _turned_round(search: Search, joints: dict[str, int], doubts: list[str]) -> dict[str, int]:
-    """Joints without sides in their names: exchanges left and right if the toes show that the character faces
-    backwards."""
-    doubts.append("its names do not distinguish left from right")
-    ahead = shape.toes_ahead(search.places, search.up, joints)
-    if ahead is None or ahead > 0.0:
+def _turned_round(search: Search, joints: dict[str, int], named: bool, doubts: list[str]) -> dict[str, int]:
+    """Exchanges left and right if the feet show that the character faces backwards: its names do not give the sides, or
+    give them for the mirror image. named: whether they give any."""
+    if not named:
+        doubts.append("its names do not distinguish left from right")
+    ahead = shape.feet_ahead(search.character, search.places, search.up, joints)
+    if ahead is None or ahead > (-_BACKWARDS if named else 0.0):
         return joints
+    if named:
+        doubts.append("its names have left and right exchanged, as its feet show")
     other = {"Left": "Right", "Right": "Left"}
     return {next((other[side] + name.removeprefix(side) for side in SIDES if name.startswith(side)), name): node
             for name, node in joints.items()}
@@ -353,7 +380,7 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
     if not 0.15 < arm / max(trunk, 1e-9) < 1.2:
         doubts.append(f"an upper arm is {arm / max(trunk, 1e-9):.2f} of the height from hips to head")
         value *= 0.7
-    ahead = shape.toes_ahead(search.places, search.up, joints)
+    ahead = shape.feet_ahead(search.character, search.places, search.up, joints)
     if ahead is not None and ahead < -0.3:
         doubts.append("its toes point backwards, given the sides in its names")
         value *= 0.7

@@ -40,7 +40,7 @@ class RigMapping:
     family: naming convention ("mixamo", "vrm humanoid"), "" if unknown.
     confidence: 0 to 1; 1 if written by the user. doubts: reasons against it, in words.
     torso: half width and half depth of the trunk in metres, if given by the user (else measured on the mesh or derived
-    from the skeleton).
+    from the skeleton). given: whether it was read from a file that the user has checked.
     """
 
     joints: Mapping[str, int]
@@ -50,6 +50,7 @@ class RigMapping:
     confidence: float = 1.0
     doubts: tuple[str, ...] = field(default=())
     torso: tuple[float, float] | None = None
+    given: bool = False
 
     @property
     def legs(self) -> bool:
@@ -98,8 +99,10 @@ def check(mapping: RigMapping, character: Character) -> None:
 
 
 def ancestors(parents: Sequence[int], node: int) -> list[int]:
-    """The ancestors of a node, its parent first."""
-    line = []
+    """The ancestors of a node, its parent first; none of -1, which is no node."""
+    line: list[int] = []
+    if node < 0:
+        return line
     while (node := parents[node]) >= 0:
         line.append(node)
     return line
@@ -151,7 +154,7 @@ def load_mapping(path: str | os.PathLike[str], character: Character) -> RigMappi
             raise InputError(path, f"has a {name} that is not a list of names", _ADVICE)
     joints = {name: find(key) for name, key in document["joints"].items() if key is not None}
     return RigMapping(joints, tuple(map(find, chains["spine"])), tuple(map(find, chains["neck"])),
-                      str(document.get("family", ""))[:40], 1.0, (), _torso(path, document.get("torso")))
+                      str(document.get("family", ""))[:40], 1.0, (), _torso(path, document.get("torso")), True)
 
 
 def _torso(path: str | os.PathLike[str], value: object) -> tuple[float, float] | None:

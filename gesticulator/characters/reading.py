@@ -11,6 +11,7 @@ from data_module.registry import Registry, RegistryEntry
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import RigMapping, check, load_mapping, save_mapping
 from gesticulator.characters.rig import Character
+from gesticulator.characters.several import chosen, split_name
 
 __all__ = ["READERS", "read_character"]
 
@@ -25,12 +26,15 @@ READERS: Registry[RegistryEntry] = Registry("characters", "a format of character
 
 
 def read_character(path: str | os.PathLike[str]) -> Character:
-    """The character in a file. `InputError` for an unknown suffix or an invalid file."""
-    suffix = Path(path).suffix.lower()
+    """The character in a file, or with `file#name` the one of that name among several
+    (`gesticulator.characters.several`). `InputError` for an unknown suffix or an invalid file."""
+    file, name = split_name(os.fspath(path))
+    suffix = Path(file).suffix.lower()
     if suffix not in READERS:
         wrong = f"'{suffix}' is not a supported character format" if suffix else "has no suffix"
-        raise InputError(path, wrong, f"give one of {', '.join(READERS)}")
-    return cast("Character", READERS.load(suffix)(path))
+        raise InputError(file, wrong, f"give one of {', '.join(READERS)}")
+    character = cast("Character", READERS.load(suffix)(file))
+    return chosen(character, name) if name else character
 
 
 def choose(file: str | os.PathLike[str], mapping: str | os.PathLike[str] | None = None,

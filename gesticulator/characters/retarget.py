@@ -68,15 +68,20 @@ class Retargeter:
         """mapping: detected if None. contacts: keep hands out of the trunk.
 
         legs: False keeps hips and legs at rest (a seated character), True makes the character stand; None: it stands
-        unless it sits in its file. `InputError` if the joints cannot be identified reliably.
+        unless it sits in its file. `InputError` if the joints cannot be identified reliably, or if what comes out is
+        not sound (`gesticulator.characters.soundness`). Attribute doubts: what is odd about it, in words.
         """
         from gesticulator.characters.joints import find_joints
+        from gesticulator.characters.soundness import require_sound
 
         self.character = character
         self.mapping = mapping or find_joints(character)
         check(self.mapping, character)
         self.body: Body = measure(character, self.mapping)
-        self.contacts, self.legs = contacts, not self.body.sits if legs is None else legs
+        # Legs whose feet hang elsewhere would be torn from them by hips that move.
+        whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
+        self.contacts, self.legs = contacts, whole and (not self.body.sits if legs is None else legs)
+        self.doubts = (*self.mapping.doubts, *require_sound(self))
 
     def __call__(self, motion: Motion) -> CharacterMotion:
         """The motion on the character. ValueError if the motion is not on one of our skeletons."""
@@ -137,10 +142,9 @@ class Retargeter:
         ankles = np.stack([ours.places[side + "Foot"] for side in SIDES], axis=1)
         travel = body.leg_ratio * (ankles - ankles.mean(axis=0))
         reached = np.stack([body.place(turns, joints[side + "Foot"]) for side in SIDES], axis=1)
-        rest = np.stack([body.rest_places[joints[side + "Foot"]] for side in SIDES])
         start = body.rest_places[joints["Hips"]].copy()
         stance = (reached + start).mean(axis=0)  # over the place where the character stands at rest
-        stance[:, 1] = rest[:, 1] + body.lift
+        stance[:, 1] = body.ankles
         wanted = stance + travel
         root = (wanted - reached).mean(axis=1)
         for place, side in enumerate(SIDES):
@@ -180,7 +184,9 @@ class Retargeter:
             above = world.get(parent, body.rest_turns[parent] if parent >= 0 else body.axes)
             if node in turns:
                 world[node] = turns[node]
-                local.append(np.swapaxes(above, -1, -2) @ turns[node])
+                # A node that mirrors does so in the file: the rotation is what is left.
+                mirror = np.where(character.scales[node] < 0.0, -1.0, 1.0)
+                local.append(np.swapaxes(above, -1, -2) @ turns[node] * mirror)
             elif parent in world:
                 world[node] = above @ body.local_turns[node]
         moved = tuple(sorted(turns))

@@ -8,10 +8,40 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
 
-__all__ = ["Character", "CharacterMotion"]
+__all__ = ["Character", "CharacterMotion", "Skin", "decomposed"]
+
+UPS = {"glb": np.array([0.0, 1.0, 0.0]), "fbx": np.array([0.0, 0.0, 1.0])}
+"""What is up, by format, where the format defines it (BVH does not)."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Triangles of the meshes of a character, in the world of its bind pose.
+
+    points: [V, 3]; joints: [V, K] the nodes that move each, and weights: [V, K] their shares, which add up to 1;
+    triangles: [F, 3] their corners.
+    """
+
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    joints: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 1), np.int64))
+    weights: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    triangles: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+
+    def posed(self, bind: Array, world: Array) -> Array:
+        """[T, V, 3] where the points are when the nodes, bound at `bind` [N, 4, 4], are at `world` [T, N, 4, 4]."""
+        used = np.unique(self.joints)
+        moves = np.zeros((len(world), world.shape[1], 4, 4))
+        moves[:, used] = world[:, used] @ np.linalg.inv(bind[used])
+        out = np.zeros((len(world), len(self.points), 3))
+        for column in range(self.joints.shape[1]):
+            move = moves[:, self.joints[:, column]]
+            out += self.weights[:, column, None] * (
+                np.einsum("tvij,vj->tvi", move[..., :3, :3], self.points) + move[..., :3, 3])
+        return out
 
 
 @dataclass(frozen=True)
@@ -25,7 +55,8 @@ class Character:
     path: the file. kind: its format, "bvh", "glb" (also VRM and .gltf) or "fbx".
     skinned: [N] which nodes are joints of a skin; all of them if the format has no skins (BVH).
     bind: [N, 4, 4] the world matrix of each node in the pose that the mesh was bound in (from glTF's inverse bind
-        matrices), in the world of the rest pose; None if unknown.
+        matrices), in the world of the rest pose; None if unknown. space: [3, 3] columns are the axes of the mesh in
+        that world: a mesh is modelled upright along one of them, however the file places it.
     humanoid: bone of the VRM humanoid ("leftUpperArm") -> node, if the file has that table.
     vrm: version of the VRM extension, "0.x", "1.0" or "" (a VRM 0.x character faces -Z).
     unit: metres per unit of length, if defined by the format (1.0 for glTF); None: estimated during retargeting.
@@ -33,7 +64,7 @@ class Character:
     tips: node -> [3] the end of its bone in its frame, if given (End Site of BVH).
     channels: N tuples of BVH channel names in the file's order ("Zrotation"); empty for other formats.
     flesh: [V, 3] vertices in the bind pose's world, and flesh_nodes: [V] the node with the largest weight of each; both
-        empty without a mesh.
+        empty without a mesh. skin: a sample of the triangles of the meshes.
     """
 
     names: tuple[str, ...]
@@ -45,6 +76,7 @@ class Character:
     kind: str
     skinned: NDArray[np.bool_]
     bind: Array | None = None
+    space: Array = field(default_factory=lambda: np.eye(3))
     humanoid: Mapping[str, int] = field(default_factory=dict)
     vrm: str = ""
     unit: float | None = None
@@ -53,6 +85,7 @@ class Character:
     channels: tuple[tuple[str, ...], ...] = ()
     flesh: Array = field(default_factory=lambda: np.zeros((0, 3)))
     flesh_nodes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    skin: Skin = field(default_factory=Skin)
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -77,11 +110,12 @@ class Character:
         return out
 
     def local_turns(self) -> Array:
-        """[N, 3, 3] the nodes' local rotations at rest, as matrices."""
-        return _turns(self.rotations)
+        """[N, 3, 3] the nodes' local rotations at rest, as matrices; a node with a negative scale mirrors, too."""
+        return np.asarray(_turns(self.rotations) * np.where(self.scales < 0.0, -1.0, 1.0)[:, None, :])
 
     def world_turns(self) -> Array:
-        """[N, 3, 3] the nodes' world rotations at rest, in the file's axes, without scales."""
+        """[N, 3, 3] the nodes' world rotations at rest, in the file's axes, without scales but for their signs: below
+        a mirrored node the matrices are rotations with a reflection (determinant -1)."""
         world = self.local_turns()
         for node, parent in enumerate(self.parents):
             if parent >= 0:
@@ -103,6 +137,18 @@ class Character:
         return local
 
 
+def decomposed(matrices: Array) -> tuple[Array, Array, Array]:
+    """Translations [..., 3], rotations [..., 4] and scales [..., 3] of matrices [..., 4, 4].
+
+    The first scale of a mirrored matrix (determinant below 0) is negative.
+    """
+    scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
+    scales[..., 0] *= np.where(np.linalg.det(matrices[..., :3, :3]) < 0.0, -1.0, 1.0)
+    left, _, right = np.linalg.svd(matrices[..., :3, :3] * np.where(scales < 0.0, -1.0, 1.0)[..., None, :])
+    quaternions = Rotation.from_matrix((left @ right).reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    return matrices[..., :3, 3], quaternions.reshape(*matrices.shape[:-2], 4), scales
+
+
 def _turns(q: Array) -> Array:
     """[..., 3, 3] the matrices of unit quaternions [..., 4]."""
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
@@ -118,11 +164,9 @@ class CharacterMotion:
 
     character: N nodes.
     rotations: [T, N, 4] local rotations of all nodes, unit quaternions, w first, continuous over time; unmoved nodes
-    keep
-        their rotation at rest.
+        keep their rotation at rest.
     translations: [T, 3] local translation of the node `hips`, in the character's units and its parent's frame; None if
-    it
-        stays at rest.
+        it stays at rest.
     fps: frames per second; frame t is the pose at t / fps seconds.
     joints: our joint (a name of `data_module.motion.skeletons.WHOLE_BODY`) -> node.
     moved: the nodes whose rotations are written (an animation need not hold the others), ascending.

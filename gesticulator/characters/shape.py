@@ -13,6 +13,8 @@ from gesticulator.characters.rig import Character
 
 _HEAD = 0.075
 """Share of the height that separates a head bone (longer: 0.11 in an adult) from a neck bone (0.05)."""
+_FLAT = 0.005
+"""Share of the height by which feet must point anywhere."""
 _EVEN = 0.12
 """Largest asymmetry of two mirrored ends, as a share of the body's size."""
 
@@ -136,14 +138,35 @@ def finger_chains(character: Character, places: Array, hand: int) -> dict[str, l
     return {finger: chains[place][:4] for finger, place in zip(FINGERS, ordered, strict=True)}
 
 
-def toes_ahead(places: Array, up: Array, joints: Mapping[str, int]) -> float | None:
-    """Cosine between the direction of the toes and forward as defined by left and right; None without toes or arms."""
-    if any(side + part not in joints for side in ("Left", "Right") for part in ("Arm", "Foot", "ToeBase")):
+def feet_ahead(character: Character, places: Array, up: Array, joints: Mapping[str, int]) -> float | None:
+    """Cosine between the direction of the feet and forward as defined by left and right: of the toes and of the mesh of
+    the feet, whichever is nearer to 0 (they contradict each other: 0); None without both feet or arms."""
+    if any(side + part not in joints for side in ("Left", "Right") for part in ("Arm", "Foot")):
         return None
     left = places[joints["LeftArm"]] - places[joints["RightArm"]]
     ahead = np.cross(left, up)
-    toes = sum(places[joints[side + "ToeBase"]] - places[joints[side + "Foot"]] for side in ("Left", "Right"))
-    toes = toes - (toes @ up) * up
-    if np.linalg.norm(ahead) < 1e-9 or np.linalg.norm(toes) < 1e-9:
+    ways = []
+    if all(side + "ToeBase" in joints for side in ("Left", "Right")):
+        ways.append(sum(places[joints[side + "ToeBase"]] - places[joints[side + "Foot"]] for side in ("Left", "Right")))
+    meshes = [_foot_mesh(character, places, up, joints[side + "Foot"]) for side in ("Left", "Right")]
+    if all(mesh is not None for mesh in meshes):
+        ways.append(np.sum(meshes, axis=0))
+    level = [way - (way @ up) * up for way in ways]
+    size = float(np.ptp(places @ up))
+    cosines = [float(ahead @ way / np.linalg.norm(ahead) / np.linalg.norm(way)) for way in level
+               if np.linalg.norm(ahead) > 1e-9 and np.linalg.norm(way) > _FLAT * size]
+    if not cosines:
         return None
-    return float(ahead @ toes / np.linalg.norm(ahead) / np.linalg.norm(toes))
+    if min(cosines) < 0.0 < max(cosines):
+        return 0.0
+    return min(cosines, key=abs)
+
+
+def _foot_mesh(character: Character, places: Array, up: Array, foot: int) -> Array | None:
+    """[3] from the ankle to the middle of the mesh of the foot and what is below it; None without a mesh."""
+    under = set(_subtree(_children(character), foot))
+    own = np.isin(character.flesh_nodes, list(under)) if len(character.flesh) else np.zeros(0, dtype=bool)
+    if own.sum() < 8:
+        return None
+    points = character.flesh[own]
+    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2.0 - places[foot])

@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 from data_module.types import Array, BeatFlag, Blocks
 from gesticulator.bundle.features import SpeechBlock, SpeechFeatures
 from gesticulator.drawing.cutter import BlockCutter
-from gesticulator.drawing.drawer import Direction
+from gesticulator.drawing.drawer import Direction, Keys
 from gesticulator.drawing.drawn_blocks import DrawnBlock, DrawnBlocks
 from gesticulator.drawing.driver import BlockRequest, Drawing, Driver, GeneratedMotion, OnBlock, requests
-from gesticulator.drawing.keys import Keys
 from gesticulator.drawing.recut import Recutter, Window, window
 from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.plan import Block, GesturePlan, PlanKnobs, edited_blocks, edited_themselves

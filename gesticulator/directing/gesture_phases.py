@@ -31,6 +31,13 @@ _OVERLAP = 0.22
 """Seconds of a stroke in which its preparation still ends, at most."""
 _SHORTER = 0.85
 """Least factor on the seconds of a phase: phases vary from here to 1, so that no gesture is longer than it says."""
+_HANGING = np.array([0.16, -0.48, 0.07])
+"""Where the wrist of a hanging hand is, metres from its shoulder."""
+_FASTEST = 1.9
+"""Metres a second at which a hand would be led along a straight way; it goes in an arc, and reaches 2.6 at most."""
+_LARGEST = 1.6
+_PEAK, _GENTLE_PEAK = 1.875, 2.1875
+"""Greatest speed of `smooth` and of `_gentle`, in relation to the mean one."""
 _STRAYS, _TURNS = 0.014, np.radians(5.0)
 """Standard deviation of a hand's place, metres, and of its direction, radians, from one time to the next."""
 
@@ -79,7 +86,8 @@ class GestureDraw:
 @functools.cache
 def longest(name: str) -> Phases:
     """The longest phases of a gesture; what is drawn is at most so long."""
-    rows = [(script.preparation, script.stroke, _hold(script), script.retraction) for script in SCRIPTS[name]]
+    rows = [(max(script.preparation, least.preparation), max(script.stroke, least.stroke), _hold(script),
+             max(script.retraction, least.retraction)) for script in SCRIPTS[name] for least in (_least(script),)]
     return Phases(*(max(column) for column in zip(*rows, strict=True)))
 
 
@@ -88,6 +96,24 @@ def _hold(script: GestureScript) -> float:
     parts = [part for part in (script.main, script.other) if part is not None]
     ends = [part.repeat.count / part.repeat.rate for part in parts if part.repeat is not None]
     return max([script.hold, *ends, *(part.keys[-1].time + 0.1 for part in parts)])
+
+
+def _least(script: GestureScript) -> Phases:
+    """The seconds that the ways of a script's hands take at least, in its largest size and from hands that hang, at
+    `_FASTEST`; 0 for the hold."""
+    ways = [_ways(part) for part in (script.main, script.other) if part is not None]
+    up, across, down = (max((way[at] for way in ways), default=0.0) / _FASTEST for at in range(3))
+    preparation = max(_GENTLE_PEAK * up - min(0.9 * script.stroke, _OVERLAP), 0.0)
+    return Phases(preparation, _PEAK * across, 0.0, _GENTLE_PEAK * down)
+
+
+@functools.cache
+def _ways(part: HandPart) -> tuple[float, float, float]:
+    """Metres of the wrist's way, in the largest size: from where it hangs to its stroke, of the stroke, and back."""
+    along = np.array([_rotation_of(key).apply([1.0, 0.0, 0.0]) for key in part.keys])
+    wrists = _points(part, _LARGEST) - part.point * along
+    up, across, down = wrists[0] - _HANGING, wrists[1] - wrists[0], wrists[-1] - _HANGING
+    return float(np.linalg.norm(up)), float(np.linalg.norm(across)), float(np.linalg.norm(down))
 
 
 def drawn_gesture(cue: GestureCue, at: float, seed: int) -> GestureDraw:
@@ -102,7 +128,9 @@ def drawn_gesture(cue: GestureCue, at: float, seed: int) -> GestureDraw:
     # Two standard deviations at most: a hand that strays further would be another gesture.
     place, turn = np.clip(place, -2 * _STRAYS, 2 * _STRAYS), np.clip(turn, -2 * _TURNS, 2 * _TURNS)
     hold = max(_hold(script) / pace, 0.2)
-    phases = Phases(script.preparation * shorter[0], script.stroke * shorter[1], hold, script.retraction * shorter[3])
+    least = _least(script)
+    phases = Phases(max(script.preparation * shorter[0], least.preparation), max(
+        script.stroke * shorter[1], least.stroke), hold, max(script.retraction * shorter[3], least.retraction))
     return GestureDraw(script, phases, size, place, turn, pace, turns)
 
 

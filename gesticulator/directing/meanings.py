@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 from data_module.text.meaning import CalledGesture, language_of, meaning_cues
-from data_module.types import Word
+from data_module.types import Speech, Word
 from gesticulator.directing.directions import MeantCue, cues_at, stroke_of_word
 from gesticulator.directing.marks import gestures_of
 from gesticulator.directing.named_gestures import span_of_gesture
@@ -20,7 +20,7 @@ from gesticulator.options import MEANING_LEVELS, InferenceOptions
 from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan import GestureCue, PlanMeaning
 
-__all__ = ["LEVELS", "Level", "MeaningTrack", "chosen", "played_meanings", "stroke_time", "track_of"]
+__all__ = ["LEVELS", "Level", "MeaningTrack", "chosen", "played_meanings", "track_of"]
 
 AGAIN = 20.0
 """Seconds in which a meaning is not shown again."""
@@ -28,10 +28,6 @@ _KEPT = 60.0
 """Seconds of past words that a stream keeps: enough for the beginning of the sentence that is spoken."""
 _REMEMBERED = 660.0
 """Seconds of past gestures that a stream keeps, more than it can go back."""
-_PLACE, _EARLY = 0.3, 0.11
-"""A stroke falls at this share of its word, less this many seconds. Measured on two read sonnets: the vowel of the
-loudest syllable begins there, and a beat of the hand leads the voice by .075 s in the median."""
-
 
 @dataclass(frozen=True)
 class Level:
@@ -47,11 +43,13 @@ LEVELS = dict(zip(MEANING_LEVELS, (Level(math.inf, 3.0), Level(0.8, 8.0), Level(
 
 @dataclass(frozen=True)
 class Called:
-    """A call with the spoken word and the second of its stroke. broken_off: when an interruption ended it, seconds."""
+    """A call with the spoken word and the second of its stroke. size: a factor on its intensity; broken_off: when an
+    interruption ended it, seconds."""
 
     gesture: CalledGesture
     word: Word
     time: float
+    size: float = 1.0
     broken_off: float | None = None
 
 
@@ -82,19 +80,14 @@ def chosen(calls: Sequence[Called], level: Level, begun: Sequence[Called] = (), 
     return out[len(begun):]
 
 
-def stroke_time(word: Word) -> float:
-    """Seconds at which the stroke of a word's gesture falls: just before its stressed vowel, as far as the times of the
-    word tell. The sound is not asked, because a gesture begins before its word is heard."""
-    return max(word.start + _PLACE * (word.end - word.start) - _EARLY, 0.0)
-
-
 class MeaningTrack:
     """The gestures that a growing list of words calls for."""
 
     def __init__(self, level: str, taken: Sequence[float] = (), still: Sequence[tuple[float, float]] = (),
-                 intensity: float = 1.0) -> None:
+                 intensity: float = 1.0, speech: Speech | None = None) -> None:
         """level: a name of `LEVELS`; taken: seconds of cues that outrank what is found; still: ranges of seconds in
-        which the hands rest; intensity: of the gestures."""
+        which the hands rest; intensity: of the gestures; speech: the sound, if it is there before the gestures."""
+        self._speech = speech
         self._level, self._taken, self._still, self._intensity = LEVELS[level], tuple(taken), tuple(still), intensity
         self._words: list[tuple[Word, bool]] = []
         self._begun: list[Called] = []
@@ -113,7 +106,7 @@ class MeaningTrack:
     def forget(self, time: float) -> None:
         """Forget the words from a time on, and the gestures that have not begun by then; others are broken off."""
         self._words = [one for one in self._words if one[0].start < time]
-        self._begun = [replace(call, broken_off=time) if call.broken_off is None and _end(call) > time else call
+        self._begun = [replace(call, broken_off=min(call.broken_off or time, time)) if _end(call) > time else call
                        for call in self._begun if _start(call) < time]
         self._until, self._next = min(self._until, time), None
 
@@ -134,24 +127,38 @@ class MeaningTrack:
         calls = [*self._begun, *(self._chosen() if self._next is None else self._next)]
         return tuple(PlanMeaning(
             call.word.start, call.word.end, call.gesture.label, f"cue phrase: {call.gesture.source}",
-            call.gesture.score, "words", call.word.text, call.gesture.gesture, round(call.time, 6), self._intensity)
+            call.gesture.score, "words", call.word.text, call.gesture.gesture, round(call.time, 6), self._size(call))
             for call in calls)
 
     def _cue(self, call: Called) -> MeantCue:
         time = round(call.time, 6)
-        return MeantCue(GestureCue(call.gesture.gesture, time=time, intensity=self._intensity), time, call.broken_off)
+        return MeantCue(GestureCue(call.gesture.gesture, time=time, intensity=self._size(call)), time, call.broken_off)
+
+    def _size(self, call: Called) -> float:
+        return round(self._intensity * call.size, 6)
 
     def _chosen(self) -> list[Called]:
         words = [word for word, _ in self._words]
         texts = [word.text for word in words]
         pauses = [max(after.start - word.end, 0.0) for word, after in zip(words, words[1:], strict=False)]
         called = meaning_cues(language_of(texts)).called(texts, pauses)
-        calls = [Called(one, words[one.word], stroke_time(words[one.word])) for one in called
+        place = self._places(words)
+        calls = [Called(one, words[one.word], *place(words[one.word])) for one in called
                  if one.gesture in GESTURES and not any(barred for _, barred in self._words[one.first:one.last + 1])]
         calls = [call for call in calls if not any(start < _end(call) and _start(call) < end
                                                    for start, end in self._still)]
         return chosen(calls, self._level, self._begun, self._taken, self._until,
                       lambda gesture: span_of_gesture(gesture)[0])
+
+    def _places(self, words: Sequence[Word]) -> Callable[[Word], tuple[float, float]]:
+        """Gives the second of a word's stroke, and the factor on the size of its gesture: by the sound, if it is there.
+        """
+        if self._speech is None:
+            return lambda word: (stroke_of_word(word), 1.0)
+        from gesticulator.directing.word_sound import WordSounds
+
+        sounds = WordSounds(self._speech, words)
+        return lambda word: (sounds.stroke(word), sounds.size(word))
 
 
 def _start(call: Called) -> float:
@@ -162,15 +169,16 @@ def _end(call: Called) -> float:
     return call.time + span_of_gesture(call.gesture.gesture)[1]
 
 
-def track_of(options: InferenceOptions, words: Sequence[Word] = (), duration: float = math.inf) -> MeaningTrack | None:
-    """The track for these options; None where no meaning is to be shown. words: for cues at words; duration: seconds
-    of the sound."""
+def track_of(options: InferenceOptions, speech: Speech | None = None) -> MeaningTrack | None:
+    """The track for these options; None where no meaning is to be shown. speech: the whole sound with its words, if it
+    is there."""
+    words, duration = ((), math.inf) if speech is None else (speech.words or (), speech.duration)
     knobs = options.knobs
     if options.meaning == "off" or options.plan is not None or knobs.share == 0.0 or knobs.size == 0.0:
         return None
     named = [cue for cue in options.cues if cue.gesture in GESTURES]
     taken = [cue.time for cue in cues_at(named, words, duration, lambda: ())]
-    return MeaningTrack(options.meaning, taken, knobs.hold_still, min(knobs.size, 1.0))
+    return MeaningTrack(options.meaning, taken, knobs.hold_still, min(knobs.size, 1.0), speech)
 
 
 def played_meanings(meanings: Sequence[PlanMeaning]) -> list[MeantCue]:

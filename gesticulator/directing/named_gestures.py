@@ -17,7 +17,14 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, FINGERS
 from data_module.types import Array, Motion
 from gesticulator.body.mirror import SIDES, exchanged_joints
-from gesticulator.characters.contacts import MARGIN, kept_out_of_us, our_distances, pose_of
+from gesticulator.characters.contacts import (
+    MARGIN,
+    head_distances,
+    kept_off_our_head,
+    kept_out_of_us,
+    our_distances,
+    pose_of,
+)
 from gesticulator.directing.gesture_parts import GestureScript, Vector
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
 from gesticulator.directing.shaping import nearest_turn
@@ -71,7 +78,7 @@ def _with_gesture(poses: Array, seconds: Array, cue: GestureCue, draw: GestureDr
             vectors[:, joint] += turns
     moved = [side for side, part in (("Right", script.main), ("Left", script.other)) if part is not None]
     moved = [SIDES[1 - SIDES.index(side)] if flipped else side for side in moved]
-    return _led_around(vectors.reshape(poses.shape), poses, weight, moved, _touching(script))
+    return _led_around(vectors.reshape(poses.shape), poses, weight, moved, script)
 
 
 def _on_side(names: tuple[str, ...], name: str, turns: Array, flipped: bool) -> tuple[int | None, Array]:
@@ -141,16 +148,22 @@ def _touching(script: GestureScript) -> bool:
     return any(part is not None and part.touches for part in (script.main, script.other))
 
 
-def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str], touches: bool) -> Array:
-    """Poses [M, 3 J] with the hands of the sides `moved` kept as far from the trunk as in the poses `before`, and in a
-    gesture at `MARGIN`, or on the trunk if it touches it. Where nothing has to move, nothing changes."""
+def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str], script: GestureScript
+                ) -> Array:
+    """Poses [M, 3 J] with the hands of the sides `moved` kept as far from trunk and head as in the poses `before`, and
+    in a gesture at `MARGIN`, or on the body if it touches it. Where nothing has to move, nothing changes."""
+    on_trunk = _TOUCH if _touching(script) else MARGIN
+    on_head = 0.0 if script.faces else MARGIN
     if not moved:
         return poses
-    motion, first = _motion_of(poses), our_distances(pose_of(_motion_of(before)))
-    gap = _TOUCH if touches else MARGIN
-    wanted: Mapping[str, Array] = {side: (1.0 - weight) * np.minimum(first[side], MARGIN) + weight * gap
-                                   if side in moved else np.full(len(poses), -np.inf) for side in SIDES}
-    freed = kept_out_of_us(motion, wanted)
+    motion, first = _motion_of(poses), pose_of(_motion_of(before))
+    freed = motion
+    for distances, kept, gap in ((our_distances, kept_out_of_us, on_trunk),
+                                 (head_distances, kept_off_our_head, on_head)):
+        now = distances(first)
+        wanted: Mapping[str, Array] = {side: (1.0 - weight) * np.minimum(now[side], MARGIN) + weight * gap
+                                       if side in moved else np.full(len(poses), -np.inf) for side in SIDES}
+        freed = kept(freed, wanted)
     changed = (freed.rotations != motion.rotations).any(axis=-1, keepdims=True)
     reference = poses.reshape(len(poses), -1, 3)
     turned = nearest_turn(rotation.to_exponential_map(freed.rotations), reference)

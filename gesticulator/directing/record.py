@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan import (
     FORMAT,
     VERSION,
@@ -32,7 +32,6 @@ _ABOVE = ("seed", "variation", "speaker", "interpreter", "activity")
 """Settings that have fields of their own in a plan."""
 _SIZES = (1.0, 0.6, 1.0, 1.5)
 """The size of a unit's gestures, as an intensity, for each of the planner's sizes."""
-_GESTURES = tuple(GestureName(name, about) for name, about in GESTURES.items())
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: 
     return GesturePlan(
         FORMAT, VERSION, made_by, PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
         int(settings["seed"]), int(settings["variation"]), str(settings["speaker"]), str(settings["interpreter"]),
-        drawn, decisions, drawn.knobs, tuple(origin.options.cues), words_of(speech), (), _GESTURES, origin.score_is,
+        drawn, decisions, drawn.knobs, tuple(origin.options.cues), words_of(speech), score_is=origin.score_is,
         units=units_of_blocks(blocks), meanings=origin.meanings)
 
 
@@ -71,8 +70,7 @@ def rendered_plan(plan: GesturePlan, speech: Speech, blocks: Sequence[BlockMotio
     return replace(plan, sound=sound, blocks=tuple(_rendered(block, generated) for block, generated
                                                    in zip(plan.blocks, blocks, strict=True)),
                    units=plan.units if units == plan.units else units,
-                   words=plan.words if words == plan.words else words, gestures=_GESTURES, score_is=origin.score_is,
-                   source=None)
+                   words=plan.words if words == plan.words else words, score_is=origin.score_is, source=None)
 
 
 def _rendered(block: Block, generated: BlockMotion) -> Block:
@@ -97,7 +95,7 @@ def fingerprinted(plan: GesturePlan, speech: Speech) -> GesturePlan:
 
 
 def named(plan: GesturePlan, names: tuple[LexemeName, ...]) -> GesturePlan:
-    """The plan with the names of lexemes; blocks that have their names already are the same objects."""
+    """The plan with the names of lexemes and gestures; blocks that have their names already are the same objects."""
     by_lexeme = {entry.lexeme: entry.name for entry in names}
     blocks = []
     for block in plan.blocks:
@@ -108,7 +106,14 @@ def named(plan: GesturePlan, names: tuple[LexemeName, ...]) -> GesturePlan:
                 break
         same = name == block.name and choices is block.alternatives
         blocks.append(block if same else replace(block, name=name, alternatives=choices))
-    return replace(plan, blocks=tuple(blocks), lexicon=names)
+    return replace(plan, blocks=tuple(blocks), lexicon=names, gestures=_named_gestures())
+
+
+@cache
+def _named_gestures() -> tuple[GestureName, ...]:
+    from gesticulator.plan.gestures import GESTURES
+
+    return tuple(GestureName(name, about) for name, about in GESTURES.items())
 
 
 def words_of(speech: Speech) -> tuple[PlanWord, ...]:

@@ -125,9 +125,9 @@ PEOPLE: dict[str, tuple[GestureScript, ...]] = {
                            before={"fingers": (0.1, -0.9, 0.5)},
                            repeat=Repeat(tilt=(35.0, 0.0, 0.0), rate=2.6, count=2.5)), stroke=0.22),),
     "brush off": (
-        GestureScript(hand((-0.33, 0.07, 0.12), (-0.95, 0.05, -0.2), (0.0, -0.9, -0.5), "flat", (0.12, 0.02, 0.06),
+        GestureScript(hand((-0.33, 0.035, 0.155), (-0.95, 0.0, -0.2), (0.0, -0.9, -0.5), "flat", (0.12, 0.02, 0.06),
                            point=TIPS, touches=True,
-                           repeat=Repeat((-0.04, 0.0, 0.0), circle=(0.0, 0.03, 0.0), rate=1.9, count=2.0)),
+                           repeat=Repeat((-0.04, 0.0, 0.0), circle=(0.0, 0.02, 0.0), rate=1.9, count=2.0)),
                            preparation=0.7, retraction=1.0,
                       adds={"Neck": (3.0, 10.0, 0.0), "Head": (5.0, 14.0, 0.0)}),),
     # ------------------------------------------------------------------------------------------- signs

@@ -9,7 +9,7 @@ import numpy as np
 
 from data_module.types import Array, Blocks
 from gesticulator.bundle.features import Statistics
-from gesticulator.directing.directions import ShapeLevels, Shaping
+from gesticulator.directing.directions import MeantCue, ShapeLevels, Shaping
 from gesticulator.directing.editing import PlayedBlock
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.directing.shaping import LAG
@@ -63,15 +63,14 @@ class ShapedBlocks:
         since = np.maximum(np.searchsorted(cut.edges[1:], cut.edges[:-1] - REMEMBERED - LAG) - 1, 0).tolist()
         out = []
         for at, block in enumerate(plain):
-            cues, broken = shaping.named(times[at])
-            named = tuple([(cue, time) for cue, time in cues if _overlaps(cue.gesture, time, times[at])])
+            named = tuple([one for one in shaping.named(times[at]) if _overlaps(one.cue.gesture, one.time, times[at])])
             if not sized[at] and not turned[at] and not named:
                 out.append(block)
                 continue
             rows = levels.rows(slice(at * knots, (at + 1) * knots))
             before = plain[since[at]:at] if sized[at] else []
             key = ("shaped", block.number, tuple([one.number for one in before]), _bytes(rows), named)
-            out.append(self._remembered(key, times[at], _shaped(shaping, before, block, rows, (named, tuple(broken)))))
+            out.append(self._remembered(key, times[at], _shaped(shaping, before, block, rows, named)))
         return out
 
     def _plain(self, played: PlayedBlock) -> Callable[[], Array]:
@@ -100,7 +99,7 @@ def _bytes(levels: ShapeLevels) -> tuple[bytes, ...]:
 
 
 def _shaped(shaping: Shaping, before: Sequence[ShapedBlock], block: ShapedBlock, levels: ShapeLevels,
-            named: tuple) -> Callable[[], Array]:
+            named: Sequence[MeantCue]) -> Callable[[], Array]:
     def make() -> Array:
         shaper = shaping.new_shaper()
         if before:

@@ -14,8 +14,8 @@ h falls from 1 to 0 as the arm is lowered, so that a hanging arm is not moved: w
 pose, the lift of the arm is s = <x - r, m - r> / |m - r|^2, and h is a smooth step of s from 0.1 to 0.7. Below i = 0.5,
 arms and fingers approach the resting pose, which they reach at 0: r + 2 i (x - r), with x as for i = 0.5.
 
-Movement towards the bounds of the training data (`Statistics.bounds`) is limited smoothly, and hands are kept out of
-the trunk. Head and spine are scaled about their mean pose.
+Movement towards the bounds of the training data (`Statistics.bounds`) is limited smoothly. Head and spine are scaled
+about their mean pose. Hands are kept out of the trunk afterwards (`gesticulator.body.clearance`).
 
 **Both hands**: each arm takes over a share of the other arm's strokes, mirrored and a little later, in exchange for its
 own: x + e (M S'(t - lag) - 0.9 S), with S' of the other arm, M the mirror image and e = `ECHO`.
@@ -33,7 +33,6 @@ from data_module.motion.representation import Representation
 from data_module.types import Array
 from gesticulator.body.mirror import SIDES, exchanged_joints
 from gesticulator.bundle.features import Statistics
-from gesticulator.characters.contacts import kept_out_of_us, our_distances, pose_of
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, smooth_step
 
 STRONGER, WEAKER, FINER = 0.8, 0.5, 0.8
@@ -144,7 +143,6 @@ class Shaper:
 
     def __init__(self, statistics: Statistics, representation: Representation, speaker: int) -> None:
         mean, rest = statistics.mean_pose[speaker], statistics.rest_pose[speaker]
-        self._representation = representation
         names = representation.motion(rest[None], 1.0).skeleton.names
         self._swapped = exchanged_joints(names)
         self._low, self._high = (statistics.denormalise(bound, speaker) for bound in statistics.bounds)
@@ -191,7 +189,7 @@ class Shaper:
         trunk = before[:, self._trunk]
         out[:, self._trunk] = self._within(trunk, (gain - 1.0) * (trunk - self._mean[self._trunk]), self._trunk)
         result = poses.copy()
-        result[at] = self._outside(before, out)
+        result[at] = out
         return result
 
     def _within(self, poses: Array, added: Array, columns: NDArray[np.int64]) -> Array:
@@ -199,18 +197,6 @@ class Shaper:
         outwards = added * (poses - self._mean[columns]) > 0
         room = np.maximum(np.where(added > 0, self._high[columns] - poses, poses - self._low[columns]), 1e-9)
         return poses + np.where(outwards, room * np.tanh(added / room), added)
-
-    def _outside(self, before: Array, out: Array) -> Array:
-        """Poses `out` [M, 3 J] with the hands pushed as far out of the trunk as they were in the poses `before`."""
-        scaled = self._representation.motion(out, 1.0)
-        freed = kept_out_of_us(scaled, our_distances(pose_of(self._representation.motion(before, 1.0))))
-        pushed = np.flatnonzero((freed.rotations != scaled.rotations).any(axis=-1).any(axis=-1))
-        if len(pushed):
-            turned = rotation.to_exponential_map(freed.rotations[pushed])
-            reference = out[pushed].reshape(turned.shape)
-            moved = (freed.rotations[pushed] != scaled.rotations[pushed]).any(axis=-1, keepdims=True)
-            out[pushed] = np.where(moved, nearest_turn(turned, reference), reference).reshape(len(pushed), -1)
-        return out
 
     def mirrored(self, poses: Array, share: Array) -> Array:
         """Poses [M, 3 J], each a share [M] of the way to its mirror image; exact at 0 and 1."""

@@ -11,7 +11,12 @@ a small change of pose or sound rarely changes the choice:
 - Seam: the hands' acceleration at the start over the mean within the block, at most 2, so that blocks that hardly move
   are not rejected for it.
 - Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest, and a wrist within a sphere
-  about its own shoulder (a folded arm), as shares of the radii, mean over the block.
+  about its own shoulder (a folded arm), and how near a forearm with its hand is to the middle of the face, as shares of
+  the radii, mean over the block.
+- Style: sum over speed, height and reach of the hands of z m / s, with z the style code of the unit
+  (`interpreters.unit_style`), m the mean over the block, and s its deviation in the training data.
+- Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
+  hands over the block, and h_0 and s_0 what they are in speech: the head moves when the hands do.
 - Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their
   targets, in standard deviations of the training data.
 
@@ -30,6 +35,7 @@ from data_module import controls
 from data_module.motion.kinematics import chains, positions_of_some
 from data_module.motion.rotation import from_exponential_map
 from data_module.types import Array, Motion
+from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
 
@@ -50,6 +56,12 @@ _RADII = 0.14, 0.15
 """Radius of the trunk for a wrist and an elbow, metres: half a chest's depth, and 2 cm of air."""
 _FOLDED = 0.27
 """Radius about a shoulder that a wrist enters where the elbow is bent by more than about 120 degrees, metres."""
+_FACE, _FACE_AT, _HAND = 0.22, (0.0, 0.09, 0.08), 0.36
+"""Radius about the middle of the face that arms keep out of, and where that is from the joint of the head, metres; and
+how far a hand reaches beyond the wrist, as a share of the forearm. Arms of people come within 18 cm of it in at most
+1 % of the time."""
+_HEAD_TURNS, _HANDS_MOVE, _LEAST = 0.4, 0.5, 0.1
+"""h_0, rad/s, and s_0, m/s; and what is added to a share of them, so that stillness has a logarithm."""
 _LEXEME = 2.0
 """Weight of the lexeme: a candidate that is a twentieth nearer to another lexeme loses 0.2."""
 
@@ -63,24 +75,26 @@ class CandidateChooser:
         self._representation = representation_of(bundle.config)
         skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
         chest = skeleton.parents[skeleton.index("RightShoulder")]
-        # The chest stands on the way to a hand: it costs nothing more.
+        # The chest stands on the way to a hand: it costs nothing more. The head is at the end of three joints.
         self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm")
                         for side in ("Right", "Left")]
-        self._joints.append(chest)
+        self._joints += [chest, skeleton.index("Head")]
+        self._head = np.flatnonzero(np.repeat([name in HEAD for name in skeleton.names], 3))
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
     def choose(self, speech: SpeechBlock, past: Array, blocks: Array, apart: Array,
-               control: Array | None = None) -> int:
+               control: Array | None = None, code: Array | None = None) -> int:
         """The index of the best candidate; the first of equals.
 
         past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m] the candidates; apart: [C]
         squared distance of each candidate to the lexeme to play over that to its nearest lexeme; control: rows
-        [K, 2 F], or None.
+        [K, 2 F], or None; code: [d_z] the style code of the unit, or None.
         """
         if len(blocks) == 1:
             return 0
-        places, times = self._paths(speech, past, blocks)
+        poses, times = self._poses(past, blocks), self._times(speech, blocks.shape[1])
+        places = self._places(poses)
         allowed = slow_enough(places[:, :, :2], times)
         hands = places[allowed, :, :2]
         score = -_LEXEME * np.log(apart[allowed].astype(np.float64))
@@ -88,27 +102,31 @@ class CandidateChooser:
             score -= self._settings.clear * depth(places[allowed, _BEFORE:])
         if self._settings.timing and len(speech.onsets) > 0:
             score += self._settings.timing * in_time(hands, times, speech.start, speech.onsets)
+        if self._settings.together:
+            score -= self._settings.together * apart_from_hands(poses[allowed][..., self._head], hands, times)
         if self._settings.seam:
             score -= self._settings.seam * jolt(hands, times)
+        if code is not None and self._settings.as_styled:
+            score += self._settings.as_styled * self._styled(hands, times, code)
         if control is not None:
             score -= self._settings.as_asked * self._control_error(hands, times, control)
         return int(allowed[score.argmax()])
 
     def too_fast(self, speech: SpeechBlock, past: Array, blocks: Array) -> bool:
         """Whether a hand is faster than `FASTEST` in every candidate; shapes as in `choose`."""
-        places, times = self._paths(speech, past, blocks)
+        places, times = self._places(self._poses(past, blocks)), self._times(speech, blocks.shape[1])
         return bool((fastest(places[:, :, :2], times) > FASTEST).all())
 
-    def _paths(self, speech: SpeechBlock, past: Array, blocks: Array) -> tuple[Array, Array]:
-        """Positions [C, T, 7, 3], metres, in the last frames before a block and in its candidates, and the times [T] of
-        the frames; see `_places`."""
+    def _poses(self, past: Array, blocks: Array) -> Array:
+        """[C, T, D_m] features in radians or metres, in the last frames before a block and in its candidates."""
         frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
-        return self._places(frames), self._times(speech, blocks.shape[1])
+        poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
+        return np.asarray(poses.reshape(frames.shape))
 
     def _places(self, frames: Array) -> Array:
-        """Positions [C, T, 7, 3] over the hips, metres, of hands, elbows and shoulders (the right one first) and the
-        chest, from features [C, T, D_m]."""
-        poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
+        """Positions [C, T, 8, 3] over the hips, metres, of hands, elbows and shoulders (the right one first), the
+        chest and the head, from poses [C, T, D_m]."""
+        poses = frames.reshape(-1, frames.shape[-1])
         if self._arms is None:
             places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
         else:
@@ -126,12 +144,27 @@ class CandidateChooser:
         return np.concatenate([speech.start - before / frames * np.arange(_BEFORE - 1, -1, -1),
                                speech.start + duration * steps])
 
+    def _measured(self, hands: Array, times: Array) -> Array:
+        """[C, 3] the controlled features of each candidate's hands [C, T, 2, 3]: mean over the block."""
+        inside = hands[:, _BEFORE:]
+        steps = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1)
+        return np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
+                         np.linalg.norm(inside[..., [0, 2]], axis=-1).mean((1, 2))], axis=-1)
+
+    def _styled(self, hands: Array, times: Array, code: Array) -> Array:
+        """[C] how far each candidate's hands [C, T, 2, 3] go in the direction of the style code, in deviations of the
+        training data."""
+        levels = self._statistics.levels
+        if levels is None:
+            return np.zeros(len(hands))
+        speed, _, height, reach = code
+        features = self._measured(hands, times)
+        features[:, 0] = hands[:, _BEFORE:, :, 1].max(2).mean(1)  # a style is the higher hand's height
+        return np.asarray((features - features.mean(0)) / levels.spread @ np.array([height, speed, reach]))
+
     def _control_error(self, hands: Array, times: Array, control: Array) -> Array:
         """[C] distance of each candidate's hands [C, T, 2, 3] from the controlled features, in standard deviations."""
-        inside, width = hands[:, _BEFORE:], len(controls.FEATURES)
-        steps = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1)
-        measured = np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
-                             np.linalg.norm(inside[..., [0, 2]], axis=-1).mean((1, 2))], axis=-1)
+        measured, width = self._measured(hands, times), len(controls.FEATURES)
         levels = self._statistics.levels
         if levels is None:
             return np.zeros(len(hands))
@@ -156,14 +189,25 @@ def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
 
 
 def depth(places: Array) -> Array:
-    """[C] how deep wrists and elbows are in the trunk, and wrists in the sphere of a folded arm, as shares of the
-    radii, summed over the joints and averaged over the frames; places: as of `CandidateChooser._places`."""
-    chest = places[:, :, 6:]
+    """[C] how deep wrists and elbows are in the trunk, wrists in the sphere of a folded arm, and forearms in that of
+    the face, as shares of the radii, summed over the joints and averaged over the frames; places: as of
+    `CandidateChooser._places`."""
+    chest = places[:, :, 6:7]
     share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
     radii = np.repeat(_RADII, 2)
     folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
-    return np.asarray((np.maximum(1.0 - away / radii, 0.0).sum(-1) + np.maximum(folded, 0.0).sum(-1)).mean(-1))
+    near_face = 1.0 - _to_face(places) / _FACE
+    return np.asarray(sum(np.maximum(each, 0.0).sum(-1) for each in (1.0 - away / radii, folded, near_face)).mean(-1))
+
+
+def _to_face(places: Array) -> Array:
+    """[C, T, 2] metres from the middle of the face to the nearest point of each forearm with its hand."""
+    face = places[:, :, 7:] + np.array(_FACE_AT)
+    hands, elbows = places[:, :, :2], places[:, :, 2:4]
+    arms = (1.0 + _HAND) * (hands - elbows)
+    along = ((face - elbows) * arms).sum(-1) / np.maximum((arms * arms).sum(-1), 1e-9)
+    return np.asarray(np.linalg.norm(elbows + np.clip(along, 0.0, 1.0)[..., None] * arms - face, axis=-1))
 
 
 def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
@@ -180,6 +224,20 @@ def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
     near = np.exp(-0.5 * (distance / _NEAR) ** 2)
     braking, near = braking[:, counts], near[counts]
     return np.asarray((braking * near).sum(1) / (braking.sum(1) + _STILL))
+
+
+def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
+    """[C] how far the head's turning speed in each block is from what goes with the speed of the hands, in natural
+    logarithms.
+
+    head: [C, T, 3 n] rotations of the joints of neck and head as exponential maps, whose sum turns as the head does
+    while they are small; hands, times: see `fastest`.
+    """
+    seconds = times[-1] - times[_BEFORE - 1]
+    turns = head[:, _BEFORE - 1:].reshape(*head[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
+    turned = np.linalg.norm(np.diff(turns, axis=1), axis=-1).sum(1) / seconds
+    moved = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1).sum(1) / seconds
+    return np.asarray(np.abs(np.log(turned / _HEAD_TURNS + _LEAST) - np.log(moved / _HANDS_MOVE + _LEAST)))
 
 
 def jolt(hands: Array, times: Array) -> Array:

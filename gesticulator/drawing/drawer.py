@@ -1,11 +1,22 @@
 """Sampling of a block's motion: by the paper's generator with its style codes, or by the flow head with guidance and
-candidates."""
+candidates. The random numbers are keyed by seed, variation and media time.
+
+No generator of random numbers runs along: each number is a function of its keys, so a file, a stream and an edited plan
+sample alike, and so do two recordings that differ somewhere else. The numbers change gradually with time: with g_k
+independent and standard normal, one for each 0.1 s of media time,
+
+    z(t) = cos(a) g_k + sin(a) g_{k + 1},   k = floor(t / 0.1),   a = (t / 0.1 - k) pi / 2,
+
+which is standard normal at every t, independent for blocks that begin 0.2 s or more apart, and nearly the same
+(r = .99) for one that begins 10 ms later because a beat was detected later.
+"""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from math import cos, pi, sin
 from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
@@ -16,20 +27,76 @@ from torch import Tensor
 from data_module.motion.movement import PAST, Pasts
 from data_module.types import Array
 from generator.flow import Circumstances, FlowGenerator, FlowInputs, alone
+from gesticulator.body.life import normal
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.config import UNTOLD
+from gesticulator.bundle.config import FLOW, REGRESSION, UNTOLD, Drawing
 from gesticulator.bundle.features import SpeechBlock
-from gesticulator.bundle.system import FLOW, REGRESSION, Drawing
 from gesticulator.drawing.candidates import CandidateChooser
-from gesticulator.drawing.keys import Keys
 from interpreters.base import BlockFeatures
 
 if TYPE_CHECKING:
     from generator.model import Generator
     from interpreters.lstm import StyleInterpreter
-    from interpreters.planner import UnitDecision
-    from interpreters.unit_style import UnitStyleInterpreter
+    from interpreters.planner import UnitDecision, UnitStyleInterpreter
     from lexicon.movement import MovementLexicon
+
+
+_MILLISECONDS = 100
+"""Milliseconds between independent numbers: half of the shortest block."""
+_MOTION, _CHOICE = 0, 1
+_POSE, _PLAN, _ACTIVITY = 1 << 20, (1 << 20) + 1, (1 << 20) + 2
+"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses, of the planner and of activity."""
+_WAXES = 3000
+"""Milliseconds between independent numbers of activity: people's gestures wax and wane over a few seconds."""
+_CHANNELS = 1 << 32
+"""The first channel of `life.mixed` here; the idle motion and the choice of phrases use lower ones."""
+
+
+@dataclass(frozen=True)
+class Keys:
+    """Keys of the random numbers of blocks, besides their time: seed and variation of the performance."""
+
+    seed: int
+    variation: int = 0
+
+    def noise(self, time: float, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Standard normal noise of the motion of the block that begins at `time` seconds, of this shape."""
+        return self._normal(_MOTION, time, shape[0] * shape[1]).reshape(shape).astype(np.float32)
+
+    def gumbel(self, time: float, count: int) -> Array:
+        """[count] standard Gumbel noise, one for each lexeme, for the choice in the block that begins at `time`
+        seconds. The arg max of log p_n + G_n has the distribution p (the Gumbel-max trick), and a small change of p
+        rarely changes it."""
+        return _gumbel(self._normal(_CHOICE, time, count))
+
+    def plan(self, time: float, count: int) -> Array:
+        """[count] standard Gumbel noise for the decision of the planner of gesture units."""
+        return _gumbel(self._normal(_PLAN, time, count))
+
+    def uniform(self, time: float, count: int) -> Array:
+        """[count] numbers in (0, 1) for the preparation that begins at `time` seconds."""
+        from scipy.special import ndtr
+
+        return np.asarray(ndtr(self._normal(_POSE, time, count)))
+
+    def activity(self, time: float) -> float:
+        """A standard normal number that changes over seconds: how lively the gestures are at `time`."""
+        return float(self._normal(_ACTIVITY, time, 1, _WAXES)[0])
+
+    def _normal(self, kind: int, time: float, count: int, apart: int = _MILLISECONDS) -> Array:
+        """[count] standard normal numbers at a time in seconds; times within a millisecond are the same. apart:
+        milliseconds between independent numbers."""
+        cell, rest = divmod(round(time * 1000), apart)
+        numbers = cell * count + np.arange(2 * count)
+        both = normal(self.seed, _CHANNELS + 2 * self.variation + kind, numbers)
+        angle = 0.5 * pi * rest / apart
+        return cos(angle) * both[:count] + sin(angle) * both[count:]
+
+
+def _gumbel(normal_numbers: Array) -> Array:
+    from scipy.special import log_ndtr
+
+    return np.asarray(-np.log(-log_ndtr(normal_numbers)))
 
 
 @dataclass(frozen=True)
@@ -56,6 +123,8 @@ FREE = Direction()
 
 _NEAREST = 1e-6
 """Least distance of a candidate to a lexeme, so that the ratio of two is finite."""
+LIVELINESS = (1.0, 0.5, 0.5, 0.0)
+"""The direction of a style code (`interpreters.unit_style.CODE`) in which gestures become livelier."""
 HURRIED_STEPS = 2
 """Steps of Heun's method for a hurried block; a single step would give the mean instead of a sample."""
 
@@ -172,9 +241,8 @@ class FlowDrawer:
         place = self.place.step(speech.durations, speech.silent).to(self.device)
         if speech.foreseen and self.generator.config.after_dropout:
             place = alone(place)
-        code = self._code(features, unit)
-        inputs, gains = self._inputs(place, features, lexeme, past, unit)
-        inputs = replace(inputs, style=None if self.style is None else code[:, None])
+        code = self._code(speech.keyed_at, features, unit)
+        inputs, gains = self._inputs(place, features, lexeme, past, unit, code)
         context, self.state = self.generator.contexts(inputs, added[None], self.state)
         if self.unseen:  # the state had to advance, but no block is needed
             return self.base * self.generator.present, code
@@ -189,15 +257,18 @@ class FlowDrawer:
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
         control = None if features.control is None else features.control.cpu().numpy()
-        best = self.chooser.choose(speech, *_shown(past, blocks, shift), apart.cpu().numpy(), control)
+        style = None if self.style is None else code[0].cpu().numpy()
+        best = self.chooser.choose(speech, *_shown(past, blocks, shift), apart.cpu().numpy(), control, style)
         return blocks[best:best + 1], code
 
-    def _code(self, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
-        """[1, d_z] the style code of the block's unit; empty without a style interpreter."""
+    def _code(self, time: float, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
+        """[1, d_z] the style code of the block's unit, as heard, and as activity waxes and wanes by itself; empty
+        without a style interpreter. time: seconds that key the activity."""
         if self.style is None or self.style_state is None:
             return torch.zeros(1, 0, device=self.device)
         code, self.style_state = self.style.step(self.style_state, features, unit is not None and unit.rests)
-        return self.settings.style * code
+        waxing = self.settings.waxing * self.keys.activity(time) if self.settings.waxing else 0.0
+        return self.settings.style * code + waxing * code.new_tensor(LIVELINESS)
 
     def _sample(self, time: float, candidates: int, context: Tensor, pull: Tensor, steps: int) -> tuple[Tensor, Tensor]:
         """Coefficients [C, n] of C candidates with the noise of this time, and the blocks [C, K, D_m] that they give.
@@ -214,10 +285,11 @@ class FlowDrawer:
         return torch.cat([torch.full((width,), factor)
                           for factor, width in zip(factors, basis.widths, strict=True)]).to(self.device)
 
-    def _inputs(self, place: Tensor, features: BlockFeatures, lexeme: int, past: Tensor, unit: UnitDecision | None
-                ) -> tuple[FlowInputs, list[float]]:
+    def _inputs(self, place: Tensor, features: BlockFeatures, lexeme: int, past: Tensor, unit: UnitDecision | None,
+                code: Tensor) -> tuple[FlowInputs, list[float]]:
         """[1 + G] inputs of the flow head: the full ones, and one without each of the G guiding conditions; and the
-        guidance weights [G]. place: [8] the block's circumstances; unit: the planner's decision, or None."""
+        guidance weights [G]. place: [8] the block's circumstances; unit: the planner's decision, or None; code: [1,
+        d_z] the style code."""
         settings, none = self.settings, self.generator.lexemes
         control = features.control
         without_lexeme = settings.lexeme_guidance == UNTOLD
@@ -226,6 +298,8 @@ class FlowDrawer:
         row = None if unit is None or not self.generator.unit_width else unit.row.to(self.device)
         if row is not None:
             gains["unit"] = settings.unit_guidance
+        if self.style is not None:
+            gains["style"] = settings.style_guidance
         if control is not None:
             gains["control"] = settings.guidance - 1.0
         gains = {condition: gain for condition, gain in gains.items() if gain}
@@ -238,11 +312,14 @@ class FlowDrawer:
                                 for condition in left_out], device=self.device)
         if row is not None:
             row = torch.stack([row * (condition != "unit") for condition in left_out])[:, None]
+        style = None
+        if self.style is not None:
+            style = torch.stack([code * (condition != "style") for condition in left_out])
         return FlowInputs(
             features.low[None, None], lexemes, past[:, None], cast(Pasts, self.past).ratio[None], place[None, None],
             self.speaker, control, torch.tensor([condition == "audio" for condition in left_out], device=self.device),
-            torch.tensor([condition == "history" for condition in left_out], device=self.device), row), list(
-                gains.values())
+            torch.tensor([condition == "history" for condition in left_out], device=self.device), row,
+            style), list(gains.values())
 
 
 def _shown(past: Tensor, blocks: Tensor, shift: Tensor | None) -> tuple[Array, Array]:

@@ -1,4 +1,16 @@
-"""One step of inference: from a block of encoded speech to its lexeme and its motion (RG 6, Eq. 15; RACER 4.3)."""
+"""One step of inference: from a block of encoded speech to its lexeme and its motion (RG 6, Eq. 15; RACER 4.3).
+
+People decide stroke by stroke: a preparation begins where the hand happens to be, but what is prepared does not depend
+on how the hand came there. So where the planner lets the hands set out (a preparation begins, or a stroke that was not
+prepared), the block is generated as the first of a performance, from a pose h that is keyed by seed and time, at rest.
+What is shown is the generated motion g plus an offset that fades from the difference of the pose p and the velocity v
+last shown (inertialisation, as in games; `data_module.motion.inertialisation`):
+
+    x(t) = g(t) + (p - h) a(s) + v T b(s),   s = (t - t_0) / T
+
+a and b have no jump in value, speed or acceleration at either end. Two performances of nearly the same sound that
+parted are one again T seconds after the hands set out next.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +27,19 @@ from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.layers import without_after
+from data_module.motion.inertialisation import fade_weights
+from data_module.types import Array
+from gesticulator.body.life import SIDES
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Span, SpeechBlock, representation_of
-from gesticulator.drawing.drawer import FREE, Direction, drawer_for
-from gesticulator.drawing.fresh_starts import FirstPoses, Offset
-from gesticulator.drawing.keys import Keys
+from gesticulator.drawing.drawer import FREE, Direction, Keys, drawer_for
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
 from interpreters.base import BlockFeatures, Explanation, LexemeInterpreter, as_interpreter, select
+from interpreters.planner import PHASES
 
 if TYPE_CHECKING:
+    from gesticulator.bundle.config import SelectionConfig
     from interpreters.planner import UnitDecision
     from lexicon.racer import RacerCodec
 
@@ -33,8 +48,14 @@ BEST = 5
 
 _CONTIGUOUS = 1e-3
 """Seconds between two blocks without a gap."""
+AFRESH = 1.6
+"""Seconds of strokes after which the next one is prepared anew."""
 _BLOCKS_BEFORE_REST = 2
 """Quiet blocks that are played as generated, before rest decay begins: the arms come down in them."""
+FADES = 0.6
+"""T, seconds: as long as a preparation takes."""
+_LOWEST, _HIGHEST = 0.55, -0.45
+"""How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +72,44 @@ class Sampling:
     def keys(self) -> Keys:
         """Keys of the noise of the blocks' motion."""
         return Keys(self.seed, self.variation)
+
+
+class FirstPoses:
+    """The poses h of one performance, from which preparations are generated."""
+
+    def __init__(self, keys: Keys, names: Sequence[str], rest: Array) -> None:
+        """names: of the J joints; rest: [D_m] the normalised resting pose, three numbers a joint; 0 is the mean
+        pose."""
+        self._keys, self._rest = keys, rest
+        self._arms = [np.repeat([name.startswith(side) for name in names], 3) for side in SIDES]
+
+    def at(self, time: float) -> Array:
+        """[D_m] h of a preparation that begins at `time` seconds, normalised. Each arm is somewhere between the mean
+        and the resting pose, or a little above the mean pose."""
+        pose = np.zeros_like(self._rest)
+        for columns, chance in zip(self._arms, self._keys.uniform(time, len(self._arms)), strict=True):
+            pose[columns] = (_HIGHEST + (_LOWEST - _HIGHEST) * chance) * self._rest[columns]
+        return pose.astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Offset:
+    """The fading offset from `begin` seconds. pose: [D_m] p - h; velocity: [D_m] v, a second."""
+
+    begin: float
+    pose: Tensor
+    velocity: Tensor
+
+    def at(self, times: Array) -> Tensor:
+        """[K, D_m] at times [K], seconds."""
+        s = np.clip((np.asarray(times) - self.begin) / FADES, 0.0, 1.0)
+        sinks, coasts, _ = fade_weights(s)
+        weights = torch.as_tensor(np.stack([sinks, FADES * coasts]), dtype=self.pose.dtype, device=self.pose.device)
+        return weights[0][:, None] * self.pose + weights[1][:, None] * self.velocity
+
+    def over(self, time: float) -> bool:
+        """Whether it has faded at `time` seconds."""
+        return time >= self.begin + FADES
 
 
 @dataclass(frozen=True)
@@ -103,6 +162,16 @@ def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
     return last + share * steps * (block.mean(dim=1, keepdim=True) - last)
 
 
+def phrasing(settings: SelectionConfig, speech: SpeechBlock) -> NDArray[np.float64]:
+    """[5] what is added to the planner's logits of the phases: holds, above all where a pause goes on, and preparations
+    just before the voice returns."""
+    bias = np.zeros(len(PHASES))
+    bias[PHASES.index("hold")] = settings.hold
+    if speech.quiet.mean() >= 0.5 and speech.ahead is not None:
+        bias[PHASES.index("hold" if speech.ahead.all() else "preparation")] += settings.phrasing
+    return bias
+
+
 class Rollout:
     """Block-by-block generation with a lexicon of blocks: the states of interpreter, gate, style and generator.
 
@@ -144,6 +213,7 @@ class Rollout:
         self._offset: Offset | None = None
         self._until = 0.0
         self._unit: UnitDecision | None = None
+        self._set_out = 0.0
 
     @torch.inference_mode()
     def step(self, speech: SpeechBlock, control: NDArray[np.float32] | None = None, direction: Direction = FREE
@@ -155,7 +225,7 @@ class Rollout:
         self._until = speech.end
         features = self._features(speech, control, self._drawn[0])
         unit = self._planned(speech, features)
-        if self._sets_out(unit) and direction.keys is None:
+        if self._sets_out(speech, unit) and direction.keys is None:
             self._begin_unit(speech)
             features = replace(features, past=self._drawn[0])
         self._unit = unit
@@ -185,9 +255,12 @@ class Rollout:
                            probability)
         return BlockMotion(decision, self._previous, motion, code[0].cpu().numpy(), unit)
 
-    def _sets_out(self, unit: UnitDecision | None) -> bool:
-        """Whether what was before is forgotten in this block, in which the planner lets the hands set out."""
-        return self._first_poses is not None and unit is not None and unit.begins_after(self._unit)
+    def _sets_out(self, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
+        """Whether what was before is forgotten in this block: the planner lets the hands set out, or one stroke has
+        followed another for long."""
+        if self._first_poses is None or unit is None:
+            return False
+        return unit.begins_after(self._unit) or (unit.follows(self._unit) and speech.start - self._set_out >= AFRESH)
 
     def _begin_unit(self, speech: SpeechBlock) -> None:
         """Forget what was before: the next block is generated as the first of a performance."""
@@ -195,6 +268,7 @@ class Rollout:
         shown = self._past[0]
         velocity = (shown[-1] - shown[-2]) * (shown.shape[0] / speech.durations[0])
         first = torch.clamp(self._tensor(self._first_poses.at(speech.keyed_at)), self._low, self._high)
+        self._set_out = speech.start
         self._offset = Offset(speech.start, shown[-1] - first, velocity)
         self._drawn = first.expand_as(shown)[None]
         self._previous = self.bundle.rest_lexeme(self.speaker)
@@ -269,7 +343,7 @@ class Rollout:
         # Where lexemes are not drawn, phases are not either.
         temperature = float(self.sampling.temperature > 0)
         unit, self._planner_state = self._planner.step(self._planner_state, features, noise, temperature,
-                                                       self.bundle.config.selection.hold)
+                                                       phrasing(self.bundle.config.selection, speech))
         return unit
 
     def _still(self, unit: UnitDecision | None, direction: Direction) -> NDArray[np.bool_] | None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from data_module.files import write_bytes
-from data_module.motion.kinematics import resample
 from gesticulator.characters.blender import run_in_blender
 from gesticulator.export.glb import write_glb
 from gesticulator.export.own_fbx import SCRIPT, own_character, write_animated
@@ -15,20 +14,13 @@ from gesticulator.export.scene import Scene
 
 
 def write_fbx(path: Path, scene: Scene) -> Path:
-    """Write the motion as binary FBX, atomically. Returns `path`.
-
-    The default skeleton uses an integer frame rate: other rates are resampled to the nearest. `InputError` without
-    Blender or if it fails.
-    """
+    """Write the motion as binary FBX, atomically. Returns `path`. `InputError` without Blender or if it fails."""
     character = own_character(scene)
     if character is not None:
-        return write_animated(path, character)
-    rate = max(1, round(scene.fps))
-    if scene.fps != rate:
-        scene = replace(scene, motion=resample(scene.motion, float(rate)))
+        return write_animated(path, character, scene.clip)
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"
-        write_glb(source, scene)
-        run_in_blender(path, SCRIPT, str(source), str(target), str(rate))
+        write_glb(source, replace(scene, layout=replace(scene.clip, keys=0.0)))
+        run_in_blender(path, SCRIPT, str(source), str(target), repr(scene.fps), repr(scene.clip.keys), scene.clip.name)
         write_bytes(path, target.read_bytes())
     return path

@@ -1,10 +1,12 @@
-"""Run inside Blender: convert GLB to FBX, or animate a character's FBX file and save it as GLB or FBX.
+"""Run inside Blender: convert GLB to FBX, or animate a character's FBX file and save it as FBX, or save it as GLB.
 
-    python fbx_child.py IN.glb OUT.fbx FRAMES_PER_SECOND
-    python fbx_child.py IN.fbx OUT.glb|fbx FRAMES_PER_SECOND MOTION.npz
+    python fbx_child.py IN.glb OUT.fbx FRAMES_PER_SECOND KEYS NAME
+    python fbx_child.py IN.fbx OUT.fbx FRAMES_PER_SECOND KEYS NAME MOTION.npz
+    python fbx_child.py IN.fbx OUT.glb
 
-MOTION.npz holds bone poses, as from `gesticulator.export.own_fbx.pose`.
-It imports nothing from this package: Blender has its own Python.
+KEYS is the bound on the error of reduced keys in degrees, 0 for every frame; NAME that of the take. MOTION.npz holds
+bone poses, as from `gesticulator.export.own_fbx.pose`. It imports nothing from this package: Blender has its own
+Python.
 """
 
 from __future__ import annotations
@@ -26,28 +28,29 @@ class FixedDay(datetime.datetime):
         return MOMENT
 
 
-def convert(source: str, target: str, fps: float, motion: str = "") -> None:
+def convert(source: str, target: str, fps: float = 30.0, keys: float = 0.0, name: str = "", motion: str = "") -> None:
     """Import a file into an empty scene at `fps` frames per second, animate it, and export the scene."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene: Any = bpy.context.scene
-    rate = max(1, round(fps)), max(1, round(fps)) / fps
-    scene.render.fps, scene.render.fps_base = rate
+    whole = max(1, round(fps))
     if source.lower().endswith(".fbx"):
         bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
-        scene.render.fps, scene.render.fps_base = rate  # the importer sets that of the file
     else:
+        # The importer of glTF takes the product of the two numbers for the frame rate, where it is their quotient.
+        scene.render.fps, scene.render.fps_base = whole, fps / whole
         bpy.ops.import_scene.gltf(filepath=source, disable_bone_shape=True, bone_heuristic="BLENDER")
+    scene.render.fps, scene.render.fps_base = whole, whole / fps  # the importer of FBX sets that of the file
+    if target.endswith(".glb"):
+        bpy.ops.export_scene.gltf(filepath=target, export_format="GLB", export_animations=False)
+        return
     if motion:
         animate(motion)
     ends = [action.frame_range[1] for action in bpy.data.actions]
     scene.frame_start, scene.frame_end = 0, max(1, round(max(ends, default=1)))
-    if target.endswith(".glb"):
-        bpy.ops.export_scene.gltf(filepath=target, export_format="GLB", export_animation_mode="ACTIONS",
-                                  export_force_sampling=True, export_optimize_animation_size=False)
-    else:
-        export_fbx(target)
+    scene.name = name or "gesture"
+    export_fbx(target, keys)
 
 
 def animate(motion: str) -> None:
@@ -81,12 +84,16 @@ def keys(action: Any, armature: Any, path: str, values: Any) -> None:
         curve.update()
 
 
-def export_fbx(target: str) -> None:
-    """Export the scene with its animation, one key per frame."""
+def export_fbx(target: str, keys: float) -> None:
+    """Export the scene with its animation, with keys that linear interpolation needs within `keys` degrees."""
     import bpy
     from io_scene_fbx import export_fbx_bin  # type: ignore[import-not-found, unused-ignore]
 
     export_fbx_bin.datetime = types.SimpleNamespace(datetime=FixedDay)
+    export_fbx_bin.AnimationCurveNodeWrapper.simplify = lambda own, *_: reduce_keys(own, keys)
+    if not hasattr(export_fbx_bin, "all_animations"):  # once in a process
+        export_fbx_bin.all_animations = export_fbx_bin.fbx_animations
+    export_fbx_bin.fbx_animations = lambda data: without_modifiers(export_fbx_bin.all_animations, data)
     bpy.ops.export_scene.fbx(
         filepath=target, object_types={"ARMATURE", "MESH", "EMPTY"}, add_leaf_bones=False,
         # Metres stay metres: other tools find scale 1 on the armature.
@@ -95,7 +102,61 @@ def export_fbx(target: str) -> None:
         bake_anim_simplify_factor=0.0, path_mode="COPY", embed_textures=True)
 
 
+def without_modifiers(bake: Any, data: Any) -> Any:
+    """Bake the bones' motion while meshes are not deformed: that took nearly all of the time, and is not used."""
+    import bpy
+
+    shown = [modifier for thing in bpy.data.objects for modifier in thing.modifiers if modifier.show_viewport]
+    try:
+        for modifier in shown:
+            modifier.show_viewport = False
+        return bake(data)
+    finally:
+        for modifier in shown:
+            modifier.show_viewport = True
+
+
+METRES_PER_DEGREE = 0.005
+"""Bound on the error of translations per degree of the bound on rotations."""
+
+
+def reduce_keys(curves: Any, keys: float) -> None:
+    """Choose the keys of the curves X, Y, Z of a property: none where it stays at its default, else the fewest found
+    that keep each curve within its bound. A rotation is off by no more than the sum of its three angles."""
+    import numpy as np
+
+    values = curves._frame_values_array
+    if values is None:
+        return
+    kind = curves.fbx_group[0]
+    rests = np.array(curves.default_values)[:, None]
+    still = np.abs(values - rests).max() < (1e-4 if kind == "Lcl Rotation" else 1e-5)
+    bound = keys / 3.0 if kind == "Lcl Rotation" else keys * METRES_PER_DEGREE / 2.0
+    for row, mask in zip(values, curves._frame_write_mask_array, strict=True):
+        mask[:] = not still
+        if keys and not still:
+            mask[:] = needed(row, bound)
+
+
+def needed(row: Any, bound: float) -> Any:
+    """[T] which values of a curve need a key: added where the error is the greatest until none is beyond the bound."""
+    import numpy as np
+
+    kept = np.zeros(len(row), dtype=bool)
+    kept[[0, -1]] = True
+    frames = np.arange(len(row))
+    while True:
+        at = np.flatnonzero(kept)
+        off = np.abs(np.interp(frames, at, row[at]) - row)
+        worst = np.maximum.reduceat(off, at)
+        bad = worst > bound
+        if not bad.any():
+            return kept
+        segment = np.cumsum(kept) - 1
+        kept |= bad[segment] & (off == worst[segment])
+
+
 if __name__ == "__main__":
     # Blender passes the arguments after "--"; a Python with bpy passes all.
     given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
-    convert(given[0], given[1], float(given[2]), *given[3:])
+    convert(given[0], given[1], *map(float, given[2:4]), *given[4:])

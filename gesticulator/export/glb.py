@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from data_module.errors import InputError
 from data_module.files import write_bytes
 from gesticulator.characters.rig import CharacterMotion
+from gesticulator.export.clip import STEADY, ClipLayout
 from gesticulator.export.gltf import VERTICES, GltfDocument, node_tree, open_gltf, transform
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.own_fbx import write_animated
 from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import figure
 
-ANIMATION = "gesture"
-"""Name of the added animation."""
 _COLOUR = [0.24, 0.45, 0.47, 1.0]
 """Colour of the figure: linear red, green, blue, opacity."""
 
@@ -25,20 +26,47 @@ def write_glb(path: Path, scene: Scene) -> Path:
     """Write the motion as GLB, atomically. Returns `path`. An FBX character needs Blender."""
     character = scene.character
     if character is not None and character.character.kind == "fbx":
-        return write_animated(path, character)
+        return write_animated(path, character, scene.clip)
     is_glb = character is not None and character.character.kind == "glb"
-    write_bytes(path, character_glb(character) if character is not None and is_glb else skeleton_glb(scene.nodes))
+    write_bytes(path, character_glb(character, scene.clip) if character is not None and is_glb
+                else skeleton_glb(scene.nodes, scene.clip))
     return path
 
 
-def character_glb(moved: CharacterMotion) -> bytes:
+def write_clips(path: Path, scenes: Sequence[Scene]) -> Path:
+    """Write several scenes with the same character as animations of one GLB, each named after its clip, atomically.
+    Returns `path`. `InputError` for a character from FBX."""
+    character = scenes[0].character
+    if character is None or character.character.kind == "bvh":
+        gltf = skeleton_document(scenes[0].nodes)
+        for scene in scenes:
+            add_skeleton_clip(gltf, scene.nodes, scene.clip)
+    elif character.character.kind == "fbx":
+        raise InputError(character.character.path, "cannot take several clips in one file as FBX",
+                         "convert it to GLB, or write one file per recording")
+    else:
+        gltf = open_gltf(character.character.path)
+        for scene in scenes:
+            assert scene.character is not None
+            add_clip(gltf, scene.character, scene.clip)
+    write_bytes(path, gltf.to_bytes())
+    return path
+
+
+def character_glb(moved: CharacterMotion, clip: ClipLayout) -> bytes:
     """The character's file with one animation added: the bytes of a GLB file.
 
     Nothing else changes, except that animated nodes with a matrix get a translation, a rotation and a scale instead.
     Buffers and images in separate files are embedded.
     """
+    gltf = open_gltf(moved.character.path)
+    add_clip(gltf, moved, clip)
+    return gltf.to_bytes()
+
+
+def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout) -> None:
+    """Add the motion to the document of its character."""
     character = moved.character
-    gltf = open_gltf(character.path)
     for node in moved.moved:
         entry = gltf.document["nodes"][character.node_ids[node]]
         if entry.pop("matrix", None) is not None:
@@ -46,15 +74,26 @@ def character_glb(moved: CharacterMotion) -> bytes:
     shifts = {} if moved.translations is None else {moved.hips: moved.translations}
     motion = NodeMotion(character.names, character.parents, character.translations, character.rotations,
                         character.scales, moved.rotations, shifts, {}, moved.fps)
-    gltf.animate(ANIMATION, motion, {node: character.node_ids[node] for node in sorted({*moved.moved, *shifts})})
-    return gltf.to_bytes()
+    gltf.animate(clip, motion, {node: character.node_ids[node] for node in sorted({*moved.moved, *shifts})},
+                 frozenset(node for joint, node in moved.joints.items() if joint in STEADY))
 
 
-def skeleton_glb(motion: NodeMotion) -> bytes:
+def skeleton_glb(motion: NodeMotion, clip: ClipLayout) -> bytes:
     """An animated skeleton with a figure of spindles: the bytes of a GLB file."""
     gltf = skeleton_document(motion)
-    gltf.animate(ANIMATION, motion, {node: node for node in range(len(motion.names))})
+    add_skeleton_clip(gltf, motion, clip)
     return gltf.to_bytes()
+
+
+def add_skeleton_clip(gltf: GltfDocument, motion: NodeMotion, clip: ClipLayout) -> None:
+    """Add a motion to a document of `skeleton_document`."""
+    gltf.animate(clip, motion, {node: node for node, name in enumerate(motion.names)
+                                if not (clip.bare and name in STEADY)}, steady_nodes(motion))
+
+
+def steady_nodes(motion: NodeMotion) -> frozenset[int]:
+    """The nodes of the default skeleton that are hips or legs."""
+    return frozenset(node for node, name in enumerate(motion.names) if name in STEADY)
 
 
 def skeleton_document(motion: NodeMotion) -> GltfDocument:

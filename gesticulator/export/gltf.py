@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import json
 import struct
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from data_module.errors import InputError, shown
 from data_module.types import Array
 from gesticulator.characters.gltf_file import BINARY_CHUNK, JSON_CHUNK, MAGIC, read_gltf
+from gesticulator.export.clip import ClipLayout
+from gesticulator.export.key_reduction import kept_frames, kept_places, rotation_errors, track_bounds
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.number_file import NumberFile
 
@@ -36,6 +38,8 @@ _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 
 Numbers: TypeAlias = "NDArray[Any] | NumberFile"
 """Numbers [n, ...], in memory or on disk."""
+Track: TypeAlias = "tuple[int, str, Numbers, Numbers]"
+"""Node, property, times and values of an animated property."""
 
 
 class GltfDocument:
@@ -46,15 +50,9 @@ class GltfDocument:
         self._parts: list[bytes | NumberFile] = [binary]
         self._size = len(binary)
 
-    def accessor(self, values: Numbers, target: int | None = None, bounds: bool = False) -> int:
+    def accessor(self, values: NDArray[Any], target: int | None = None, bounds: bool = False) -> int:
         """Add numbers [n, ...] (float32, uint8 or uint16, little-endian); returns the accessor's index. bounds: store
         minimum and maximum, as required for times and positions."""
-        if isinstance(values, NumberFile):
-            entry: dict[str, Any] = {"bufferView": self.view(values, target), "componentType": _FLOAT,
-                                     "count": len(values), "type": _KINDS[values.shape]}
-            if bounds:
-                entry["min"], entry["max"] = ([float(v) for v in edge] for edge in (values.lowest, values.highest))
-            return self._added("accessors", entry)
         data = np.ascontiguousarray(values)
         # glTF's matrices are stored column by column.
         view = self.view((data.swapaxes(-1, -2) if data.shape[1:] == (4, 4) else data).tobytes(), target)
@@ -65,9 +63,9 @@ class GltfDocument:
                                                 for edge in (np.min, np.max))
         return self._added("accessors", accessor)
 
-    def view(self, data: bytes | NumberFile, target: int | None = None) -> int:
+    def view(self, data: bytes, target: int | None = None) -> int:
         """Add bytes; returns the buffer view's index."""
-        size = data.size if isinstance(data, NumberFile) else len(data)
+        size = len(data)
         self._append(bytes(-self._size % 4), -self._size % 4)
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": size}
         if target is not None:
@@ -75,26 +73,67 @@ class GltfDocument:
         self._append(data, size)
         return self._added("bufferViews", view)
 
-    def animate(self, name: str, motion: NodeMotion, nodes: dict[int, int]) -> None:
-        """Add one animation. nodes: index in the motion -> index in the document, for moved nodes."""
-        def tracks() -> Iterable[tuple[int, str, Numbers]]:
+    def animate(self, clip: ClipLayout, motion: NodeMotion, nodes: Mapping[int, int],
+                steady: frozenset[int] = frozenset()) -> None:
+        """Add one animation, with keys reduced within `clip.keys`. nodes: index in the motion -> index in the document,
+        for moved nodes; steady: nodes of the motion whose errors are held tighter (hips and legs)."""
+        rows = list(nodes)
+        tracks: list[Track] = []
+        times = motion.times.astype("<f4")
+        if not clip.keys:
             for source, node in nodes.items():
                 if source in motion.shifts:
-                    yield node, TRANSLATION, motion.shifts[source].astype("<f4")
-                yield node, ROTATION, as_gltf(motion.turns[:, source])
+                    tracks.append((node, TRANSLATION, times, motion.shifts[source].astype("<f4")))
+                tracks.append((node, ROTATION, times, as_gltf(motion.turns[:, source])))
+            self.add_animation(clip.name, tracks)
+            return
+        turned = kept_frames(motion.turns[:, rows], track_bounds(rows, clip.keys, steady), rotation_errors)
+        for column, (source, node) in enumerate(nodes.items()):
+            if source in motion.shifts:
+                kept = kept_places(motion.shifts[source], clip.keys)
+                tracks.append((node, TRANSLATION, times[kept], motion.shifts[source][kept].astype("<f4")))
+            kept = turned[:, column]
+            tracks.append((node, ROTATION, times[kept], as_gltf(motion.turns[kept, source])))
+        self.add_animation(clip.name, tracks)
 
-        self.add_animation(name, motion.times.astype("<f4"), tracks())
-
-    def add_animation(self, name: str, times: Numbers, tracks: Iterable[tuple[int, str, Numbers]]) -> None:
-        """Add one animation. times: [T] seconds, rising; tracks: node, property (`TRANSLATION`, `ROTATION`), and
-        values, [T, 3] or [T, 4] with w last; all float32."""
-        seconds = self.accessor(times, bounds=True)
+    def add_animation(self, name: str, tracks: Sequence[Track]) -> None:
+        """Add one animation. tracks: node, property (`TRANSLATION`, `ROTATION`), times [T] in seconds, rising, and
+        values, [T, 3] or [T, 4] with w last; all float32. Tracks may share one object of times."""
+        # The order of first use: times before the values that need them.
+        numbers: dict[int, tuple[Numbers, bool]] = {}
+        for _, _, times, values in tracks:
+            numbers.setdefault(id(times), (times, True))
+            numbers[id(values)] = values, False
+        accessors = dict(zip(numbers, self._packed(list(numbers.values())), strict=True))
         samplers: list[dict[str, Any]] = []
         channels: list[dict[str, Any]] = []
-        for node, path, values in tracks:
-            samplers.append({"input": seconds, "output": self.accessor(values)})
+        for node, path, times, values in tracks:
+            samplers.append({"input": accessors[id(times)], "output": accessors[id(values)]})
             channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
         self._added("animations", {"name": name, "samplers": samplers, "channels": channels})
+
+    def _packed(self, parts: Sequence[tuple[Numbers, bool]]) -> list[int]:
+        """Accessors of numbers (float32) that share one view; each with whether its bounds are stored."""
+        self._append(bytes(-self._size % 4), -self._size % 4)
+        start, accessors = self._size, []
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": start, "byteLength": 0}
+        index = self._added("bufferViews", view)
+        for numbers, bounds in parts:
+            data = numbers if isinstance(numbers, NumberFile) else np.ascontiguousarray(numbers)
+            shape = data.shape if isinstance(data, NumberFile) else data.shape[1:]
+            entry: dict[str, Any] = {"bufferView": index, "byteOffset": self._size - start, "componentType": _FLOAT,
+                                     "count": len(data), "type": _KINDS[shape]}
+            if bounds:
+                low, high = ((data.lowest, data.highest) if isinstance(data, NumberFile)
+                             else (data.min(axis=0), data.max(axis=0)))
+                entry["min"], entry["max"] = ([float(v) for v in np.atleast_1d(edge)] for edge in (low, high))
+            if isinstance(data, NumberFile):
+                self._append(data, data.size)
+            else:
+                self._append(data.tobytes(), data.nbytes)
+            accessors.append(self._added("accessors", entry))
+        view["byteLength"] = self._size - start
+        return accessors
 
     def to_bytes(self) -> bytes:
         out = io.BytesIO()

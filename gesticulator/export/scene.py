@@ -11,6 +11,7 @@ from data_module.types import Motion, Speech
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import CharacterMotion
+    from gesticulator.export.clip import ClipLayout
     from gesticulator.export.nodes import NodeMotion
     from gesticulator.plan.plan import GesturePlan
 
@@ -20,13 +21,22 @@ class Scene:
     """A recording with gestures, ready to be written.
 
     motion: on the default skeleton, as generated. speech: the audio. make_plan: computes the plan, only for writers
-    that need it. character: the same motion on the user's character, if any.
+    that need it. character: the same motion on the user's character, if any. layout: how it is laid out for animation
+    tools; None: by default.
     """
 
     motion: Motion
     speech: Speech
     make_plan: Callable[[], GesturePlan]
     character: CharacterMotion | None = None
+    layout: ClipLayout | None = None
+
+    @property
+    def clip(self) -> ClipLayout:
+        """How the motion is laid out for animation tools."""
+        from gesticulator.export.clip import ClipLayout
+
+        return self.layout or ClipLayout()
 
     @property
     def duration(self) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from data_module.files import write_bytes
+from gesticulator.export.clip import NAME, ClipLayout
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import FigureMesh, figure
@@ -28,13 +29,15 @@ def write_usd(path: Path, scene: Scene) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / f"motion{suffix}"
         stage = Usd.Stage.CreateNew(str(target))
-        _fill(stage, scene.nodes)
+        _fill(stage, scene.nodes, scene.clip)
+        if scene.clip.sound:
+            _refer_to_sound(stage, path.with_suffix(".wav").name)
         stage.GetRootLayer().Save()
         write_bytes(path, target.read_bytes())
     return path
 
 
-def _fill(stage: Any, motion: NodeMotion) -> None:
+def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> None:
     from pxr import Gf, Usd, UsdGeom, UsdSkel
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -54,12 +57,27 @@ def _fill(stage: Any, motion: NodeMotion) -> None:
     local = [matrix if parent < 0 else np.linalg.inv(rest[parent]) @ matrix
              for matrix, parent in zip(rest, motion.parents, strict=True)]
     skeleton.CreateRestTransformsAttr([Gf.Matrix4d(*matrix.T.ravel().tolist()) for matrix in local])
-    animation = UsdSkel.Animation.Define(stage, f"{ROOT}/Skeleton/Gesture")
+    animation = UsdSkel.Animation.Define(stage, f"{ROOT}/Skeleton/{_animation_name(clip)}")
     animation.CreateJointsAttr(joints)
     _animate(animation, motion, Usd)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     _dress(stage, skeleton, figure(motion))
+
+
+def _animation_name(clip: ClipLayout) -> str:
+    return "Gesture" if clip.name == NAME else _valid_name(clip.name)
+
+
+def _refer_to_sound(stage: Any, name: str) -> None:
+    """Name the sound file that lies beside the motion, to be played from the first frame on, from everywhere."""
+    from pxr import Sdf, UsdMedia
+
+    sound = UsdMedia.SpatialAudio.Define(stage, f"{ROOT}/Speech")
+    sound.CreateFilePathAttr(Sdf.AssetPath(f"./{name}"))
+    sound.CreateAuralModeAttr(UsdMedia.Tokens.nonSpatial)
+    sound.CreatePlaybackModeAttr(UsdMedia.Tokens.onceFromStart)
+    sound.CreateStartTimeAttr(Sdf.TimeCode(0.0))
 
 
 def _animate(animation: Any, motion: NodeMotion, usd: Any) -> None:
@@ -101,10 +119,14 @@ def joint_paths(motion: NodeMotion) -> list[str]:
     """The nodes as paths of valid USD names: "Hips/Spine"."""
     paths: list[str] = []
     for name, parent in zip(motion.names, motion.parents, strict=True):
-        plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
-        plain = f"_{plain}" if not plain or plain[0].isdigit() else plain
+        plain = _valid_name(name)
         path = plain if parent < 0 else f"{paths[parent]}/{plain}"
         while path in paths:
             path += "_"
         paths.append(path)
     return paths
+
+
+def _valid_name(name: str) -> str:
+    plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
+    return f"_{plain}" if not plain or plain[0].isdigit() else plain

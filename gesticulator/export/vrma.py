@@ -13,9 +13,9 @@ import numpy as np
 
 from data_module.files import write_bytes
 from data_module.motion.kinematics import copied_rotations
-from data_module.motion.skeletons import FINGERS
+from data_module.motion.skeletons import FINGERS, LEG_JOINTS
 from data_module.types import Array, Motion
-from gesticulator.export.glb import ANIMATION
+from gesticulator.export.clip import ClipLayout
 from gesticulator.export.gltf import GltfDocument, node_tree
 from gesticulator.export.nodes import NodeMotion, of_motion
 from gesticulator.export.scene import Scene
@@ -59,11 +59,11 @@ BONES = _bones()
 
 def write_vrma(path: Path, scene: Scene) -> Path:
     """Write the motion as a VRM animation, atomically. Returns `path`."""
-    write_bytes(path, vrm_animation(scene.standing))
+    write_bytes(path, vrm_animation(scene.standing, scene.clip))
     return path
 
 
-def vrm_animation(motion: Motion) -> bytes:
+def vrm_animation(motion: Motion, clip: ClipLayout) -> bytes:
     """The bytes of a .vrma file for a motion of our skeleton in any of its sizes. Joints that the motion lacks are
     omitted, so that a character keeps its rest pose or another animation there."""
     from gesticulator.version import __version__
@@ -78,7 +78,9 @@ def vrm_animation(motion: Motion) -> bytes:
         "scenes": [{"nodes": [0]}],
         "nodes": node_tree(nodes),
     })
-    gltf.animate(ANIMATION, nodes, {node: node for node in range(len(nodes.names))})
+    steady = frozenset(node for node, bone in enumerate(nodes.names) if BONES[bone][2] in ("Hips", *LEG_JOINTS))
+    gltf.animate(clip, nodes, {node: node for node in range(len(nodes.names)) if not (clip.bare and node in steady)},
+                 steady)
     return gltf.to_bytes()
 
 

@@ -15,14 +15,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 from data_module.settings import PRIVATE, SettingChoice, SettingRange
-from gesticulator.plan.gestures import GESTURES
 
 if TYPE_CHECKING:
     from data_module.errors import InputError
     from data_module.types import Speech
     from gesticulator.plan.json_lines import Path as Place
 
-__all__ = ["GESTURES", "Block", "BlockDraw", "GestureCue", "GesturePlan", "GestureUnit", "LexemeChoice", "PlanKnobs",
+__all__ = ["Block", "BlockDraw", "GestureCue", "GesturePlan", "GestureUnit", "LexemeChoice", "PlanKnobs",
            "PlanSound", "PlanWord", "edited_blocks"]
 
 FORMAT, VERSION = "gesticulator-plan", 2

@@ -31,7 +31,8 @@ REAL_SPEED = {25: 0.174, 50: 0.366, 75: 0.714, 95: 1.459}
 _BESIDE = 0.25
 """Share by which they may be missed."""
 BOUNDS: dict[str, Bound] = {
-    "eye_splay": at_most(15.0), "eye_splay_both": at_most(7.0), "eye_azimuth": Bound(-35.0, 5.0),
+    "eye_splay": at_most(15.0), "eye_splay_both": at_most(7.0), "eye_face": at_most(1.0),
+    "eye_azimuth": Bound(-35.0, 5.0),
     "eye_elbow": Bound(55.0, 95.0), "eye_hands_apart": Bound(45.0, 70.0), "eye_chest_travel": Bound(3.5, 7.0),
     "eye_head_travel": Bound(6.0, 12.0), "eye_head_with_hands": at_least(0.2), "eye_shoulder": at_least(0.6),
     "eye_wrist_95": at_least(12.0), "eye_finger_bend": Bound(18.0, 35.0), "eye_finger_between": at_least(8.0),

@@ -56,6 +56,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "eye_seam": (0.0, 1.35), "eye_frechet": (0.0, 19.5), "eye_frechet_pooled": (0.0, 19.5),
     "eye_freeze_head": (0.0, 1.0), "eye_hand_in_torso": (0.0, 1.0), "eye_elbow_in_torso": (0.0, 1.0),
     "eye_head_yaw": (0.0, 25.0), "eye_loudness": (-0.07, 0.36), "eye_drift": (0.0, 15.0), "eye_fingers": (30.0, 100.0),
+    "eye_face": (0.0, 1.0),
 }
 """Figure -> (low, high). Frechet: one and a half times the farther half of a real take (13). Timing has no upper end:
 what is more in time than a person is not refused for it, so bobbing passes, and is named as a control that does."""

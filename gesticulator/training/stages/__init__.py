@@ -14,8 +14,7 @@ import numpy as np
 from data_module.errors import InputError, complain
 from data_module.registry import PROJECT, Registry, RegistryEntry
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
-from gesticulator.bundle.config import Config
-from gesticulator.bundle.system import system_of
+from gesticulator.bundle.config import Config, system_of
 from gesticulator.training.stages.advantage import ADVANTAGE, COUNTERFACTUALS
 from gesticulator.training.stages.base import Node, Run, Stage, closure
 from gesticulator.training.stages.corpus import BLOCKS, Corpus

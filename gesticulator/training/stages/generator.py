@@ -14,8 +14,7 @@ from data_module.layers import freeze
 from generator.flow import FlowGenerator
 from generator.model import BlockInputs, Generator
 from gesticulator.bundle import models
-from gesticulator.bundle.config import Config
-from gesticulator.bundle.system import system_of
+from gesticulator.bundle.config import Config, system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.features import CORPUS

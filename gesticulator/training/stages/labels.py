@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.motion.kinematics import positions_of
 from data_module.motion.representation import Representation
-from gesticulator.bundle.config import Config
+from gesticulator.bundle.config import Config, system_of
 from gesticulator.bundle.features import representation_of
 from gesticulator.bundle.models import Sizes
-from gesticulator.bundle.system import system_of
 from gesticulator.training.stages.base import Node, Run
 from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
 from gesticulator.training.stages.features import CORPUS

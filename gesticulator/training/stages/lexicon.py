@@ -14,8 +14,7 @@ from data_module.errors import InputError
 from data_module.motion.movement import Pasts
 from data_module.parallel import own_rows
 from gesticulator.bundle import models
-from gesticulator.bundle.config import Config
-from gesticulator.bundle.system import system_of
+from gesticulator.bundle.config import Config, system_of
 from gesticulator.training import distributed
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
@@ -23,8 +22,8 @@ from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
 from gesticulator.training.stages.rows import evenly
 from gesticulator.training.stages.stored import MEASURED
 from lexicon.autoencoder import Lexicon
-from lexicon.movement import MovementLexicon
-from lexicon.movement_vqvae import MovementLearner, MovementVqVae
+from lexicon.movement import MovementLexicon, MovementVqVae
+from lexicon.movement_vqvae import MovementLearner
 from lexicon.quantizer import perplexity
 from lexicon.racer import RacerCodec
 

@@ -11,10 +11,9 @@ from data_module import controls
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array
-from gesticulator.bundle.config import Config
+from gesticulator.bundle.config import Config, system_of
 from gesticulator.bundle.features import Normaliser, Statistics, representation_of
 from gesticulator.bundle.models import parts_of_body
-from gesticulator.bundle.system import system_of
 
 BOUNDS = (0.1, 99.9)
 """Percentiles: omits one frame in a thousand at either end, because captured motion contains jumps."""

@@ -14,8 +14,7 @@ from torch.nn import functional
 
 from data_module.errors import InputError
 from gesticulator.bundle import models
-from gesticulator.bundle.config import Config
-from gesticulator.bundle.system import system_of
+from gesticulator.bundle.config import Config, system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage

@@ -11,8 +11,7 @@ import torch
 
 from generator.model import Generator
 from gesticulator.bundle import models
-from gesticulator.bundle.config import Config
-from gesticulator.bundle.system import system_of
+from gesticulator.bundle.config import Config, system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.features import CORPUS
@@ -23,7 +22,7 @@ from gesticulator.training.stages.planner import UNITS
 from gesticulator.training.stages.unit_styles import UNIT_CODES, train_interpreter
 from gesticulator.training.stages.windows import AT_ONCE, VALIDATED, Windows, sequences
 from interpreters.lstm import StyleInterpreter
-from interpreters.unit_style import UnitStyleInterpreter
+from interpreters.planner import UnitStyleInterpreter
 
 _HELD = 10
 """One in this many training recordings is held back for validation, since only training blocks have style codes."""

@@ -18,8 +18,7 @@ from gesticulator.training.stages.features import CORPUS
 from gesticulator.training.stages.labels import LABELS
 from gesticulator.training.stages.planner import RATE, UNITS, edges_of, hands_of
 from gesticulator.training.stages.windows import Windows, sequences, validation
-from interpreters.planner import PHASES
-from interpreters.unit_style import CODE, UnitStyleInterpreter
+from interpreters.planner import CODE, PHASES, UnitStyleInterpreter
 
 _LONGEST = 14
 """Blocks of a unit, at most; a longer one is cut, since the style of a talk changes within seconds."""
@@ -42,7 +41,7 @@ def spans(acting: NDArray[np.bool_], longest: int = _LONGEST) -> list[tuple[int,
 
 
 def style_of(hands: Array) -> Array:
-    """[4] speed, range, height and reach (`interpreters.unit_style.CODE`) of hands [T, 2, 3] over the hips at `RATE`,
+    """[4] speed, range, height and reach (`interpreters.planner.CODE`) of hands [T, 2, 3] over the hips at `RATE`,
     logarithms of m/s and m, and m."""
     speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean() * RATE if len(hands) > 1 else 0.0
     spread = np.sqrt(hands.var(axis=0).sum(axis=-1)).max()

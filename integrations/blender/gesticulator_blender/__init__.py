@@ -1,22 +1,24 @@
 """Blender add-on: recorded speech becomes an action on the selected armature.
 
-Install this one file from disk (`Edit > Preferences > Add-ons > Install from Disk`), tell its preferences where the
-`gesticulator` program is, select an armature, and run `Object > Animation > Gesture from Speech`. The armature's rig is
-handed over as a small GLB, the motion comes back as one, and its keys become an action; frame rate, frame range and a
-sound strip are set to go with it. The add-on itself needs nothing but Blender (4.2 or newer).
+Install this folder as an extension (docs/blender.md), name the `gesticulator` program in its preferences, select an
+armature, and run `Object > Animation > Gesture from Speech`. The rig is handed over as a small GLB, the motion comes
+back as one, and its keys become an action; frame rate, frame range and a sound strip are set to match. The add-on needs
+only Blender (4.2 or newer). While the program runs, Blender can be used, and Esc cancels.
 
-A rig that Rigify generated is moved by its own FK controls: the bones that it was made of are handed over, and each
-control turns as its bone does.
+A rig that Rigify generated is moved by its FK controls: the bones that it was made of are handed over, and each control
+turns as its bone does.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import struct
 import subprocess
 import tempfile
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import bpy
@@ -35,6 +37,8 @@ bl_info = {
     "category": "Animation",
 }
 
+ADDON = __package__ or __name__
+"""The name under which Blender keeps the preferences: that of the package where this is an extension."""
 PROXY = "gesticulator proxy"
 """Name of the mesh that makes every bone part of a skin while the rig is handed over."""
 
@@ -78,9 +82,10 @@ def _select(things: list[Any], active: Any) -> None:
 # ---------------------------------------------------------------- taking the motion
 
 def read_motion(source: Path) -> tuple[list[float], dict[str, dict[str, Any]]]:
-    """The times of the last animation of a GLB, and for each moved node its rest and its tracks.
+    """The times of the first track of the last animation of a GLB, and for each moved node its rest and its tracks.
 
-    Node -> {"rest": {"translation", "rotation"}, "translation": [T, 3], "rotation": [T, 4] (w last)}.
+    Node -> {"rest": {"translation", "rotation"}, "translation": [T, 3], "rotation": [T, 4] (w last), and the seconds
+    of each track: "translation times", "rotation times"}.
     """
     data = source.read_bytes()
     length = struct.unpack_from("<I", data, 12)[0]
@@ -91,14 +96,16 @@ def read_motion(source: Path) -> tuple[list[float], dict[str, dict[str, Any]]]:
         accessor = document["accessors"][index]
         view = document["bufferViews"][accessor["bufferView"]]
         width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
-        return np.frombuffer(binary, "<f4", accessor["count"] * width, view.get("byteOffset", 0)).reshape(-1, width)
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        return np.frombuffer(binary, "<f4", accessor["count"] * width, start).reshape(-1, width)
 
     animation = document["animations"][-1]
     moved: dict[str, dict[str, Any]] = {}
     for channel in animation["channels"]:
         node = document["nodes"][channel["target"]["node"]]
-        own = moved.setdefault(node["name"], {"rest": node})
-        own[channel["target"]["path"]] = numbers(animation["samplers"][channel["sampler"]]["output"])
+        own, sampler = moved.setdefault(node["name"], {"rest": node}), animation["samplers"][channel["sampler"]]
+        path = channel["target"]["path"]
+        own[path], own[f"{path} times"] = numbers(sampler["output"]), numbers(sampler["input"])[:, 0].tolist()
     return numbers(animation["samplers"][0]["input"])[:, 0].tolist(), moved
 
 
@@ -107,7 +114,7 @@ def make_action(armature: Any, source: Path, name: str, start: int) -> Any:
 
     Bones of glTF have the axes of Blender's own, so a pose is what turns the rest into the animated transform.
     """
-    times, moved = read_motion(source)
+    _, moved = read_motion(source)
     armature.animation_data_create().action = bpy.data.actions.new(name)
     for bone_name, own in moved.items():
         bone = armature.pose.bones.get(bone_name)
@@ -115,7 +122,10 @@ def make_action(armature: Any, source: Path, name: str, start: int) -> Any:
             continue
         for constraint in bone.constraints:  # they would win over the keys
             constraint.mute = True
-        _key(bone, times, start, *pose_of(own))
+        turns, shifts = pose_of(own)
+        _key(bone, own["rotation times"], start, turns)
+        if shifts is not None:
+            _move(bone, own["translation times"], start, shifts)
     return armature.animation_data.action
 
 
@@ -143,9 +153,17 @@ def _key(bone: Any, times: list[float], start: int, turns: list[Quaternion], shi
             turn.negate()
         before = bone.rotation_quaternion = turn
         bone.keyframe_insert("rotation_quaternion", frame=start + time * rate)
-        if shifts is not None:
-            bone.location = shifts[index]
-            bone.keyframe_insert("location", frame=start + time * rate)
+    if shifts is not None:
+        _move(bone, times, start, shifts)
+
+
+def _move(bone: Any, times: list[float], start: int, shifts: list[Vector]) -> None:
+    """Keys of a bone's location, `times` seconds after frame `start`."""
+    scene = bpy.context.scene
+    rate = scene.render.fps / scene.render.fps_base
+    for time, shift in zip(times, shifts, strict=True):
+        bone.location = shift
+        bone.keyframe_insert("location", frame=start + time * rate)
 
 
 # ---------------------------------------------------------------- rigs that Rigify generated
@@ -262,14 +280,24 @@ def _prepare(rig: Any, start: int) -> None:
         _key(pose[bone], [0.0], start, [Quaternion()], [Vector()])
 
 
-def lay_sound(sound: Path, start: int) -> None:
-    """A strip with the recording in the scene's sequencer, and playback that keeps to it."""
+def lay_sound(sound: Path, start: int, owner: str) -> None:
+    """A strip with the recording in the scene's sequencer, in the place of the one that an earlier run made for the
+    armature `owner`, and playback that keeps to it."""
     scene = bpy.context.scene
     editor = scene.sequence_editor or scene.sequence_editor_create()
     strips = editor.strips if hasattr(editor, "strips") else editor.sequences  # renamed in Blender 4.4
+    earlier = [strip for strip in strips if strip.get(OWNER) == owner]
+    channel = earlier[0].channel if earlier else None
+    for strip in earlier:
+        strips.remove(strip)
     used = {strip.channel for strip in strips}
-    strips.new_sound(sound.name, str(sound), next(k for k in range(1, 129) if k not in used), start)
+    made = strips.new_sound(sound.name, str(sound), channel or next(k for k in range(1, 129) if k not in used), start)
+    made[OWNER] = owner
     scene.sync_mode = "AUDIO_SYNC"
+
+
+OWNER = "gesticulator"
+"""Property of a sound strip: the name of the armature that it was laid for."""
 
 
 # ---------------------------------------------------------------- the operator
@@ -279,29 +307,82 @@ def program(told: str) -> str | None:
     return shutil.which(bpy.path.abspath(told) or "gesticulator")
 
 
+class GestureJob:
+    """A run of the program for an armature; `begin`, then `finish` or `cancel`, once each."""
+
+    def __init__(self, armature: Any, sound: Path, command: str, options: list[str], start: int) -> None:
+        """RuntimeError for a rig that is not known."""
+        self.armature, self.sound, self.start = armature, sound, start
+        self._command, self._options = command, options
+        self._skeleton = make_skeleton(armature) if is_generated(armature) else None
+        self._folder = tempfile.TemporaryDirectory()
+        self._process: subprocess.Popen[str] | None = None
+        self.begun = monotonic()
+
+    def begin(self) -> None:
+        """Hand the rig over and start the program."""
+        scene = bpy.context.scene
+        rate = scene.render.fps / scene.render.fps_base
+        rig = Path(self._folder.name) / "rig.glb"
+        export_rig(self._skeleton or self.armature, rig)
+        # Controls of a generated rig depend on several bones at once, so they need all at the same frames.
+        keys = ["--keys", "all"] if self._skeleton is not None else []
+        self._process = subprocess.Popen(
+            [self._command, "infer", str(self.sound), "--character", str(rig), "-o", str(self._motion), "--fps",
+             f"{rate:g}", "--quiet", *keys, *self._options], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+            text=True)
+
+    @property
+    def _motion(self) -> Path:
+        return Path(self._folder.name) / "motion.glb"
+
+    @property
+    def runs(self) -> bool:
+        """Whether the program is still at work."""
+        return self._process is not None and self._process.poll() is None
+
+    def finish(self) -> Any:
+        """The action. RuntimeError with gesticulator's message where it refuses."""
+        assert self._process is not None
+        try:
+            _, complaint = self._process.communicate()
+            if self._process.returncode:
+                lines = complaint.strip().splitlines()
+                raise RuntimeError(lines[-1] if lines else f"gesticulator ended with {self._process.returncode}")
+            name = f"gesture {self.sound.stem}"
+            action = (make_action(self.armature, self._motion, name, self.start) if self._skeleton is None
+                      else move_controls(self.armature, self._skeleton, self._motion, name, self.start))
+        finally:
+            self._clean()
+        lay_sound(self.sound, self.start, self.armature.name)
+        scene = bpy.context.scene
+        scene.frame_start, scene.frame_end = self.start, max(self.start, round(action.frame_range[1]))
+        return action
+
+    def cancel(self) -> None:
+        """Stop the program and remove what was made for it."""
+        if self._process is not None and self._process.poll() is None:
+            self._process.kill()
+            self._process.communicate()
+        self._clean()
+
+    def _clean(self) -> None:
+        self._folder.cleanup()
+        if self._skeleton is not None:
+            bpy.data.armatures.remove(self._skeleton.data)  # and with it the object
+            self._skeleton = None
+
+
 def gesture(armature: Any, sound: Path, command: str, options: list[str], start: int) -> Any:
-    """Move an armature to a recording; the action. RuntimeError with gesticulator's own message where it refuses."""
-    scene = bpy.context.scene
-    rate = scene.render.fps / scene.render.fps_base
-    skeleton = make_skeleton(armature) if is_generated(armature) else None
+    """Move an armature to a recording, waiting for it; the action. RuntimeError with gesticulator's message where it
+    refuses."""
+    job = GestureJob(armature, sound, command, options, start)
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            rig, motion = Path(folder) / "rig.glb", Path(folder) / "motion.glb"
-            export_rig(skeleton or armature, rig)
-            done = subprocess.run([command, "infer", str(sound), "--character", str(rig), "-o", str(motion), "--fps",
-                                   f"{rate:g}", "--quiet", *options], capture_output=True, text=True, check=False)
-            if done.returncode:
-                said = done.stderr.strip().splitlines()
-                raise RuntimeError(said[-1] if said else f"gesticulator ended with {done.returncode}")
-            name = f"gesture {sound.stem}"
-            action = (make_action(armature, motion, name, start) if skeleton is None
-                      else move_controls(armature, skeleton, motion, name, start))
-    finally:
-        if skeleton is not None:
-            bpy.data.armatures.remove(skeleton.data)  # and with it the object
-    lay_sound(sound, start)
-    scene.frame_start, scene.frame_end = start, max(start, round(action.frame_range[1]))
-    return action
+        job.begin()
+    except BaseException:
+        job.cancel()
+        raise
+    return job.finish()
 
 
 class GestureFromSpeech(bpy.types.Operator, ImportHelper):
@@ -313,7 +394,7 @@ class GestureFromSpeech(bpy.types.Operator, ImportHelper):
 
     filter_glob: StringProperty(default="*.wav;*.flac;*.ogg;*.mp3", options={"HIDDEN"})  # type: ignore[valid-type]
     stance: EnumProperty(name="Body", items=[  # type: ignore[valid-type]
-        ("STANDING", "Standing", "She stands on her legs and shifts her weight"),
+        ("STANDING", "Standing", "The character stands on its legs and shifts its weight"),
         ("SEATED", "Seated", "Hips and legs stay as they rest")])
     seed: IntProperty(name="Seed", min=0, description="Another take of the same speech")  # type: ignore[valid-type]
     start: IntProperty(name="First frame", default=1)  # type: ignore[valid-type]
@@ -324,26 +405,71 @@ class GestureFromSpeech(bpy.types.Operator, ImportHelper):
         return context.object is not None and context.object.type == "ARMATURE"
 
     def execute(self, context: Any) -> set[str]:
-        """Do it; what gesticulator refuses is shown as it says it."""
-        preferences = context.preferences.addons.get(__name__)
+        """Start the program; in a window Blender goes on meanwhile. What gesticulator refuses is shown as it says
+        it."""
+        preferences = context.preferences.addons.get(ADDON)
         command = program(preferences.preferences.program if preferences else "")
         if command is None:
             self.report({"ERROR"}, "gesticulator was not found: name the program in the add-on's preferences")
             return {"CANCELLED"}
         options = ["--seed", str(self.seed), *(["--seated"] if self.stance == "SEATED" else [])]
         try:
-            action = gesture(context.object, Path(self.filepath), command, options, self.start)
+            self._job = GestureJob(context.object, Path(self.filepath), command, options, self.start)
+            self._job.begin()
         except (RuntimeError, OSError) as error:
-            self.report({"ERROR"}, str(error))
+            return self._refuse(error)
+        if bpy.app.background:
+            return self._conclude()
+        window = context.window_manager
+        self._timer = window.event_timer_add(0.1, window=context.window)
+        window.progress_begin(0, 100)
+        window.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: Any, event: Any) -> set[str]:
+        """Show that the program runs; Esc stops it."""
+        if event.type == "ESC":
+            self._job.cancel()
+            self._leave(context)
+            self.report({"INFO"}, "Cancelled")
             return {"CANCELLED"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        if self._job.runs:
+            seconds = monotonic() - self._job.begun
+            context.window_manager.progress_update(int(100.0 * (1.0 - math.exp(-seconds / 15.0))))
+            context.workspace.status_text_set(f"Gesture from Speech: {seconds:.0f} s; Esc cancels")
+            return {"RUNNING_MODAL"}
+        self._leave(context)
+        return self._conclude()
+
+    def cancel(self, context: Any) -> None:
+        """Called by Blender where it closes or loads another file meanwhile."""
+        self._job.cancel()
+        self._leave(context)
+
+    def _leave(self, context: Any) -> None:
+        context.window_manager.event_timer_remove(self._timer)
+        context.window_manager.progress_end()
+        context.workspace.status_text_set(None)
+
+    def _conclude(self) -> set[str]:
+        try:
+            action = self._job.finish()
+        except (RuntimeError, OSError) as error:
+            return self._refuse(error)
         self.report({"INFO"}, f"{action.name}: {round(action.frame_range[1] - action.frame_range[0]) + 1} frames")
         return {"FINISHED"}
+
+    def _refuse(self, error: Exception) -> set[str]:
+        self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
 
 
 class GesticulatorPreferences(bpy.types.AddonPreferences):
     """Where the program is."""
 
-    bl_idname = __name__
+    bl_idname = ADDON
     program: StringProperty(name="gesticulator program", subtype="FILE_PATH",  # type: ignore[valid-type]
                             description="Found by its name where this is empty")
 

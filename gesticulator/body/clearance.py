@@ -1,0 +1,137 @@
+"""Keeps the hands of the default character out of its trunk and away from its face.
+
+The models draw poses, not contacts: at one block's end a hand is on one side of the chest, at the next on the other,
+and between them it would pass through, or end behind the back. An arm whose wrist or knuckles are too far back is bent
+until they are on the surface.
+
+A hand is always moved ahead, never around: with p its place across the body, the front of trunk and face is a height
+field z(p) of limited slope, which falls behind the body on the hand's side only. The correction max(z(p) - z, 0) then
+changes at most `STEEPEST` times as fast as the hand moves, so that a hand that would shoot through the body passes in
+front of it without a jump; the direction out of a closed shape would turn round at its middle. With d the depth and
+e = `SOFT`, a hand is moved by 0 for d < -e, (d + e)^2 / 4e for -e < d < e, and d beyond, which leaves no kink in its
+path. Everything depends on the pose alone; a pose that needs no correction stays the same bit for bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_module.motion import rotation
+from data_module.motion.representation import Representation
+from data_module.types import Array, Motion
+from gesticulator.body.mirror import SIDES
+from gesticulator.characters.contacts import OURS, OurLimbs, Pose, pose_of
+from gesticulator.characters.inverse_kinematics import bend
+
+SOFT = 0.03
+"""Metres before and after the surface over which a hand is slowed; one at rest on the trunk, at 12 mm, moves by 3."""
+STEEPEST = 3.0
+"""Largest slope of the front of the trunk."""
+OTHER_SIDE = (0.115, 0.07, 0.35)
+"""Where the front leaves the trunk on the side of the other hand: metres across, metres ahead, and slope from there on.
+A hand there is beside the other arm, not behind the back."""
+CAP, RECEDES = 0.20, 0.5
+"""Metres above the neck and below the hips over which the front of the trunk recedes, and by how many."""
+HEAD_MIDDLE = np.array([0.0, 0.085, 0.025])
+"""Middle of the face relative to the joint of the head, metres: the joint is at the top of the neck."""
+HEAD_RADIUS = 0.13
+"""Metres from there within which a hand hides the face: the face is 0.09 deep, and a hand 0.04."""
+_STEPS = 4
+"""Iterations: wrist and knuckles share a correction, and each corrects the one before."""
+_POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
+"""Direction to which the elbow of a straight arm bends."""
+
+
+def cleared(motion: Motion) -> Motion:
+    """A motion on the default skeleton with the hands outside trunk and face."""
+    names, pose = motion.skeleton.index, pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))))
+    turns = {joint: pose.turns[name] for joint, name in enumerate(motion.skeleton.names)}
+    limbs, rotations, body = OurLimbs(motion.skeleton), motion.rotations.copy(), _Body(pose)
+    changed = False
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        chain = (names(side + "Arm"), names(side + "ForeArm"), names(side + "Hand"))
+        points = [chain[2], *([names(side + "HandMiddle1")] if side + "HandMiddle1" in motion.skeleton.names else [])]
+        touched = np.zeros(len(motion), dtype=bool)
+        for _ in range(_STEPS):
+            push = body.push([limbs.place(turns, point) for point in points], sign)
+            here = np.linalg.norm(push, axis=-1) > 1e-6
+            if not here.any():
+                break
+            touched |= here
+            bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, _POLE_OF_ELBOW, here)
+        for joint in chain if touched.any() else ():
+            above = turns[motion.skeleton.parents[joint]]
+            local = np.swapaxes(above[touched], -1, -2) @ turns[joint][touched]
+            rotations[touched, joint] = Rotation.from_matrix(local).as_quat(scalar_first=True)
+            changed = True
+    return replace(motion, rotations=rotations) if changed else motion
+
+
+def cleared_poses(poses: Array, representation: Representation) -> Array:
+    """Poses [K, D] of a representation by rotations with the hands outside trunk and face."""
+    motion = representation.motion(poses, 1.0)
+    free = cleared(motion)
+    if free is motion:
+        return poses
+    moved = (free.rotations != motion.rotations).any(axis=-1, keepdims=True)
+    reference = poses.reshape(*moved.shape[:2], 3)
+    turned = rotation.unroll(np.stack([reference, rotation.to_exponential_map(free.rotations)]))[1]
+    return np.asarray(np.where(moved, turned, reference).reshape(poses.shape))
+
+
+class _Body:
+    """Trunk and head over T frames, relative to the hips."""
+
+    def __init__(self, pose: Pose) -> None:
+        neck, chest = pose.places["Neck"], pose.turns["Spine3"]
+        self._length = np.linalg.norm(neck, axis=-1)
+        up = neck / self._length[:, None]
+        left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
+        left = left / np.linalg.norm(left, axis=-1, keepdims=True)
+        self._axes = np.stack([left, up, np.cross(left, up)], axis=-2)  # rows: left, up, ahead
+        self._head = pose.turns["Head"]
+        self._face = pose.places["Head"] + self._head @ HEAD_MIDDLE
+
+    def push(self, points: list[Array], sign: float) -> Array:
+        """[T, 3] the displacement of a hand with points [T, 3] in the body; sign: 1 for the left hand, -1 for the
+        right. Of several displacements the larger ones count more, so that none takes over at once."""
+        moves = np.stack([move for point in points for move in (self._out_of_trunk(point, sign),
+                                                                self._off_face(point))])
+        weights = np.sum(moves ** 2, axis=-1, keepdims=True)
+        return np.asarray(np.sum(weights * moves, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12))
+
+    def _out_of_trunk(self, point: Array, sign: float) -> Array:
+        across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, point), -1, 0)
+        beyond = np.maximum(np.maximum(-along, along - self._length), 0.0) / CAP
+        return self._axes[:, 2] * _soft(trunk_front(across * sign) - RECEDES * beyond ** 2 - ahead)[:, None]
+
+    def _off_face(self, point: Array) -> Array:
+        x, y, z = np.moveaxis(np.einsum("tji,tj->ti", self._head, point - self._face), -1, 0)
+        return self._head[..., 2] * _soft(face_front(np.hypot(x, y)) - z)[:, None]
+
+
+def trunk_front(across: Array) -> Array:
+    """Metres by which the front of the trunk is ahead of its middle, at metres across it, positive on the hand's
+    side."""
+    width, depth = OURS
+    # The ellipse up to where its slope is the steepest, then its tangent.
+    edge = STEEPEST * width / depth
+    edge = width * edge / np.hypot(1.0, edge)
+    ellipse = depth * np.sqrt(1.0 - np.clip(across / width, -1.0, edge / width) ** 2)
+    own = ellipse - STEEPEST * np.maximum(across - edge, 0.0)
+    begins, height, slope = OTHER_SIDE
+    return np.asarray(np.where(across > -begins, own, np.maximum(ellipse, height + slope * (across + begins))))
+
+
+def face_front(radius: Array) -> Array:
+    """Metres by which the space of the face is ahead of its middle, at metres beside it: a paraboloid, then a cone."""
+    inside = np.minimum(radius, HEAD_RADIUS)
+    return np.asarray(HEAD_RADIUS - inside ** 2 / HEAD_RADIUS - 2.0 * (radius - inside))
+
+
+def _soft(depth: Array) -> Array:
+    """max(depth, 0) without a kink."""
+    return np.where(depth > SOFT, depth, np.clip(depth + SOFT, 0.0, 2.0 * SOFT) ** 2 / (4.0 * SOFT))

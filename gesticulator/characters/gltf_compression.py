@@ -1,0 +1,107 @@
+"""Compressed parts of glTF files, unpacked for reading: EXT_meshopt_compression and KHR_draco_mesh_compression.
+
+The extra `compressed` brings the decoders. The file itself is not rewritten: what is added to it lies beside its
+compressed parts.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.errors import InputError, shown
+
+MESHOPT, DRACO = "EXT_meshopt_compression", "KHR_draco_mesh_compression"
+PACKAGES = {MESHOPT: "meshoptimizer", DRACO: "DracoPy"}
+"""Extension -> the package that decodes it."""
+_SIZES = {"ATTRIBUTES": range(4, 257, 4), "TRIANGLES": (2, 4), "INDICES": (2, 4)}
+"""Mode of meshopt -> allowed sizes of an element, bytes."""
+_FILTERS = {"NONE": "", "OCTAHEDRAL": "decode_filter_oct", "QUATERNION": "decode_filter_quat",
+            "EXPONENTIAL": "decode_filter_exp"}
+_LARGEST = 1 << 30
+"""Largest size of an unpacked part, bytes (1 GiB)."""
+
+
+def decoder(name: str, subject: object) -> Any:
+    """The package that decodes an extension. `InputError` that names the extension if it is not installed."""
+    try:
+        return importlib.import_module(PACKAGES[name])
+    except ImportError:
+        raise InputError(
+            subject, f"is compressed with {name}, for which {PACKAGES[name]} is not installed",
+            'pip install "gesticulator[compressed]", or unpack it: npx @gltf-transform/cli copy IN.glb OUT.glb'
+        ) from None
+
+
+def compressed_view(view: dict[str, Any]) -> dict[str, Any] | None:
+    """The meshopt extension of a buffer view; None if it is not compressed."""
+    extensions = view.get("extensions")
+    own = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
+    return own if isinstance(own, dict) else None
+
+
+def is_fallback(buffer: dict[str, Any]) -> bool:
+    """Whether a buffer has no data in the file, because all its views are compressed."""
+    extensions = buffer.get("extensions")
+    own = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
+    return isinstance(own, dict) and "uri" not in buffer
+
+
+def unpacked_view(own: dict[str, Any], data: bytes, size: int, subject: object) -> bytes:
+    """The `size` bytes of a view that meshopt compressed. own: its extension; data: the compressed bytes. `InputError`
+    for contradictions and for data that cannot be decoded."""
+    mode, stride, count = own.get("mode"), own.get("byteStride"), own.get("count")
+    name = own.get("filter", "NONE")
+    if (not isinstance(mode, str) or not isinstance(name, str) or not isinstance(stride, int)
+            or not isinstance(count, int) or isinstance(count, bool) or stride not in _SIZES.get(mode, ())
+            or name not in _FILTERS
+            or not 0 <= count * stride <= min(size, _LARGEST)):
+        raise InputError(subject, f"has a part compressed with {MESHOPT} as {shown(mode)} {shown(count)} x "
+                         f"{shown(stride)}, {shown(name)}", "export it again, or uncompressed")
+    package = decoder(MESHOPT, subject)
+    try:
+        if mode == "ATTRIBUTES":
+            raw = package.decode_vertex_buffer(count, stride, data, dtype=np.dtype(f"V{stride}"))
+            out = np.frombuffer(raw.tobytes(), np.uint8).copy()
+            if _FILTERS[name]:
+                out = getattr(package, _FILTERS[name])(out, count, stride)
+        else:
+            decode = package.decode_index_buffer if mode == "TRIANGLES" else package.decode_index_sequence
+            # The package decodes indices of four bytes, whatever their size in the file.
+            out = decode(count, 4, data).astype(f"<u{stride}").view(np.uint8)
+    except (RuntimeError, ValueError) as error:
+        raise InputError(subject, f"has a part that {MESHOPT} cannot decode ({shown(str(error), 80)})",
+                         "copy or export it again") from None
+    return out.tobytes().ljust(size, b"\0")
+
+
+def draco_attributes(document: dict[str, Any]) -> dict[int, tuple[int, int]]:
+    """Accessor -> the buffer view of the Draco mesh that holds it, and its number there."""
+    found: dict[int, tuple[int, int]] = {}
+    for mesh in document.get("meshes", []):
+        for primitive in mesh.get("primitives", []):
+            extensions = primitive.get("extensions")
+            own = extensions.get(DRACO) if isinstance(extensions, dict) else None
+            if not isinstance(own, dict) or not isinstance(own.get("attributes"), dict):
+                continue
+            view = own.get("bufferView")
+            for name, number in own["attributes"].items():
+                accessor = primitive.get("attributes", {}).get(name)
+                if all(isinstance(value, int) and not isinstance(value, bool) for value in (view, number, accessor)):
+                    found[accessor] = view, number
+    return found
+
+
+def unpacked_mesh(data: bytes, subject: object) -> dict[int, NDArray[Any]]:
+    """The attributes of a Draco mesh by their numbers, [count, width] each. `InputError` for data that cannot be
+    decoded."""
+    package = decoder(DRACO, subject)
+    try:
+        mesh = package.decode(data)
+    except Exception as error:  # noqa: BLE001 - the package raises whatever its decoder did
+        raise InputError(subject, f"has a mesh that {DRACO} cannot decode ({shown(str(error), 80)})",
+                         "copy or export it again") from None
+    return {int(own["unique_id"]): np.asarray(own["data"]) for own in mesh.attributes}

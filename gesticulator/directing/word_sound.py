@@ -1,0 +1,146 @@
+"""What the sound of a word says about its gesture: where the stressed vowel begins, and how emphatic the word is.
+
+Both are found from the samples around the word alone, and neither depends on the level of the whole recording.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, sosfiltfilt
+
+from data_module.types import Array, Speech, Word
+from gesticulator.directing.directions import stroke_of_word
+
+__all__ = ["WordSounds"]
+
+_LEAD = 0.08
+"""Seconds by which a stroke comes before the vowel: a beat of the hand leads the voice by .075 s in the median."""
+_EXPECTED, _TO_PEAK = 0.3, 0.04
+"""A stressed vowel is expected to begin at this share of its word, and to be loudest so many seconds later."""
+_HOP = 0.01
+_AROUND = 0.1
+"""Seconds of sound around a word that are filtered with it, so that its ends are not those of the filter."""
+_STRAYS = 60.0
+"""Decibels that a vowel must be louder for each second that it is further from where it is expected. Without, every
+tenth word of several syllables takes an unstressed one; 30 to 100 make no difference."""
+_RISES, _LONGEST_RISE = 5.0, 0.15
+"""A vowel begins where its level is so many decibels under its peak, at most so many seconds before it."""
+_VOICED = 0.5
+"""Least autocorrelation of a voiced frame."""
+_FRAME, _PITCHES = 0.04, (70.0, 400.0)
+"""Seconds of a frame for voicing and pitch, and hertz between which pitch is sought."""
+_NEIGHBOURS, _FEWEST = 2.5, 3
+"""Seconds on both sides of a word within which its neighbours begin, and how many are needed."""
+_SPREAD = (6.0, 4.0, 0.4)
+"""Decibels, semitones, and natural logarithms of duration by which a word stands out plainly from its neighbours."""
+_STRONG, _WEAK = 0.45, -0.45
+_SIZES = (0.8, 1.0, 1.25)
+
+
+class WordSounds:
+    """The sound of a recording, word by word."""
+
+    def __init__(self, speech: Speech, words: Sequence[Word]) -> None:
+        """words: those that are spoken, in order of their start."""
+        self._samples, self._rate = speech.samples, speech.sample_rate
+        self._words = list(words)
+        self._measured = functools.cache(self._measure)
+
+    def stroke(self, word: Word) -> float:
+        """Seconds at which the stroke of a word's gesture falls: just before its stressed vowel."""
+        vowel = self.vowel(word)
+        return stroke_of_word(word) if vowel is None else max(vowel - _LEAD, 0.0)
+
+    def vowel(self, word: Word) -> float | None:
+        """Seconds at which the stressed vowel of a word begins: the loudest voiced one, the nearer to where it is
+        expected the better. None where nothing is voiced."""
+        level, voiced, _ = self._frames(word)
+        if not voiced.any():
+            return None
+        times = word.start + _HOP * np.arange(len(level))
+        expected = word.start + _EXPECTED * (word.end - word.start) + _TO_PEAK
+        peak = int(np.argmax(np.where(voiced, level - _STRAYS * np.abs(times - expected), -np.inf)))
+        while peak + 1 < len(level) and level[peak + 1] > level[peak]:
+            peak += 1
+        while peak > 0 and level[peak - 1] > level[peak]:
+            peak -= 1
+        begin, first = peak, max(peak - round(_LONGEST_RISE / _HOP), 0)
+        while begin > first and level[begin - 1] > level[peak] - _RISES:
+            begin -= 1
+        return float(times[begin])
+
+    def size(self, word: Word) -> float:
+        """The factor on the size of a word's gesture: larger for a word that is louder, higher and longer than the
+        words around it, smaller for one that is less so, and 1 where too little is known."""
+        emphasis = self.emphasis(word)
+        return _SIZES[2] if emphasis >= _STRONG else _SIZES[0] if emphasis <= _WEAK else _SIZES[1]
+
+    def emphasis(self, word: Word) -> float:
+        """How much a word stands out from its neighbours: the mean of the differences in loudness, pitch and duration,
+        each between -1 and 1."""
+        near = [other for other in self._words
+                if abs(other.start - word.start) <= _NEIGHBOURS and other.start != word.start]
+        rows = np.array([self._measured(other) for other in near]).reshape(len(near), 3)
+        differences = []
+        for at, (mine, spread) in enumerate(zip(self._measured(word), _SPREAD, strict=True)):
+            others = rows[:, at][np.isfinite(rows[:, at])]
+            if len(others) >= _FEWEST and math.isfinite(mine):
+                differences.append(float(np.clip((mine - np.median(others)) / spread, -1.0, 1.0)))
+        return sum(differences) / len(differences) if differences else 0.0
+
+    def _measure(self, word: Word) -> tuple[float, float, float]:
+        """Peak level, decibels; median pitch, semitones; duration in relation to its letters, logarithm. NaN where
+        there is none."""
+        level, voiced, pitch = self._frames(word)
+        letters = sum(mark.isalnum() for mark in word.text)
+        lasts = math.log(max(word.end - word.start, _HOP) / (0.12 + 0.045 * letters))
+        if not voiced.any():
+            return math.nan, math.nan, lasts
+        return float(level[voiced].max()), float(np.median(pitch[voiced])), lasts
+
+    def _frames(self, word: Word) -> tuple[Array, Array, Array]:
+        """Of a word every `_HOP` seconds: [T] level of the band of vowels, decibels; whether it is voiced; its pitch,
+        semitones."""
+        hop, length = round(_HOP * self._rate), round(_FRAME * self._rate)
+        longest = round(self._rate / _PITCHES[0])
+        count = max(round((word.end - word.start) / _HOP), 1)
+        first, margin = round(word.start * self._rate), round(_AROUND * self._rate)
+        wanted = np.arange(first - margin, first + count * hop + margin + length + longest)
+        inside = (wanted >= 0) & (wanted < len(self._samples))
+        sound = np.where(inside, self._samples[np.clip(wanted, 0, len(self._samples) - 1)], 0.0).astype(np.float64)
+        loudest = float(np.abs(sound).max())
+        if loudest == 0.0:
+            return np.full(count, -np.inf), np.zeros(count, bool), np.full(count, np.nan)
+        level = _level(sound, self._rate, hop)[margin // hop:margin // hop + count]
+        starts = margin + hop * np.arange(count) + hop // 2 - length // 2
+        voiced, pitch = _voicing(sound[starts[:, None] + np.arange(length + longest)], length, self._rate, loudest)
+        return level, voiced, pitch
+
+
+def _level(sound: Array, rate: float, hop: int) -> Array:
+    """[T] decibels between 300 and 2500 Hz, where vowels are loud, every `hop` samples."""
+    band = butter(2, (300, min(2500, 0.45 * rate)), "bandpass", fs=rate, output="sos")
+    power = sosfiltfilt(band, sound) ** 2
+    frames = power[:len(power) // hop * hop].reshape(-1, hop).mean(axis=1)
+    level: Array = gaussian_filter1d(10.0 * np.log10(frames + 1e-12 * power.max() + 1e-300), 2.0)
+    return level
+
+
+def _voicing(frames: Array, length: int, rate: float, loudest: float) -> tuple[Array, Array]:
+    """[T] whether frames [T, length + longest lag] are voiced, and their pitch, semitones: by autocorrelation."""
+    low, high = round(rate / _PITCHES[1]), round(rate / _PITCHES[0])
+    frames = frames - frames.mean(axis=1, keepdims=True)
+    size = 1 << (frames.shape[1] + length - 1).bit_length()
+    begin = np.fft.rfft(frames[:, :length], size)
+    shared = np.fft.irfft(np.conj(begin) * np.fft.rfft(frames, size), size)[:, low:high]
+    squares = np.cumsum(np.pad(frames ** 2, ((0, 0), (1, 0))), axis=1)
+    energies = squares[:, length + low:length + high] - squares[:, low:high]
+    mine = squares[:, length:length + 1]
+    likeness = shared / np.sqrt(np.maximum(energies * mine, (1e-6 * loudest ** 2 * length) ** 2))
+    best = np.argmax(likeness, axis=1)
+    return likeness.max(axis=1) > _VOICED, 12.0 * np.log2(rate / (low + best))

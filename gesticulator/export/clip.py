@@ -1,0 +1,80 @@
+"""How a motion is laid out as a clip for animation tools: its name, its keys, its loop, its layer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from data_module.errors import InputError, shown
+from data_module.motion.skeletons import LEG_JOINTS
+
+NAME = "gesture"
+"""Default name of a clip."""
+KEYS = 0.1
+"""Default bound on the error of reduced keys, degrees: a tenth of the smallest turn of a limb that is noticed."""
+MOST_KEYS = 5.0
+"""Largest bound, degrees: beyond, gestures lose their shape."""
+CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".parquet", ".usda", ".usdc", ".vrma")
+"""Suffixes of formats for which loop, mask, layer, root and sound have a meaning."""
+REDUCED = (".fbx", ".glb", ".vrma")
+"""Suffixes of formats with keys of their own for every track."""
+_LONGEST_NAME = 100
+
+
+STEADY = frozenset({"Hips", *LEG_JOINTS})
+"""Our joints whose errors add up at the feet."""
+
+
+@dataclass(frozen=True)
+class ClipLayout:
+    """The options of a clip.
+
+    name: of the animation in the file. keys: largest error of a rotation in degrees that leaving out keys may cause, 0
+    to write every frame. loop: the end passes into the beginning without a seam. upper: the upper body alone; hips and
+    legs have no tracks and stay at rest. additive: rotations are written relative to the resting pose, to be added to
+    another clip; of the upper body alone. root: the hips travel; False: they stay in place, and the feet where they
+    are. sound: a WAV file is written beside the motion.
+    """
+
+    name: str = NAME
+    keys: float = KEYS
+    loop: bool = False
+    upper: bool = False
+    additive: bool = False
+    root: bool = True
+    sound: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.name or len(self.name) > _LONGEST_NAME or not self.name.isprintable():
+            raise InputError(f"--clip-name {shown(self.name)}", "is not a name",
+                             f"give 1 to {_LONGEST_NAME} printable characters")
+        if not 0.0 <= self.keys <= MOST_KEYS:
+            raise InputError(f"--keys {self.keys:g}", "is out of range",
+                             f"give all, or up to {MOST_KEYS:g} degrees (default {KEYS:g})")
+
+    @property
+    def bare(self) -> bool:
+        """Whether hips and legs have no tracks."""
+        return self.upper or self.additive
+
+    @property
+    def changes_motion(self) -> bool:
+        """Whether more than names and keys is other than in the plain motion."""
+        return self.loop or self.bare or not self.root
+
+
+EVERY_FRAME = ClipLayout(keys=0.0)
+"""A clip with a key at every frame."""
+
+
+def parse_keys(text: str) -> float:
+    """The value of --keys: degrees, or 0 for "all". `InputError` for anything else."""
+    if text == "all":
+        return 0.0
+    try:
+        degrees = float(text)
+    except ValueError:
+        degrees = -1.0
+    if not 0.0 < degrees <= MOST_KEYS:
+        raise InputError(f"--keys {shown(text)}", "is neither all nor a number of degrees",
+                         f"give all, or up to {MOST_KEYS:g} degrees (default {KEYS:g})")
+    return degrees

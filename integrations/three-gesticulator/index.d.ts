@@ -1,0 +1,74 @@
+import type { AnimationAction, AnimationClip, AnimationMixer, Object3D } from "three";
+
+/** What is used of a VRM, as `@pixiv/three-vrm` loads it. */
+export interface VrmLike {
+  scene: Object3D;
+  meta?: { metaVersion?: string };
+  humanoid: {
+    getNormalizedBoneNode(bone: string): Object3D | null;
+    normalizedRestPose: { hips?: { position?: number[] | [number, number, number] } };
+  };
+}
+
+/** What is used of a file that `GLTFLoader` loaded. */
+export interface GltfLike {
+  scene: Object3D;
+  animations: AnimationClip[];
+  parser: { json: any; getDependency(type: string, index: number): Promise<any> };
+}
+
+export interface PlayerOptions {
+  /** A URL or a media element: it is the clock. */
+  sound?: string | HTMLMediaElement | null;
+  loop?: boolean;
+  /** Add the clip to what other clips of the same mixer do. */
+  additive?: boolean;
+  weight?: number;
+  /** A mixer to share; then its owner updates it. */
+  mixer?: AnimationMixer | null;
+}
+
+export class GesturePlayer {
+  constructor(root: Object3D, clip: AnimationClip, options?: PlayerOptions);
+  readonly root: Object3D;
+  readonly clip: AnimationClip;
+  readonly sound: HTMLMediaElement | null;
+  readonly mixer: AnimationMixer;
+  readonly action: AnimationAction;
+  play(): Promise<void>;
+  stop(): void;
+  /** delta: seconds since the last call; measured where it is left out. */
+  update(delta?: number | null): void;
+}
+
+export function additiveClip(clip: AnimationClip, root: Object3D): AnimationClip;
+
+export function vrmClip(gltf: GltfLike, vrm: VrmLike, index?: number): Promise<AnimationClip>;
+
+export interface StreamOptions {
+  /** Hertz of the sound that is sent. */
+  sampleRate?: number;
+  token?: string | null;
+  fps?: number;
+  /** Options of the performance, as in protocol.json. */
+  options?: Record<string, unknown>;
+  onEvent?: (message: { type: string; [key: string]: unknown }) => void;
+}
+
+export interface Frame {
+  /** Local rotations of the joints, four numbers each, w first. */
+  turns: Float32Array;
+  /** Place of the hips, metres. */
+  root: Float32Array;
+}
+
+export class GestureStream {
+  constructor(url: string, options?: StreamOptions);
+  /** Resolved when the server has answered, rejected when it closes the connection before. */
+  readonly ready: Promise<GestureStream>;
+  say(message: { type: string; [key: string]: unknown }): void;
+  send(samples: Float32Array): void;
+  close(): void;
+  at(time: number): Frame | undefined;
+  show(vrm: VrmLike, time: number): boolean;
+}

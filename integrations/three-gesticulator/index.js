@@ -1,0 +1,2 @@
+export { GesturePlayer, additiveClip, vrmClip } from "./clips.js";
+export { GestureStream } from "./stream.js";

@@ -1,0 +1,104 @@
+"""Hands of the default character outside its trunk and face: known answers, limits on speed, whole performances."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from data_module.motion import rotation
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import CHARACTER, FINGERED
+from data_module.types import Array, Motion
+from gesticulator import Gesticulator
+from gesticulator.body.clearance import HEAD_RADIUS, STEEPEST, cleared, face_front, trunk_front
+from gesticulator.body.mirror import mirrored_motion
+from gesticulator.characters.contacts import OURS, our_distances, pose_of
+
+FPS = 60.0
+
+
+def reaching(angles: Array, elbow: Array) -> Motion:
+    """An arm swung across the body by `angles` [T] and bent by `elbow` [T], radians, from a T-pose, half lowered."""
+    turns = np.zeros((len(angles), len(FINGERED), 4))
+    turns[..., 0] = 1.0
+    down = rotation.from_exponential_map(np.tile([0.0, 0.0, -1.1], (len(angles), 1)))
+    across = rotation.from_exponential_map(angles[:, None] * [0.0, -1.0, 0.0])
+    turns[:, FINGERED.index("LeftArm")] = rotation.multiply(across, down)
+    turns[:, FINGERED.index("LeftForeArm")] = rotation.from_exponential_map(elbow[:, None] * [0.0, -1.0, 0.0])
+    return Motion(FINGERED, turns, np.zeros((len(angles), 3)), FPS)
+
+
+def test_the_front_covers_the_trunk_and_is_nowhere_steeper_than_stated() -> None:
+    across = np.linspace(-0.5, 0.5, 4001)
+    front = trunk_front(across)
+    width, depth = OURS
+    inside = np.abs(across) < width
+    ellipse = depth * np.sqrt(1 - (across[inside] / width) ** 2)
+    assert (front[inside] >= ellipse - 1e-9).all() and trunk_front(np.zeros(1))[0] == depth
+    assert np.abs(np.diff(front) / np.diff(across)).max() <= STEEPEST + 1e-6
+    assert front[across > 0.2].max() < -0.1, "a hanging hand is beside it"
+    radius = np.linspace(0, 0.5, 1001)
+    face = face_front(radius)
+    sphere = radius < HEAD_RADIUS
+    assert (face[~sphere] <= 1e-9).all() and face[0] == HEAD_RADIUS
+    assert np.abs(np.diff(face) / np.diff(radius)).max() <= 2.0 + 1e-6
+
+
+def test_a_hand_that_goes_through_the_trunk_passes_in_front_of_it() -> None:
+    time = np.arange(120) / FPS
+    motion = reaching(1.2 + 0.9 * np.sin(2 * np.pi * time), np.full(120, 1.9))
+    before, free = our_distances(pose_of(motion))["Left"], cleared(motion)
+    assert before.min() < -0.05, "it does go through"
+    assert our_distances(pose_of(free))["Left"].min() > 0.0
+    hand = FINGERED.index("LeftHand")
+    speeds = [np.linalg.norm(np.diff(positions_of(one)[:, hand], axis=0), axis=1) * FPS for one in (motion, free)]
+    assert speeds[1].max() < 2.0 * speeds[0].max(), "no jump"
+    clear = before > 0.06
+    still = [FINGERED.index(name) for name in ("Head", "RightArm", "LeftShoulder")]
+    np.testing.assert_array_equal(free.rotations[:, still], motion.rotations[:, still])
+    assert clear.any()
+
+
+def test_a_pose_that_is_clear_stays_bit_for_bit() -> None:
+    motion = reaching(np.zeros(5), np.zeros(5))
+    assert cleared(motion) is motion
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (4, len(CHARACTER), 1))
+    tee = Motion(CHARACTER, turns, np.zeros((4, 3)), FPS)
+    assert cleared(tee) is tee, "16 joints, without knuckles"
+
+
+@settings(max_examples=25)
+@given(st.floats(0.2, 2.4), st.floats(0.0, 2.4), st.floats(-0.02, 0.02))
+def test_a_small_step_of_the_arm_is_a_small_step_after_it(swing: float, elbow: float, step: float) -> None:
+    pair = cleared(reaching(np.array([swing, swing + step]), np.array([elbow, elbow + step])))
+    places = positions_of(pair)[:, FINGERED.index("LeftHand")]
+    assert np.linalg.norm(places[1] - places[0]) < 0.004 + 3.0 * abs(step)
+
+
+def test_both_sides_are_mirror_images() -> None:
+    time = np.arange(30) / FPS
+    motion = reaching(1.2 + 0.9 * np.sin(4 * np.pi * time), np.full(30, 1.9))
+    other = cleared(mirrored_motion(motion))
+    assert rotation.angle_between(mirrored_motion(other).rotations, cleared(motion).rotations).max() < 1e-6
+
+
+@pytest.fixture(scope="module")
+def system() -> Gesticulator:
+    return Gesticulator.from_pretrained()
+
+
+@pytest.mark.parametrize("knobs", [{}, {"intensity": 2.0, "legs": True}, {"energy": "lively", "mirror": True},
+                                   {"hand_radius": 0.15, "hold_still": ((3.2, 5.0),)}])
+@pytest.mark.filterwarnings("ignore:hand_radius")
+def test_no_hand_is_in_the_trunk_at_any_knob(knobs: dict, system: Gesticulator) -> None:
+    samples, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32",
+                                   frames=160_000)
+    motion = system(samples, rate, seed=1, **knobs).motion
+    for gap in our_distances(pose_of(replace(motion, root_positions=np.zeros_like(motion.root_positions)))).values():
+        assert gap.min() > -0.01
