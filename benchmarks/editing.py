@@ -1,8 +1,9 @@
-"""What one edit of a plan costs: `python benchmarks/editing.py [--speech FILE --text FILE] [--seconds 7]`.
+"""What edits of a plan cost: `python benchmarks/editing.py [--minutes 10] [--speech FILE ...] [--text FILE]`.
 
-A page sends a whole plan after each edit (`LivePlans.answer`). The lexeme of one block after another is swapped; the
-first edit, which makes the drawing that all start from, is left out. Calls do not depend on the machine: they are of
-functions of this project, of the json module, and of everything (numpy, torch and built-in functions included).
+Processor time from the page's request to its answer (`LivePlans.answer`), in the order of an editor's session: after
+twenty edits of all kinds, a swap costs what it cost at first. With --minutes, the recordings are repeated up to that
+length. Calls do not depend on the machine: they are of functions of this project, of the json module, and of everything
+(numpy, torch and built-in functions included).
 """
 
 from __future__ import annotations
@@ -10,22 +11,29 @@ from __future__ import annotations
 import argparse
 import copy
 import cProfile
+import gc
+import json
 import pstats
-import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import soundfile
 import torch
 
+from data_module.speech.audio import SAMPLE_RATE, resample
 from data_module.types import Speech
 from gesticulator import Gesticulator
-from gesticulator.serve.edits import LivePlans
+from gesticulator.export.html import describe
+from gesticulator.serve.edits import LivePlans, plan_with
 
 ROOT = Path(__file__).resolve().parents[1]
+VIEW = 12.0
+"""Seconds of the timeline that are visible."""
+Plain = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -50,7 +58,7 @@ def calls_of(run: Callable[[], object]) -> Calls:
     return Calls(project, in_json, every)
 
 
-def swapped(plan: dict[str, Any], at: int) -> dict[str, Any]:
+def swapped(plan: Plain, at: int) -> Plain:
     """The plan with the next best lexeme in one block."""
     edited = copy.deepcopy(plan)
     block = edited["blocks"][at]
@@ -58,35 +66,137 @@ def swapped(plan: dict[str, Any], at: int) -> dict[str, Any]:
     return edited
 
 
+def headers(parts: Iterable[bytes]) -> list[Plain]:
+    """The headers of the messages of an answer."""
+    data, out = b"".join(parts), []
+    while data:
+        start = 4 + int.from_bytes(data[:4], "little")
+        out.append(json.loads(data[4:start]))
+        data = data[start + out[-1]["bytes"]:]
+    return out
+
+
+@dataclass
+class Editor:
+    """A page's side of edits, which prints a row of the table for each edit with a name."""
+
+    plans: LivePlans
+    plan: Plain
+    have: int
+
+    def edit(self, what: str, plan: Plain) -> None:
+        """Send a plan, which shares what it did not change with the present one."""
+        old, new = self.plan["blocks"], plan["blocks"]
+        head = next((at for at, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
+        tail = next((at for at, (a, b) in enumerate(zip(old[::-1], new[::-1], strict=False)) if a != b), 0)
+        tail = min(tail, len(old) - head, len(new) - head)
+        parts = {name: plan.get(name) for name in {*self.plan, *plan}
+                 if name != "blocks" and plan.get(name) != self.plan.get(name)}
+        middle = new[min(head, len(new) - 1)]["start"]
+        request = {"have": self.have, "view": [middle - VIEW / 2, middle + VIEW / 2], "changes": {
+            "blocks": [[head, len(old) - tail, new[head:len(new) - tail]]], "parts": parts}}
+        begin = time.process_time()
+        answer = [(part, time.process_time() - begin) for part in self.plans.answer(request)]
+        told = headers(part for part, _ in answer)
+        frames = sum(last - first for one in told for first, last in one["ranges"])
+        if what:
+            print(f"| {what} | {answer[0][1]:.3f} | {answer[-1][1]:.3f} | {frames:,} |", flush=True)
+        self.have, self.plan = told[-1]["rendering"], plan_with(plan, told[-1]["changes"])
+
+    def changed(self, what: str, change: Callable[[list[Plain], Plain], None]) -> None:
+        """Edit a copy of the present plan."""
+        plan = copy.deepcopy(self.plan)
+        change(plan["blocks"], plan)
+        self.edit(what, plan)
+
+
+def _swap(at: int) -> Callable[[list[Plain], Plain], None]:
+    return lambda blocks, plan: blocks[at].update(lexeme=(blocks[at]["lexeme"] + 7) % 200)
+
+
+def _delete(at: int) -> Callable[[list[Plain], Plain], None]:
+    def delete(blocks: list[Plain], plan: Plain) -> None:
+        blocks[at].update(end=blocks[at + 1]["end"], flag=blocks[at + 1]["flag"])
+        del blocks[at + 1]
+
+    return delete
+
+
+def _move(at: int) -> Callable[[list[Plain], Plain], None]:
+    def move(blocks: list[Plain], plan: Plain) -> None:
+        middle = (blocks[at]["start"] + 2 * blocks[at]["end"]) / 3
+        blocks[at].update(end=middle, flag="edited")
+        blocks[at + 1]["start"] = middle
+
+    return move
+
+
+def _knob(**values: Any) -> Callable[[list[Plain], Plain], None]:
+    return lambda blocks, plan: plan["knobs"].update(values)
+
+
+def session(editor: Editor) -> None:
+    """The edits of the table."""
+    count = len(editor.plan["blocks"])
+    at = [count * part // 20 for part in range(1, 20)]
+    editor.changed("first swap", _swap(at[9]))
+    before = editor.plan
+    editor.changed("swap", _swap(at[3]))
+    editor.edit("undo", before)
+    editor.changed("silence", lambda blocks, plan: blocks[at[4]].update(silent=not blocks[at[4]]["silent"]))
+    editor.changed("mirror", lambda blocks, plan: blocks[at[5]].update(mirror=True))
+    editor.changed("smaller", lambda blocks, plan: blocks[at[6]].update(intensity=0.5))
+    editor.changed("named gesture", lambda blocks, plan: plan.update(cues=[{"gesture": "wave",
+                                                                           "time": blocks[at[7]]["end"]}]))
+    editor.changed("delete a beat", _delete(at[8]))
+    editor.changed("move a beat", _move(at[11]))
+    for number in range(12):
+        editor.changed("", _swap(at[number]))
+    editor.changed("swap after 20 edits", _swap(at[13]))
+    for name, value, other in (("intensity", 1.5, 1.0), ("activity", 0.5, 1.0)):
+        editor.changed(f"{name} {value} of the whole take", _knob(**{name: value}))
+        editor.changed(f"swap under {name} {value}", _swap(at[14]))
+        editor.changed(f"{name} {other} again", _knob(**{name: other}))
+
+
+def _speech(files: list[Path], minutes: float | None) -> Speech:
+    """The recordings one after the other, repeated up to a length."""
+    parts = []
+    for file in files:
+        samples, rate = soundfile.read(file, dtype="float32")
+        parts.append(resample(Speech(samples if samples.ndim == 1 else samples.mean(axis=1), rate),
+                              SAMPLE_RATE).samples)
+    samples = np.concatenate(parts)
+    if minutes is not None:
+        count = round(60 * minutes * SAMPLE_RATE)
+        samples = np.tile(samples, -(-count // len(samples)))[:count]
+    return Speech(samples, SAMPLE_RATE)
+
+
 def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    p.add_argument("--speech", type=Path, default=ROOT / "examples" / "speech.flac")
-    p.add_argument("--text", type=Path, help="what is said; the text beside the example")
-    p.add_argument("--seconds", type=float, help="of the recording; all of it")
-    p.add_argument("--edits", type=int, default=10, metavar="N")
+    p.add_argument("--speech", type=Path, nargs="+", default=[ROOT / "examples" / "speech.flac"])
+    p.add_argument("--text", type=Path, help="what is said")
+    p.add_argument("--minutes", type=float, help="length up to which the recordings are repeated")
     asked = p.parse_args()
     torch.set_num_threads(1)
-    samples, rate = soundfile.read(asked.speech, dtype="float32")
-    count = len(samples) if asked.seconds is None else round(asked.seconds * rate)
-    speech = Speech(samples[:count], rate)
-    system = Gesticulator.from_pretrained()
+    speech, system = _speech(asked.speech, asked.minutes), Gesticulator.from_pretrained()
+    system.keeps_drawings = True
+    begin = time.process_time()
     first = system(speech, text=asked.text, seed=1)
-    plans, plan = LivePlans(system, first), first.explain()
-    middle = len(plan["blocks"]) // 2
-    plans.answer(swapped(plan, middle))
-    edits = [swapped(plan, (middle + at) % len(plan["blocks"])) for at in range(asked.edits)]
-    seconds = []
-    for edit in edits:
-        begin = time.process_time()
-        plans.answer(edit)
-        seconds.append(time.process_time() - begin)
-    again = swapped(plan, middle)
-    calls = calls_of(lambda: plans.answer(again))
-    print("| recording, s | blocks | project's calls | json's calls | all calls | processor time, ms |")
-    print("|---|---|---|---|---|---|")
-    print(f"| {speech.duration:.1f} | {len(plan['blocks'])} | {calls.project:,} | {calls.json:,} | {calls.every:,} | "
-          f"{1000 * statistics.median(seconds):.0f} |")
+    drawn = time.process_time() - begin
+    plan = describe(first.scene())["plan"]
+    plans = LivePlans(system, first)
+    gc.collect()
+    gc.freeze()  # as gesticulator view does
+    begin = time.process_time()
+    editor = Editor(plans, plan, plans.opened(first, plan))
+    opened = time.process_time() - begin
+    print(f"{speech.duration:.0f} s, {len(plan['blocks'])} blocks; drawn in {drawn:.1f} s, "
+          f"editable {opened:.2f} s after that")
+    print("\n| edit | first frames, s | all, s | frames sent |\n|---|---|---|---|")
+    session(editor)
 
 
 if __name__ == "__main__":

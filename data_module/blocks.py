@@ -209,9 +209,10 @@ class KnotPath:
         count = max(1, round(duration * self.fps))
         return self._given(count, count)
 
-    def frames(self, first: int, last: int) -> Array:
-        """[T, D] the frames from `first` to before `last` again, if the knots around them are still stored."""
-        return self._frames(np.arange(first, last))
+    def frames(self, first: int, last: int, count: int | None = None) -> Array:
+        """[T, D] the frames from `first` to before `last` again, if the knots around them are still stored. count: of
+        all frames, where that is known."""
+        return self._frames(np.arange(first, last), count)
 
     def rewind(self, times: Array, values: Array, first: int) -> None:
         """Go back to frame `first`: `values` are the knots [M, D], at least two, up to the one after which the path

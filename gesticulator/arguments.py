@@ -157,6 +157,14 @@ def check_cues(system: Gesticulator, args: argparse.Namespace) -> None:
                 raise InputError(f"--cue {shown(gesture)}", "is the name of no gesture", near_gestures(gesture, names))
 
 
+def print_list(system: Gesticulator, what: str) -> None:
+    """Print the names of the "speakers" or "interpreters", with the default one marked."""
+    names = system.speakers if what == "speakers" else system.interpreters
+    default = system.speakers[system.speaker_index(None)] if what == "speakers" else names[0]
+    for name in names:
+        print(f"{name}  (default)" if name == default else name)
+
+
 def controls_from_args(system: Gesticulator, args: argparse.Namespace) -> Controls | None:
     """The style controls given on the command line; None if there are none."""
     from data_module.controls import controls_from

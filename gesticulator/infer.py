@@ -15,13 +15,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
-from gesticulator.arguments import check_choices, check_cues, controls_from_args, performance_arguments, plan_from_args
+from gesticulator.arguments import (
+    check_choices,
+    check_cues,
+    controls_from_args,
+    performance_arguments,
+    plan_from_args,
+    print_list,
+)
 from gesticulator.batch.jobs import Job, check_job, clip_is_asked, is_folder, perform, plan, retargeter_for
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.export.writers import UNITS, WRITERS, check_output, suffix_of
 
 if TYPE_CHECKING:
-    from gesticulator.pipeline import Gesticulator
+    pass
 
 EXIT_PART_FAILED = 1
 _OUTPUTS = {"preview": ".html", "plan_out": ".json"}
@@ -102,7 +109,8 @@ def run(args: argparse.Namespace) -> int:
 
                 system = Gesticulator.from_pretrained(args.bundle)
                 if args.list:
-                    return _list(system, args.list)
+                    print_list(system, args.list)
+                    return 0
                 check_cues(system, args)
                 controls = controls_from_args(system, args)
                 if args.one_file:
@@ -205,15 +213,6 @@ def _suffix_of(name: str, chosen: str | None) -> str:
     if chosen is not None:
         raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
     return suffix_of(name) or f".{FORMAT}"
-
-
-def _list(system: Gesticulator, what: str) -> int:
-    """Print the names, with the default one marked."""
-    names = system.speakers if what == "speakers" else system.interpreters
-    default = system.speakers[system.speaker_index(None)] if what == "speakers" else names[0]
-    for name in names:
-        print(f"{name}  (default)" if name == default else name)
-    return 0
 
 
 def _conclude(count: int, done: int, quiet: bool) -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import Character, CharacterMotion
     from gesticulator.directing.retiming_report import RetimingReport
+    from gesticulator.drawing.driver import Drawing
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.scene import Scene
     from gesticulator.options import InferenceOptions
@@ -56,6 +57,8 @@ class Performance:
     """Returns the names of the lexemes."""
     retiming: RetimingReport | None = None
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
+    drawing: Drawing | None = field(default=None, repr=False, compare=False)
+    """The first generation, from which edits start (`Gesticulator.keeps_drawings`)."""
     character: CharacterMotion | None = None
     """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
     face: FaceMotion | None = None

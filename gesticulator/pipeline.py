@@ -24,7 +24,16 @@ from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for, representation_of
 from gesticulator.bundle.files import lexicon_hash
 from gesticulator.drawing.cutter import BlockCutter, encode_speech
-from gesticulator.drawing.driver import Cast, ControlRows, Driver, GeneratedMotion, OnBlock, controls_at, requests
+from gesticulator.drawing.driver import (
+    Cast,
+    ControlRows,
+    Drawing,
+    Driver,
+    GeneratedMotion,
+    OnBlock,
+    controls_at,
+    requests,
+)
 from gesticulator.drawing.rollout import Sampling
 from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceArguments, InferenceOptions, interpreter_name
@@ -37,8 +46,10 @@ if TYPE_CHECKING:
     from data_module.face import FaceMotion
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
+    from gesticulator.directing.directions import Shaping
     from gesticulator.directing.editing import PlanRenderer
     from gesticulator.directing.lexeme_names import LexemeName
+    from gesticulator.directing.record import Origin
     from gesticulator.directing.retiming import Retimed
     from gesticulator.directing.retiming_report import RetimingReport
     from gesticulator.plan.plan import GesturePlan, PlanMeaning
@@ -64,6 +75,8 @@ class Gesticulator:
         self._names: tuple[LexemeName, ...] | None = None
         self._used_interpreters: dict[str, LexemeInterpreter] = {}
         self._warm: set[bool] = set()
+        self.keeps_drawings = False
+        """Whether performances keep the state before each block (`Performance.drawing`), from which edits start."""
 
     @classmethod
     def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
@@ -199,8 +212,9 @@ class Gesticulator:
             from gesticulator.directing.marks import with_mark_cues
 
             options = with_mark_cues(options, speech.words or ())
-        cast = self.cast(options, self._reads(speech))
-        encoded = self.encode_speech(speech) if encoded is None else encoded
+        cast = self.cast(options, self.reads_words_of(speech))
+        cutters: list[BlockCutter] | None = [] if self.keeps_drawings else None
+        encoded = self.encode_speech(speech, cutters=cutters) if encoded is None else encoded
         directions = None
         if options.directed:
             from gesticulator.directing import directions as directing
@@ -208,8 +222,11 @@ class Gesticulator:
             directions = directing.directions(self.bundle, options, speech, encoded.blocks)
         driver = Driver(self.bundle, cast)
         driver.begin(encoded.text is not None)
-        blocks = driver.run(requests(encoded, self._control_rows(cast.controls, encoded), directions), on_block)
-        return self._performance(speech, options, cast, GeneratedMotion(encoded, blocks, driver.motion(blocks)))
+        states: list[Driver] | None = [] if self.keeps_drawings else None
+        blocks = driver.run(requests(encoded, self._control_rows(cast.controls, encoded.blocks), directions), on_block,
+                            states)
+        made = self._performance(speech, options, cast, GeneratedMotion(encoded.blocks, blocks, driver.motion(blocks)))
+        return made if states is None else replace(made, drawing=Drawing(encoded, blocks, states, cutters or ()))
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
                **options: Unpack[InferenceArguments]) -> Stream:
@@ -293,28 +310,34 @@ class Gesticulator:
         from gesticulator.directing import directions as directing
 
         assert options.plan is not None
-        directing.check_plan_of(self.bundle, options.plan, speech)
-        rendering = (renderer or self.plan_renderer(speech, options, on_block)).render(options.plan)
-        return self._performance(speech, options, self.cast(options, self._reads(speech)), rendering)
+        directing.check_plan_of(self.bundle, options.plan, sound_hash(speech))
+        renderer = renderer or self.plan_renderer(speech, options, on_block)
+        rendering = renderer.render(options.plan)
+        made = self._performance(speech, options, self.cast(options, self.reads_words_of(speech)), rendering)
+        return replace(made, drawing=renderer.drawing) if self.keeps_drawings else made
 
-    def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None) -> PlanRenderer:
+    def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None,
+                      drawing: Drawing | None = None) -> PlanRenderer:
         """A renderer for all plans of one first generation; each then costs only its edited blocks. speech: at 16 kHz.
 
-        options: with a plan of that generation, as returned by `directing.planned`.
+        options: with a plan of that generation, as returned by `directing.planned`; drawing: the generation, if it was
+        kept.
         """
         from gesticulator.directing import directions as directing
         from gesticulator.directing.editing import PlanRenderer, Redrawer
+        from gesticulator.drawing.recut import Recutter
 
         plan = options.plan
         assert plan is not None
-        cast = self.cast(options, self._reads(speech))
+        cast = self.cast(options, self.reads_words_of(speech))
         cast = replace(cast, sampling=replace(cast.sampling, variation=plan.variation))
         rhythm = self.bundle.config.rhythm
         return PlanRenderer(Redrawer(
             lambda activity: Driver(self.bundle, replace(cast, activity=activity)),
-            lambda blocks: self.encode_speech(speech, blocks),
-            lambda encoded: self._control_rows(cast.controls, encoded),
-            lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block)
+            lambda blocks, cutters: self.encode_speech(speech, blocks, cutters),
+            lambda cutters: Recutter(speech.samples, cutters),
+            lambda times: controls_at(self.bundle.levels, cast.controls, times),
+            lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block, drawing)
 
     def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
                 text: Text | None = None, before: SpeechInput | None = None, on_block: OnBlock | None = None
@@ -346,29 +369,41 @@ class Gesticulator:
 
     def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, rendering: GeneratedMotion
                      ) -> Performance:
-        from gesticulator.directing.record import Origin, plan_of, rendered_plan
+        from gesticulator.directing.record import plan_of, rendered_plan
 
-        encoded, blocks, shaping = rendering.encoded, rendering.blocks, None
+        cut, blocks = rendering.cut, rendering.blocks
         meanings = self._meanings(speech, options)
-        if options.shaped or meanings:
-            from gesticulator.directing import directions as directing
-            from gesticulator.directing.meanings import played_meanings
+        shaping = self.shaping(speech, options, cast.speaker, cut.edges, meanings)
+        motion = self.to_motion(rendering.motion, cut, cast.speaker, options, shaping)
+        origin = self.origin(speech, options, cast, meanings)
+        plan = (plan_of(speech, cut, blocks, origin) if options.plan is None else
+                rendered_plan(options.plan, speech, blocks, origin))
+        return Performance(motion, speech, cut, np.array([block.lexeme for block in blocks], np.int64),
+                           np.stack([block.code for block in blocks]), plan, origin.options, self.lexeme_names,
+                           rest=partial(self._rest_pose, cast.speaker), face=self._face(speech, options, plan, motion))
 
-            played = played_meanings(meanings)
-            shaping = directing.shaping(self.bundle, options, cast.speaker, speech.words or (), encoded.blocks.edges,
-                                        lambda until: played)
-        motion = self.to_motion(rendering.motion, encoded, cast.speaker, options, shaping)
+    def shaping(self, speech: Speech, options: InferenceOptions, speaker: int, edges: Array,
+                meanings: tuple[PlanMeaning, ...]) -> Shaping | None:
+        """The changes of the generated poses in blocks with these edges [N + 1]; None for none."""
+        if not options.shaped and not meanings:
+            return None
+        from gesticulator.directing import directions as directing
+        from gesticulator.directing.meanings import played_meanings
+
+        played = played_meanings(meanings)
+        return directing.Shaping(self.bundle, options, speaker, speech.words or (), edges, lambda until: played)
+
+    def origin(self, speech: Speech, options: InferenceOptions, cast: Cast, meanings: tuple[PlanMeaning, ...]
+               ) -> Origin:
+        """Provenance of a performance with these options."""
+        from gesticulator.directing.record import Origin
+
         used = replace(options, speaker=self.speakers[cast.speaker],
                        interpreter=options.interpreter or self.interpreters[0],
                        temperature=cast.sampling.temperature, beta=cast.beta,
                        activity=self.bundle.config.selection.activity if options.activity is None else options.activity,
                        controls=cast.controls, hand_height=None, hand_speed=None, hand_radius=None)
-        origin = Origin(used, self._program(), self._settings(used, self._reads(speech)), cast.score_is, meanings)
-        plan = (plan_of(speech, encoded.blocks, blocks, origin) if options.plan is None else
-                rendered_plan(options.plan, speech, blocks, origin))
-        return Performance(motion, speech, encoded.blocks, np.array([block.lexeme for block in blocks], np.int64),
-                           np.stack([block.code for block in blocks]), plan, used, self.lexeme_names,
-                           rest=partial(self._rest_pose, cast.speaker), face=self._face(speech, options, plan, motion))
+        return Origin(used, self._program(), self._settings(used, self.reads_words_of(speech)), cast.score_is, meanings)
 
     def _face(self, speech: Speech, options: InferenceOptions, plan: GesturePlan, motion: Motion) -> FaceMotion | None:
         """The face over the frames of the body; None where none is asked for."""
@@ -446,13 +481,15 @@ class Gesticulator:
         warn_of_losses(moved.report.losses)
         return moved.plan, moved.report
 
-    def encode_speech(self, speech: Speech, blocks: Blocks | None = None) -> SpeechFeatures:
+    def encode_speech(self, speech: Speech, blocks: Blocks | None = None, cutters: list[BlockCutter] | None = None
+                      ) -> SpeechFeatures:
         """Cut a speech at 16 kHz into blocks, or into the given ones, and encode it, with its words if the bundle reads
-        text."""
-        words = self.word_encoder() if self._reads(speech) else None
-        return encode_speech(speech, self.bundle.config, self._front_end, words, blocks)
+        text. cutters: see `cutter.encode_speech`."""
+        words = self.word_encoder() if self.reads_words_of(speech) else None
+        return encode_speech(speech, self.bundle.config, self._front_end, words, blocks, cutters)
 
-    def _reads(self, speech: Speech) -> bool:
+    def reads_words_of(self, speech: Speech) -> bool:
+        """Whether the words of a speech are read."""
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
 
     def _check_variation(self, variation: int) -> None:
@@ -487,9 +524,8 @@ class Gesticulator:
         text = os.fspath(value) if isinstance(value, str | os.PathLike) else repr(float(value))
         return parse(f"hand_{feature}", text, feature, self.bundle.levels)
 
-    def _control_rows(self, controls: Controls, encoded: SpeechFeatures) -> ControlRows | None:
+    def _control_rows(self, controls: Controls, blocks: Blocks) -> ControlRows | None:
         """[N, K, 2 F] rows of the controls, or None where nothing is controlled."""
-        blocks = encoded.blocks
         rows = controls_at(self.bundle.levels, controls, blocks.knot_times)
         return None if rows is None else rows.reshape(len(blocks), blocks.frames, -1)
 
@@ -516,13 +552,13 @@ class Gesticulator:
                                                if isinstance(value, Curve) else float(value))
         return settings
 
-    def to_motion(self, features: NDArray[np.float32], encoded: SpeechFeatures, speaker: int,
+    def to_motion(self, features: NDArray[np.float32], blocks: Blocks, speaker: int,
                   options: InferenceOptions, shaping: Callable[[Array, Array], Array] | None = None) -> Motion:
         """Normalised blocks [N, K, D_m], warped back onto the time of the speech and smoothed (RG 4.2.2, 7.1.2).
 
         shaping: poses [K, D_m] at seconds [K] -> poses with intensity, mirroring and named gestures applied.
         """
-        path, blocks = MotionPath(self.bundle, speaker, options, shaping=shaping), encoded.blocks
+        path = MotionPath(self.bundle, speaker, options, shaping=shaping)
         parts = [path.push(at, block) for at, block in zip(blocks.knot_times.reshape(len(blocks), -1), features,
                                                            strict=True)]
         pieces = [part for part in (*parts, path.finish(float(blocks.edges[-1]))) if part is not None]

@@ -129,7 +129,7 @@ class Stream:
             from gesticulator.directing import directions as directing
 
             self._director = directing.Director(bundle, options, (), math.inf)
-            shaping = directing.shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]), self._meant)
+            shaping = directing.Shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]), self._meant)
         if self._text:
             from gesticulator.directing.directions import gestures_over
             from gesticulator.directing.stream_marks import StreamMarks

@@ -37,7 +37,7 @@ def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0
     driver = Driver(own, Cast(system.interpreter("lstm"), 0, Sampling(0.0, 0, 0), 1.0, Controls.free()))
     driver.begin()
     made = driver.run(requests(encoded, rows))
-    return GeneratedMotion(encoded, made, driver.motion(made))
+    return GeneratedMotion(encoded.blocks, made, driver.motion(made))
 
 
 def scores(made: GeneratedMotion) -> np.ndarray:

@@ -7,7 +7,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from data_module.errors import InputError
 from data_module.motion import kinematics
 from data_module.motion.skeletons import standing
 from gesticulator.export import html
+from gesticulator.serve.edits import frames_of, message, plan_with, whole_motion
 from gesticulator.serve.page_server import MOST_BYTES, MOST_CONNECTIONS, TOKEN_HEADER, PageServer
 
 SECONDS = 3.0
@@ -33,8 +34,10 @@ class Renderer:
         self.may_go_on = threading.Event()
         self.may_go_on.set()
         self.begun = threading.Event()
+        self.plan: dict[str, Any] = html.describe(self.first.scene())["plan"]
 
-    def __call__(self, plan: dict[str, Any]) -> dict[str, Any]:
+    def __call__(self, request: dict[str, Any], abandoned: Callable[[], bool]) -> Iterator[bytes]:
+        plan = request["plan"] if "plan" in request else plan_with(self.plan, request["changes"])
         self.begun.set()
         assert self.may_go_on.wait(20)
         if "blocks" not in plan:
@@ -44,13 +47,19 @@ class Renderer:
             raise RuntimeError("nobody thought of this")
         same = (lexemes == self.first.lexemes).all()
         made = replace(self.first, motion=(self.first if same else self.other).motion, lexemes=lexemes)
-        return {**html.describe(made.scene()), "plan": plan}
+        self.plan = plan
+        motion = html.shown(made.scene())
+        pieces, root = whole_motion(motion), html.root_path(motion)
+        ranges, data = frames_of(pieces, range(len(pieces.pieces)))
+        yield message({"kind": "done", "rendering": 1, "shape": html.describe_shape(motion, SECONDS), "changes": {
+            "blocks": [], "parts": {}}, "ranges": ranges, "root": len(root)}, data + root)
 
 
 @pytest.fixture
 def served() -> Iterator[tuple[PageServer, Renderer]]:
     server, renderer = PageServer(), Renderer()
-    server.page = html.page({"take": renderer.first.scene()}, "talk", more={"live": {"token": server.token}}).encode()
+    live = {"token": server.token, "renderings": [0]}
+    server.page = html.page({"take": renderer.first.scene()}, "talk", more={"live": live}).encode()
     server.render = renderer
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
@@ -61,13 +70,14 @@ def served() -> Iterator[tuple[PageServer, Renderer]]:
     thread.join(10)
 
 
-def _ask(server: PageServer, method: str = "POST", path: str = "/render", body: bytes | None = None,
+def _ask(server: PageServer, method: str = "POST", path: str = "render", body: bytes | None = None,
          **changed: str | None) -> tuple[int, dict[str, Any] | bytes]:
     """The status and the answer. changed: headers other than those of the page, None for none."""
     headers = {"Host": f"127.0.0.1:{server.server_port}", "Content-Type": "application/json",
                "Origin": f"http://127.0.0.1:{server.server_port}", TOKEN_HEADER: server.token}
     headers |= {name.replace("_", "-"): value for name, value in changed.items()}  # type: ignore[dict-item]
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=20)
+    path = path if path.startswith("/") else f"/{server.secret}/{path}"
     connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
     body = b"" if body is None else body
     for name, value in {"Content-Length": str(len(body)), **headers}.items():
@@ -91,11 +101,13 @@ def test_who_may_ask_and_for_what(served: tuple[PageServer, Renderer]) -> None:
     server, renderer = served
     plan = _plan(renderer)
     assert server.server_address[0] == "127.0.0.1"
-    status, page = _ask(server, "GET", "/")
+    status, page = _ask(server, "GET", "")
     assert status == 200 and page == server.page
     for name in ("evil.example", f"evil.example:{server.server_port}", "127.0.0.1", None):
-        assert _ask(server, "GET", "/", Host=name)[0] == 403
-    assert _ask(server, "GET", "/../etc/passwd")[0] == _ask(server, "GET", "/render")[0] == 404
+        assert _ask(server, "GET", "", Host=name)[0] == 403
+    for path in ("/", "/render", "../etc/passwd", "render", f"/{server.secret}", f"/{server.secret[:-1]}x/", "//"):
+        assert _ask(server, "GET", path)[0] == 404, path
+    assert _ask(server, path="/render", body=plan)[0] == 404, "the token alone is not enough"
     for changed in ({"Origin": "http://evil.example"}, {"Origin": "null"}, {"Origin": None}, {TOKEN_HEADER: "x"},
                     {TOKEN_HEADER: None}, {TOKEN_HEADER: "\xe9"}):
         status, told = _ask(server, body=plan, **changed)
@@ -103,7 +115,7 @@ def test_who_may_ask_and_for_what(served: tuple[PageServer, Renderer]) -> None:
     assert _ask(server, body=plan, Content_Type="text/plain")[0] == 415
     assert _ask(server, body=plan, Content_Length=None)[0] == 411
     assert _ask(server, Content_Length=str(MOST_BYTES + 1))[0] == 413
-    assert _ask(server, "POST", "/other", body=plan)[0] == 404
+    assert _ask(server, "POST", "other", body=plan)[0] == 404
     assert not renderer.begun.is_set(), "nothing of this was rendered"
     assert _ask(server, body=plan)[0] == 200
 
@@ -142,13 +154,15 @@ def test_connections_are_bounded_and_a_port_that_is_taken_is_told(served: tuple[
         PageServer(70_000)
     address = ("127.0.0.1", server.server_port)
     held = [socket.create_connection(address, timeout=20) for _ in range(MOST_CONNECTIONS)]
-    with socket.create_connection(address, timeout=20) as too_many:
-        assert too_many.recv(1) == b"", "closed at once"
+    for half in held[::2]:  # some of them begin a request and never end it
+        half.sendall(b"GET / HTTP/1.1\r\n")
+    assert _ask(server, "GET", "")[0] == 200, "silent connections make room"
+    assert held[0].recv(1) == b"", "the oldest one was closed"
     for connection in held:
         connection.close()
     while server._connections._value < MOST_CONNECTIONS:  # type: ignore[attr-defined]
         time.sleep(0.01)
-    assert _ask(server, "GET", "/")[0] == 200
+    assert _ask(server, "GET", "")[0] == 200
 
 
 def test_an_edit_on_the_page_comes_back_as_motion(served: tuple[PageServer, Renderer]) -> None:

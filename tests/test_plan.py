@@ -118,7 +118,9 @@ def test_what_the_schema_refuses_is_refused_with_its_line(place: tuple[str | int
     ('"seed": 7,', '"seed" 7,', "lacks the colon"), ('"seed": 7,', '"seed": 07,', "lacks a comma"),
     ('"version": 2', '"version": 3', "this version reads 1 and 2"), (FORMAT, "other", "--plan-out"),
     ('"wave"', '"wavy"', "did you mean wave"), ('"word": "Hello"', '"word": null', "a word or a time"),
-    ('"time": 0.5', '"time": 99', "0 to "), ('"lexeme": 1, "silent": true', '"lexeme": 9, "silent": true', "0 to 2"),
+    ('"time": 0.5', '"time": 99', "0 to "),
+    ('"word": "Hello"', '"word": "Hullo"', "spoken 0 times"),
+    ('"lexeme": 1, "silent": true', '"lexeme": 9, "silent": true', "0 to 2"),
 ])
 def test_mistakes_are_told_with_what_is_allowed(old: str, new: str, told: str) -> None:
     text = replace(a_plan(), blocks=(replace(a_plan().blocks[0], lexeme=1), *a_plan().blocks[1:])).to_json()
@@ -127,6 +129,23 @@ def test_mistakes_are_told_with_what_is_allowed(old: str, new: str, told: str) -
     with pytest.raises(InputError, match=told) as error:
         parse_plan(text.replace(old, new, 1), "mine.json")
     assert str(error.value).startswith(f"mine.json, line {line}:")
+
+
+def test_what_would_have_no_effect_or_no_end_is_refused() -> None:
+    plan = a_plan()
+    other = next(name for name in NAMES if name != plan.blocks[2].name)
+    renamed = replace(plan, blocks=(*plan.blocks[:2], replace(plan.blocks[2], name=other), *plan.blocks[3:]))
+    with pytest.raises(InputError, match=r"blocks\[2\].name is .*edit `lexeme`"):
+        parse_plan(renamed.to_json())
+    # Who edits the number by hand leaves the name of the one before.
+    lexeme = (plan.blocks[2].lexeme + 1) % 3  # type: ignore[operator]
+    edited = replace(plan, blocks=(*plan.blocks[:2], replace(plan.blocks[2], lexeme=lexeme), *plan.blocks[3:]))
+    assert parse_plan(edited.to_json()) == edited
+    with pytest.raises(InputError, match=r"cues\[100\] is one of 20000; give 100 at most"):
+        parse_plan(replace(plan, cues=(GestureCue("nod", time=0.5),) * 20_000).to_json())
+    curve = replace(plan, curves=(KnobCurve("intensity", (0.0, 1.0), (1.0, 2.5)),))
+    with pytest.raises(InputError, match=r"hold 2\.5; give 0 to 2"):
+        parse_plan(curve.to_json())
 
 
 def test_blocks_must_tile_the_sound_and_last_as_long_as_blocks_may() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import base64
 import http.client
 import json
@@ -16,8 +17,12 @@ import pytest
 import soundfile
 from small_characters import write_character
 
+from gesticulator import Gesticulator
+from gesticulator.batch.jobs import Job
+from gesticulator.plan.plan_file import read_plan
 from gesticulator.serve.page_server import TOKEN_HEADER
-from gesticulator.serve.view_command import COMMAND
+from gesticulator.serve.saved_edits import SavedEdits, place_of
+from gesticulator.serve.view_command import COMMAND, _go_on, _way_in
 
 ROOT = Path(__file__).resolve().parents[1]
 # A shell that starts the tests in its background has its children ignore the interruption that ends the page.
@@ -38,7 +43,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ([], "speech: is missing"), (["a.wav", "b.wav"], "names 2 recordings"), (["-"], "cannot be viewed"),
     (["none.wav"], "none.wav"), (["SOUND", "--character", "rig.fbx"], "cannot be shown by the page"),
     (["SOUND", "--port", "70000"], "--port 70000: cannot be used"), (["SOUND", "--port", "x"], "--port"),
-    (["SOUND", "--list", "speakers"], "is an option of gesticulator infer"),
     (["SOUND", "--plan", "a.json", "--beside", "lstm"], "leave one of them out"),
     (["SOUND", "--beside", "nobody"], "--beside"), (["SOUND", "-o", "out.bvh"], "-o"),
 ])
@@ -48,6 +52,49 @@ def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, re
         COMMAND.main("gesticulator view", [str(recording) if word == "SOUND" else word for word in words])
     error = capsys.readouterr().err
     assert stop.value.code == 2 and error.count("\n") == 1 and said in error
+
+
+def test_it_lists_what_the_bundle_contains(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        sys.exit(COMMAND.main("gesticulator view", ["--list", "interpreters"]))
+    assert not stop.value.code and "(default)" in capsys.readouterr().out
+
+
+def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=4 * 16000, dtype="float32")
+    sound = tmp_path / "talk.wav"
+    soundfile.write(sound, samples, rate, subtype="FLOAT")
+    system = Gesticulator.from_pretrained()
+    plan = system(sound, seed=1).plan()
+    place = place_of(sound)
+    saved = SavedEdits(place, after=60.0)
+    saved.keep(lambda: plan)
+    saved.save()
+    assert read_plan(place) == plan
+
+    def gone_on(*words: str) -> argparse.Namespace:
+        args = COMMAND.parser("gesticulator view").parse_args([str(sound), *words])
+        _go_on(system, Job(sound), args)
+        return args
+
+    args = gone_on()
+    assert (args.plan, args.retime) == (str(place), False) and "are opened" in capsys.readouterr().out
+    assert gone_on("--anew").plan is None
+    # The sound was exported again, with a pause at the start.
+    soundfile.write(sound, np.concatenate([np.zeros(rate, np.float32), samples]), rate, subtype="FLOAT")
+    assert gone_on().retime and "moved onto the new sound" in capsys.readouterr().out
+    # What does not fit is put aside, and stays.
+    assert gone_on("--speaker", system.speakers[0]).plan is None
+    assert not place.exists() and read_plan(place.with_name(place.name + ".old")) == plan
+    assert "determined by the plan" in capsys.readouterr().err
+    place.write_text("{")
+    assert gone_on().plan is None and "is not opened" in capsys.readouterr().err
+
+
+def test_a_browser_is_led_in_by_a_private_file(tmp_path: Path) -> None:
+    address = _way_in(tmp_path, "http://127.0.0.1:1/secret/")
+    assert address.startswith("file:") and "secret" not in address
+    assert "url=http://127.0.0.1:1/secret/" in Path(address.removeprefix("file://")).read_text()
 
 
 def _poses(take: dict[str, Any]) -> np.ndarray:
@@ -60,9 +107,9 @@ def test_an_edit_comes_back_and_leaves_the_rest_as_it_was(recording: Path, tmp_p
                                 "--fps", "25", "--beside", "lstm"], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
-        address = process.stdout.readline().split()[0].removeprefix("http://").rstrip("/")
+        address, _, secret = process.stdout.readline().split()[0].removeprefix("http://").rstrip("/").partition("/")
         connection = http.client.HTTPConnection(address, timeout=60)
-        connection.request("GET", "/")
+        connection.request("GET", f"/{secret}/")
         page = connection.getresponse().read().decode()
         assert "<img" not in page
         told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
@@ -74,24 +121,37 @@ def test_an_edit_comes_back_and_leaves_the_rest_as_it_was(recording: Path, tmp_p
         block = plan["blocks"][len(plan["blocks"]) // 2]
         block["lexeme"] = next(one["lexeme"] for one in block["alternatives"] if one["lexeme"] != block["lexeme"])
 
-        def ask(plan: dict[str, Any]) -> tuple[int, dict[str, Any]]:
-            connection.request("POST", "/render", json.dumps({"plan": plan}), {
+        def ask(plan: dict[str, Any]) -> tuple[int, dict[str, Any], np.ndarray]:
+            """The status, the header of the last message, and the frames: the first ones with those that came."""
+            connection.request("POST", f"/{secret}/render", json.dumps({"plan": plan, "have": 1}), {
                 "Content-Type": "application/json", "Origin": f"http://{address}",
                 TOKEN_HEADER: told["live"]["token"]})
             answer = connection.getresponse()
-            return answer.status, json.loads(answer.read())
+            data, poses, header = answer.read(), _poses(first).copy(), {}
+            if answer.status != 200:
+                return answer.status, json.loads(data), poses
+            while data:
+                start = 4 + int.from_bytes(data[:4], "little")
+                header = json.loads(data[4:start])
+                numbers = np.frombuffer(data[start:start + header["bytes"] - header.get("root", 0)], "<i2")
+                numbers, at = numbers.reshape(-1, *poses.shape[1:]), 0
+                for begin, end in header["ranges"]:
+                    poses[begin:end] = numbers[at:at + end - begin]
+                    at += end - begin
+                data = data[start + header["bytes"]:]
+            return answer.status, header, poses
 
-        status, made = ask(plan)
-        assert status == 200 and made["plan"]["blocks"][len(plan["blocks"]) // 2]["lexeme"] == block["lexeme"]
-        assert made["plan"]["drawn"] == first["plan"]["drawn"]
-        moved = np.abs(_poses(made).astype(int) - _poses(first)).max(axis=(1, 2))
-        times = np.arange(len(moved)) / made["fps"]
+        assert told["live"]["renderings"][0] == 1
+        status, made, poses = ask(plan)
+        assert status == 200 and made["kind"] == "done" and "drawn" not in made["changes"]["parts"]
+        moved = np.abs(poses.astype(int) - _poses(first)).max(axis=(1, 2))
+        times = np.arange(len(moved)) / first["fps"]
         arms = (times > block["start"] + 0.1) & (times < block["end"] - 0.1)
         assert moved[times < block["start"] - 0.5].max() <= 1, "before it nothing changes, but for the last bit"
         assert moved[arms].max() > 300, "the block is another one"
-        assert ask(first["plan"])[1]["rotations"] == first["rotations"], "and the way back is the same motion"
+        assert ask(first["plan"])[1]["ranges"] == [], "and the way back is the same motion"
         block["end"] += 3.0
-        status, wrong = ask(plan)
+        status, wrong, _ = ask(plan)
         assert status == 400 and "line" in wrong["error"] and str(len(plan["blocks"]) // 2) in wrong["error"]
     finally:
         process.send_signal(signal.SIGINT)

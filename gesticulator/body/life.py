@@ -44,6 +44,8 @@ _SPLINE_SPREAD = math.sqrt(151.0 / 315.0)
 _SETTLED = 16.0
 """Time constants after which a shift counts as complete: the rest is below 1e-5 degrees."""
 _TRIES = 8
+_MARK = 64
+"""Postures from one that is kept for good to the next."""
 _REMEMBERED = 128
 """Postures kept before the requested one, so that memory does not grow with time."""
 
@@ -126,6 +128,8 @@ class Shifts:
     _postures: list[Array] = field(default_factory=list)
     _first: int = 0
     """Number of the first posture kept."""
+    _marks: dict[int, Array] = field(default_factory=dict)
+    """Every `_MARK`th posture, which is never dropped: some 200 kB in a day."""
 
     def at(self, times: Array) -> Array:
         """[T, D] at times [T] in seconds, not negative."""
@@ -156,12 +160,10 @@ class Shifts:
         """Extend the chain of postures to cover numbers `first` to `last`: each is sampled from the same spread,
         neither too near the one before nor too far."""
         s, width = self.style, len(self.style.spread)
-        if first < self._first:  # already dropped: generate the chain again
-            self._postures, self._first = [], 0
-        old = min(first, last) - _REMEMBERED - self._first
-        if old > _REMEMBERED:
-            del self._postures[:old]
-            self._first += old
+        if first < self._first:  # already dropped: generate the chain again, from the last mark before
+            mark = first // _MARK * _MARK
+            known = self._marks.get(mark)
+            self._postures, self._first = ([], 0) if known is None else ([known], mark)
         while self._first + len(self._postures) <= last:
             n = self._first + len(self._postures)
             before = self._postures[-1] if n else np.zeros(width)
@@ -173,6 +175,12 @@ class Shifts:
             chosen = tries[fits[0] if len(fits) else int(np.argmin(np.abs(apart - s.least)))]
             length = max(float(np.linalg.norm((chosen - before) / s.spread)), 1e-9)
             self._postures.append(before + (chosen - before) * min(max(1.0, s.least / length), s.most / length))
+            if n % _MARK == 0:
+                self._marks[n] = self._postures[-1]
+        old = min(first, last) - _REMEMBERED - self._first
+        if old > _REMEMBERED:
+            del self._postures[:old]
+            self._first += old
 
 
 _HEAD_SHIFT = ShiftStyle(every=0.62, jitter=0.14, tau=0.085, spread=(1.5, 1.5), least=1.4, most=2.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,18 +31,19 @@ from gesticulator.directing.shaping import (
 )
 from gesticulator.drawing.drawer import Direction
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
+from gesticulator.plan.checks import plain_word as plain_word
 from gesticulator.plan.gestures import GESTURES, near_gestures
-from gesticulator.plan.plan import GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks, sound_hash
+from gesticulator.plan.plan import GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks
 
-Shaping = Callable[[Array, Array], Array]
 MeantCues = Callable[[float], Sequence["MeantCue"]]
 """Gives the gestures that begin up to a time."""
+LONGEST_GESTURE = 4.0
+"""Seconds from the start of a named gesture to its apex, or from there to its end, at most (a test measures it)."""
 _BROKEN_OFF = 1.2
 """Seconds in which a gesture ends that an interruption breaks off: so long the hands take to hang."""
 _VOWEL_SHARE, _EARLY = 0.3, 0.11
 """A stroke falls at this share of its word, less this many seconds. Measured on two read sonnets: the vowel of the
 loudest syllable begins there, and a beat of the hand leads the voice by .075 s in the median."""
-_PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
 
 
 def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:
@@ -85,25 +87,28 @@ def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
 
     `InputError` for a word that is not spoken, a time beyond the end and an unknown gesture.
     """
-    out = []
+    out, spoken = [], dict[str, list[Word]]()
+    lexemes: dict[str, int] | None = None
+    for word in words if cues else ():
+        spoken.setdefault(plain_word(word.text), []).append(word)
     for cue in cues:
         lexeme = None
         if cue.gesture not in GESTURES:
-            lexemes = {entry.name: entry.lexeme for entry in names()}
+            lexemes = {entry.name: entry.lexeme for entry in names()} if lexemes is None else lexemes
             lexeme = lexemes.get(cue.gesture)
             if lexeme is None:
                 raise InputError(f"gesture {shown(cue.gesture)}", "is unknown", near_gestures(cue.gesture, lexemes))
-        out.append(CueAt(cue, _time_of(cue, words, duration), lexeme))
+        out.append(CueAt(cue, _time_of(cue, words, spoken, duration), lexeme))
     return out
 
 
-def _time_of(cue: GestureCue, words: Sequence[Word], duration: float) -> float:
+def _time_of(cue: GestureCue, words: Sequence[Word], spoken: Mapping[str, Sequence[Word]], duration: float) -> float:
     if cue.time is not None:
         if not 0 <= cue.time <= duration:
             raise InputError(f"cue at {cue.time:g} s", f"is not within the {duration:.2f} s of the sound",
                              "choose an earlier time")
         return float(cue.time)
-    matches = [word for word in words if plain_word(word.text) == plain_word(cue.word or "")]
+    matches = spoken.get(plain_word(cue.word or ""), ())
     if not words:
         raise InputError(f"cue at the word {shown(cue.word)}", "needs the words of the recording",
                          "give them with --text, or a time instead of the word")
@@ -117,11 +122,6 @@ def stroke_of_word(word: Word) -> float:
     """Seconds at which the stroke of a word's gesture falls: just before its stressed vowel, as far as the times of the
     word tell. `word_sound.WordSounds.stroke` knows it better where the sound is there."""
     return max(word.start + _VOWEL_SHARE * (word.end - word.start) - _EARLY, 0.0)
-
-
-def plain_word(text: str) -> str:
-    """A word in lower case without punctuation, for comparison with cues."""
-    return text.strip(_PUNCTUATION).casefold()
 
 
 def _listed(words: Sequence[Word]) -> str:
@@ -242,10 +242,11 @@ def check_bundle_of(bundle: Bundle, plan: GesturePlan) -> None:
                          "render the plan with the bundle that made it")
 
 
-def check_plan_of(bundle: Bundle, plan: GesturePlan, speech: Speech) -> None:
-    """`InputError` for a plan of another sound or another bundle, or with a lexeme that the bundle does not have."""
+def check_plan_of(bundle: Bundle, plan: GesturePlan, sound: str) -> None:
+    """`InputError` for a plan of another sound or another bundle, or with a lexeme that the bundle does not have.
+    sound: the hash of the sound (`sound_hash`)."""
     check_bundle_of(bundle, plan)
-    if plan.sound.sha256 != sound_hash(speech):
+    if plan.sound.sha256 != sound:
         raise plan.error(("sound",), f"is {plan.sound.name or 'another sound'}, {plan.sound.duration:.2f} s, and not "
                          "the one that was given", "give the sound that the plan was made for, or add --retime if it "
                          "was exported again")
@@ -260,36 +261,74 @@ def check_plan_of(bundle: Bundle, plan: GesturePlan, speech: Speech) -> None:
 
 # ------------------------------------------------------------------------------------------------------- shaping
 
-def shaping(bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array,
-            meant: MeantCues | None = None) -> Shaping:
-    """A function that applies intensity, mirroring and named gestures to generated poses [M, D_m] at seconds [M].
+@dataclass(frozen=True)
+class ShapeLevels:
+    """What the knobs ask for at M times. arms: sizes of the arms; mirrored: [M] the way to the mirror image."""
 
-    edges: [N + 1] seconds of the blocks; without a plan, the start and the end (infinity for a stream) are enough.
-    meant: called with the last of the seconds, gives the gestures that the words call for.
-    """
-    representation = representation_of(bundle.config)
-    if representation.name != "rotations":
-        raise InputError("intensity, energy, handedness, cues and plans", "need a bundle of joint rotations, and this "
-                         "one has joint positions", "leave them out")
-    sizes, both, mirrored, locked = _levels(options, len(edges) - 1)
-    shares = [eased_levels(edges, rest_share(side), REST_FADE, locked) for side in sizes.T]
-    cues = [cue for cue in cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle)) if cue.lexeme is None]
-    shaper = Shaper(bundle.statistics, representation, speaker)
+    arms: ArmScales
+    mirrored: Array
 
-    def shape(poses: Array, times: Array) -> Array:
-        poses = shaper.shaped(poses, times, ArmScales(
-            np.stack([levels_at(edges, side, times, FADE, locked) for side in sizes.T], axis=1),
-            np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in shares], axis=1),
-            levels_at(edges, both, times, REST_FADE, locked)))
-        poses = shaper.mirrored(poses, levels_at(edges, mirrored, times, MIRROR_FADE, locked))
-        called = meant(float(times[-1])) if meant is not None and len(times) else ()
-        return _with_gestures(poses, times, [*(MeantCue(cue.cue, cue.time) for cue in cues), *called],
-                              options.seed or 0)
-
-    return shape
+    def rows(self, rows: slice) -> ShapeLevels:
+        """The levels of some of the times."""
+        arms = self.arms
+        return ShapeLevels(ArmScales(arms.intensity[rows], arms.share[rows], arms.both[rows]), self.mirrored[rows])
 
 
-def gestures_over(meant: MeantCues, seed: int) -> Shaping:
+class Shaping:
+    """Applies intensity, mirroring and named gestures to generated poses [M, D_m] at rising seconds [M]."""
+
+    def __init__(self, bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array,
+                 meant: MeantCues | None = None) -> None:
+        """edges: [N + 1] seconds of the blocks; without a plan, the start and the end (infinity for a stream) are
+        enough. meant: called with the last of the seconds, gives the gestures that the words call for."""
+        representation = representation_of(bundle.config)
+        if representation.name != "rotations":
+            raise InputError("intensity, energy, handedness, cues and plans", "need a bundle of joint rotations, and "
+                             "this one has joint positions", "leave them out")
+        self._edges, self._meant, self._seed = edges, meant, options.seed or 0
+        self._sizes, self._both, self._mirrored, self._locked = _levels(options, len(edges) - 1)
+        curves = () if options.plan is None else options.plan.curves
+        self._curve = next((curve for curve in curves if curve.knob == "intensity"), None)
+        self._shares = [eased_levels(edges, rest_share(side), REST_FADE, self._locked) for side in self._sizes.T]
+        cues = cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle))
+        self._cues = sorted([(cue.cue, cue.time) for cue in cues if cue.lexeme is None], key=_by_time)
+        self.new_shaper = lambda: Shaper(bundle.statistics, representation, speaker)
+        self._shaper = self.new_shaper()
+
+    def levels(self, times: Array) -> ShapeLevels:
+        """The levels at `times` [M]."""
+        edges, locked = self._edges, self._locked
+        intensity = np.stack([levels_at(edges, side, times, FADE, locked) for side in self._sizes.T], axis=1)
+        share = np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in self._shares], axis=1)
+        if self._curve is not None:
+            factor = np.interp(times, self._curve.times, self._curve.values)
+            factor = 1.0 + (factor - 1.0) * levels_at(edges, 1.0 - locked, times, FADE, locked)
+            intensity = np.minimum(intensity * factor[:, None], 2.0)
+            share = share * rest_share(np.minimum(factor, 1.0))[:, None]
+        return ShapeLevels(ArmScales(intensity, share, levels_at(edges, self._both, times, REST_FADE, locked)),
+                           levels_at(edges, self._mirrored, times, MIRROR_FADE, locked))
+
+    def named(self, times: Array) -> list[MeantCue]:
+        """The gestures that may be made within `times`, by the times of their strokes."""
+        if not len(times):
+            return []
+        begin, end = float(times[0]) - LONGEST_GESTURE, float(times[-1]) + LONGEST_GESTURE
+        cues = self._cues[bisect_left(self._cues, begin, key=_by_time):bisect_right(self._cues, end, key=_by_time)]
+        called = [one for one in self._meant(float(times[-1])) if begin <= one.time <= end] if self._meant else []
+        return sorted([*(MeantCue(cue, time) for cue, time in cues), *called], key=lambda one: one.time)
+
+    def __call__(self, poses: Array, times: Array) -> Array:
+        """The next poses."""
+        return self.shaped(self._shaper, poses, times, self.levels(times), self.named(times))
+
+    def shaped(self, shaper: Shaper, poses: Array, times: Array, levels: ShapeLevels,
+               named: Sequence[MeantCue]) -> Array:
+        """Poses with these levels and gestures; shaper: has been given all poses before."""
+        poses = shaper.mirrored(shaper.shaped(poses, times, levels.arms), levels.mirrored)
+        return _with_gestures(poses, times, named, self._seed)
+
+
+def gestures_over(meant: MeantCues, seed: int) -> Callable[[Array, Array], Array]:
     """A function that lays named gestures over generated poses [M, 3 J] at seconds [M] and changes nothing else.
 
     meant: called with the last of the seconds, gives the gestures; seed: of their variation.
@@ -298,6 +337,10 @@ def gestures_over(meant: MeantCues, seed: int) -> Shaping:
         return _with_gestures(poses, times, meant(float(times[-1])), seed) if len(times) else poses
 
     return shape
+
+
+def _by_time(cue: tuple[GestureCue, float]) -> float:
+    return cue[1]
 
 
 def _with_gestures(poses: Array, times: Array, cues: Sequence[MeantCue], seed: int) -> Array:

@@ -83,6 +83,7 @@ class GestureDraw:
     turns: float
 
 
+@functools.cache
 def longest(name: str) -> Phases:
     """The longest phases of a gesture; what is drawn is at most so long."""
     rows = [(max(script.preparation, least.preparation), max(script.stroke, least.stroke), _hold(script),

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from data_module.motion.kinematics import positions_of
-from data_module.types import Array
+from data_module.types import Array, Motion
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
 from gesticulator.plan.plan import LexemeName
@@ -32,7 +32,7 @@ BEATS = 2.2
 """Ratio of path to displacement from which a movement counts as going there and back."""
 _LEANS = 0.6
 """A direction is named if its share of the displacement is at least this part of the greatest share."""
-_LIFTED = 0.12
+LIFTED = 0.12
 """Height above the hips from which a hand counts as up, metres."""
 BIAS = 2.5
 """Bias for handedness, nats: added to the score of a lexeme of the preferred hand alone, subtracted for the other."""
@@ -51,8 +51,9 @@ class HandWays:
 
 
 @torch.no_grad()
-def hand_ways(bundle: Bundle) -> HandWays | None:
-    """Movements of the hands in every lexeme; None if lexemes cannot be decoded one by one (RACER's codes)."""
+def decoded_motion(bundle: Bundle) -> Motion | None:
+    """The movements of all lexemes, one after the other, of equal length; None if lexemes cannot be decoded one by one
+    (RACER's codes)."""
     lexicon: Any = bundle.lexicon
     if not hasattr(lexicon, "shown"):
         return None
@@ -61,9 +62,16 @@ def hand_ways(bundle: Bundle) -> HandWays | None:
         blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
     statistics = bundle.statistics
     poses = blocks.double().cpu().numpy() * statistics.deviation + statistics.mean_pose.mean(axis=0)
-    motion = representation_of(bundle.config).motion(poses.reshape(-1, poses.shape[-1]), 1.0)
+    return representation_of(bundle.config).motion(poses.reshape(-1, poses.shape[-1]), 1.0)
+
+
+def hand_ways(bundle: Bundle) -> HandWays | None:
+    """Movements of the hands in every lexeme; None as `decoded_motion`."""
+    motion = decoded_motion(bundle)
+    if motion is None:
+        return None
     names = motion.skeleton.names
-    places = positions_of(motion).reshape(*poses.shape[:2], len(names), 3)
+    places = positions_of(motion).reshape(len(bundle.vectors), -1, len(names), 3)
     hands = places[:, :, [names.index(side + "Hand") for side in _SIDES]] - places[:, :, :1]
     hands = hands * np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])  # outwards is to the right for the right hand
     return HandWays(hands[:, -1] - hands[:, 0], np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(axis=1),
@@ -90,7 +98,7 @@ def described(ways: Array, paths: Array, heights: Array, silent: bool) -> str:
     if silent:
         return "rest"
     if not any(moves):
-        return "hold, hands " + ("up" if heights.min() > _LIFTED else "down" if heights.max() <= _LIFTED else "apart")
+        return "hold, hands " + ("up" if heights.min() > LIFTED else "down" if heights.max() <= LIFTED else "apart")
     right, left = (_way(ways[side], float(paths[side])) for side in (0, 1))
     if all(moves):
         return f"both hands {right}" if right == left else f"right hand {right}, left hand {left}"

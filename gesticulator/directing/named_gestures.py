@@ -52,6 +52,8 @@ def laid_over(poses: Array, times: Array, cues: Sequence[tuple[GestureCue, float
     out = poses.copy()
     for cue, at in cues:
         before, after = span_of_gesture(cue.gesture)
+        if not len(times) or at - before >= times[-1] or at + after <= times[0]:
+            continue
         near = np.flatnonzero((times > at - before) & (times < at + after))
         if len(near):
             out[near] = _with_gesture(out[near], times[near] - at, cue, drawn_gesture(cue, at, seed))

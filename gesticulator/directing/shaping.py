@@ -59,8 +59,8 @@ _HANGS, _LIFTED = 0.1, 0.7
 
 def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: float,
               locked: NDArray[np.bool_] | None = None) -> Array:
-    """[M] level at times [M], where block n of edges [N + 1] has levels[n]. Between blocks of different levels it
-    changes smoothly, over `fade` seconds to both sides or half of the shorter run of blocks.
+    """[M] level at rising times [M], where block n of edges [N + 1] has levels[n]. Between blocks of different levels
+    it changes smoothly, over `fade` seconds to both sides or half of the shorter run of blocks.
 
     Elsewhere it is exactly the level of the block. locked: [N] blocks that must keep their level; beside them the
     change takes place on the other side alone.
@@ -75,7 +75,10 @@ def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: fl
         if locked is not None and locked[at - 1] != locked[at]:
             first, last = (begins, last) if locked[at - 1] else (first, begins)
         # A time on the beat belongs to the block before, but a change that ends on the beat is complete there.
-        near = np.flatnonzero((times > first) & ((times < last) | (times == begins)))
+        stop = int(np.searchsorted(times, last, side="left"))
+        if last == begins:
+            stop = int(np.searchsorted(times, begins, side="right"))
+        near = slice(int(np.searchsorted(times, first, side="right")), stop)
         u = (times[near] - first) / (last - first)
         out[near] = levels[at - 1] + (levels[at] - levels[at - 1]) * u * u * (3.0 - 2.0 * u)
     return out
@@ -153,12 +156,16 @@ class Shaper:
         self._trunk = _columns([j for j, name in enumerate(names) if name.startswith(("Spine", "Neck", "Head"))])
         self._mean = mean
 
-    def shaped(self, poses: Array, times: Array, scales: ArmScales) -> Array:
-        """Scale the next poses [M, 3 J] at rising seconds [M]. Poses without change stay the same bit for bit. If the
-        times go back, later poses are forgotten."""
+    def push(self, poses: Array, times: Array) -> None:
+        """Take note of the next poses [M, 3 J] at rising seconds [M]."""
         for arm in self._arms:
             arm.large.push(times, poses)
             arm.fine.push(times, poses)
+
+    def shaped(self, poses: Array, times: Array, scales: ArmScales) -> Array:
+        """Scale the next poses [M, 3 J] at rising seconds [M]. Poses without change stay the same bit for bit. If the
+        times go back, later poses are forgotten."""
+        self.push(poses, times)
         at = scales.changed
         if not len(at):
             return poses

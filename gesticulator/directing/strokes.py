@@ -28,6 +28,9 @@ REMEMBERED = 20.0
 _STORED = 640.0
 """Seconds of knots in memory: a stream goes back by 600 at most, and needs `REMEMBERED` before that."""
 
+_GRAIN = 2.0 ** -36
+"""Radians, to which the ways between knots are rounded: far less than a tenth of a degree per hour."""
+
 
 @dataclass(frozen=True)
 class StrokeScale:
@@ -71,8 +74,9 @@ class StrokeMemory:
         speeds = np.linalg.norm(steps, axis=1) / np.diff(np.concatenate([[since], times]))
         moved = steps * smooth_step((speeds - self._scale.slow) / (self._scale.fast - self._scale.slow))[:, None]
         path = rows.paths[known - 1] if known else 0.0
-        # Summed sequentially, so that the sizes of the pieces change no bit.
-        paths = np.cumsum(np.concatenate([[path], np.linalg.norm(moved, axis=1)]))[1:]
+        # Sums of multiples of a power of two are exact, so a path does not depend on where the memory begins.
+        ways = np.round(np.linalg.norm(moved, axis=1) / _GRAIN) * _GRAIN
+        paths = np.cumsum(np.concatenate([[path], ways]))[1:]
         stored = slice(old, known)
         self._rows = _KnotRows(*(np.concatenate([earlier[stored], new]) for earlier, new in (
             (rows.times, times), (rows.paths, paths), (rows.moved, moved))))

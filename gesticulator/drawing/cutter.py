@@ -6,6 +6,7 @@ Sound and features are stored only as long as the next block needs them.
 
 from __future__ import annotations
 
+import copy
 from bisect import bisect_left, insort
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -44,6 +45,8 @@ LATENCIES = ("full", "low")
 """Latency modes, see `BlockCutter`."""
 TICK = 800
 """Samples (50 ms) that are processed at a time: half a step of the noise floor, five spectra."""
+CUTTER_EVERY = 40 * TICK
+"""Samples (2 s) between two copies of a cutter: cutting them again takes 20 ms."""
 _STEP_SAMPLES = round(STEP * FRAME * SAMPLE_RATE)
 _SAME = 1e-6
 """Largest difference of two equal times, seconds."""
@@ -149,6 +152,29 @@ class BlockCutter:
         """Cut at these beats, rising seconds with their flags, and detect none. Call it before anything is fed."""
         self._edges += beats
         self._beats_given = True
+
+    def fork(self) -> BlockCutter:
+        """An independent copy, which shares what never changes."""
+        shared: list[object] = [self._config, self._front]
+        memo = {id(one): one for one in shared}
+        if self._words is not None:
+            memo[id(self._words)] = self._words.fork()
+        return copy.deepcopy(self, memo)
+
+    @property
+    def uncut(self) -> list[float]:
+        """Starts of the blocks that were cut and may still be returned or are needed beside those, and of the next
+        one, seconds. The first of them was returned already, unless it is the first of the sound."""
+        return [*(block.start for block in self._cut), self._edges[0][0]]
+
+    @property
+    def returned(self) -> int:
+        """Number of blocks that were returned."""
+        return self._count
+
+    def cut_on_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
+        """Cut at these beats from now on, all of them after the last of `uncut`, and detect none."""
+        self._edges, self._beats_given = [self._edges[0], *beats], True
 
     @property
     def reads(self) -> bool:
@@ -326,6 +352,12 @@ class WordTrack:
             self._vectors[self._next] = np.append(vector, np.float32(0.0)).astype(np.float32)
             self._next += 1
 
+    def fork(self) -> WordTrack:
+        """An independent copy; words and vectors are never changed."""
+        twin = copy.copy(self)
+        twin._words, twin._vectors = list(self._words), dict(self._vectors)
+        return twin
+
     def rows(self, block: _CutBlock | None, frames: int, fps: float) -> Features:
         """[K, d + 1] the word vectors of a block's frames, and whether a frame has no word."""
         from data_module.text.word_vectors import word_frames  # only where words are read
@@ -352,10 +384,11 @@ class WordTrack:
 
 
 def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
-                  blocks: Blocks | None = None) -> SpeechFeatures:
+                  blocks: Blocks | None = None, cutters: list[BlockCutter] | None = None) -> SpeechFeatures:
     """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too.
 
-    blocks: cut the speech into these instead of detecting beats.
+    blocks: cut the speech into these instead of detecting beats. cutters: receives a copy of the cutter before every
+    `CUTTER_EVERY` samples, from which parts can be cut again (`gesticulator.drawing.recut`).
     """
     read = words if speech.words is not None else None
     cutter = BlockCutter(config, front, read)
@@ -363,7 +396,14 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
     if blocks is not None:
         cutter.cut_at([(float(edge), BeatFlag(int(flag)))
                        for edge, flag in zip(blocks.edges[1:], blocks.flags, strict=True)])
-    features = gathered([*cutter.feed(speech.samples), *cutter.finish()], config)
+    parts: list[SpeechBlock] = []
+    if cutters is None:
+        parts += cutter.feed(speech.samples)
+    else:
+        for at in range(0, len(speech.samples), CUTTER_EVERY):
+            cutters.append(cutter.fork())
+            parts += cutter.feed(speech.samples[at:at + CUTTER_EVERY])
+    features = gathered([*parts, *cutter.finish()], config)
     return features if blocks is None else replace(features, blocks=blocks)
 
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.controls import Controls, Levels
-from data_module.types import Array
+from data_module.types import Array, Blocks
 from gesticulator.body.rest import RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, SpeechFeatures, control_rows
 from gesticulator.drawing.drawer import FREE, Direction
 from gesticulator.drawing.rollout import BlockMotion, CodecRollout, Rollout, Sampling
 from interpreters.base import Interpreter
+
+if TYPE_CHECKING:
+    from gesticulator.drawing.cutter import BlockCutter
 
 OnBlock = Callable[[int, int], None]
 """Called after each block with the number of finished blocks and the total."""
@@ -54,11 +58,23 @@ class BlockRequest:
 
 @dataclass(frozen=True)
 class GeneratedMotion:
-    """A recording's N generated blocks and their normalised motion [N, K, D_m], K frames per block."""
+    """A recording's N generated blocks and their normalised motion [N, K, D_m], K frames per block. cut: the N blocks
+    of its speech."""
+
+    cut: Blocks
+    blocks: Sequence[BlockMotion]
+    motion: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A first generation, kept so that edits can start from it: the speech, its N blocks, the state before each of
+    them, and the cutter of the speech at some times (`BlockCutter.fork`)."""
 
     encoded: SpeechFeatures
     blocks: Sequence[BlockMotion]
-    motion: NDArray[np.float32]
+    states: Sequence[Driver]
+    cutters: Sequence[BlockCutter] = ()
 
 
 def requests(encoded: SpeechFeatures, control: ControlRows | None = None,

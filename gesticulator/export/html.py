@@ -22,7 +22,7 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.motion import kinematics
 from data_module.motion.skeletons import HIP_HEIGHT
-from data_module.types import Skeleton
+from data_module.types import Motion, Skeleton
 from gesticulator.export import sound
 from gesticulator.export.gltf import open_gltf
 from gesticulator.export.scene import Scene
@@ -118,21 +118,34 @@ def describe(scene: Scene) -> dict[str, Any]:
 
 def describe_motion(scene: Scene) -> dict[str, Any]:
     """`describe` without the plan."""
+    motion = shown(scene)
+    return {
+        **describe_shape(motion, scene.duration),
+        "rotations": _base64(np.round(motion.rotations * QUATERNION_STEPS).astype("<i2").tobytes()),
+        "root": _base64(root_path(motion)),
+    }
+
+
+def describe_shape(motion: Motion, duration: float) -> dict[str, Any]:
+    """What the page needs to know of a motion, apart from its numbers."""
+    return {"duration": duration, "fps": motion.fps, "frames": len(motion), "skeleton": _skeleton(motion.skeleton),
+            "steps": QUATERNION_STEPS}
+
+
+def shown(scene: Scene) -> Motion:
+    """The motion as the page has it."""
     motion = scene.standing
     if scene.duration > LONG and motion.fps > LONG_FPS:
         motion = kinematics.resample(motion, LONG_FPS)
+    return motion
+
+
+def root_path(motion: Motion) -> bytes:
+    """float32 [T, 3] positions of the root, or [1, 3] for a still one."""
     root = motion.root_positions
     if np.ptp(root, axis=0).max() < 1e-6:
         root = root[:1]
-    return {
-        "duration": scene.duration,
-        "fps": motion.fps,
-        "frames": len(motion),
-        "skeleton": _skeleton(motion.skeleton),
-        "rotations": _base64(np.round(motion.rotations * QUATERNION_STEPS).astype("<i2").tobytes()),
-        "steps": QUATERNION_STEPS,
-        "root": _base64(root.astype("<f4").tobytes()),
-    }
+    return root.astype("<f4").tobytes()
 
 
 def _character(moved: CharacterMotion | None) -> dict[str, Any]:

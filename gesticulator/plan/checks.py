@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -13,12 +14,22 @@ from gesticulator.plan.plan import GesturePlan, GestureUnit, PlanMeaning, PosePi
 
 SHORTEST, LONGEST = 0.1, 1.0
 """Allowed length of an edited block, seconds (detected blocks last 0.2 to 0.5)."""
+_PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
+CUES_PER_SECOND, ALLOWED_CUES = 4.0, 100
+"""Most cues per second of sound; so many are allowed in any case. A gesture takes a second, so more cannot be seen."""
+MOST_INTENSITY = 2.0
+"""Greatest value of an intensity curve."""
 _EPS = 1e-6
 """Largest difference of two equal times, seconds: numbers in files are rounded."""
 _FINGERPRINT = re.compile("([A-Za-z0-9+/]{8})+")
 """Eight characters for each frame of 20 ms."""
 _UNIT = 1e-3
 """Largest deviation of the squared length of a quaternion from 1: numbers in files are rounded."""
+
+
+def plain_word(text: str) -> str:
+    """A word in lower case without punctuation, for comparison with cues."""
+    return text.strip(_PUNCTUATION).casefold()
 
 
 def check_plan(plan: GesturePlan) -> None:
@@ -29,12 +40,21 @@ def check_plan(plan: GesturePlan) -> None:
         if not start < end:
             raise plan.error(("knobs", "hold_still", at), f"is {start:g} to {end:g}",
                              "give from and to, the smaller first")
+    most = max(ALLOWED_CUES, int(CUES_PER_SECOND * plan.duration))
+    if len(plan.cues) > most:
+        raise plan.error(("cues", most), f"is one of {len(plan.cues)}", f"give {most} at most")
+    spoken = Counter(plain_word(word.text) for word in plan.words)
     for at, cue in enumerate(plan.cues):
         if (cue.word is None) == (cue.time is None):
             raise plan.error(("cues", at), "must have either a word or a time", 'write {"gesture": "wave", "word": '
                              '"hello"} or {"gesture": "wave", "time": 1.5}')
         if cue.time is not None and cue.time > plan.duration:
             raise plan.error(("cues", at, "time"), f"is {cue.time:g}", f"give 0 to {plan.duration:g} seconds")
+        if cue.word is not None and spoken[plain_word(cue.word)] < cue.occurrence:
+            times = spoken[plain_word(cue.word)]
+            raise plan.error(("cues", at, "word"), f"is {shown(cue.word)}, occurrence {cue.occurrence}, and is spoken "
+                             f"{times} times" if plan.words else f"is {shown(cue.word)}, and the plan has no words",
+                             "give a word of `words`, or a time instead")
         _check_gesture(plan, at, cue.gesture)
     _check_sections(plan)
 
@@ -46,6 +66,9 @@ def _check_sections(plan: GesturePlan) -> None:
     knobs = [curve.knob for curve in plan.curves]
     for at, curve in enumerate(plan.curves):
         check_points(("curves", at), ("times", "values"), (curve.times, curve.values), plan.error)
+        outside = [value for value in curve.values if not 0.0 <= value <= MOST_INTENSITY]
+        if curve.knob == "intensity" and outside:
+            raise plan.error(("curves", at, "values"), f"hold {outside[0]:g}", f"give 0 to {MOST_INTENSITY:g}")
         if curve.knob in knobs[:at]:
             raise plan.error(("curves", at, "knob"), f"is {curve.knob} again", "give one curve per knob")
     if plan.fingerprint is not None and not _is_fingerprint(plan.fingerprint, plan.sound.duration):
@@ -88,7 +111,8 @@ def _check_blocks(plan: GesturePlan) -> None:
     """Blocks must tile the sound and have lexemes of the lexicon."""
     if not plan.blocks:
         raise plan.error(("blocks",), "is empty", "leave at least one block")
-    known = {entry.lexeme for entry in plan.lexicon}
+    known = {entry.lexeme: entry.name for entry in plan.lexicon}
+    decided = dict(zip(pairwise(plan.drawn.edges), plan.drawn.lexemes, strict=True))
     edges, at_edge = plan.drawn.edges, 0.0
     pairs = set(pairwise(edges))
     for at, block in enumerate(plan.blocks):
@@ -100,6 +124,11 @@ def _check_blocks(plan: GesturePlan) -> None:
                              f"give {block.start + SHORTEST:.6g} to {block.start + LONGEST:.6g} seconds")
         if block.lexeme is not None and known and block.lexeme not in known:
             raise plan.error((*place, "lexeme"), f"is {block.lexeme}", f"give {min(known)} to {max(known)}, or null")
+        # The name beside a lexeme that was edited may still be that of the lexeme before.
+        if block.name and block.lexeme is not None and known.get(block.lexeme, block.name) != block.name \
+                and decided.get((block.start, block.end)) == block.lexeme:
+            raise plan.error((*place, "name"), f"is {shown(block.name)}, but lexeme {block.lexeme} is "
+                             f"{shown(known[block.lexeme])}", "edit `lexeme`, which determines the motion")
         at_edge = block.end
     if abs(at_edge - edges[-1]) > _EPS:
         raise plan.error(("blocks", len(plan.blocks) - 1, "end"), f"is {at_edge:g}", f"give {edges[-1]:g}, the end of "

@@ -23,7 +23,10 @@ _BLOCKS = "blocks"
 class PlanExchange:
     """Reads and writes the plans of one page. Memory is that of two plans. Not thread-safe."""
 
-    def __init__(self) -> None:
+    def __init__(self, frozen: bool = False) -> None:
+        """frozen: the values that are read are never modified, so that the same object is the same block."""
+        self._frozen = frozen
+        self._rows: dict[int, tuple[Any, str, Block]] = {}  # id of a block's values -> them, their text, the block
         self._read: dict[str, tuple[str, Any]] = {}  # member -> (its text, its value in the plan)
         self._blocks: dict[str, Block] = {}  # text of a block -> the block
         self._written: dict[int, tuple[Any, str]] = {}  # id of a part -> (the part, its JSON)
@@ -54,12 +57,18 @@ class PlanExchange:
 
     def _read_blocks(self, lined: LinedJson) -> tuple[tuple[Block, ...], list[str]]:
         """The blocks, and the text of each."""
-        known, blocks, texts = self._blocks, [], []
+        known, rows = self._blocks, dict[int, tuple[Any, str, Block]]()
+        found: list[tuple[Any, str, Block]] = []
         for at, row in enumerate(lined.value[_BLOCKS]):
-            text = repr(row)
-            texts.append(text)
-            blocks.append(known[text] if text in known else read_as(Block, lined, (_BLOCKS, at)))
-        return tuple(blocks), texts
+            entry = self._rows.get(id(row))
+            if entry is None:
+                text = repr(row)
+                entry = row, text, known[text] if text in known else read_as(Block, lined, (_BLOCKS, at))
+            found.append(entry)
+            rows[id(row)] = entry
+        if self._frozen:
+            self._rows = rows
+        return tuple([block for _, _, block in found]), [text for _, text, _ in found]
 
     def plain(self, plan: GesturePlan) -> dict[str, Any]:
         """`GesturePlan.to_dict`, in new objects that the caller may modify."""

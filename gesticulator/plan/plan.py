@@ -431,10 +431,18 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
     A block is replayed if its beats, lexeme, silence and random keys are those of the first generation, and the knobs
     that influence its generation are too, unless it is locked.
     """
+    edited = edited_themselves(plan)
+    if plan.knobs.draws_as(plan.drawn.knobs):
+        return edited
+    return tuple([changed or not block.locked for changed, block in zip(edited, plan.blocks, strict=True)])
+
+
+def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
+    """`edited_blocks`, apart from knobs of the whole recording."""
     drawn, knobs = plan.drawn, plan.knobs
     numbers = drawn.numbers or range(len(drawn.lexemes))
     places = {pair: at for at, pair in enumerate(zip(drawn.edges, drawn.edges[1:], strict=False))}
-    alike, as_still = knobs.draws_as(drawn.knobs), knobs.hold_still == drawn.knobs.hold_still
+    as_still = knobs.hold_still == drawn.knobs.hold_still
     out = []
     for block in plan.blocks:
         # This loop runs over all blocks at every edit, so it avoids function calls.
@@ -444,8 +452,8 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
             at = places[place]
             same = block.lexeme == drawn.lexemes[at] and block.silent == drawn.silent[at] \
                 and (draw.seed, draw.variation, draw.block) == (plan.seed, plan.variation, numbers[at])
-        if same and not block.locked:
-            same = alike and (as_still or knobs.still_at(*place) == drawn.knobs.still_at(*place))
+        if same and not block.locked and not as_still:
+            same = knobs.still_at(*place) == drawn.knobs.still_at(*place)
         out.append(not same)
     return tuple(out)
 
@@ -453,7 +461,7 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
 def shapes(plan: GesturePlan) -> bool:
     """Whether the plan may change the generated poses, by intensity, mirroring or handedness."""
     knobs = plan.knobs
-    if knobs.size != 1.0 or knobs.handedness is not None:
+    if knobs.size != 1.0 or knobs.handedness is not None or any(curve.knob == "intensity" for curve in plan.curves):
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)

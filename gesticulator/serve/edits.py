@@ -1,55 +1,378 @@
-"""Rendering of one recording's plans while they are edited; each edit costs only the blocks that it changes."""
+"""Rendering of one recording's plans while they are edited; each edit costs only the blocks that it changes.
+
+A page has a motion and its plan, a *rendering* with a number. It sends what it changed in the plan, and gets the frames
+that changed, and what was decided in the plan. An answer is a sequence of messages: the length of a header (4 bytes,
+little-endian), the header as JSON, and as many bytes as its `bytes` says.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import json
+from collections import OrderedDict
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from gesticulator.directing.directions import planned
-from gesticulator.export.html import describe_motion
+import numpy as np
+
+from data_module.errors import InputError
+from data_module.motion.skeletons import standing
+from gesticulator.body.frame_pieces import FramePiece, FramePieces, SignedPieces, signed
+from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.stance import seated
+from gesticulator.bundle.features import representation_of
+from gesticulator.directing.directions import check_plan_of, planned
+from gesticulator.directing.editing import PlayedBlock
+from gesticulator.directing.record import fingerprinted, named, rendered_plan
+from gesticulator.directing.shaped_blocks import ShapedBlocks
+from gesticulator.export.html import LONG, LONG_FPS, QUATERNION_STEPS, describe_shape, root_path, shown
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.exchange import PlanExchange
-from gesticulator.plan.plan import GesturePlan
+from gesticulator.plan.plan import GesturePlan, sound_hash
+from gesticulator.plan.schema import to_plain, written_parts
+from gesticulator.serve.page_server import AbandonedError, UnknownRenderingError
 
 if TYPE_CHECKING:
+    from data_module.types import Array, Motion
     from gesticulator.directing.editing import PlanRenderer
     from gesticulator.pipeline import Gesticulator
 
 MOST_DRAWINGS = 4
 """First generations in memory: for the takes of a page, and for plans that were opened from files since."""
+MOST_RENDERINGS = 64
+"""Renderings in memory that a page may build on. Their frames are shared where they are equal."""
+_USUAL_BLOCK = 0.33
+"""Seconds of a block, about."""
+_PIECE = 20
+"""Frames of a piece of a motion that is always made as a whole."""
+REPORTS = 24
+"""Blocks between two reports of progress: about a second."""
+FIRST_SHOWN = 24
+"""Pieces outside of the visible stretch from which on that stretch is sent first: they take a tenth of a second."""
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A motion that a page has. plain: its plan, as the page has it; shape: what the page knows of the motion apart
+    from its numbers; root: the path of the root."""
+
+    number: int
+    plain: Mapping[str, Any]
+    shape: Mapping[str, Any]
+    pieces: SignedPieces
+    root: bytes
+
+
+@dataclass(frozen=True)
+class _Maker:
+    """What makes the frames of the plans of one first generation. pieces: by the options that they depend on."""
+
+    renderer: PlanRenderer
+    shaped: ShapedBlocks
+    pieces: dict[tuple[Any, ...], FramePieces]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """have: the rendering that the page has; view: the visible stretch, seconds; abandoned: whether the page has asked
+    for something else; done: takes the rendered plan."""
+
+    have: Rendering | None
+    view: tuple[float, float]
+    abandoned: Callable[[], bool]
+    done: Callable[[GesturePlan], None]
+
+    def check(self) -> None:
+        """`AbandonedError` if the answer is not wanted any more."""
+        if self.abandoned():
+            raise AbandonedError
 
 
 class LivePlans:
-    """Renders plans of the recording of a performance. Not thread-safe."""
+    """Renders plans of the recording of performances. Not thread-safe."""
 
-    def __init__(self, system: Gesticulator, performance: Performance) -> None:
-        """performance: any performance of the recording; its sound and words are used."""
-        self._system, self._speech, self._name = system, performance.speech, performance.sound_name
-        self._renderers: list[tuple[tuple[Any, ...], PlanRenderer]] = []  # the most recently used comes last
-        self._exchange = PlanExchange()
-
-    def prepare(self, plan: GesturePlan) -> None:
-        """Generate the blocks that a plan replays, so that its first edit is fast."""
-        self._renderer(planned(InferenceOptions(plan=plan)))
+    def __init__(self, system: Gesticulator, *performances: Performance) -> None:
+        """performances: one or more of the recording; the sound and words of the first are used, and the first
+        generations that they kept (`Gesticulator.keeps_drawings`)."""
+        first = performances[0]
+        self._system, self._speech, self._name = system, first.speech, first.sound_name
+        self._sound = sound_hash(first.speech)
+        self._makers: list[tuple[tuple[Any, ...], _Maker]] = []  # the most recently used comes last
+        self._drawings = [(_identity(one.decided), one.drawing) for one in performances if one.drawing is not None]
+        self._exchange = PlanExchange(frozen=True)
+        self._renderings: OrderedDict[int, Rendering] = OrderedDict()
+        self.on_edit: Callable[[Mapping[str, Any], GesturePlan], None] = lambda request, plan: None
+        """Called with the request and the rendered plan after each answer."""
+        self._count = 0
+        self._numbers = itertools.count()
 
     def render(self, plan: GesturePlan) -> Performance:
         """Render a plan; `InputError` with the line if it is invalid or of another recording."""
         options = planned(InferenceOptions(plan=plan))
-        performance = self._system.render(self._speech, options, self._renderer(options))
+        performance = self._system.render(self._speech, options, self._maker(options).renderer)
         return performance.labelled(self._name, plan.notes)
 
-    def answer(self, plan: dict[str, Any]) -> dict[str, Any]:
-        """The answer to a page that sent this plan as JSON: motion and rendered plan."""
-        performance = self.render(self._exchange.read(plan))
-        return {**describe_motion(performance.scene()), "plan": self._exchange.plain(performance.plan())}
+    def performance(self, plain: Mapping[str, Any]) -> Performance:
+        """The performance of a plan in plain values; `InputError` as in `render`."""
+        return self.render(self._exchange.read(dict(plain)))
 
-    def _renderer(self, options: InferenceOptions) -> PlanRenderer:
+    def opened(self, performance: Performance, plain: Mapping[str, Any]) -> int:
+        """The number of the rendering that a page begins with. plain: its plan, as the page has it."""
+        plan = performance.plan()
+        options = planned(InferenceOptions(plan=plan))
+        scene = performance.scene()
+        motion = shown(scene)
+        shape, root = describe_shape(motion, scene.duration), root_path(motion)
+        if not self._in_pieces(options):
+            return self._kept(plain, shape, whole_motion(motion), root).number
+        maker = self._maker(options)
+        assert options.plan is not None
+        played, cut = maker.renderer.played(options.plan), maker.renderer.cut(options.plan)
+        posed = maker.shaped.blocks(played, cut, self._shaping(options, cut.edges))
+        times = cut.knot_times.reshape(len(cut), -1)
+        pieces = self._frames(maker, options).learn(times, posed, float(cut.edges[-1]), motion.rotations)
+        return self._kept(plain, shape, pieces, root).number
+
+    def answer(self, request: Mapping[str, Any], abandoned: Callable[[], bool] = lambda: False) -> Iterator[bytes]:
+        """The messages that answer a page.
+
+        request: `have`, the number of the rendering that the page has, or null; `plan`, the plan, or `changes` of the
+        plan of that rendering (`plan_with`); `view`, the visible stretch, seconds. abandoned: asked now and then; ends
+        the rendering with `AbandonedError`. `InputError` for an invalid plan or unknown rendering.
+        """
+        have = self._renderings.get(request["have"]) if request.get("have") is not None else None
+        if "plan" in request:
+            plain = request["plan"]
+        elif have is None:
+            raise UnknownRenderingError("the page", "has a motion that is not known here any more",
+                                        "send the whole plan")
+        else:
+            plain = plan_with(have.plain, request["changes"])
+        plan = self._exchange.read(plain)
+        options = planned(InferenceOptions(plan=plan))
+        assert options.plan is not None
+        check_plan_of(self._system.bundle, options.plan, self._sound)
+        yield from self._messages(plan, plain, options, _Asked(
+            have, _view(request), abandoned, lambda made: self.on_edit(request, made)))
+
+    def _messages(self, plan: GesturePlan, plain: Mapping[str, Any], options: InferenceOptions, asked: _Asked
+                  ) -> Iterator[bytes]:
+        sent = dict[int, int]()
+        if self._in_pieces(options):
+            maker = self._maker(options)
+            assert options.plan is not None
+            yield from self._drafted(maker, options, asked)
+            played = maker.renderer.played(options.plan, lambda done, total: asked.check())
+            made = self._decided(options, played)
+            pieces = yield from self._pieces(maker, options, played, asked, sent)
+            shape, root = self._shape(options, pieces.frames)
+        else:
+            performance = self.render(plan)
+            scene = performance.scene()
+            made, motion = performance.plan(), shown(scene)
+            pieces, shape, root = whole_motion(motion), describe_shape(motion, scene.duration), root_path(motion)
+        have = asked.have if asked.have is not None and asked.have.shape == shape else None
+        changes = changes_of(made, plan)
+        rendering = self._kept(plan_with(plain, changes), shape, pieces, root)
+        left = [at for at in pieces.changed(None if have is None else have.pieces)
+                if sent.get(at) != pieces.pieces[at].number or (pieces.signs[at] < 0).any()]
+        ranges, data = frames_of(pieces, left)
+        asked.done(made)
+        rooted = have is not None and have.root == root
+        yield message({"kind": "done", "rendering": rendering.number, "shape": None if have else shape,
+                       "changes": changes, "ranges": ranges, "root": 0 if rooted else len(root)},
+                      data + (b"" if rooted else root))
+
+    def _shape(self, options: InferenceOptions, frames: int) -> tuple[dict[str, Any], bytes]:
+        """What a page knows of a motion that is made in pieces, and the path of its root."""
+        representation = representation_of(self._system.bundle.config)
+        rest = self._system.bundle.statistics.rest_pose[self._system.speaker_index(options.speaker)]
+        body = representation.motion(rest[None], float(options.fps))
+        body = standing(seated(body) if options.seated else body)
+        body = mirrored_motion(body) if options.mirrored else body
+        shape = {**describe_shape(body, self._speech.duration), "frames": frames}
+        return shape, root_path(body)
+
+    def _drafted(self, maker: _Maker, options: InferenceOptions, asked: _Asked) -> Iterator[bytes]:
+        """Where knobs have all of a recording generated again: a draft of the visible stretch, then the progress. What
+        was generated is remembered."""
+        plan, renderer = options.plan, maker.renderer
+        assert plan is not None
+        count = len(plan.drawn.lexemes)
+        if plan.knobs.draws_as(plan.drawn.knobs) or all(block.locked for block in plan.blocks) \
+                or renderer.knows(plan.knobs):
+            return
+        cut, played, seen = renderer.draft(plan.knobs, asked.view)
+        times = cut.knot_times.reshape(len(cut), -1)
+        posed = maker.shaped.blocks(played, cut, self._shaping(replace(options, plan=replace(
+            plan, blocks=tuple(one.block.block for one in played))), cut.edges))
+        frames = self._frames(maker, options)
+        pieces = [piece for _, piece in frames.pieces(times, posed, float(cut.edges[-1]), seen)]
+        if pieces:
+            ranges, data = frames_of(SignedPieces(0, pieces, np.ones((len(pieces), pieces[0].ends.shape[1]), np.int16)),
+                                     range(len(pieces)))
+            yield message({"kind": "frames", "ranges": ranges}, data)
+        for done in range(REPORTS, count, REPORTS):
+            renderer.generation(plan.knobs, lambda at, total: asked.check(), done)
+            yield message({"kind": "progress", "ranges": [], "share": done / count})
+
+    def _pieces(self, maker: _Maker, options: InferenceOptions, played: Sequence[PlayedBlock], asked: _Asked,
+                sent: dict[int, int]) -> Generator[bytes, None, SignedPieces]:
+        """The pieces of a plan; yields those of the visible stretch first where the others take long. sent: receives
+        the numbers of blocks and of the pieces that were sent for them."""
+        assert options.plan is not None
+        cut = maker.renderer.cut(options.plan)
+        times, duration = cut.knot_times.reshape(len(cut), -1), float(cut.edges[-1])
+        posed = maker.shaped.blocks(played, cut, self._shaping(options, cut.edges))
+        order = list(range(len(cut)))
+        frames = self._frames(maker, options)
+        lacking = [at for at, known in enumerate(frames.known(times, posed, duration)) if not known]
+        first = int(np.searchsorted(cut.edges[1:], asked.view[0]))
+        seen = [at for at in lacking if cut.edges[at + 1] > asked.view[0] and cut.edges[at] < asked.view[1]]
+        found = {}
+        if len(lacking) - len(seen) >= FIRST_SHOWN and seen:
+            for at, piece in frames.pieces(times, posed, duration, seen):
+                found[at] = piece
+                asked.check()
+            pieces = [found[at] for at in seen]
+            ranges, data = frames_of(SignedPieces(0, pieces, np.ones((len(pieces), pieces[0].ends.shape[1]), np.int16)),
+                                   range(len(pieces)))
+            sent |= {at: found[at].number for at in seen}
+            yield message({"kind": "frames", "ranges": ranges}, data)
+            order = order[first:] + order[:first]
+        for at, piece in frames.pieces(times, posed, duration, order):
+            found[at] = piece
+            if at % 8 == 0:
+                asked.check()
+        return signed([found[at] for at in range(len(cut))])
+
+    def _decided(self, options: InferenceOptions, played: Sequence[PlayedBlock]) -> GesturePlan:
+        """The plan of the options with what was decided in its blocks."""
         plan = options.plan
         assert plan is not None
-        # Everything that identifies a first generation. Equal parts of the plans that a page sends are the same
-        # objects, so comparing the tuples is fast.
-        key = (plan.made_by, plan.seed, plan.variation, plan.speaker, plan.interpreter, plan.drawn, plan.words)
-        at = next((at for at, (known, _) in enumerate(self._renderers) if known == key), None)
-        entry = (key, self._system.plan_renderer(self._speech, options)) if at is None else self._renderers.pop(at)
-        self._renderers = [*self._renderers, entry][-MOST_DRAWINGS:]
+        cast = self._system.cast(options, self._system.reads_words_of(self._speech))
+        origin = self._system.origin(self._speech, options, cast, plan.meanings)
+        made = rendered_plan(plan, self._speech, [one.block for one in played], origin)
+        made = replace(made, notes=plan.notes, sound=replace(made.sound, name=self._name))
+        return named(fingerprinted(made, self._speech), self._system.lexeme_names())
+
+    def _shaping(self, options: InferenceOptions, edges: Array) -> Any:
+        assert options.plan is not None
+        speaker = self._system.speaker_index(options.speaker)
+        return self._system.shaping(self._speech, options, speaker, edges, options.plan.meanings)
+
+    def _in_pieces(self, options: InferenceOptions) -> bool:
+        """Whether frames are made in pieces. Legs depend on everything before them."""
+        bundle = self._system.bundle
+        return (bundle.system.blocks and representation_of(bundle.config).name == "rotations"
+                and not (options.legs and not options.seated)
+                and (self._speech.duration <= LONG or float(options.fps) <= LONG_FPS))
+
+    def _kept(self, plain: Mapping[str, Any], shape: Mapping[str, Any], pieces: SignedPieces, root: bytes) -> Rendering:
+        self._count += 1
+        made = self._renderings[self._count] = Rendering(self._count, plain, shape, pieces, root)
+        while len(self._renderings) > MOST_RENDERINGS:
+            self._renderings.popitem(last=False)
+        return made
+
+    def _maker(self, options: InferenceOptions) -> _Maker:
+        plan = options.plan
+        assert plan is not None
+        key = _identity(plan)
+        at = next((at for at, (known, _) in enumerate(self._makers) if known == key), None)
+        entry = (key, self._new_maker(options)) if at is None else self._makers.pop(at)
+        self._makers = [*self._makers, entry][-MOST_DRAWINGS:]
         return entry[1]
+
+    def _new_maker(self, options: InferenceOptions) -> _Maker:
+        plan, bundle = options.plan, self._system.bundle
+        assert plan is not None
+        drawing = next((drawing for known, drawing in self._drawings if known == _identity(plan)), None)
+        renderer = self._system.plan_renderer(self._speech, options, drawing=drawing)
+        speaker, count = self._system.speaker_index(options.speaker), len(plan.drawn.lexemes)
+        return _Maker(renderer, ShapedBlocks(bundle.statistics, speaker, count), {})
+
+    def _frames(self, maker: _Maker, options: InferenceOptions) -> FramePieces:
+        key = options.fps, options.seated, options.mirrored
+        if key not in maker.pieces:
+            speaker = self._system.speaker_index(options.speaker)
+            count = round(self._speech.duration / _USUAL_BLOCK)
+            maker.pieces[key] = FramePieces(self._system.bundle, speaker, options, QUATERNION_STEPS, count,
+                                            self._numbers)
+        return maker.pieces[key]
+
+
+def _identity(plan: GesturePlan) -> tuple[Any, ...]:
+    """Everything that identifies a first generation. Equal parts of the plans that a page sends are the same objects,
+    so comparing the tuples is fast."""
+    return plan.made_by, plan.seed, plan.variation, plan.speaker, plan.interpreter, plan.drawn, plan.words
+
+
+def _view(request: Mapping[str, Any]) -> tuple[float, float]:
+    view = request.get("view")
+    if isinstance(view, list) and len(view) == 2 and all(isinstance(time, int | float) for time in view):
+        return float(view[0]), float(view[1])
+    return 0.0, 0.0
+
+
+# -------------------------------------------------------------------------------------------------------- messages
+
+def message(header: Mapping[str, Any], data: bytes = b"") -> bytes:
+    """A message of an answer."""
+    text = json.dumps({**header, "bytes": len(data)}, allow_nan=False).encode()
+    return len(text).to_bytes(4, "little") + text + data
+
+
+def frames_of(pieces: SignedPieces, wanted: Sequence[int]) -> tuple[list[tuple[int, int]], bytes]:
+    """The frames of the wanted pieces: ranges (first, last + 1), and [T, J, 4] int16."""
+    ranges: list[tuple[int, int]] = []
+    for at in wanted:
+        piece = pieces.pieces[at]
+        if ranges and ranges[-1][1] == piece.first:
+            ranges[-1] = ranges[-1][0], piece.last
+        else:
+            ranges.append((piece.first, piece.last))
+    return ranges, b"".join(pieces.rotations(at).astype("<i2").tobytes() for at in wanted)
+
+
+def whole_motion(motion: Motion) -> SignedPieces:
+    """A motion in pieces, whose numbers are those of their content."""
+    rotations = np.round(motion.rotations * QUATERNION_STEPS).astype("<i2")
+    pieces = []
+    for first in range(0, len(rotations), _PIECE):
+        part = rotations[first:first + _PIECE]
+        number = int.from_bytes(hashlib.blake2b(part.tobytes(), digest_size=8).digest(), "little")
+        pieces.append(FramePiece(first, first + len(part), number, part, part[[0, -1]].astype(np.float64)))
+    return SignedPieces(len(rotations), pieces, np.ones((len(pieces), rotations.shape[1]), np.int16))
+
+
+# ------------------------------------------------------------------------------------------------- changes of plans
+
+def plan_with(plain: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A plan in plain values with changes: `blocks`, a list of [first, last + 1, new blocks] from the last to the first
+    of them, and `parts`, other members by name, null to leave one out. `InputError` for invalid ones."""
+    try:
+        blocks = list(plain["blocks"])
+        for first, last, new in changes.get("blocks", ()):
+            if not 0 <= first <= last <= len(blocks) or not isinstance(new, list):
+                raise ValueError
+            blocks[first:last] = new
+        made = {**plain, **changes.get("parts", {}), "blocks": blocks}
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise InputError("the changes", "do not fit the plan", "load the page again") from None
+    return {name: value for name, value in made.items() if value is not None}
+
+
+def changes_of(made: GesturePlan, plan: GesturePlan) -> dict[str, Any]:
+    """The changes (`plan_with`) that lead from a plan to another one with as many blocks."""
+    rows: list[tuple[int, int, list[Any]]] = []
+    for at, (new, old) in enumerate(zip(made.blocks, plan.blocks, strict=True)):
+        if new is not old and new != old:
+            rows.append((at, at + 1, [to_plain(new)]))
+    before, after = dict(written_parts(plan)), dict(written_parts(made))
+    parts = {name: to_plain(value) for name, value in after.items()
+             if name != "blocks" and (name not in before or (before[name] is not value and before[name] != value))}
+    return {"blocks": rows[::-1], "parts": {**parts, **{name: None for name in before if name not in after}}}

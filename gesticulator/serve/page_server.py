@@ -1,8 +1,11 @@
 """A server for one page and one user: it listens on this machine only, and renders the plans sent by its page.
 
-`GET /` is the page; `POST /render` takes `{"plan": ...}` and answers with the data of a take or with `{"error": ...}`.
-Any page open in a browser can send requests to a local server; so a request must name this server as its host (which a
-foreign name resolved to this machine does not), and a rendering must come from its own page and carry the page's token.
+`GET /SECRET/` is the page; `POST /SECRET/render` takes the page's request and answers with the messages of
+`gesticulator.serve.edits`, or with `{"error": ...}`; `POST /SECRET/export` answers with a file, and `GET
+/SECRET/figures` with the figures of the palette. Other users of this machine can find the port, so the address holds a
+secret. Any page open in a browser can send requests to a local server; so a request must name this server as its host
+(which a foreign name resolved to this machine does not), and a rendering must come from its own page and carry the
+page's token.
 """
 
 from __future__ import annotations
@@ -10,16 +13,21 @@ from __future__ import annotations
 import hmac
 import json
 import secrets
+import socket
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError, one_line
 from data_module.files import parse_json
+
+if TYPE_CHECKING:
+    from gesticulator.serve.saved_edits import SavedEdits
 
 HOST = "127.0.0.1"
 TOKEN_HEADER = "X-Gesticulator-Token"
@@ -29,6 +37,8 @@ MOST_CONNECTIONS = 16
 """Concurrent connections; a browser opens up to 6."""
 PATIENCE = 30.0
 """Idle timeout of a connection, seconds."""
+MAKES_ROOM = 1.0
+"""Seconds in which a silent connection that is closed for a new one should end."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",  # cannot be set by the policy in the page
@@ -38,8 +48,17 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 
-Render = Callable[[dict[str, Any]], dict[str, Any]]
-"""A plan as JSON -> the page's data of its take; `InputError` for an invalid plan."""
+Render = Callable[[dict[str, Any], Callable[[], bool]], Iterator[bytes]]
+"""A request as JSON, and whether it has been abandoned -> the parts of the answer; `InputError` for an invalid request,
+`AbandonedError` for an abandoned one."""
+
+
+class AbandonedError(Exception):
+    """The page has asked for something else."""
+
+
+class UnknownRenderingError(InputError):
+    """The page builds on a rendering that is not known (any more)."""
 
 
 class PageServer(ThreadingHTTPServer):
@@ -49,6 +68,12 @@ class PageServer(ThreadingHTTPServer):
     block_on_close = False
     page: bytes = b""
     render: Render | None = None
+    export: Callable[[dict[str, Any]], bytes] | None = None
+    """Makes the answer to `POST /SECRET/export`: the file that a request asks for."""
+    figures: Callable[[], bytes] | None = None
+    """Makes the answer to `GET /SECRET/figures`: the figures of the palette as JSON."""
+    saved: SavedEdits | None = None
+    """Where edits are saved, if anywhere."""
     queue = 20.0
     """Seconds that a plan waits for another rendering before it is refused."""
 
@@ -60,14 +85,17 @@ class PageServer(ThreadingHTTPServer):
             reason = getattr(error, "strerror", None) or "no such port"
             raise InputError(f"--port {port}", f"cannot be used ({reason})",
                              "choose another, or leave it out") from None
-        self.token = secrets.token_urlsafe(24)
+        self.token, self.secret = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self.rendering = threading.Lock()
         self._connections = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self._silent: dict[socket.socket, None] = {}  # connections without a valid request, the oldest first
+        self._changing = threading.Lock()
+        self._latest: dict[str, int] = {}  # page -> its last request
 
     @property
     def url(self) -> str:
-        """URL of the page."""
-        return f"http://{HOST}:{self.server_port}/"
+        """URL of the page, with the secret."""
+        return f"http://{HOST}:{self.server_port}/{self.secret}/"
 
     @property
     def hosts(self) -> tuple[str, ...]:
@@ -75,16 +103,49 @@ class PageServer(ThreadingHTTPServer):
         return f"{HOST}:{self.server_port}", f"localhost:{self.server_port}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection in a new thread; close excess connections."""
-        if not self._connections.acquire(blocking=False):
+        """Serve a connection in a new thread. If there are too many, the one that has been silent for the longest time
+        is closed; without a silent one, the new one."""
+        if not self._connections.acquire(blocking=False) and not self._made_room():
             self.shutdown_request(request)
             return
+        self.falls_silent(request)
         super().process_request(request, client_address)
+
+    def _made_room(self) -> bool:
+        with self._changing:
+            oldest = next(iter(self._silent), None)
+        if oldest is None:
+            return False
+        self.speaks(oldest)
+        with suppress(OSError):
+            oldest.shutdown(socket.SHUT_RDWR)
+        return self._connections.acquire(timeout=MAKES_ROOM)
+
+    def falls_silent(self, request: socket.socket) -> None:
+        """A connection waits for a request."""
+        with self._changing:
+            self._silent.pop(request, None)
+            self._silent[request] = None
+
+    def speaks(self, request: socket.socket) -> None:
+        """A connection has sent a valid request, or has ended."""
+        with self._changing:
+            self._silent.pop(request, None)
+
+    def abandons(self, page: str, number: int) -> Callable[[], bool]:
+        """Note the latest request of a page; returns whether a later one has come."""
+        with self._changing:
+            latest = self._latest.pop(page, 0)
+            self._latest[page] = max(number, latest)
+            while len(self._latest) > MOST_CONNECTIONS:
+                del self._latest[next(iter(self._latest))]
+        return lambda: self._latest.get(page, number) > number
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         try:
             super().process_request_thread(request, client_address)
         finally:
+            self.speaks(request)
             self._connections.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -100,20 +161,31 @@ class _PageHandler(BaseHTTPRequestHandler):
     sys_version = ""
     timeout = PATIENCE
 
+    def handle_one_request(self) -> None:
+        """Serve one request; the connection is silent until it has proven valid."""
+        self.server.falls_silent(self.connection)
+        super().handle_one_request()
+
     def do_GET(self) -> None:
         if not self._is_ours():
             return
-        if self.path.partition("?")[0] != "/":
+        place = self._place()
+        if place not in ("", "figures") or (place == "figures" and self.server.figures is None):
             self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
             return
-        self._answer(HTTPStatus.OK, self.server.page, "text/html; charset=utf-8")
+        self.server.speaks(self.connection)
+        if place == "figures" and self.server.figures is not None:
+            self._answer(HTTPStatus.OK, self.server.figures(), "application/json")
+        else:
+            self._answer(HTTPStatus.OK, self.server.page, "text/html; charset=utf-8")
 
     def do_POST(self) -> None:
         # An unread body would be parsed as the next request.
         self.close_connection = True
         if not self._is_ours() or not self._is_from_page():
             return
-        if self.path != "/render":
+        place = self._place()
+        if place not in ("render", "export") or (place == "export" and self.server.export is None):
             self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
             return
         length = self.headers.get("Content-Length", "")
@@ -122,7 +194,15 @@ class _PageHandler(BaseHTTPRequestHandler):
         elif int(length) > MOST_BYTES:
             self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the plan has more than {MOST_BYTES >> 20} MB")
         else:
-            self._render(self.rfile.read(int(length)))
+            self.server.speaks(self.connection)
+            self._render(self.rfile.read(int(length)), place)
+
+    def _place(self) -> str | None:
+        """The path below the secret one; None elsewhere."""
+        secret, _, place = self.path.partition("?")[0].removeprefix("/").partition("/")
+        if not hmac.compare_digest(secret.encode("utf-8", "replace"), self.server.secret.encode()):
+            return None
+        return place if self.path.startswith(f"/{secret}/") else None
 
     def _is_ours(self) -> bool:
         if self.headers.get("Host") in self.server.hosts:
@@ -141,46 +221,68 @@ class _PageHandler(BaseHTTPRequestHandler):
             return False
         return True
 
-    def _render(self, body: bytes) -> None:
+    def _render(self, body: bytes, place: str) -> None:
         try:
             request = parse_json(body, "the request", "")
         except InputError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
             return
-        plan = request.get("plan") if isinstance(request, dict) else None
-        if not isinstance(plan, dict) or self.server.render is None:
+        request = request if isinstance(request, dict) else {}
+        if not any(isinstance(request.get(name), dict) for name in ("plan", "changes")) or self.server.render is None:
             self._refuse(HTTPStatus.BAD_REQUEST, "the request holds no plan")
             return
+        page, number = request.get("page"), request.get("number")
+        abandoned = self.server.abandons(page if isinstance(page, str) else "",
+                                         number if isinstance(number, int) else 0)
         if not self.server.rendering.acquire(timeout=self.server.queue):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "another plan is being rendered")
             return
         try:
-            take = self.server.render(plan)
+            if place == "export" and self.server.export is not None:
+                self._answer(HTTPStatus.OK, self.server.export(request), "application/octet-stream")
+            else:
+                self._stream(self.server.render(request, abandoned))
+        except AbandonedError:
+            self._refuse(HTTPStatus.CONFLICT, "the page has asked for something else")
+        except UnknownRenderingError as error:
+            self._refuse(HTTPStatus.GONE, one_line(error))
         except (InputError, OSError) as error:
             self._refuse(HTTPStatus.BAD_REQUEST, one_line(error))
         except Exception as error:  # noqa: BLE001 - one plan that fails must not end the session
             traceback.print_exc()
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"rendering failed ({type(error).__name__}); the terminal "
                          "tells more")
-        else:
-            self._answer(HTTPStatus.OK, json.dumps(take, allow_nan=False).encode(), "application/json")
         finally:
             self.server.rendering.release()
+
+    def _stream(self, parts: Iterator[bytes]) -> None:
+        """Answer with parts as they come. A failure after the first one ends the answer early."""
+        first = next(parts)
+        self._head(HTTPStatus.OK, "application/octet-stream")
+        with suppress(AbandonedError):
+            self.wfile.write(first)
+            for part in parts:
+                self.wfile.write(part)
 
     def _refuse(self, status: HTTPStatus, why: str) -> None:
         self.close_connection = True
         self._answer(status, json.dumps({"error": why}).encode(), "application/json")
 
     def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
+        self._head(status, kind, len(body))
+        self.wfile.write(body)
+
+    def _head(self, status: HTTPStatus, kind: str, length: int | None = None) -> None:
+        """The head of an answer, which ends with the connection if its length is not known."""
         self.send_response(status)
         for name, value in HEADERS.items():
             self.send_header(name, value)
         self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
+        if length is not None:
+            self.send_header("Content-Length", str(length))
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()
-        self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
         """Do not log requests."""

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import argparse
-import threading
+import gc
+import json
+import tempfile
 import webbrowser
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
-from gesticulator.arguments import check_choices, controls_from_args, performance_arguments
-from gesticulator.batch.jobs import STDIN, Job, load, performed
+from gesticulator.arguments import (
+    check_choices,
+    controls_from_args,
+    options_from_args,
+    performance_arguments,
+    print_list,
+)
+from gesticulator.batch.jobs import STDIN, Job, load, performed, retargeter_for
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
+from gesticulator.serve.page_export import exported, formats
+from gesticulator.serve.saved_edits import SavedEdits, place_of, put_aside, read_saved
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.plan.plan import GesturePlan
     from gesticulator.serve.page_server import PageServer
 
 SHOWN = (".glb", ".gltf", ".vrm")
@@ -32,6 +42,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     page = p.add_argument_group("page")
     page.add_argument("--port", type=int, default=0, metavar="N", help="port on 127.0.0.1 (default: any free one)")
     page.add_argument("--no-browser", action="store_true", help="print the address instead of opening a window")
+    page.add_argument("--anew", action="store_true", help="begin without the edits that were saved beside the sound")
     page.add_argument("--beside", choices=INTERPRETERS, metavar="NAME", help="a second take beside it, whose lexemes "
                       f"this interpreter chooses: {', '.join(INTERPRETERS)}")
     performance_arguments(p)
@@ -41,6 +52,12 @@ def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
     from gesticulator.serve.page_server import PageServer
 
+    if args.list:
+        from gesticulator.pipeline import Gesticulator
+
+        with limited_threads(int(args.threads)):
+            print_list(Gesticulator.from_pretrained(args.bundle), args.list)
+        return 0
     job = _job(args)
     check_choices(args)
     with PageServer(args.port) as server, our_warnings(), limited_threads(int(args.threads)):
@@ -58,8 +75,6 @@ def _job(args: argparse.Namespace) -> Job:
         raise InputError("speech", given, f"name one sound file; see {PROGRAM} view --help")
     if args.speech[0] == STDIN:
         raise InputError("standard input", "cannot be viewed", "name a sound file")
-    if args.list:
-        raise InputError("--list", f"is an option of {PROGRAM} infer", "leave it out")
     if args.plan is not None and args.beside is not None:
         raise InputError("--beside", "draws another take, and --plan replays one", "leave one of them out")
     if args.character is not None and Path(args.character).suffix.lower() not in SHOWN:
@@ -76,21 +91,35 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
 
     character, stands = _character(args)
     system = Gesticulator.from_pretrained(args.bundle)
+    system.keeps_drawings = True
+    _go_on(system, job, args)
     takes = _takes(system, job, args, args.legs or stands)
-    first = next(iter(takes.values()))
-    plans = LivePlans(system, first)
+    plans = LivePlans(system, *takes.values())
+    scenes = {name: take.scene() for name, take in takes.items()}
+    described = [html.describe(scene) for scene in scenes.values()]
+    numbers = [plans.opened(take, one["plan"]) for take, one in zip(takes.values(), described, strict=True)]
     assert job.source is not None
-    more = {"live": {"token": server.token}, **character}
-    server.page = html.page({name: take.scene() for name, take in takes.items()}, html.title_of(job.source),
-                            together=len(takes) > 1, more=more).encode()
+    more = {"live": {"token": server.token, "renderings": numbers, "formats": formats()}, **character}
+    server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1, more=more).encode()
+    if job.source is not None and args.beside is None:
+        saved = server.saved = SavedEdits(place_of(job.source))
+        # What is only tried is not saved.
+        plans.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(lambda: plan)
     server.render = plans.answer
-    # While the page opens, prepare the state that edits start from, which takes as long as the takes did.
-    def prepare(originals: list[GesturePlan]) -> None:
-        with server.rendering:
-            for plan in originals:
-                plans.prepare(plan)
+    # What stays for the whole session need not be looked through for garbage, which would delay edits by a third of a
+    # second now and then.
+    gc.collect()
+    gc.freeze()
+    server.export = partial(exported, rendered=plans.performance, retargeter=retargeter_for(args))
+    server.figures = cache(partial(_figures, system, takes))
 
-    threading.Thread(target=prepare, args=([take.plan() for take in takes.values()],), daemon=True).start()
+
+def _figures(system: Gesticulator, takes: dict[str, Performance]) -> bytes:
+    """The figures of the palette as JSON."""
+    from gesticulator.directing.moving_figures import moving_figures
+
+    speaker = system.speaker_index(next(iter(takes.values())).decided.speaker)
+    return json.dumps(moving_figures(system.bundle, speaker)).encode()
 
 
 def _character(args: argparse.Namespace) -> tuple[dict[str, Any], bool]:
@@ -107,11 +136,40 @@ def _character(args: argparse.Namespace) -> tuple[dict[str, Any], bool]:
     return character_data(character.path, joints), mapping.legs and not sits
 
 
+def _go_on(system: Gesticulator, job: Job, args: argparse.Namespace) -> None:
+    """Let the arguments go on with the edits that were saved beside the sound, if there are any; if the sound was
+    exported again since, with those that have a place in it."""
+    from data_module.speech.audio import SAMPLE_RATE, amplified, resample
+    from gesticulator.directing.directions import check_bundle_of, planned
+    from gesticulator.options import InferenceOptions
+    from gesticulator.plan.plan import sound_hash
+
+    if args.anew or args.plan is not None or args.beside is not None or job.source is None:
+        return
+    plan = read_saved(job.source)
+    if plan is None:
+        return
+    try:
+        check_bundle_of(system.bundle, plan)
+        given = options_from_args(args, controls_from_args(system, args), args.legs)
+        planned(InferenceOptions.of({**given, "plan": plan}))
+    except InputError as error:
+        put_aside(job.source, str(error))
+        return
+    args.plan = str(place_of(job.source))
+    speech = resample(amplified(load(job, args), float(plan.made_by.get("settings", {}).get("gain", 0.0))), SAMPLE_RATE)
+    args.retime = sound_hash(speech) != plan.sound.sha256
+    how = "moved onto the new sound" if args.retime else "opened"
+    print(f"{args.plan}: the saved edits are {how}; --anew begins without them", flush=True)
+
+
 def _takes(system: Gesticulator, job: Job, args: argparse.Namespace, legs: bool) -> dict[str, Performance]:
     """Name -> performance of each take."""
     controls, speech = controls_from_args(system, args), load(job, args)
     first = performed(job, speech, system, args, controls, legs)
     first = first.labelled(job.name, first.notes)
+    if first.retiming is not None:
+        print("\n".join(f"  {line}" for line in first.retiming.lines()), flush=True)
     name = first.decided.interpreter
     if args.beside is None:
         return {name: first}
@@ -124,12 +182,23 @@ def _takes(system: Gesticulator, job: Job, args: argparse.Namespace, legs: bool)
 
 def _serve(server: PageServer, args: argparse.Namespace) -> None:
     print(f"{server.url}  (Ctrl C ends it)", flush=True)
-    if not args.no_browser:
-        webbrowser.open(server.url)
-    with suppress(KeyboardInterrupt):
-        server.serve_forever()
+    with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:
+        if not args.no_browser:
+            webbrowser.open(_way_in(Path(folder), server.url))
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()
+    if server.saved is not None:
+        server.saved.save()
     # Wait for a running rendering: a thread stopped within torch crashes the process.
     server.rendering.acquire()
+
+
+def _way_in(folder: Path, url: str) -> str:
+    """The address of a file that leads to the page: a browser's command line can be read by all users of the machine,
+    a file in a folder of one's own cannot."""
+    file = folder / "open.html"
+    file.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><title>gesticulator</title>')
+    return file.as_uri()
 
 
 COMMAND = Command(

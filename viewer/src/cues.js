@@ -30,6 +30,14 @@ export function addCue(plan, gesture, time) {
   return { ...plan, cues: [...asked(plan), { gesture, ...at }] };
 }
 
+/** Move a gesture that was asked for to a time: to the word there, where one is said. */
+export function moveCue(plan, index, time) {
+  if (index >= asked(plan).length) return plan;
+  const { word, occurrence, time: _, ...cue } = asked(plan)[index], at = wordAt(plan, time) ?? { time: Math.round(Math.max(time, 0) * 1000) / 1000 };
+  if (at.word === word && (at.occurrence ?? 1) === (occurrence ?? 1) && at.time === _) return plan;
+  return { ...plan, cues: asked(plan).map((one, k) => (k === index ? { ...cue, ...at } : one)) };
+}
+
 /** Remove the gesture at an index of `cuesOf`. */
 export function removeCue(plan, index) {
   const gone = cuesOf(plan)[index];

@@ -22,10 +22,12 @@ export function bindFiles(take) {
     depth = Math.max(0, depth + by);
     shade.hidden = !depth;
   };
-  addEventListener("dragenter", (event) => { event.preventDefault(); show(1); });
-  addEventListener("dragleave", () => show(-1));
-  addEventListener("dragover", (event) => event.preventDefault());
+  const holdsFiles = (event) => event.dataTransfer?.types.includes("Files");
+  addEventListener("dragenter", (event) => { if (holdsFiles(event)) { event.preventDefault(); show(1); } });
+  addEventListener("dragleave", (event) => { if (holdsFiles(event)) show(-1); });
+  addEventListener("dragover", (event) => { if (holdsFiles(event)) event.preventDefault(); });
   addEventListener("drop", (event) => {
+    if (!holdsFiles(event)) return;
     event.preventDefault();
     show(-Infinity);
     for (const file of event.dataTransfer.files) take(file);

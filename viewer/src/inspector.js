@@ -1,7 +1,7 @@
 // The panel beside the stage: what the selected blocks do, what they could do, and the knobs of the whole take.
 
 import { addCue, cuesOf, cueTime, removeCue } from "./cues.js";
-import { $, element } from "./dom.js";
+import { $, element, notice } from "./dom.js";
 import { minutes } from "./numbers.js";
 import * as edits from "./plan.js";
 import { signPicture, TITLES } from "./signs.js";
@@ -80,7 +80,11 @@ export class Inspector {
     } else session.edit(edits.deleteBeat(session.plan, this.beat()));
   }
 
-  addBeat() { this.session.edit(edits.addBeat(this.session.plan, this.clock.time)); }
+  addBeat() {
+    const plan = edits.addBeat(this.session.plan, this.clock.time);
+    if (plan) this.session.edit(plan);
+    else notice(`This block is too short for another beat: a block lasts ${edits.SHORTEST} s at least.`);
+  }
 
   holdStill() {
     const { plan } = this.session, [first, last] = this.stretch, still = plan.knobs?.hold_still ?? [];

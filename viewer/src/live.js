@@ -1,17 +1,56 @@
-// With `gesticulator view` behind the page: an edited plan goes there and comes back as motion.
+// With `gesticulator view` behind the page: what was edited goes there, and the frames that changed come back.
 
-import { countChanges, planText, readJson } from "./plan.js";
+import { changesBetween, countChanges, readJson, withChanges } from "./plan.js";
 
-/** Milliseconds after the last edit before the plan is sent, so that a drag is one rendering. */
-const PAUSE = 120;
-/** Milliseconds before a plan is sent again that came while another one was rendered. */
+/** Milliseconds after an edit before it is sent, so that edits of one moment are one rendering. */
+const PAUSE = 15;
+/** Milliseconds before an edit is sent again that came while something else was rendered. */
 const LATER = 1000;
-const BUSY = 503;
+const BUSY = 503, CONFLICT = 409, GONE = 410;
+
+/** The messages of an answer, as they come: { header, data }. */
+async function* messagesOf(answer) {
+  const reader = answer.body.getReader();
+  let held = new Uint8Array(0);
+  const need = async (count) => {
+    const parts = [held];
+    let size = held.length;
+    while (size < count) {
+      const { done, value } = await reader.read();
+      if (done) return false;
+      parts.push(value);
+      size += value.length;
+    }
+    if (parts.length > 1) {
+      held = new Uint8Array(size);
+      parts.reduce((at, part) => { held.set(part, at); return at + part.length; }, 0);
+    }
+    return true;
+  };
+  const take = (count) => { const taken = held.slice(0, count); held = held.subarray(count); return taken; };
+  while (await need(4)) {
+    const length = new DataView(take(4).buffer).getUint32(0, true);
+    if (!(await need(length))) return;
+    const header = readJson(new TextDecoder().decode(take(length)));
+    if (!(await need(header.bytes))) return;
+    yield { header, data: take(header.bytes) };
+  }
+}
+
+const base64Of = (bytes) => new Promise((resolve, reject) => {
+  const reader = new FileReader();
+  reader.onload = () => resolve(reader.result.slice(reader.result.indexOf(",") + 1));
+  reader.onerror = () => reject(reader.error);
+  reader.readAsDataURL(new Blob([bytes]));
+});
 
 export class Live {
-  /** told: { token } from the server, or null for a page without one. say(state, text): what the user is told. */
-  constructor(session, told, say) {
-    Object.assign(this, { session, told, say, waiting: 0, busy: false });
+  /** told: { token } from the server, or null for a page without one. say(state, text): what the user is told.
+   *  view(): the visible stretch, seconds. */
+  constructor(session, told, say, view = () => [0, 0]) {
+    Object.assign(this, { session, told, say, view, waiting: 0, number: 0, asking: null });
+    this.page = Math.random().toString(36).slice(2);
+    session.lanes.forEach((lane, k) => { lane.known = { plan: lane.rendered, rendering: told?.renderings?.[k] ?? null }; });
     session.on("edited", () => this.edited());
     this.edited();
   }
@@ -23,40 +62,112 @@ export class Live {
       this.say(count ? "edited" : "same", count ? `${count} ${count === 1 ? "edit" : "edits"}, not rendered yet` : "");
       return;
     }
-    if (lane.history.present === lane.rendered) { if (!this.busy) this.say("same", ""); return; }
     clearTimeout(this.waiting);
+    if (lane.history.present === lane.rendered) {
+      this.asking?.abort();
+      this.say("same", this.news ?? "");
+      this.news = null;
+      return;
+    }
     this.waiting = setTimeout(() => this.send(), PAUSE);
     this.say("busy", "rendering …");
   }
 
-  async send() {
-    // One at a time; what was edited meanwhile goes next.
-    if (this.busy) { this.again = true; return; }
-    const { lane } = this.session, asked = lane.history.present;
-    this.busy = true;
-    this.again = false;
-    const begin = performance.now();
+  /** Play a plan on the stage without taking it. */
+  async try(plan) {
+    const { lane } = this.session, known = lane.known;
+    if (!this.told || !plan || known?.rendering == null || lane.history.present !== lane.rendered || lane.history.present !== known.plan) return;
+    this.forget();
+    const trying = this.trying = new AbortController(), before = lane.take;
+    this.tried = { lane, before };
+    this.asking?.abort();
+    this.asking = trying;
     try {
-      const answer = await fetch("render", {
-        method: "POST", headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
-        body: JSON.stringify({ take: lane.take.name, plan: "PLAN" }).replace('"PLAN"', () => planText(asked)),
-      });
-      const told = readJson(await answer.text());
+      const answer = await this.ask(plan, known, trying.signal, true);
+      if (!answer.ok) return;
+      for await (const { header, data } of messagesOf(answer)) if (!trying.signal.aborted) this.session.patch(lane, header, data);
+      if (!trying.signal.aborted) this.say("busy", "a try: click to take it");
+    } catch { /* a try that fails shows nothing */ } finally {
+      if (this.asking === trying) this.asking = null;
+    }
+  }
+
+  /** Back to what was there before a try. */
+  forget() {
+    this.trying?.abort();
+    if (!this.tried) return;
+    const { lane, before } = this.tried;
+    this.tried = this.trying = null;
+    if (lane.take === before) return;
+    this.session.show(lane, before);
+    this.say("same", "");
+  }
+
+  /** Ask for the motion of the present plan. What was asked for before is not wanted any more. */
+  async send() {
+    this.forget();
+    const { lane } = this.session, asked = lane.history.present, known = lane.known ?? { plan: null, rendering: null };
+    this.asking?.abort();
+    const asking = this.asking = new AbortController(), begin = performance.now();
+    try {
+      const answer = await this.ask(asked, known, asking.signal);
+      if (answer.status === CONFLICT) return;
       if (answer.status === BUSY) {
         this.say("busy", "waiting for the models …");
         this.waiting = setTimeout(() => this.send(), LATER);
         return;
       }
-      if (!answer.ok) throw new Error(told.error ?? answer.statusText);
-      lane.rendered = asked;
-      this.session.replace(lane, told, asked);
-      this.say("same", `rendered in ${((performance.now() - begin) / 1000).toFixed(1)} s`);
+      if (answer.status === GONE && known.rendering !== null) {
+        lane.known = { plan: null, rendering: null };
+        this.send();
+        return;
+      }
+      if (!answer.ok) throw new Error(readJson(await answer.text()).error ?? answer.statusText);
+      await this.receive(lane, asked, answer, asking, begin);
     } catch (error) {
+      if (asking.signal.aborted) return;
       lane.rendered = asked; // not asked again before the next edit
       this.say("bad", error instanceof TypeError ? "gesticulator view does not answer: is it still running?" : error.message);
     } finally {
-      this.busy = false;
+      if (this.asking === asking) this.asking = null;
     }
-    if (this.again || (lane.history.present !== asked && lane.history.present !== lane.rendered)) this.edited();
+  }
+
+  /** The bytes of a file of a plan. character: { name, bytes } that the user dropped on the page, or null. */
+  async export(plan, format, character) {
+    const told = character && { name: character.name, data: await base64Of(character.bytes) };
+    const answer = await fetch("export", {
+      method: "POST", headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
+      body: JSON.stringify({ plan, format, character: told ?? undefined }),
+    });
+    if (!answer.ok) throw new Error(readJson(await answer.text()).error ?? answer.statusText);
+    return new Uint8Array(await answer.arrayBuffer());
+  }
+
+  ask(asked, { plan, rendering }, signal, trial = false) {
+    const body = rendering === null ? { plan: asked } : { have: rendering, changes: changesBetween(plan, asked) };
+    return fetch("render", {
+      method: "POST", signal, headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
+      body: JSON.stringify({ page: this.page, number: ++this.number, trial, view: this.view(), ...body }),
+    });
+  }
+
+  async receive(lane, asked, answer, asking, begin) {
+    let ended = false;
+    for await (const { header, data } of messagesOf(answer)) {
+      if (asking.signal.aborted) return;
+      if (header.kind === "failed") throw new Error(header.error);
+      this.session.patch(lane, header, data);
+      if (header.kind !== "done") {
+        this.say("busy", header.share ? `drawing … ${Math.round(header.share * 100)} %` : "drawing …");
+        continue;
+      }
+      ended = true;
+      const plan = withChanges(asked, header.changes);
+      lane.known = { plan, rendering: header.rendering };
+      this.news = `rendered in ${((performance.now() - begin) / 1000).toFixed(2)} s`;
+      this.session.rendered(lane, plan, asked);
+    }
+    if (!ended && !asking.signal.aborted) throw new Error("gesticulator view has ended its answer early.");
   }
 }

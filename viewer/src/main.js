@@ -2,15 +2,17 @@
 
 import { readCharacter } from "./character.js";
 import { Clock } from "./clock.js";
-import { $, notice } from "./dom.js";
+import { $, element, notice } from "./dom.js";
 import { characterGlb, figureGlb, vrmaOf } from "./exports.js";
 import { bindFiles, fileName, save } from "./files.js";
 import { Inspector } from "./inspector.js";
+import { Kept } from "./kept.js";
 import { bindKeys, fillSheet } from "./keys.js";
 import { Live } from "./live.js";
 import { bytesOf, clamp, minutes } from "./numbers.js";
 import * as edits from "./plan.js";
 import { readJson } from "./plan.js";
+import { Palette } from "./palette.js";
 import { Performer } from "./performer.js";
 import { Session } from "./session.js";
 import { silencePicture, signPicture, TITLES } from "./signs.js";
@@ -184,6 +186,19 @@ async function exportAs(kind) {
   changed();
 }
 
+/** Export the plan in a format of the command line, with the character that is shown. */
+async function exportAny() {
+  const format = $("export-format").value, name = fileName(data.title, format);
+  const dropped = worn && !(data.character && worn.told === data.character) ? { name: worn.told.name, bytes: worn.bytes } : null;
+  notice(`${name} is being made …`);
+  try {
+    save(name, await live.export(session.plan, format, dropped), "application/octet-stream");
+    notice(`${name} is written.`);
+  } catch (error) {
+    notice(`${name} cannot be written: ${error.message}`, true);
+  }
+}
+
 // ---------------------------------------------------------------- time
 
 function step(frames) {
@@ -232,6 +247,26 @@ function toggleTrails() {
   changed();
 }
 
+let clipboard = null;
+
+function copy() {
+  clipboard = edits.copied(session.plan, ...inspector.stretch);
+  notice(`${clipboard.length === 1 ? "A gesture is" : `${clipboard.length} blocks are`} copied: go to another place and press Ctrl V.`);
+}
+
+function paste() {
+  if (!clipboard) return;
+  const [first] = inspector.stretch, gestures = clipboard.slice(0, session.plan.blocks.length - first);
+  session.edit(edits.pasted(session.plan, first, gestures));
+  session.select(first, first + gestures.length - 1);
+}
+
+function toggleCurve() {
+  timeline.curved = !timeline.curved;
+  $("curve").setAttribute("aria-pressed", String(timeline.curved));
+  refresh();
+}
+
 function toggleOf(id) { $(id).click(); }
 
 const actions = {
@@ -241,8 +276,10 @@ const actions = {
   "h": () => toggleOf("silence"), "m": () => toggleOf("mirror"), "k": () => toggleOf("lock"), "[": () => inspector.nudge(-edits.INTENSITY.step),
   "]": () => inspector.nudge(edits.INTENSITY.step), "n": () => toggleOf("draw-again"), "b": () => inspector.addBeat(), "Delete": () => inspector.deleteBeat(),
   "Backspace": () => inspector.deleteBeat(), "ctrl+z": () => session.undo(), "ctrl+shift+z": () => session.redo(), "ctrl+y": () => session.redo(),
+  "ctrl+c": copy, "ctrl+v": paste,
   "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": () => { session.select(null); $("file-menu").open = false; document.activeElement?.blur(); },
   "f": () => look("front"), "s": () => look("side"), "c": () => look("close"), "r": () => look("reset"), "t": toggleTrails, "d": toggleTogether,
+  "p": () => palette?.toggle(),
   "a": () => session.activate(1 - session.active), "+": () => zoom(1.3), "=": () => zoom(1.3), "-": () => zoom(1 / 1.3), "?": () => $("sheet").showModal(),
   ...Object.fromEntries([1, 2, 3, 4, 5].map((rank) => [String(rank), () => inspector.chooseRank(rank)])),
 };
@@ -268,7 +305,9 @@ function bindDesk() {
   click("own-figure", undress);
   click("export-glb", () => exportAs("glb"));
   click("export-vrma", () => exportAs("vrma"));
+  click("export-go", exportAny);
   click("trails", toggleTrails);
+  click("curve", toggleCurve);
   click("together", toggleTogether);
   click("help", () => $("sheet").showModal());
   click("notice", () => notice(""));
@@ -283,7 +322,9 @@ function bindDesk() {
     if (event.detail) event.target.closest?.("button, summary, input[type=range]")?.blur();
   });
   addEventListener("change", (event) => { if (event.target.matches("select")) event.target.blur(); });
-  addEventListener("beforeunload", (event) => { if (session.plan !== session.original && session.plan !== saved) event.preventDefault(); });
+  addEventListener("beforeunload", (event) => {
+    if (!kept && session.plan !== session.original && session.plan !== saved) event.preventDefault();
+  });
 }
 
 // ---------------------------------------------------------------- one picture after the other
@@ -299,7 +340,7 @@ function tick(now) {
     const time = clamp(clock.time, 0, data.duration);
     timeline.follow(time, clock.playing);
     const block = edits.blockAt(session.plan, time);
-    if (panelFor !== block) { panelFor = block; inspector.update(); }
+    if (panelFor !== block) { panelFor = block; inspector.update(); palette?.mark(); }
     writeClock(time);
     timeline.draw(time);
     stage?.draw(time);
@@ -344,7 +385,25 @@ session.on("edited", refresh);
 session.on("selected", refresh);
 session.on("takes", performers);
 session.on("refused", () => notice("A motion from a file has no plan to edit: choose the other take."));
-new Live(session, data.live, status);
+const live = new Live(session, data.live, status, () => [timeline.left, timeline.left + timeline.span]);
+const kept = session.lanes.length === 1 && session.plan.sound?.sha256
+  ? new Kept(session, `${data.live?.token ?? "file"} ${session.plan.sound.sha256.slice(0, 16)} ${session.plan.seed}`, notice) : null;
+const palette = data.live ? new Palette(session, clock, live, async () => {
+  const answer = await fetch("figures");
+  if (!answer.ok) throw new Error(answer.statusText);
+  return answer.json();
+}, timeline) : null;
+$("palette-open").hidden = !palette;
+$("export-any").hidden = !data.live?.formats;
+$("export-format").replaceChildren(...(data.live?.formats ?? []).map(([format, about]) => element("option", { value: format }, `${format}: ${about}`)));
+if (data.live?.formats) $("export-format").value = ".fbx";
+$("variations").hidden = !data.live;
+$("variations").replaceChildren(...[1, 2, 3].map((number) => {
+  const plan = () => edits.varied(session.plan, ...inspector.stretch, number), see = () => live.try(plan()), leave = () => live.forget();
+  return element("button", { "type": "button", "title": `Variation ${number} of these blocks: hover to see it, click to take it`, "aria-label": `Variation ${number}`,
+    "onpointerenter": see, "onpointerleave": leave, "onfocus": see, "onblur": leave, "onclick": () => { leave(); session.edit(plan()); } }, `V${number}`);
+}));
+if (edits.curveOf(session.plan).length) toggleCurve();
 clock.load(data.sound, data.soundType, () => notice("This browser cannot play the sound (Ogg Vorbis).", true));
 refresh();
 resized();

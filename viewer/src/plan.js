@@ -74,10 +74,13 @@ export function deleteBeat(plan, k) {
   return withBlocks(plan, [...plan.blocks.slice(0, k - 1), joined, ...plan.blocks.slice(k + 1)]);
 }
 
-/** Put a beat at a time: the block there becomes two of one gesture. */
+/** Put a beat at a time: the block there becomes two of one gesture; `null` where it is too short for that. */
 export function addBeat(plan, time) {
-  const k = blockAt(plan, time), block = plan.blocks[k], at = rounded(time);
-  if (at - block.start < SHORTEST || block.end - at < SHORTEST) return plan;
+  const k = blockAt(plan, time), block = plan.blocks[k];
+  if (block.end - block.start < 2 * SHORTEST + 1e-9) return null;
+  // Near an edge it goes as far from it as a block must last.
+  const at = rounded(clamp(time, block.start + SHORTEST + 5e-4, block.end - SHORTEST - 5e-4));
+  if (at - block.start < SHORTEST || block.end - at < SHORTEST) return null;
   const second = drawnAnew({ ...block, start: at });
   return withBlocks(plan, [...plan.blocks.slice(0, k), { ...block, end: at, flag: "edited" }, second, ...plan.blocks.slice(k + 1)]);
 }
@@ -89,6 +92,38 @@ export const drawAgain = (plan, first, last) => changed(plan, first, last, drawn
 
 /** Turn a knob of the whole take. */
 export const setKnob = (plan, name, value) => ({ ...plan, knobs: { ...plan.knobs, [name]: value } });
+
+/** The blocks of a gesture unit: [first, last]. */
+export function blocksOfUnit(plan, unit) {
+  const first = blockAt(plan, unit.start + 1e-3), last = blockAt(plan, unit.end - 1e-3);
+  return [first, Math.max(first, last)];
+}
+
+/** What blocks can hand on to others: their gestures, sizes and sides. */
+export const copied = (plan, first, last) => plan.blocks.slice(first, last + 1)
+  .map(({ lexeme, name = null, silent, intensity = 1, mirror = false }) => ({ lexeme, name, silent, intensity, mirror }));
+
+/** Put the gestures of copied blocks on as many blocks from one on. */
+export const pasted = (plan, at, gestures) => changed(plan, at, at + gestures.length - 1, (block, k) => ({ ...block, ...gestures[k - at] }));
+
+/** The points of the intensity curve: [[seconds, factor]], in order. */
+export function curveOf(plan) {
+  const curve = (plan.curves ?? []).find(({ knob }) => knob === "intensity");
+  return curve ? curve.times.map((time, k) => [time, curve.values[k]]) : [];
+}
+
+/** A plan with these points of the intensity curve; without points, without the curve. */
+export function withCurve(plan, points) {
+  const others = (plan.curves ?? []).filter(({ knob }) => knob !== "intensity");
+  const sorted = [...points].sort((a, b) => a[0] - b[0]).filter(([time], k, all) => k === 0 || time > all[k - 1][0]);
+  const curves = sorted.length ? [...others, { knob: "intensity", times: sorted.map(([time]) => time), values: sorted.map(([, value]) => value) }] : others;
+  const { curves: _, ...rest } = plan;
+  return curves.length ? { ...rest, curves } : rest;
+}
+
+/** Blocks drawn with another variation: the same lexemes in a manner of its own for each number from 1. */
+export const varied = (plan, first, last, number) => changed(plan, first, last, (block) => (
+  block.draw ? { ...block, draw: { ...block.draw, variation: (block.draw.variation + number) % 2 ** 32 } } : block));
 
 /** Put blocks back as they were in another plan: those of it that start within the stretch and stand on its edges. */
 export function restored(plan, original, first, last) {
@@ -115,6 +150,37 @@ export function countChanges(plan, original) {
   const plain = (part) => JSON.stringify(part && Object.keys(part).length ? part : null);
   const parts = ["knobs", "cues", "meanings"].filter((name) => plain(plan[name]) !== plain(original[name]));
   return here + parts.length;
+}
+
+/** What leads from one plan to another: { blocks: [[first, last + 1, new blocks]], parts }. */
+export function changesBetween(from, to) {
+  const old = from.blocks, now = to.blocks, least = Math.min(old.length, now.length), parts = {}, blocks = [];
+  if (old.length === now.length) {
+    for (let last = old.length; last > 0; last--) {
+      if (old[last - 1] === now[last - 1]) continue;
+      let first = last - 1;
+      while (first > 0 && old[first - 1] !== now[first - 1]) first--;
+      blocks.push([first, last, now.slice(first, last)]);
+      last = first + 1;
+    }
+  } else {
+    let head = 0, tail = 0;
+    while (head < least && old[head] === now[head]) head++;
+    while (tail < least - head && old[old.length - 1 - tail] === now[now.length - 1 - tail]) tail++;
+    blocks.push([head, old.length - tail, now.slice(head, now.length - tail)]);
+  }
+  for (const name of new Set([...Object.keys(from), ...Object.keys(to)])) {
+    if (name !== "blocks" && from[name] !== to[name]) parts[name] = to[name] ?? null;
+  }
+  return { blocks, parts };
+}
+
+/** A plan with changes; the blocks that did not change are the same objects. */
+export function withChanges(plan, { blocks, parts }) {
+  const made = { ...plan, ...parts, blocks: [...plan.blocks] };
+  for (const [first, last, now] of blocks) made.blocks.splice(first, last - first, ...now);
+  for (const [name, value] of Object.entries(parts)) if (value === null) delete made[name];
+  return made;
 }
 
 /** What is wrong with a plan that somebody opens, in words; null where nothing is. */

@@ -74,13 +74,23 @@ export class Session {
     this.tell("edited");
   }
 
-  /** A lane's new motion, made of `asked`; the plan is told in more detail where it has not been edited meanwhile. */
-  replace(lane, told, asked) {
-    lane.take = new Take({ ...told, name: lane.take.name });
-    if (lane.history.present === asked) lane.history.refine(told.plan);
-    lane.rendered = lane.history.present === told.plan ? told.plan : asked;
-    this.keepSelection();
+  /** A lane's motion with the frames of a message (see `Take.patched`). */
+  patch(lane, header, data) {
+    lane.take = lane.take.patched(header, data);
     this.tell("takes");
+  }
+
+  /** Show another motion in a lane. */
+  show(lane, take) {
+    lane.take = take;
+    this.tell("takes");
+  }
+
+  /** A lane's motion is that of the plan `asked`, in more detail: `plan`, where it has not been edited meanwhile. */
+  rendered(lane, plan, asked) {
+    if (lane.history.present === asked) lane.history.refine(plan);
+    lane.rendered = lane.history.present === plan ? plan : asked;
+    this.keepSelection();
     this.tell("edited");
   }
 

@@ -2,6 +2,9 @@
 
 import { bytesOf, clamp } from "./numbers.js";
 
+/** Steps of a unit in which quaternions are told. */
+const STEPS = 32767;
+
 export class Take {
   /** told: what `gesticulator.export.html.describe` wrote. */
   constructor(told) {
@@ -19,6 +22,22 @@ export class Take {
     this.joints = skeleton.names.length;
     this.rows = new Map(skeleton.names.map((joint, row) => [joint, row]));
     return this;
+  }
+
+  /** The take with other frames. header: { ranges: [[first, last + 1]], shape, root }; data: their rotations as int16
+   *  [T, J, 4], then `root` bytes of float32, the path of the root. shape: fps, frames and so on, where they are others. */
+  patched({ ranges, shape, root = 0 }, data) {
+    const told = shape ?? this, joints = told.skeleton.names.length, fresh = told.frames !== this.frames || joints !== this.joints;
+    const rotations = fresh ? new Float32Array(told.frames * joints * 4) : this.rotations.slice();
+    const steps = new Int16Array(data.buffer, data.byteOffset, (data.length - root) / 2);
+    let from = 0;
+    for (const [first, last] of ranges) {
+      const to = first * joints * 4, count = (last - first) * joints * 4;
+      for (let i = 0; i < count; i++) rotations[to + i] = steps[from + i] / STEPS;
+      from += count;
+    }
+    const roots = root ? new Float32Array(data.slice(data.length - root).buffer) : this.roots;
+    return Take.of({ ...this, ...(shape ?? {}), name: this.name, rotations, roots });
   }
 
   has(joint) { return this.rows.has(joint); }

@@ -2,11 +2,14 @@
 
 import { cuesOf, cueTime } from "./cues.js";
 import { clamp, minutes } from "./numbers.js";
-import { beatFlag, blockAt, differs } from "./plan.js";
+import { beatFlag, blockAt, curveOf, differs, INTENSITY } from "./plan.js";
 import { drawSign, flagColour } from "./signs.js";
 import { colours, lexemeColour, sizes } from "./theme.js";
 
 const STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 30, 60, 120, 300, 600];
+
+/** How strongly each phase of a gesture unit is coloured. */
+const PHASES = { "preparation": 0.3, "pre-stroke hold": 0.3, "stroke": 0.85, "post-stroke hold": 0.3, "retraction": 0.18 };
 
 /** A canvas that knows its size in CSS pixels. */
 function sharp(canvas) {
@@ -38,10 +41,14 @@ export class Timeline {
     const row = (name, tall) => { rows[name] = { top: y, tall: tall * u }; y += tall * u; };
     row("ruler", 18);
     row("cues", cuesOf(plan).length ? 20 : 0);
-    row("words", plan.words?.length ? 18 : 0);
+    // A phone held sideways has little height.
+    const low = innerHeight <= 520;
+    row("words", plan.words?.length ? (low ? 15 : 28) : 0);
     row("beats", 18);
-    row("wave", 52);
+    row("wave", low ? 26 : 52);
     row("gap", 4);
+    row("curve", this.curved ? 44 : 0);
+    row("units", plan.units?.length ? 15 : 0);
     row("blocks", 30);
     rows.height = y;
     this.rows = rows;
@@ -86,6 +93,8 @@ export class Timeline {
     this.drawWords(pen, time);
     this.wave.draw(pen, this.left, this.scale, { width, ...rows.wave }, time);
     this.drawBeats(pen);
+    this.drawCurve(pen, width);
+    this.drawUnits(pen);
     this.drawBlocks(pen, blockAt(plan, time));
     this.drawRange(pen, width);
     this.drawPlayhead(pen, this.x(time));
@@ -134,15 +143,17 @@ export class Timeline {
   drawWords(pen, time) {
     const { top, tall } = this.rows.words, u = sizes.unit;
     if (!tall) return;
-    let free = -Infinity;
+    // Two lines, so that every word has room at the usual zoom; far out, what has none on either is left out.
+    const two = tall > 20 * u, free = [-Infinity, two ? -Infinity : Infinity];
     for (const { text, start, end } of this.session.plan.words) {
-      if (end < this.left || start > this.left + this.span) continue;
-      const at = Math.max(this.x(start), free), wide = pen.measureText(text).width;
-      // What has no room is left out; a zoom shows it.
-      if (at > this.x(end) && wide > 8 * u) continue;
+      if (end < this.left - 2 || start > this.left + this.span) continue;
+      const from = this.x(start), wide = pen.measureText(text).width;
+      const line = free[0] <= from ? 0 : free[1] <= from ? 1 : free[0] <= free[1] ? 0 : 1;
+      const at = Math.max(from, free[line]);
+      if (at > from + 30 * u && at > this.x(end)) continue;
       pen.fillStyle = time >= start && time < end ? colours.ink : colours.soft;
-      pen.fillText(text, at, top + tall / 2);
-      free = at + wide + 5 * u;
+      pen.fillText(text, at, top + tall * (line ? 0.75 : two ? 0.27 : 0.5));
+      free[line] = at + wide + 5 * u;
     }
   }
 
@@ -184,6 +195,68 @@ export class Timeline {
       pen.arc(at, middle, 7.5 * u, 0, Math.PI * 2);
       pen.stroke();
     }
+  }
+
+  /** Where a factor of the intensity curve stands in its row. */
+  curveY(value) {
+    const { top, tall } = this.rows.curve;
+    return top + 4 * sizes.unit + (1 - value / INTENSITY.high) * (tall - 8 * sizes.unit);
+  }
+
+  curveValue(y) {
+    const { top, tall } = this.rows.curve;
+    return clamp((1 - (y - top - 4 * sizes.unit) / (tall - 8 * sizes.unit)) * INTENSITY.high, INTENSITY.low, INTENSITY.high);
+  }
+
+  /** The size of the gestures over time: a factor on their intensity. */
+  drawCurve(pen, width) {
+    const { top, tall } = this.rows.curve, u = sizes.unit;
+    if (!tall) return;
+    pen.fillStyle = colours.track;
+    pen.fillRect(0, top + 2 * u, width, tall - 4 * u);
+    pen.strokeStyle = colours.line;
+    pen.lineWidth = u;
+    pen.beginPath(); pen.moveTo(0, this.curveY(1)); pen.lineTo(width, this.curveY(1)); pen.stroke();
+    const points = curveOf(this.session.plan), first = points[0] ?? [0, 1], last = points.at(-1) ?? [0, 1];
+    pen.strokeStyle = pen.fillStyle = colours.accent;
+    pen.lineWidth = 2 * u;
+    pen.beginPath();
+    pen.moveTo(0, this.curveY(first[1]));
+    for (const [time, value] of points) pen.lineTo(this.x(time), this.curveY(value));
+    pen.lineTo(width, this.curveY(last[1]));
+    pen.stroke();
+    for (const [time, value] of points) { pen.beginPath(); pen.arc(this.x(time), this.curveY(value), 4.5 * u, 0, Math.PI * 2); pen.fill(); }
+    pen.fillStyle = colours.soft;
+    pen.fillText(points.length ? "size" : "size: click to set points, click a point twice to remove it", 6 * u, top + 11 * u);
+  }
+
+  /** Gesture units and their phases: from the moment that the hands leave rest until they are back. */
+  drawUnits(pen) {
+    const { top, tall } = this.rows.units, u = sizes.unit;
+    if (!tall) return;
+    for (const unit of this.session.plan.units) {
+      if (unit.end < this.left || unit.start > this.left + this.span) continue;
+      const from = this.x(unit.start), wide = (unit.end - unit.start) * this.scale, high = tall - 4 * u;
+      pen.save();
+      pen.beginPath();
+      pen.roundRect(from + 0.75 * u, top + u, Math.max(wide - 1.5 * u, 1), high, 3 * u);
+      pen.clip();
+      pen.fillStyle = colours.track;
+      pen.fillRect(from, top, wide, tall);
+      for (const { kind, start, end } of unit.phases ?? []) {
+        const x = this.x(start), w = (end - start) * this.scale;
+        pen.globalAlpha = PHASES[kind] ?? 0.3;
+        pen.fillStyle = kind.endsWith("hold") ? colours.wave : colours.accent;
+        pen.fillRect(x, top, w, tall);
+        pen.globalAlpha = 1;
+        pen.fillStyle = kind === "stroke" ? colours.desk : colours.ink;
+        pen.font = `${9.5 * u}px system-ui, sans-serif`;
+        const label = kind.replace(/^(pre|post)-stroke /, "");
+        if (w > pen.measureText(label).width + 6 * u) pen.fillText(label, Math.max(x, 0) + 3 * u, top + u + high / 2 + 0.5);
+      }
+      pen.restore();
+    }
+    pen.font = `${11 * u}px system-ui, sans-serif`;
   }
 
   drawBlocks(pen, now) {

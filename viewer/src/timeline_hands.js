@@ -1,12 +1,15 @@
 // What a pointer does on the timeline: scrub, select blocks, move beats, drag the range, pinch and wheel to zoom.
 
-import { cuesOf, cueTime } from "./cues.js";
+import { cuesOf, cueTime, moveCue } from "./cues.js";
 import { clamp } from "./numbers.js";
-import { blockAt, moveBeat } from "./plan.js";
+import { blockAt, blocksOfUnit, curveOf, moveBeat, withCurve } from "./plan.js";
 import { sizes } from "./theme.js";
 
 /** CSS pixels around a handle in which it is taken, for a mouse and for a finger. */
 const NEAR = { mouse: 6, pen: 8, touch: 16 };
+
+/** A point of the intensity curve at a place: [seconds, factor]. */
+const pointAt = (timeline, x, y) => [Math.round(clamp(timeline.timeAt(x), 0, timeline.duration) * 1000) / 1000, Math.round(timeline.curveValue(y) * 20) / 20];
 
 export class TimelineHands {
   constructor(timeline, session, clock, changed) {
@@ -47,6 +50,14 @@ export class TimelineHands {
         .sort((a, b) => Math.abs(blocks[a].start - time) - Math.abs(blocks[b].start - time))[0];
       if (beat && Math.abs(timeline.x(blocks[beat].start) - x) < near) return { kind: "beat", beat };
     }
+    if (rows.curve.tall && within(rows.curve)) {
+      const points = curveOf(session.plan);
+      return { kind: "point", point: points.findIndex(([time, value]) => Math.hypot(timeline.x(time) - x, timeline.curveY(value) - y) < near + 3) };
+    }
+    if (within(rows.units)) {
+      const time = timeline.timeAt(x), unit = session.plan.units.find(({ start, end }) => time >= start && time < end);
+      if (unit) return { kind: "unit", unit };
+    }
     if (y >= rows.gap.top) return { kind: "block", block: blockAt(session.plan, timeline.timeAt(x)) };
     return { kind: "time" };
   }
@@ -58,14 +69,39 @@ export class TimelineHands {
     this.pointers.set(event.pointerId, x);
     if (this.pointers.size > 1) { this.drag = { kind: "pinch", spread: this.spread(), resume: false }; return; }
     const hit = this.hit(x, y, event.pointerType);
-    this.drag = { ...hit, resume: hit.kind === "time" && clock.playing };
+    this.drag = { ...hit, begun: x, resume: hit.kind === "time" && clock.playing };
     if (this.drag.resume) clock.pause();
     timeline.held = true;
     if (hit.kind === "block") this.pick(hit.block, event.shiftKey);
     else if (hit.kind === "beat") session.selectBeat(hit.beat);
     else if (hit.kind === "cue") clock.seek(cueTime(session.plan, cuesOf(session.plan)[hit.cue]));
+    else if (hit.kind === "point") this.takePoint(hit.point, x, y);
+    else if (hit.kind === "unit") this.pickUnit(hit.unit, event.shiftKey);
     else if (hit.kind === "time") this.scrub(x);
     this.changed();
+  }
+
+  /** Take a point of the curve, or set one; a second click on a point removes it. */
+  takePoint(point, x, y) {
+    const { session, timeline } = this, points = curveOf(session.plan), now = performance.now();
+    if (point >= 0) {
+      if (now - (this.clicked ?? 0) < 350) {
+        session.edit(withCurve(session.plan, points.filter((_, k) => k !== point)));
+        this.drag.kind = "none";
+      }
+      this.clicked = now;
+      return;
+    }
+    const made = pointAt(timeline, x, y);
+    session.edit(withCurve(session.plan, [...points, made]), "curve");
+    this.drag.point = curveOf(session.plan).findIndex(([time]) => time === made[0]);
+  }
+
+  /** Select the blocks of a gesture unit, or with shift all up to its end. */
+  pickUnit(unit, extend) {
+    const { session, clock } = this, [first, last] = blocksOfUnit(session.plan, unit);
+    session.select(extend && session.selection ? Math.min(session.selection[0], first) : first, last);
+    if (!extend && !clock.playing) clock.seek(session.plan.blocks[first].start + 0.002);
   }
 
   /** Select a block, or with shift all up to it; a stopped playhead goes there. */
@@ -85,8 +121,8 @@ export class TimelineHands {
     const { timeline, session, clock } = this, [x, y] = this.place(event);
     if (!this.pointers.has(event.pointerId)) {
       const { kind, block } = this.hit(x, y, event.pointerType);
-      timeline.canvas.title = kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
-      timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", cue: "pointer" }[kind] ?? "text";
+      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
+      timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", unit: "pointer", cue: "grab", point: "crosshair" }[kind] ?? "text";
       return;
     }
     this.pointers.set(event.pointerId, x);
@@ -96,6 +132,16 @@ export class TimelineHands {
     else if (drag.kind === "beat") {
       session.edit(moveBeat(session.plan, drag.beat, time), `beat ${drag.beat}`);
       session.beat = drag.beat;
+    } else if (drag.kind === "point" && drag.point >= 0) {
+      const points = curveOf(session.plan), [low, high] = [points[drag.point - 1]?.[0] ?? -0.01, points[drag.point + 1]?.[0] ?? clock.duration + 0.01];
+      const [at, value] = pointAt(timeline, x, y);
+      points[drag.point] = [clamp(at, low + 0.01, high - 0.01), value];
+      session.edit(withCurve(session.plan, points), "curve");
+    } else if (drag.kind === "cue") {
+      if (Math.abs(x - drag.begun) > 4 || drag.moved) {
+        drag.moved = true;
+        session.edit(moveCue(session.plan, drag.cue, clamp(time, 0, clock.duration)), `cue ${drag.cue}`);
+      }
     } else if (drag.kind === "block" && drag.from !== undefined) {
       const to = blockAt(session.plan, time);
       if (to !== (session.selection ?? [])[1] || to !== drag.from) session.select(drag.from, to);

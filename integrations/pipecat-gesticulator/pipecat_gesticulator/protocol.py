@@ -97,8 +97,8 @@ class Poses:
     root_positions: NDArray[np.float32]
     state: str
     received: float
-    face: NDArray[np.float32] | None = None
     source: int = 0
+    face: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -127,4 +127,4 @@ class Poses:
             raise ValueError(f"a packet of {count} poses of {joints} joints has {len(numbers)} numbers")
         rotations, root, values = np.split(numbers, [count * joints * width, count * (joints * width + 3)])
         return cls(told["first"], told["fps"], rotations.reshape(count, joints, width), root.reshape(count, 3),
-                   told["state"], told["received"], values.reshape(count, face) if face else None)
+                   told["state"], told["received"], face=values.reshape(count, face) if face else None)

@@ -1,0 +1,184 @@
+"""The frames of a motion in pieces of one block each, of which only those are computed that were not known before.
+
+Frames are the same bits as those of `MotionPath` for the whole motion: a frame depends on a few knots around it alone.
+Numbers are as in the page (`gesticulator.export.html`): quaternions as int16.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.blocks import KnotPath
+from data_module.types import Array
+from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.stance import seated
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import representation_of
+from gesticulator.options import InferenceOptions
+
+_LEAST, _EACH = 4000, 6
+"""Pieces in memory: at least, and for each block of the recording. A piece takes 10 kB."""
+_MARGIN = 2
+"""Knots on either side of those between which a frame lies that its slopes depend on, and one to spare."""
+
+
+class PosedBlock(Protocol):
+    """The poses of a block. times: [K] seconds; number: of their content."""
+
+    number: int
+    times: Array
+
+    @property
+    def poses(self) -> Array:
+        """[K, D_m]"""
+        ...
+
+
+@dataclass(frozen=True)
+class FramePiece:
+    """Frames `first` to `last` - 1. number: of their content, but for signs; rotations: [T, J, 4] int16, w first;
+    ends: [2, J, 4] the first and the last frame, before rounding."""
+
+    first: int
+    last: int
+    number: int
+    rotations: NDArray[np.int16]
+    ends: Array
+
+
+@dataclass(frozen=True)
+class SignedPieces:
+    """All pieces of a motion of `frames` frames. signs: [N, J] 1 or -1, the side of each joint's quaternions on which
+    they go on from the piece before."""
+
+    frames: int
+    pieces: Sequence[FramePiece]
+    signs: NDArray[np.int16]
+
+    def rotations(self, at: int) -> NDArray[np.int16]:
+        """[T, J, 4] the frames of a piece."""
+        return self.pieces[at].rotations * self.signs[at][:, None]
+
+    def changed(self, other: SignedPieces | None) -> list[int]:
+        """The pieces with frames that differ from those of another motion of as many frames; all for None."""
+        known = {} if other is None else {
+            (piece.first, piece.last): (piece.number, signs.tobytes())
+            for piece, signs in zip(other.pieces, other.signs, strict=True)}
+        return [at for at, (piece, signs) in enumerate(zip(self.pieces, self.signs, strict=True))
+                if piece.last > piece.first and known.get((piece.first, piece.last)) != (piece.number, signs.tobytes())]
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Of N pieces. edges: [N + 1] their frames; first, last: [N] the blocks whose poses a piece depends on; begins: [N]
+    whether it depends on the beginning; count: of all frames."""
+
+    edges: Sequence[int]
+    first: Sequence[int]
+    last: Sequence[int]
+    begins: Sequence[bool]
+    count: int
+
+    def key(self, at: int, blocks: Sequence[PosedBlock]) -> Hashable:
+        """Everything that a piece depends on."""
+        first, last = self.first[at], self.last[at]
+        end = self.count if last + 2 > len(self.first) else 0
+        return tuple([block.number for block in blocks[first:last + 1]]), self.edges[at], self.edges[at + 1], end
+
+
+class FramePieces:
+    """Makes the pieces of the motions of one performer."""
+
+    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, steps: int, blocks: int,
+                 numbers: Iterator[int]) -> None:
+        """options: fps, seated and mirror are used; steps: of the int16 per unit; blocks: of a motion, about; numbers:
+        of the contents of pieces."""
+        self._representation = representation_of(bundle.config)
+        self._first: Array = bundle.statistics.rest_pose[speaker]
+        self._smoothing, self.fps = bundle.config.motion.smoothing, float(options.fps)
+        self._seated, self._mirrored, self._steps = options.seated, options.mirrored, steps
+        self._known: OrderedDict[Hashable, FramePiece] = OrderedDict()
+        self._most = max(_LEAST, _EACH * blocks)
+        self._numbers = numbers
+
+    def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int]
+               ) -> Iterator[tuple[int, FramePiece]]:
+        """The number and the piece of each of the blocks in `order`, of N blocks with knots at `times` [N, K] seconds
+        and of these poses."""
+        layout = self._layout(times, duration)
+        for at in order:
+            yield at, self._remembered(layout, at, blocks, None)
+
+    def learn(self, times: Array, blocks: Sequence[PosedBlock], duration: float, rotations: Array) -> SignedPieces:
+        """Remember the pieces of a motion that is known: [T, J, 4] rotations, w first."""
+        layout = self._layout(times, duration)
+        return signed([self._remembered(layout, at, blocks, rotations) for at in range(len(times))])
+
+    def known(self, times: Array, blocks: Sequence[PosedBlock], duration: float) -> list[bool]:
+        """[N] whether the piece of each block is remembered."""
+        layout = self._layout(times, duration)
+        return [layout.key(at, blocks) in self._known for at in range(len(times))]
+
+    def _layout(self, times: Array, duration: float) -> _Layout:
+        flat = np.concatenate([[0.0], times.ravel()])
+        knots, count = times.shape[1], max(1, round(duration * self.fps))
+        edges = [0, *np.minimum(np.ceil(times[:-1, -1] * self.fps - 1e-9), count).astype(int).tolist(), count]
+        half = round(KnotPath(self._first, self.fps, self._smoothing).reach * self.fps) + 1
+        begins = np.maximum(np.array(edges[:-1]) - half, 0) / self.fps
+        stops = (np.array(edges[1:]) - 1 + half) / self.fps
+        # What is mirrored at the end of the recording lies before it.
+        begins = np.where(stops > (count - 1) / self.fps, np.minimum(begins, (count - 1 - 2 * half) / self.fps), begins)
+        low = np.searchsorted(flat, begins, side="right") - 1 - _MARGIN
+        high = np.minimum(np.searchsorted(flat, stops, side="right") + _MARGIN, len(flat))
+        first, last = np.maximum(low - 1, 0) // knots, (high - 2) // knots
+        return _Layout(tuple(edges), first.tolist(), last.tolist(), (low <= 0).tolist(), count)
+
+    def _remembered(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock], rotations: Array | None
+                    ) -> FramePiece:
+        key = layout.key(at, blocks)
+        known = self._known.get(key)
+        if known is not None:
+            self._known.move_to_end(key)
+            return known
+        frames = layout.edges[at], layout.edges[at + 1]
+        if rotations is None:
+            near = blocks[layout.first[at]:layout.last[at] + 1]
+            turns = self._turns(near, layout.begins[at], frames, layout.count)
+        else:
+            turns = rotations[slice(*frames)]
+        ends = turns[[0, -1]] if len(turns) else np.zeros((2, *turns.shape[1:]))
+        made = FramePiece(*frames, next(self._numbers), np.round(turns * self._steps).astype("<i2"), ends)
+        self._known[key] = made
+        while len(self._known) > self._most:
+            self._known.popitem(last=False)
+        return made
+
+    def _turns(self, blocks: Sequence[PosedBlock], begins: bool, frames: tuple[int, int], count: int) -> Array:
+        """[T, J, 4] rotations of some frames of `count`; begins: whether the blocks are the first ones."""
+        times = np.concatenate([block.times for block in blocks])
+        poses = np.concatenate([block.poses for block in blocks])
+        if begins:
+            times, poses = np.concatenate([[0.0], times]), np.concatenate([self._first[None], poses])
+        path = KnotPath(self._first, self.fps, self._smoothing)
+        path.rewind(times, poses, frames[0])
+        body = self._representation.motion(path.frames(*frames, count), self.fps)
+        body = seated(body) if self._seated else body
+        return (mirrored_motion(body) if self._mirrored else body).rotations
+
+
+def signed(pieces: Sequence[FramePiece]) -> SignedPieces:
+    """All pieces of a motion, in order."""
+    joints = pieces[0].ends.shape[1]
+    signs = np.ones((len(pieces), joints), np.int16)
+    filled = [at for at, piece in enumerate(pieces) if piece.last > piece.first]
+    if filled:
+        ends = np.stack([pieces[at].ends for at in filled])
+        dots = np.sum(ends[1:, 0] * ends[:-1, 1], axis=-1)
+        signs[filled] = np.cumprod(np.concatenate([np.ones((1, joints)), np.where(dots < 0, -1.0, 1.0)]), axis=0)
+    return SignedPieces(pieces[-1].last, pieces, signs)

@@ -1,0 +1,79 @@
+"""Small moving figures of all lexemes and named gestures, to choose from by eye: the joints of head, trunk and arms."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+
+from data_module.motion.kinematics import positions_of
+from data_module.types import Array, Motion
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import representation_of
+from gesticulator.directing.lexeme_names import FAR, LIFTED, MOVES, decoded_motion, hand_ways
+from gesticulator.plan.gestures import GESTURES
+from gesticulator.plan.plan import GestureCue
+
+JOINTS = ("Head", "Neck", "Hips", "LeftArm", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm", "RightHand")
+BONES = ((0, 1), (1, 2), (1, 3), (3, 4), (4, 5), (1, 6), (6, 7), (7, 8))
+"""Lines of a figure, pairs of `JOINTS`."""
+FRAMES = 12
+"""Pictures of a gesture."""
+FPS = 16.0
+"""Pictures per second of a lexeme."""
+
+
+def moving_figures(bundle: Bundle, speaker: int) -> dict[str, Any]:
+    """All figures in plain values: `lexemes` and `gestures`, each with `points`, base64 of int8 [T, joints, 2]: metres
+    in hundredths, to the right and up as seen from the front, from the hips."""
+    return {"joints": list(JOINTS), "bones": [list(bone) for bone in BONES], "fps": FPS,
+            "lexemes": _lexemes(bundle), "gestures": _gestures(bundle, speaker)}
+
+
+def _lexemes(bundle: Bundle) -> list[dict[str, Any]]:
+    motion, ways = decoded_motion(bundle), hand_ways(bundle)
+    if motion is None or ways is None:
+        return []
+    count = len(bundle.vectors)
+    points = _points(motion).reshape(count, -1, len(JOINTS), 2)
+    silent = set(bundle.silent.tolist())
+    out = []
+    for lexeme in range(count):
+        moves = ways.paths[lexeme] > MOVES
+        hand = "both" if moves.all() else "right" if moves[0] else "left" if moves[1] else "none"
+        far = float(np.linalg.norm(ways.ways[lexeme], axis=-1).max()) > FAR
+        high = float(ways.heights[lexeme].max()) > LIFTED
+        phase = "rest" if lexeme in silent else "hold" if hand == "none" else "stroke"
+        out.append({"lexeme": lexeme, "hand": hand, "size": "far" if far else "near",
+                    "height": "up" if high else "down", "phase": phase, "points": _text(points[lexeme])})
+    return out
+
+
+def _gestures(bundle: Bundle, speaker: int) -> list[dict[str, Any]]:
+    from gesticulator.directing.named_gestures import laid_over, span_of_gesture
+
+    representation = representation_of(bundle.config)
+    if representation.name != "rotations":
+        return []
+    rest = bundle.statistics.rest_pose[speaker]
+    out = []
+    for name in GESTURES:
+        before, after = span_of_gesture(name)
+        times = np.linspace(-before, after, FRAMES + 2)[1:-1]
+        poses = laid_over(np.repeat(rest[None], FRAMES, axis=0), times, [(GestureCue(name, time=0.0), 0.0)])
+        points = _points(representation.motion(poses, FRAMES / (before + after)))
+        out.append({"name": name, "seconds": round(before + after, 2), "points": _text(points)})
+    return out
+
+
+def _points(motion: Motion) -> Array:
+    """[T, joints, 2] hundredths of a metre to the right and up, as seen from the front, from the hips."""
+    names = motion.skeleton.names
+    places = positions_of(motion)
+    chosen = places[:, [names.index(name) for name in JOINTS]] - places[:, :1]
+    return chosen[..., :2] * 100.0
+
+
+def _text(points: Array) -> str:
+    return base64.b64encode(np.clip(np.round(points), -127, 127).astype(np.int8).tobytes()).decode("ascii")

@@ -1,0 +1,299 @@
+"""Edits on the page: the frames that come back are those of the whole plan rendered, bit for bit, and few are made."""
+
+from __future__ import annotations
+
+import base64
+import copy
+import json
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from data_module.errors import InputError
+from data_module.types import BeatFlag, Blocks, Speech
+from gesticulator import Gesticulator
+from gesticulator.body.life import Shifts, ShiftStyle
+from gesticulator.directing.directions import LONGEST_GESTURE
+from gesticulator.directing.named_gestures import span_of_gesture
+from gesticulator.drawing.driver import Driver
+from gesticulator.drawing.recut import Recutter
+from gesticulator.export.html import describe
+from gesticulator.performance import Performance
+from gesticulator.plan.gestures import GESTURES
+from gesticulator.plan.plan_file import parse_plan
+from gesticulator.serve.edits import LivePlans, plan_with
+from gesticulator.serve.page_server import AbandonedError, UnknownRenderingError
+
+SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
+SECONDS, SEED = 6.0, 1
+Plain = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def system() -> Gesticulator:
+    system = Gesticulator.from_pretrained()
+    system.keeps_drawings = True
+    return system
+
+
+@pytest.fixture(scope="module")
+def speech() -> Speech:
+    samples, rate = soundfile.read(SPEECH, frames=round(SECONDS * 16000), dtype="float32")
+    return Speech(samples, rate)
+
+
+@pytest.fixture(scope="module")
+def first(system: Gesticulator, speech: Speech) -> Performance:
+    return system(speech, seed=SEED)
+
+
+def frames_of_take(performance: Performance) -> np.ndarray:
+    told = describe(performance.scene())
+    return np.frombuffer(base64.b64decode(told["rotations"]), "<i2").reshape(told["frames"], -1, 4)
+
+
+def messages(parts: Iterable[bytes]) -> list[tuple[Plain, bytes]]:
+    data, out = b"".join(parts), []
+    while data:
+        start = 4 + int.from_bytes(data[:4], "little")
+        header = json.loads(data[4:start])
+        out.append((header, data[start:start + header["bytes"]]))
+        data = data[start + header["bytes"]:]
+    return out
+
+
+class Page:
+    """What the page does with the answers."""
+
+    def __init__(self, system: Gesticulator, first: Performance) -> None:
+        self.plans = LivePlans(system, first)
+        self.plan: Plain = describe(first.scene())["plan"]
+        self.frames = frames_of_take(first).copy()
+        self.have = self.plans.opened(first, self.plan)
+        self.sent = 0
+
+    def edit(self, plan: Plain) -> None:
+        plan = json.loads(json.dumps(plan))  # what comes over the network is not shared
+        old, new = self.plan["blocks"], plan["blocks"]
+        parts = {name: plan.get(name) for name in {*self.plan, *plan} if name != "blocks"
+                 and plan.get(name) != self.plan.get(name)}
+        changes = {"blocks": [[0, len(old), new]], "parts": parts}
+        self.sent = 0
+        for header, data in messages(self.plans.answer({"have": self.have, "changes": changes, "view": [2.0, 4.0]})):
+            if header.get("shape"):
+                self.frames = np.zeros((header["shape"]["frames"], *self.frames.shape[1:]), np.int16)
+            numbers = np.frombuffer(data[:len(data) - header.get("root", 0)], "<i2").reshape(-1, *self.frames.shape[1:])
+            at = 0
+            for begin, end in header["ranges"]:
+                self.frames[begin:end] = numbers[at:at + end - begin]
+                at += end - begin
+            assert at == len(numbers)
+            self.sent += at
+            if header["kind"] == "done":
+                self.have, self.plan = header["rendering"], plan_with(plan, header["changes"])
+
+
+def _halved(blocks: list[Plain], at: int) -> None:
+    block = blocks[at]
+    middle = (block["start"] + block["end"]) / 2
+    if block["end"] - block["start"] > 0.21:
+        second = {**copy.deepcopy(block), "start": middle}
+        second["draw"]["variation"] += 1
+        block.update(end=middle, flag="edited")
+        blocks.insert(at + 1, second)
+
+
+def _joined(blocks: list[Plain], at: int) -> None:
+    if at + 1 < len(blocks) and blocks[at + 1]["end"] - blocks[at]["start"] < 1.0:
+        blocks[at].update(end=blocks[at + 1]["end"], flag=blocks[at + 1]["flag"])
+        del blocks[at + 1]
+
+
+def _moved(blocks: list[Plain], at: int) -> None:
+    block = blocks[at]
+    time = (block["start"] + 2 * block["end"]) / 3
+    if at + 1 < len(blocks) and time - block["start"] > 0.1 and blocks[at + 1]["end"] - time < 1.0:
+        block.update(end=time, flag="edited")
+        blocks[at + 1]["start"] = time
+
+
+BLOCK = {
+    "swap": lambda block, value: block.update(lexeme=value), "free": lambda block, _: block.update(lexeme=None),
+    "silence": lambda block, _: block.update(silent=not block["silent"]),
+    "again": lambda block, value: block["draw"].update(variation=value),
+    "size": lambda block, value: block.update(intensity=(0.0, 0.4, 1.0, 1.6)[value % 4]),
+    "mirror": lambda block, _: block.update(mirror=not block.get("mirror", False)),
+    "lock": lambda block, _: block.update(locked=not block.get("locked", False)),
+}
+BEATS = {"halve": _halved, "join": _joined, "move": _moved}
+KNOBS = {"intensity": (0.4, 1.0, 1.5), "activity": (0.5, 1.0), "energy": ("calm", "neutral", "lively"),
+         "handedness": (None, "left", "both"), "mirror": (True, False), "hold_still": ([], [[2.0, 3.5]])}
+
+
+def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
+    plan = copy.deepcopy(plan)
+    blocks = plan["blocks"]
+    at %= len(blocks)
+    if what in BLOCK:
+        BLOCK[what](blocks[at], value % 200)
+    elif what in BEATS:
+        BEATS[what](blocks, at)
+    elif what == "curve":
+        begin = blocks[at]["start"]
+        plan["curves"] = [{"knob": "intensity", "times": [begin, begin + 1.0, begin + 2.0],
+                           "values": [1.0, (0.2, 1.8)[value % 2], 1.0]}][:value % 3]
+    elif what == "cue":
+        plan["cues"] = [*plan.get("cues", ()), {"gesture": ("wave", "shrug", "nod")[value % 3],
+                                               "time": blocks[at]["start"]}]
+    else:
+        plan["knobs"][what] = KNOBS[what][value % len(KNOBS[what])]
+    return plan
+
+
+EDITS = st.lists(st.tuples(st.sampled_from(["undo", "cue", "curve", *BLOCK, *BLOCK, *BEATS, *KNOBS]),
+                           st.integers(0, 30), st.integers(0, 10_000)), min_size=3, max_size=7)
+
+
+@settings(max_examples=5, phases=[Phase.generate])  # an example that fails is short enough as it is
+@given(EDITS)
+def test_any_edits_give_the_frames_of_the_plan_rendered_anew(
+        system: Gesticulator, speech: Speech, first: Performance, edits: list[tuple[str, int, int]]) -> None:
+    page = Page(system, first)
+    before = [page.plan]
+    for what, at, value in edits:
+        asked = before[value % len(before)] if what == "undo" else edited(page.plan, what, at, value)
+        page.edit(asked)
+        before.append(page.plan)
+    # Everything anew, by an object that remembers nothing.
+    made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(asked)))
+    np.testing.assert_array_equal(page.frames, frames_of_take(made))
+    again = parse_plan(json.dumps(page.plan))
+    assert made.plan() == replace(again, sound=made.plan().sound)
+
+
+def _counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Counts the blocks that are drawn from now on."""
+    count, draw = [0], Driver.draw
+
+    def counted(self: Driver, request: Any) -> Any:
+        count[0] += 1
+        return draw(self, request)
+
+    monkeypatch.setattr(Driver, "draw", counted)
+    return count
+
+
+def test_an_edit_sends_its_stretch_and_undo_draws_nothing(system: Gesticulator, first: Performance,
+                                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    page = Page(system, first)
+    original, frames = page.plan, page.frames.copy()
+    drawn = _counted(monkeypatch)
+    page.edit(edited(original, "swap", 8, 77))
+    assert drawn == [1], "the block, and not the recording: its drawing was kept"
+    swapped = page.plan
+    assert 0 < page.sent < 60 * 3.5, "frames of the block, its blend, and the blocks beside them"
+    page.edit(original)
+    np.testing.assert_array_equal(page.frames, frames)
+    page.edit(swapped)
+    assert drawn == [1], "both are remembered"
+    page.edit(edited(swapped, "activity", 0, 0))
+    whole = drawn[0]
+    assert whole >= len(original["blocks"])
+    page.edit(edited(page.plan, "swap", 12, 33))
+    assert drawn[0] <= whole + 1, "with other knobs too, an edit costs its block"
+    page.edit(edited(page.plan, "join", 3, 0))
+    assert drawn[0] <= whole + 3
+
+
+def test_a_curve_sizes_where_it_runs_and_leaves_locked_blocks(system: Gesticulator, first: Performance) -> None:
+    page = Page(system, first)
+    before = page.frames.copy()
+    plan = copy.deepcopy(page.plan)
+    plan["curves"] = [{"knob": "intensity", "times": [2.0, 3.0, 4.0], "values": [1.0, 0.1, 1.0]}]
+    page.edit(plan)
+    changed = np.flatnonzero((page.frames != before).any(axis=(1, 2)))
+    assert changed[0] >= 2.0 * 60 - 8 and 3.9 * 60 <= changed[-1] <= 4.0 * 60 + 8
+    hand = first.joints.index("RightArm")
+    rest = before[0, hand].astype(int)
+    assert np.abs(page.frames[180, hand] - rest).max() < np.abs(before[180, hand] - rest).max(), "nearer to rest"
+    for block in plan["blocks"]:
+        block["locked"] = True
+    page.edit(plan)
+    np.testing.assert_array_equal(page.frames, before)
+
+
+def test_the_visible_stretch_comes_first_and_a_new_wish_ends_the_old(system: Gesticulator, first: Performance,
+                                                                     monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gesticulator.serve.edits.FIRST_SHOWN", 2)
+    page = Page(system, first)
+    louder = edited(page.plan, "intensity", 0, 2)
+    request = {"have": page.have, "view": [2.0, 3.0], "changes": {"blocks": [], "parts": {"knobs": louder["knobs"]}}}
+    got = messages(page.plans.answer(request))
+    assert [header["kind"] for header, _ in got] == ["frames", "done"]
+    seen = got[0][0]["ranges"]
+    assert seen[0][0] <= 2.0 * 60 and seen[-1][1] >= 3.0 * 60 and seen[-1][1] - seen[0][0] < 2.2 * 60
+    page.edit(louder)
+    full = page.plans.render(parse_plan(json.dumps(page.plan)))
+    np.testing.assert_array_equal(page.frames, frames_of_take(full))
+    # Where all has to be drawn again, a draft of the visible stretch comes before that, and then how far it is.
+    monkeypatch.setattr("gesticulator.serve.edits.REPORTS", 5)
+    calm = edited(page.plan, "activity", 0, 0)
+    parts = page.plans.answer({"have": page.have, "view": [2.0, 3.0],
+                               "changes": {"blocks": [], "parts": {"knobs": calm["knobs"]}}})
+    drawn = _counted(monkeypatch)
+    (draft, numbers), = messages([next(parts)])
+    assert draft["kind"] == "frames" and drawn[0] < len(calm["blocks"]) - 4
+    at = slice(*draft["ranges"][0])
+    shown = np.frombuffer(numbers, "<i2").reshape(-1, *page.frames.shape[1:])[:at.stop - at.start]
+    assert np.abs(shown.astype(int) - page.frames[at]).max() < 32767, "from the pose that is there"
+    rest = [header for header, _ in messages(parts)]
+    assert [one["kind"] for one in rest] == ["progress"] * 3 + ["frames", "done"]
+    assert [one["share"] for one in rest[:3]] == sorted(one["share"] for one in rest[:3])
+    with pytest.raises(AbandonedError):
+        list(page.plans.answer({**request, "changes": {"blocks": [], "parts": {"knobs": {
+            **louder["knobs"], "activity": 0.3}}}}, lambda: True))
+    with pytest.raises(UnknownRenderingError):
+        list(page.plans.answer({**request, "have": 10_000}))
+    for wrong in ({"blocks": [[0, 999, []]]}, {"blocks": 3}, {"blocks": [[0, 1]]}, {"parts": [3]}):
+        with pytest.raises(InputError):
+            list(page.plans.answer({**request, "changes": wrong}))
+
+
+def test_moved_beats_are_encoded_as_if_all_were(system: Gesticulator, speech: Speech) -> None:
+    cutters: list[Any] = []
+    whole = system.encode_speech(speech, cutters=cutters)
+    plain = system.encode_speech(speech)
+    np.testing.assert_array_equal(whole.low, plain.low)
+    edges = whole.blocks.edges.tolist()
+    for moved in (3, len(edges) // 2, len(edges) - 2):
+        new = [*edges[:moved], edges[moved] - 0.04, *edges[moved + 1:]]
+        blocks = Blocks(np.array(new), whole.blocks.flags, whole.blocks.silent, whole.blocks.frames, whole.blocks.fps)
+        anew = system.encode_speech(speech, blocks)
+        wanted = list(range(max(moved - 2, 0), min(moved + 2, len(new) - 1)))
+        found = Recutter(speech.samples, cutters).blocks(new, [BeatFlag(int(flag)) for flag in blocks.flags], wanted)
+        for at in wanted:
+            there = anew.block(at)
+            np.testing.assert_array_equal(found[at].low, there.low)
+            np.testing.assert_array_equal(found[at].quiet, there.quiet)
+            np.testing.assert_array_equal(found[at].onsets, there.onsets)
+            assert found[at].durations == there.durations and (found[at].ahead is None) == (there.ahead is None)
+
+
+def test_postures_can_be_asked_for_in_any_order_over_an_hour() -> None:
+    style = ShiftStyle(every=0.62, jitter=0.14, tau=0.085, spread=(1.5, 1.5), least=1.4, most=2.2)
+    ahead, back = Shifts(3, 0, style), Shifts(3, 0, style)
+    times = [np.array([second, second + 0.3]) for second in (0.0, 400.0, 900.0, 1800.0, 3600.0)]
+    there = [ahead.at(time) for time in times]
+    np.testing.assert_array_equal([back.at(time) for time in times[::-1]][::-1], there)
+    np.testing.assert_array_equal(ahead.at(times[2]), there[2])
+
+
+def test_no_gesture_is_longer_than_what_is_looked_for() -> None:
+    assert max(max(span_of_gesture(name)) for name in GESTURES) < LONGEST_GESTURE
