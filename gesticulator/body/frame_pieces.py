@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from data_module.blocks import KnotPath
 from data_module.types import Array
+from gesticulator.body.clearance import cleared, cleared_poses
 from gesticulator.body.mirror import mirrored_motion
 from gesticulator.body.stance import seated
 from gesticulator.bundle.bundle import Bundle
@@ -162,12 +163,12 @@ class FramePieces:
     def _turns(self, blocks: Sequence[PosedBlock], begins: bool, frames: tuple[int, int], count: int) -> Array:
         """[T, J, 4] rotations of some frames of `count`; begins: whether the blocks are the first ones."""
         times = np.concatenate([block.times for block in blocks])
-        poses = np.concatenate([block.poses for block in blocks])
+        poses = cleared_poses(np.concatenate([block.poses for block in blocks]), self._representation)
         if begins:
             times, poses = np.concatenate([[0.0], times]), np.concatenate([self._first[None], poses])
         path = KnotPath(self._first, self.fps, self._smoothing)
         path.rewind(times, poses, frames[0])
-        body = self._representation.motion(path.frames(*frames, count), self.fps)
+        body = cleared(self._representation.motion(path.frames(*frames, count), self.fps))
         body = seated(body) if self._seated else body
         return (mirrored_motion(body) if self._mirrored else body).rotations
 

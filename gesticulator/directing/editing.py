@@ -28,7 +28,7 @@ from gesticulator.drawing.cutter import BlockCutter
 from gesticulator.drawing.drawer import Direction, Keys
 from gesticulator.drawing.drawn_blocks import DrawnBlock, DrawnBlocks
 from gesticulator.drawing.driver import BlockRequest, Drawing, Driver, GeneratedMotion, OnBlock, requests
-from gesticulator.drawing.recut import Recutter, Window, window
+from gesticulator.drawing.recut import Recutter, window
 from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.plan import Block, GesturePlan, PlanKnobs, edited_blocks, edited_themselves
 
@@ -137,9 +137,9 @@ class PlanRenderer:
         numbers = [self._tree.new_number() for _ in range(count + 1)]
         self._first = _Generation("first", [DrawnBlock(number, state, None) for number, state in zip(
             numbers, self.drawing.states, strict=False)], self.drawing.blocks, numbers[1:])
-        self._windows = {window(self._edges, at): at for at in range(count)}
+        self._windows: dict[Hashable, int] = {window(self._edges, at): at for at in range(count)}
         self._complete: set[tuple[float, str | None]] = set()
-        self._recut: dict[Window, SpeechBlock] = {}
+        self._recut: dict[Hashable, SpeechBlock] = {}
         self._faded: dict[Hashable, tuple[int, Rows]] = {}
 
     def _draw(self, on_block: OnBlock | None) -> Drawing:
@@ -243,16 +243,20 @@ class PlanRenderer:
         return self._cut, played, list(range(min(first + WARMS_UP, max(last - 1, first)), last))
 
     def speech(self, edges: Sequence[float], flags: Sequence[BeatFlag], wanted: Sequence[int]
-               ) -> dict[int, SpeechBlock]:
-        """Number -> speech of the wanted blocks (rising) of N blocks with edges [N + 1] and flags [N]."""
-        places = {at: window(edges, at) for at in wanted}
+               ) -> dict[int, tuple[Hashable, SpeechBlock]]:
+        """Number -> speech of the wanted blocks (rising) of N blocks with edges [N + 1] and flags [N], and what its
+        numbers depend on."""
+        places: dict[int, Hashable] = {at: window(edges, at) for at in wanted}
+        moved = [at for at, place in places.items() if place not in self._windows]
         if len(self._recut) > max(LEAST_REMEMBERED, REMEMBERED * len(self._cut)):
             self._recut.clear()
-        lacking = [at for at, place in places.items() if place not in self._windows and place not in self._recut]
-        if lacking:
-            cut = self._recutter.blocks(edges, flags, lacking)
-            self._recut |= {places[at]: block for at, block in cut.items()}
-        return {at: self._encoded.block(self._windows[place]) if place in self._windows else self._recut[place]
+        if moved:
+            courses = self._recutter.courses(edges, moved)
+            places |= courses
+            lacking = [at for at in moved if courses[at] not in self._recut]
+            self._recut |= {courses[at]: block
+                            for at, block in self._recutter.blocks(edges, flags, lacking).items()}
+        return {at: (place, self._recut[place] if place in self._recut else self._encoded.block(self._windows[place]))
                 for at, place in places.items()}
 
     @property
@@ -400,11 +404,12 @@ class _PlanRun:
         removed = self._removed[at], self._removed[last]
         hand = (plan.drawn if generation is self._first else plan).knobs.handedness
         draw = block.draw
-        key = (window(self._edges, at), at + 1 == count, silence, removed, self._flags[at], chosen,
+        place, spoken = self._speech[at]
+        key = (place, at + 1 == count, silence, removed, self._flags[at], chosen,
                (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes(), hand)
 
         def request() -> BlockRequest:
-            speech = self._speech[at]
+            speech = spoken
             quiet, ahead = speech.quiet & (not removed[0]), speech.ahead
             speech = replace(speech, number=draw.block, key=self._renderer.key_of(draw.block), flag=self._flags[at],
                              silent=silence, quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))

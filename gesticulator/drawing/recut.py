@@ -6,6 +6,7 @@ the sound before. So a copy of the first cutter from shortly before an edited pa
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 from data_module.types import BeatFlag, Samples
@@ -14,8 +15,9 @@ from gesticulator.drawing.cutter import CUTTER_EVERY, BlockCutter
 
 Window = tuple[float, float, float, float]
 """Start of the block before, start and end of a block, end of the block after; seconds, the block's own at an end."""
-_GAP = 12
-"""Blocks between two wanted ones from which on it is faster to start from another copy of the cutter."""
+Course = tuple[int, tuple[float, ...]]
+"""What the features of a block depend on: the copy of the cutter that goes on, and the edges from there to the end of
+the block after. The level of the voice is known block by block, so the edges before the window count, too."""
 
 
 def window(edges: Sequence[float], at: int) -> Window:
@@ -30,25 +32,31 @@ class Recutter:
         """samples: at 16 kHz; cutters: copies before every `CUTTER_EVERY` of them (`encode_speech`)."""
         self._samples, self._cutters = samples, cutters
 
+    def courses(self, edges: Sequence[float], wanted: Sequence[int]) -> dict[int, Course]:
+        """Number -> what the features of each wanted block of N blocks with edges [N + 1], seconds, depend on."""
+        index = {edge: at for at, edge in enumerate(edges)}
+        found = {}
+        for at in wanted:
+            copy, _ = self._start(edges, at, index)
+            found[at] = copy, tuple(edges[index[self._cutters[copy].uncut[-1]]:at + 3])
+        return found
+
     def blocks(self, edges: Sequence[float], flags: Sequence[BeatFlag], wanted: Sequence[int]
                ) -> dict[int, SpeechBlock]:
         """Number -> block, for the wanted ones (rising) of N blocks with edges [N + 1], seconds, and the flags [N] of
-        the beats at their ends."""
+        the beats at their ends. Each is cut from the last possible copy, whatever else is wanted."""
         index = {edge: at for at, edge in enumerate(edges)}
         found: dict[int, SpeechBlock] = {}
-        left = list(wanted)
-        while left:
-            near = next((at for at in range(1, len(left)) if left[at] - left[at - 1] > _GAP), len(left))
-            self._cut(edges, flags, left[:near], index, found)
-            left = left[near:]
+        for (copy, number), run in itertools.groupby(wanted, lambda at: self._start(edges, at, index)):
+            self._cut(list(zip(edges[1:], flags, strict=True)), list(run), (copy, number), index, found)
         return {at: found[at] for at in wanted}
 
-    def _cut(self, edges: Sequence[float], flags: Sequence[BeatFlag], wanted: Sequence[int], index: dict[float, int],
-             found: dict[int, SpeechBlock]) -> None:
-        at, number = self._start(edges, wanted[0], index)
+    def _cut(self, ends: Sequence[tuple[float, BeatFlag]], wanted: Sequence[int], start: tuple[int, int],
+             index: dict[float, int], found: dict[int, SpeechBlock]) -> None:
+        """Add the wanted blocks. ends: [N] edge and flag at the end of each block; start: see `_start`."""
+        at, number = start
         cutter = self._cutters[at].fork()
-        first = index[cutter.uncut[-1]]
-        cutter.cut_on_at(list(zip(edges[first + 1:wanted[-1] + 3], flags[first:wanted[-1] + 2], strict=False)))
+        cutter.cut_on_at(list(ends[index[cutter.uncut[-1]]:wanted[-1] + 2]))
         for piece in range(at * CUTTER_EVERY, len(self._samples), CUTTER_EVERY):
             for block in cutter.feed(self._samples[piece:piece + CUTTER_EVERY]):
                 found[number] = block
