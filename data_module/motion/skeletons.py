@@ -19,6 +19,9 @@ from data_module.types import Array, Motion, Skeleton
 
 __all__ = ["CHARACTER", "CHARACTERS", "FINGERED", "WHOLE_BODY", "from_vector", "to_character", "to_vector"]
 
+SIDES = ("Left", "Right")
+"""With which the names of joints of arms, hands and legs begin."""
+
 # Name, parent, offset in metres at rest: a standing adult with level arms (T-pose) and a 25 cm forearm.
 _CHARACTER = [
     ("Hips", None, (0.0, 0.0, 0.0)),

@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.motion.representation import Representation
+from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.body.mirror import SIDES
 from gesticulator.characters.contacts import OURS, OurLimbs, Pose, pose_of
 from gesticulator.characters.inverse_kinematics import bend
 

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.motion.skeletons import SIDES as SIDES
 from data_module.types import Motion
-
-SIDES = ("Left", "Right")
 
 
 def exchanged_joints(names: tuple[str, ...]) -> NDArray[np.int64]:

@@ -10,14 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.characters.frames import Body
 from gesticulator.characters.inverse_kinematics import Limbs, bend
-from gesticulator.characters.mapping import SIDES
+
+if TYPE_CHECKING:
+    from gesticulator.characters.frames import Body
 
 MARGIN = 0.03
 """Metres from the trunk beyond which a hand is not corrected, for an adult; scaled by the length of the arms."""

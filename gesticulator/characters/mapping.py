@@ -12,13 +12,13 @@ from typing import Any
 from data_module.errors import InputError, shown
 from data_module.files import read_json, write_text
 from data_module.motion.skeletons import FINGER_JOINTS, LEG_JOINTS
+from data_module.motion.skeletons import SIDES as SIDES
 from gesticulator.characters.rig import Character
 
 __all__ = ["RigMapping", "load_mapping", "save_mapping"]
 
 FORMAT = 1
 """Version of the file format."""
-SIDES = ("Left", "Right")
 ARM_PARTS = ("Shoulder", "Arm", "ForeArm", "Hand")
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
 SINGLE = ("Hips", "Head", *(side + part for side in SIDES for part in ARM_PARTS), *LEG_JOINTS, *FINGER_JOINTS)
