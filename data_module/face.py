@@ -61,7 +61,8 @@ class FaceMotion:
             return self
         frames = np.minimum(np.arange(count), len(self) - 1)
         parts = [part[frames] for part in (self.visemes, self.blink, self.brows, self.smile, self.gaze)]
-        return FaceMotion(*parts, self.fps, self.lips_only)
+        visemes, blink, brows, smile, gaze = parts
+        return FaceMotion(visemes, blink, brows, smile, gaze, self.fps, self.lips_only)
 
     def __getitem__(self, frames: slice) -> FaceMotion:
         """Some of the frames."""
@@ -71,9 +72,9 @@ class FaceMotion:
 
 def joined(faces: list[FaceMotion]) -> FaceMotion:
     """Successive parts of one face as a whole; at least one."""
-    parts = [np.concatenate([getattr(face, name) for face in faces])
-             for name in ("visemes", "blink", "brows", "smile", "gaze")]
-    return FaceMotion(*parts, faces[0].fps, faces[0].lips_only)
+    visemes, blink, brows, smile, gaze = (np.concatenate([getattr(face, name) for face in faces])
+                                          for name in ("visemes", "blink", "brows", "smile", "gaze"))
+    return FaceMotion(visemes, blink, brows, smile, gaze, faces[0].fps, faces[0].lips_only)
 
 
 def at_rest(count: int, fps: float) -> FaceMotion:

@@ -124,7 +124,7 @@ class Stream:
         self._director: Director | None = None
         self._marks: StreamMarks | None = None
         self._meanings = self._meaning_track(options)
-        shaping = None
+        shaping: Callable[[Array, Array], Array] | None = None
         if options.shaped or options.directed or self._meanings is not None:
             from gesticulator.directing import directions as directing
 

@@ -253,11 +253,11 @@ def cross_validated(gestures: Sequence[DescribedGesture], group: Callable[[Descr
     groups = np.array([group(one) for one in gestures])
     out = np.full((len(gestures), len(names)), -np.inf)
     for name in sorted(set(groups)):
-        held = np.flatnonzero(groups == name)
-        seen = np.flatnonzero(groups != name)
+        held = np.flatnonzero(groups == name).tolist()
+        seen = np.flatnonzero(groups != name).tolist()
         model = GestureClassifier([gestures[k] for k in seen], [given[k] for k in seen])
         columns = [names.index(label) for label in model.labels]
-        out[np.ix_(held, columns)] = model.scores([gestures[k] for k in held])
+        out[np.ix_(np.array(held), np.array(columns))] = model.scores([gestures[k] for k in held])
     return out
 
 

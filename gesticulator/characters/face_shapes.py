@@ -172,7 +172,7 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
         "arkit": {name: (found, 1.0) for name in known
                   if (found := _ARKIT_NAMES.get(_plain(name)) or _METAHUMAN.get(_plain(name)))},
         "oculus": {name: (found, 1.0) for name in known if (found := _OCULUS_NAMES.get(_plain(name)))},
-        "tools": {name: found for name in known if (found := _TOOLS.get(_plain(name) or name.lower()))}}
+        "tools": {name: tool for name in known if (tool := _TOOLS.get(_plain(name) or name.lower()))}}
     mouth = next((way for way, least in (("arkit", 3), ("oculus", 5), ("tools", 1))
                   if sum(is_lips(curve) for curve, _ in ways[way].values()) >= least
                   and (way != "arkit" or any(curve == "jawOpen" for curve, _ in ways[way].values()))), "")

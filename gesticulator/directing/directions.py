@@ -359,8 +359,8 @@ def _with_gestures(poses: Array, times: Array, cues: Sequence[MeantCue], seed: i
         poses = np.where(share[:, None] == 1.0, poses, np.where(share[:, None] == 0.0, whole, whole + share[:, None] * (
             nearest_turn(poses.reshape(len(poses), -1, 3), whole.reshape(len(poses), -1, 3)).reshape(poses.shape)
             - whole)))
-    whole = sorted((one for one in cues if one.broken_off is None), key=lambda one: one.time)
-    return laid_over(poses, times, [(one.cue, one.time) for one in whole], seed)
+    played = sorted((one for one in cues if one.broken_off is None), key=lambda one: one.time)
+    return laid_over(poses, times, [(one.cue, one.time) for one in played], seed)
 
 
 def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array, NDArray[np.bool_]]:

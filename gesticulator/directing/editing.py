@@ -400,7 +400,7 @@ class _PlanRun:
         if still is not None and still.mean() >= 0.5:
             chosen = None
         last, count = min(at + 1, len(plan.blocks) - 1), len(plan.blocks)
-        silence = tuple(plan.blocks[n].silent for n in (max(at - 1, 0), at, last))
+        silence = plan.blocks[max(at - 1, 0)].silent, block.silent, plan.blocks[last].silent
         removed = self._removed[at], self._removed[last]
         hand = (plan.drawn if generation is self._first else plan).knobs.handedness
         draw = block.draw
@@ -409,9 +409,8 @@ class _PlanRun:
                (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes(), hand)
 
         def request() -> BlockRequest:
-            speech = spoken
-            quiet, ahead = speech.quiet & (not removed[0]), speech.ahead
-            speech = replace(speech, number=draw.block, key=self._renderer.key_of(draw.block), flag=self._flags[at],
+            quiet, ahead = spoken.quiet & (not removed[0]), spoken.ahead
+            speech = replace(spoken, number=draw.block, key=self._renderer.key_of(draw.block), flag=self._flags[at],
                              silent=silence, quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
             return self._renderer.request(speech, times, Direction(chosen, Keys(draw.seed, draw.variation), still,
                                                                    self._renderer.bias(hand)))

@@ -58,7 +58,7 @@ class ShapedBlocks:
         levels = shaping.levels(times.ravel())
         arms = np.zeros(times.size, bool)
         arms[levels.arms.changed] = True
-        sized, turned = arms.reshape(times.shape).any(axis=1), levels.mirrored.reshape(times.shape).any(axis=1)
+        sized, turned = ([bool(row.any()) for row in each.reshape(times.shape)] for each in (arms, levels.mirrored))
         # One more knot before those that are remembered, from which the first movement goes.
         since = np.maximum(np.searchsorted(cut.edges[1:], cut.edges[:-1] - REMEMBERED - LAG) - 1, 0).tolist()
         out = []

@@ -130,7 +130,7 @@ def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool 
     for step, (frames, labels) in enumerate(_batches(pieces, settings, steps, rng)):
         loss = net.loss(torch.from_numpy(frames), torch.from_numpy(labels), settings.closed)
         optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         optimiser.step()
         schedule.step()
