@@ -44,9 +44,10 @@ def by_volume(samples: Samples) -> Array:
 def by_formants(samples: Samples) -> Array:
     """[T, 15] the vowel whose formants are nearest, a sibilant where the sound is high, p, b, m where the level dips
     between loud frames, by the volume; silence for the rest."""
-    loud = loudness(samples)
-    out = np.zeros((len(loud), len(VISEMES)))
-    f1, f2, ratio = formants(samples)
+    loud, measured = loudness(samples), formants(samples)
+    count = min(len(loud), len(measured[0]))  # the last frame may lack sound
+    loud, (f1, f2, ratio) = loud[:count], (each[:count] for each in measured)
+    out = np.zeros((count, len(VISEMES)))
     targets = np.log(np.array(list(_VOWELS.values())))
     distance = ((np.log(np.stack([f1, f2], axis=1))[:, None] - targets) ** 2).sum(axis=-1)
     chosen = np.array([VISEMES.index(name) for name in _VOWELS])[distance.argmin(axis=1)]

@@ -94,7 +94,7 @@ def rule(weights: Callable[[Samples], Array]) -> Mouth:
 def figures(mouth: tuple[Array, Array], one: FaceSound) -> dict[str, Array]:
     """Figures of each piece of a clip, NaN where a piece has nothing to count."""
     weights, shown = mouth
-    count = min(len(weights), len(shown), len(one.labels))
+    count = min(len(weights), len(shown), len(one.labels), len(one.level), len(one.f1))
     drawn, labels = opening(shown[:count]), one.labels[:count]
     size = round(PIECE * RATE)
     pieces = np.arange(count) // size
