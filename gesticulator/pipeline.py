@@ -27,9 +27,9 @@ from gesticulator.drawing.cutter import BlockCutter, encode_speech
 from gesticulator.drawing.driver import (
     Cast,
     ControlRows,
-    Drawing,
     Driver,
     GeneratedMotion,
+    KeptDrawing,
     OnBlock,
     controls_at,
     requests,
@@ -226,7 +226,7 @@ class Gesticulator:
         blocks = driver.run(requests(encoded, self._control_rows(cast.controls, encoded.blocks), directions), on_block,
                             states)
         made = self._performance(speech, options, cast, GeneratedMotion(encoded.blocks, blocks, driver.motion(blocks)))
-        return made if states is None else replace(made, drawing=Drawing(encoded, blocks, states, cutters or ()))
+        return made if states is None else replace(made, drawing=KeptDrawing(encoded, blocks, states, cutters or ()))
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
                **options: Unpack[InferenceArguments]) -> Stream:
@@ -317,7 +317,7 @@ class Gesticulator:
         return replace(made, drawing=renderer.drawing) if self.keeps_drawings else made
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None,
-                      drawing: Drawing | None = None) -> PlanRenderer:
+                      drawing: KeptDrawing | None = None) -> PlanRenderer:
         """A renderer for all plans of one first generation; each then costs only its edited blocks. speech: at 16 kHz.
 
         options: with a plan of that generation, as returned by `directing.planned`; drawing: the generation, if it was

@@ -209,7 +209,7 @@ def test_verbs_and_options_are_known(page: str, line: str, capsys: pytest.Captur
     if call[0] in ("VERB", "--help", "--version"):
         return
     # What is no bare word is a recording, and `infer` is meant.
-    bare = re.fullmatch(r"[a-z]+", call[0]) is not None
+    bare = re.fullmatch(r"[a-z]+(-[a-z]+)?", call[0]) is not None
     verb, rest = (call[0], call[1:]) if bare else ("infer", call)
     assert verb in verbs(), f"{page}: there is no verb {verb}"
     asked = {option for word in rest if word.startswith("--") for option in OPTION.findall(word)}

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
-from gesticulator.serve.door import GUESS_SECONDS, GUESSES, Door, Keys, Tenant, network_of, read_keys
+from gesticulator.serve.door import GUESS_SECONDS, GUESSES, Door, Tenant, TenantKeys, network_of, read_keys
 from gesticulator.serve.governor import PRIOR_COST, REVIEW_SECONDS, Governor
 from gesticulator.serve.pace import Effort
 from gesticulator.serve.scheduler import CREDIT_SECONDS, Account, Member, Scheduler
@@ -321,7 +321,7 @@ def test_keys_are_rotated_while_the_server_runs(tmp_path: Path, caplog: pytest.L
         clock.now += 2.0
 
     write("# tenants\nacme first-key-of-acme streams=3 priority=2\n\nother key-of-the-other\n")
-    keys = Keys("the server's own", file, clock)
+    keys = TenantKeys("the server's own", file, clock)
     assert keys.tenant("first-key-of-acme") == Tenant("acme", 3, 2)
     assert keys.tenant("key-of-the-other") == Tenant("other")
     assert keys.tenant("the server's own") == Tenant()

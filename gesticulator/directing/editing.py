@@ -26,8 +26,8 @@ from data_module.types import Array, BeatFlag, Blocks
 from gesticulator.bundle.features import SpeechBlock, SpeechFeatures
 from gesticulator.drawing.cutter import BlockCutter
 from gesticulator.drawing.drawer import Direction, Keys
-from gesticulator.drawing.drawn_blocks import DrawnBlock, DrawnBlocks
-from gesticulator.drawing.driver import BlockRequest, Drawing, Driver, GeneratedMotion, OnBlock, requests
+from gesticulator.drawing.drawn_blocks import DrawnBlock, DrawnTree
+from gesticulator.drawing.driver import BlockRequest, Driver, GeneratedMotion, KeptDrawing, OnBlock, requests
 from gesticulator.drawing.recut import Recutter, window
 from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.plan import Block, GesturePlan, PlanKnobs, edited_blocks, edited_themselves
@@ -119,7 +119,7 @@ class PlanRenderer:
     """Renders plans of one first generation; each plan then costs only its edited blocks."""
 
     def __init__(self, redrawer: Redrawer, plan: GesturePlan, on_block: OnBlock | None = None,
-                 drawing: Drawing | None = None) -> None:
+                 drawing: KeptDrawing | None = None) -> None:
         """plan: any plan of this generation; its edits are ignored here. on_block: see `Driver.run`. drawing: the first
         generation, if it was kept; it is made here otherwise."""
         self._redrawer, self._drawn = redrawer, plan.drawn
@@ -133,7 +133,7 @@ class PlanRenderer:
         self.drawing = drawing or self._draw(on_block)
         self._encoded = self.drawing.encoded
         count = len(self._cut)
-        self._tree = DrawnBlocks(max(LEAST_REMEMBERED, REMEMBERED * count))
+        self._tree = DrawnTree(max(LEAST_REMEMBERED, REMEMBERED * count))
         numbers = [self._tree.new_number() for _ in range(count + 1)]
         self._first = _Generation("first", [DrawnBlock(number, state, None) for number, state in zip(
             numbers, self.drawing.states, strict=False)], self.drawing.blocks, numbers[1:])
@@ -142,7 +142,7 @@ class PlanRenderer:
         self._recut: dict[Hashable, SpeechBlock] = {}
         self._faded: dict[Hashable, tuple[int, Rows]] = {}
 
-    def _draw(self, on_block: OnBlock | None) -> Drawing:
+    def _draw(self, on_block: OnBlock | None) -> KeptDrawing:
         """The first generation, from the decisions in the plan."""
         drawn, knobs, cutters = self._drawn, self._drawn.knobs, list[BlockCutter]()
         encoded = self._redrawer.encode(self._cut, cutters)
@@ -156,7 +156,7 @@ class PlanRenderer:
         following = [replace(request, speech=replace(request.speech, number=number, key=key)) for request, (number, key)
                      in zip(requests(encoded, control, directions), self._keys.items(), strict=False)]
         states: list[Driver] = []
-        return Drawing(encoded, driver.run(following, on_block, states), states, cutters)
+        return KeptDrawing(encoded, driver.run(following, on_block, states), states, cutters)
 
     @property
     def first(self) -> Sequence[BlockMotion]:
@@ -277,7 +277,7 @@ class PlanRenderer:
         return BlockRequest(speech, self._redrawer.control(times), direction)
 
     def drawn(self, before: DrawnBlock, key: Hashable, request: Callable[[], BlockRequest]) -> DrawnBlock:
-        """See `DrawnBlocks.drawn`."""
+        """See `DrawnTree.drawn`."""
         return self._tree.drawn(before, key, request)
 
     def standing(self, state: DrawnBlock, other: DrawnBlock) -> DrawnBlock:

@@ -25,7 +25,7 @@ class DrawnBlock:
     block: BlockMotion | None
 
 
-class DrawnBlocks:
+class DrawnTree:
     """The tree, which forgets what was not used for the longest time."""
 
     def __init__(self, most: int) -> None:

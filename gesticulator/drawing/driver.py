@@ -67,7 +67,7 @@ class GeneratedMotion:
 
 
 @dataclass(frozen=True)
-class Drawing:
+class KeptDrawing:
     """A first generation, kept so that edits can start from it: the speech, its N blocks, the state before each of
     them, and the cutter of the speech at some times (`BlockCutter.fork`)."""
 

@@ -122,7 +122,7 @@ class Tenant:
     priority: int = 0
 
 
-class Keys:
+class TenantKeys:
     """Tokens that are accepted: one, or a file of keys that is read again when it changes.
 
     A line of the file is `TENANT KEY [streams=N] [priority=N]`; empty lines and those that begin with # are skipped. A

@@ -55,7 +55,7 @@ FIRST_SHOWN = 24
 
 
 @dataclass(frozen=True)
-class Rendering:
+class KnownMotion:
     """A motion that a page has. plain: its plan, as the page has it; shape: what the page knows of the motion apart
     from its numbers; root: the path of the root."""
 
@@ -80,7 +80,7 @@ class _Asked:
     """have: the rendering that the page has; view: the visible stretch, seconds; abandoned: whether the page has asked
     for something else; done: takes the rendered plan."""
 
-    have: Rendering | None
+    have: KnownMotion | None
     view: tuple[float, float]
     abandoned: Callable[[], bool]
     done: Callable[[GesturePlan], None]
@@ -103,7 +103,7 @@ class LivePlans:
         self._makers: list[tuple[tuple[Any, ...], _Maker]] = []  # the most recently used comes last
         self._drawings = [(_identity(one.decided), one.drawing) for one in performances if one.drawing is not None]
         self._exchange = PlanExchange(frozen=True)
-        self._renderings: OrderedDict[int, Rendering] = OrderedDict()
+        self._renderings: OrderedDict[int, KnownMotion] = OrderedDict()
         self.on_edit: Callable[[Mapping[str, Any], GesturePlan], None] = lambda request, plan: None
         """Called with the request and the rendered plan after each answer."""
         self._count = 0
@@ -271,9 +271,9 @@ class LivePlans:
                 and not (options.legs and not options.seated)
                 and (self._speech.duration <= LONG or float(options.fps) <= LONG_FPS))
 
-    def _kept(self, plain: Mapping[str, Any], shape: Mapping[str, Any], pieces: SignedPieces, root: bytes) -> Rendering:
+    def _kept(self, plain: Mapping[str, Any], shape: Mapping[str, Any], pieces: SignedPieces, root: bytes) -> KnownMotion:
         self._count += 1
-        made = self._renderings[self._count] = Rendering(self._count, plain, shape, pieces, root)
+        made = self._renderings[self._count] = KnownMotion(self._count, plain, shape, pieces, root)
         while len(self._renderings) > MOST_RENDERINGS:
             self._renderings.popitem(last=False)
         return made

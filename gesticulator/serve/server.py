@@ -28,7 +28,7 @@ from websockets.http11 import Request, Response
 
 from data_module.errors import InputError
 from gesticulator.serve.connection import CLOSE_SECONDS, Connection, Workplace
-from gesticulator.serve.door import Door, Keys, Tenant, network_of
+from gesticulator.serve.door import Door, Tenant, TenantKeys, network_of
 from gesticulator.serve.governor import PRIOR_COST, RETRY_SECONDS, REVIEW_SECONDS, Governor, Room
 from gesticulator.serve.metrics import CONTENT_TYPE, ServerMetrics, exposition, read_figures, write_figures
 from gesticulator.serve.pace import Effort
@@ -66,7 +66,7 @@ class ServerAddress:
 
     port: 0 for any free one. origins: web pages that may connect, such as "https://example.org"; pages of this machine
     and clients other than browsers always may. token: required in a client's hello, and for `/metrics`; "" for none.
-    keys: a file of tenants' keys, see `Keys`. proxies: networks of proxies that are believed about who a client is
+    keys: a file of tenants' keys, see `TenantKeys`. proxies: networks of proxies that are believed about who a client is
     (X-Forwarded-For). metrics_port: where `/metrics` is, without a token, in place of the port of streams.
     """
 
@@ -155,7 +155,7 @@ class LiveServer:
         self.governor = Governor(self.limits.core_share, self.limits.streams,
                                  PRIOR_COST if self.cost is None else self.cost)
         self.door = Door(self.limits.guests, self.limits.address_guests)
-        self.keys = Keys(self.address.token, self.address.keys)
+        self.keys = TenantKeys(self.address.token, self.address.keys)
         self._accounts: dict[str, Account] = {}
         self._numbers = itertools.count(1)
         self._stop = asyncio.Event()
