@@ -19,7 +19,7 @@ EXIT_PIPE = 141
 """Exit code of a program ended by SIGPIPE (13): 128 + 13."""
 EXIT_STOPPED = 130
 """Exit code of a program ended by SIGINT (2): 128 + 2."""
-_INVISIBLE = re.compile("[\x00-\x1f\x7f-\x9f\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u2069\ufeff]")
+_INVISIBLE = re.compile("[\x00-\x1f\x7f-\x9f\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u2069\ufeff\ud800-\udfff]")
 """Control characters, which can clear a terminal or change its title, and those that hide text or change its direction.
 """
 
@@ -40,7 +40,7 @@ class InputError(Exception):
 
 
 def printable(text: str) -> str:
-    """Escape control characters in a text from outside, such as \\x1b."""
+    """Escape control characters and halves of characters in a text from outside, such as \\x1b."""
     return _INVISIBLE.sub(lambda match: match.group().encode("unicode_escape").decode(), text)
 
 

@@ -271,7 +271,8 @@ class LivePlans:
                 and not (options.legs and not options.seated)
                 and (self._speech.duration <= LONG or float(options.fps) <= LONG_FPS))
 
-    def _kept(self, plain: Mapping[str, Any], shape: Mapping[str, Any], pieces: SignedPieces, root: bytes) -> KnownMotion:
+    def _kept(self, plain: Mapping[str, Any], shape: Mapping[str, Any], pieces: SignedPieces, root: bytes
+              ) -> KnownMotion:
         self._count += 1
         made = self._renderings[self._count] = KnownMotion(self._count, plain, shape, pieces, root)
         while len(self._renderings) > MOST_RENDERINGS:

@@ -66,8 +66,8 @@ class ServerAddress:
 
     port: 0 for any free one. origins: web pages that may connect, such as "https://example.org"; pages of this machine
     and clients other than browsers always may. token: required in a client's hello, and for `/metrics`; "" for none.
-    keys: a file of tenants' keys, see `TenantKeys`. proxies: networks of proxies that are believed about who a client is
-    (X-Forwarded-For). metrics_port: where `/metrics` is, without a token, in place of the port of streams.
+    keys: a file of tenants' keys, see `TenantKeys`. proxies: networks of proxies that are believed about who a client
+    is (X-Forwarded-For). metrics_port: where `/metrics` is, without a token, in place of the port of streams.
     """
 
     host: str = "127.0.0.1"
