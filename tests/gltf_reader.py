@@ -9,10 +9,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 _DTYPES = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+def _between(times: NDArray[Any], keys: NDArray[Any], values: NDArray[Any], path: str) -> NDArray[Any]:
+    """[T, width] values at times [T] between keys [K], held before the first and after the last one."""
+    at = np.clip(times, keys[0], keys[-1])
+    if len(keys) == len(times):
+        return values
+    if path == "rotation" and len(keys) > 1:
+        return np.asarray(Slerp(keys.astype(np.float64), Rotation.from_quat(values))(at.astype(np.float64)).as_quat())
+    return np.stack([np.interp(at, keys, column) for column in values.T.astype(np.float64)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -46,18 +56,22 @@ class GlbFile:
         return [node.get("name", "") for node in self.document["nodes"]]
 
     def worlds(self, animation: int | None = None) -> NDArray[np.float64]:
-        """[T, N, 4, 4] world matrices of all nodes on the animation's own times, or [1, N, 4, 4] at rest."""
+        """[T, N, 4, 4] world matrices of all nodes at every time that the animation has a key, or [1, N, 4, 4] at
+        rest."""
         nodes = self.document["nodes"]
         tracks: dict[tuple[int, str], NDArray[Any]] = {}
         frames = 1
         if animation is not None:
             own = self.document["animations"][animation]
+            keys = [self.numbers(sampler["input"])[:, 0] for sampler in own["samplers"]]
+            every = np.unique(np.concatenate(keys))
+            frames = len(every)
             for channel in own["channels"]:
-                sampler = own["samplers"][channel["sampler"]]
+                sampler, path = own["samplers"][channel["sampler"]], channel["target"]["path"]
                 assert sampler.get("interpolation", "LINEAR") == "LINEAR"
                 values = self.numbers(sampler["output"])
-                tracks[channel["target"]["node"], channel["target"]["path"]] = values
-                frames = len(values)
+                if path != "weights":
+                    tracks[channel["target"]["node"], path] = _between(every, keys[channel["sampler"]], values, path)
         local = np.zeros((frames, len(nodes), 4, 4))
         for index, node in enumerate(nodes):
             if "matrix" in node:

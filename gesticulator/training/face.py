@@ -6,7 +6,6 @@ features, so that each pass hears other microphones and other rooms.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
@@ -19,7 +18,6 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.visemes import SILENT
-from gesticulator.cli import Command
 
 WEIGHTS, RECORD = "visemes.safetensors", "face.json"
 _LENGTH = 240
@@ -195,37 +193,8 @@ def save(net: Any, settings: FaceTraining, readings: Sequence[Path], out: Path) 
         "data": {"espeak-ng": {language: list(voices) for language, voices in LANGUAGES.items()},
                  "espeak-ng timbres": list(VARIANTS), "flite": list(FLITE),
                  "readings": {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in readings}},
-        "licence": "GPL-3.0-or-later; trained on synthetic speech and on readings in the public domain",
+        "licence": "GPL-3.0-or-later; trained on synthetic speech" + (" and on readings" if readings else ""),
     }
     out.mkdir(parents=True, exist_ok=True)
     write_bytes(out / WEIGHTS, weights)
     write_text(out / RECORD, json.dumps(record, indent=1) + "\n")
-
-
-def arguments(p: argparse.ArgumentParser) -> None:
-    p.add_argument("--out", required=True, type=Path, metavar="DIR", help="output folder for the weights")
-    p.add_argument("--reading", action="append", default=[], type=Path, metavar="FILE",
-                   help="an English reading with its text beside it (.txt), to align and learn from; can be repeated")
-    p.add_argument("--minutes", type=float, default=FaceTraining.minutes, help="synthetic speech (default 80)")
-    p.add_argument("--epochs", type=int, default=FaceTraining.epochs, help="passes over the speech (default 14)")
-    p.add_argument("--seed", type=int, default=FaceTraining.seed, help="random seed (default 1)")
-    p.add_argument("--quiet", action="store_true", help="print no progress")
-
-
-def run(args: argparse.Namespace) -> int:
-    """Train; InputError for invalid arguments or a missing voice."""
-    for flag, value, least, most in (("--minutes", args.minutes, 1, 6000), ("--epochs", args.epochs, 1, 1000),
-                                     ("--seed", args.seed, 0, 2**31 - 1)):
-        if not least <= value <= most:
-            raise InputError(f"{flag} {value:g}", "is out of range", f"choose {least} to {most}")
-    settings = FaceTraining(minutes=args.minutes, epochs=args.epochs, seed=args.seed)
-    net = fit(recordings_of(settings, args.reading), settings, args.quiet)
-    save(net, settings, args.reading, args.out)
-    if not args.quiet:
-        print(f"{args.out}: measure it with gesticulator probe face --weights {args.out}")
-    return 0
-
-
-COMMAND = Command(
-    "train the network that moves the lips", arguments, run,
-    examples=("train-face --out face", "train-face --out face --reading sonnet.flac --minutes 40"))
