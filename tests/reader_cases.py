@@ -9,11 +9,12 @@ import json
 import re
 import threading
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import published
@@ -601,8 +602,9 @@ def _read_sent_plan(file: Path) -> object:
 def _request(folder: Path) -> Path:
     """A plan as a page sends it, with the head of its request."""
     body = _plan("a.json")(folder).read_bytes().strip()
-    head = ("POST /render HTTP/1.1", "Host: 127.0.0.1:1", "Origin: http://127.0.0.1:1", "X-Gesticulator-Token: secret",
-            "Content-Type: application/json", f"Content-Length: {len(body) + 9}", "", "")
+    head = ("POST /place/render HTTP/1.1", "Host: 127.0.0.1:1", "Origin: http://127.0.0.1:1",
+            "X-Gesticulator-Token: secret", "Content-Type: application/json", f"Content-Length: {len(body) + 9}", "",
+            "")
     return _written("a.http", "\r\n".join(head).encode() + b'{"plan":' + body + b"}")(folder)
 
 
@@ -628,8 +630,16 @@ def _read_request(file: Path) -> object:
     from gesticulator.serve.page_server import _PageHandler
 
     exchange = PlanExchange()
-    server = SimpleNamespace(hosts=("127.0.0.1:1",), token="secret", page=b"", queue=0.0, rendering=threading.Lock(),
-                             render=lambda plan: exchange.plain(exchange.read(plan)))
+
+    def render(request: dict[str, Any], abandoned: Callable[[], bool]) -> Iterator[bytes]:
+        if not isinstance(request.get("plan"), dict):
+            raise InputError("the request", "holds no plan", "send one")
+        return iter([json.dumps(exchange.plain(exchange.read(request["plan"]))).encode()])
+
+    server = SimpleNamespace(
+        hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0, figures=None, export=None,
+        rendering=threading.Lock(), render=render, falls_silent=lambda connection: None,
+        speaks=lambda connection: None, abandons=lambda page, number: lambda: False)
     client = _Client(file)
     _PageHandler(client, ("127.0.0.1", 1), server)  # type: ignore[arg-type]
     assert b" 500 " not in client.answer, client.answer[:1000]
@@ -681,6 +691,57 @@ def _read_study(file: Path) -> object:
 
     key = anova.read_key(file.with_name("key.json"))
     return anova.gather(anova.read_answers([file.with_name("1.json"), file.with_name("1.csv")], key), key)
+
+
+_MEANING_KEY = {"kind": "meanings", "study": "s", "items": {
+    "x": {"kind": "gesture", "meaning": "shrug", "answers": ["shrug", "nod", "wave", "count", "point"],
+          "shown": "shrug"}}}
+
+
+def _meaning_study(name: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        from eval.study.meaning import KIND
+
+        (folder / "key.json").write_text(json.dumps({**_MEANING_KEY, "kind": KIND}))
+        answers = {"study": "s", "rater": "1", "answers": [{"item": "x", "choice": 2}]}
+        (folder / "1.json").write_text(json.dumps(answers))
+        return folder / name
+
+    return write
+
+
+def _read_meaning_study(file: Path) -> object:
+    from eval.study.meaning_answers import is_meaning_key, read_choices, read_meaning_key
+
+    key = file.with_name("key.json")
+    return is_meaning_key(key), read_choices([file.with_name("1.json")], read_meaning_key(key))
+
+
+def _lips(folder: Path) -> Path:
+    from gesticulator.body.face_lips import SHIPPED
+
+    for file in SHIPPED.iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    return folder / "face.json"
+
+
+def _read_lips(file: Path) -> object:
+    from gesticulator.body.face_lips import load_weights
+
+    return load_weights(file.parent)
+
+
+def _read_keys(file: Path) -> object:
+    from gesticulator.serve.door import read_keys
+
+    return read_keys(file)
+
+
+def _read_sent_character(file: Path) -> object:
+    from data_module.files import read_json
+    from gesticulator.serve.page_export import _character
+
+    return _character(read_json(file, "send it again"), file.parent)
 
 
 def _read_tables(file: Path) -> object:
@@ -863,6 +924,11 @@ READERS: dict[str, Case] = {
     **{f"manifest {name}": Case(_manifest(name), _read_manifest)
        for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
+    **{f"study of meanings, {name}": Case(_meaning_study(name), _read_meaning_study)
+       for name in ("key.json", "1.json")},
+    "weights of the lips": Case(_lips, _read_lips),
+    "keys of tenants": Case(_written("keys", "# tenants\nacme first-key-of-acme streams=3 priority=2\n"), _read_keys),
+    "character sent by a page": Case(_written("a.json", '{"name": "a.glb", "data": "Z2xURg=="}'), _read_sent_character),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (
         "claims.json", "ablation/figure-1.json", "limits.md")},

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from data_module.files import read_text
 from data_module.speech.audio import load_speech
 from data_module.speech.known_phones import PhonedSpeech, aligned, synthetic
 from data_module.types import Array, Samples
@@ -180,7 +181,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
             text = path.with_suffix(".txt")
             if not text.exists():
                 raise InputError(path, f"has no {text.name} beside it", "write what is spoken there")
-            clips.append(aligned(load_speech(path), text.read_text(encoding="utf-8"), path.stem))
+            clips.append(aligned(load_speech(path), read_text(text, "write what is spoken there"), path.stem))
         tables.append(table("Human readings", clips, mouths))
     if arguments.seconds > 0:
         clips = list(synthetic(np.random.default_rng(2), arguments.seconds, held_out=True))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from data_module.files import read_text
 from data_module.visemes import SILENT
 
 WEIGHTS, RECORD = "visemes.safetensors", "face.json"
@@ -173,7 +174,7 @@ def recordings_of(settings: FaceTraining, readings: Sequence[Path]) -> list[Labe
         text = path.with_suffix(".txt")
         if not text.exists():
             raise InputError(path, f"has no {text.name} beside it", "write what is spoken there")
-        reading = row(aligned(load_speech(path), text.read_text(encoding="utf-8"), path.stem))
+        reading = row(aligned(load_speech(path), read_text(text, "write what is spoken there"), path.stem))
         out += [reading] * settings.repeats
     return out
 
