@@ -42,7 +42,7 @@ def test_the_front_covers_the_trunk_and_is_nowhere_steeper_than_stated() -> None
     ellipse = depth * np.sqrt(1 - (across[inside] / width) ** 2)
     assert (front[inside] >= ellipse - 1e-9).all() and trunk_front(np.zeros(1))[0] == depth
     assert np.abs(np.diff(front) / np.diff(across)).max() <= STEEPEST + 1e-6
-    assert front[across > 0.2].max() < -0.1, "a hanging hand is beside it"
+    assert front[across > 0.2].max() < -0.03, "a hanging hand is beside it"
     radius = np.linspace(0, 0.5, 1001)
     face = face_front(radius)
     sphere = radius < HEAD_RADIUS

@@ -28,10 +28,10 @@ from data_module.types import Array, Motion, Skeleton
 from gesticulator.characters.contacts import OURS, OurLimbs, Pose, pose_of
 from gesticulator.characters.inverse_kinematics import bend
 
-SOFT = 0.03
-"""Metres before and after the surface over which a hand is slowed; one at rest on the trunk, at 12 mm, moves by 3."""
-STEEPEST = 3.0
-"""Largest slope of the front of the trunk."""
+SOFT = 0.05
+"""Metres before and after the surface over which a hand is slowed; one at rest on the trunk, at 12 mm, moves by 7."""
+STEEPEST = 1.2
+"""Largest slope of the front of the trunk: with 3, a hand that shot past the hip was thrown ahead at 4.7 m/s."""
 OTHER_SIDE = (0.115, 0.07, 0.35)
 """Where the front leaves the trunk on the side of the other hand: metres across, metres ahead, and slope from there on.
 A hand there is beside the other arm, not behind the back."""
