@@ -92,13 +92,18 @@ def _keys(text: str) -> float:
     return parse_keys(text)
 
 
+def _upper(args: argparse.Namespace) -> bool:
+    """Whether only the upper body is written."""
+    return args.mask is not None or args.layer is not None
+
+
 def run(args: argparse.Namespace) -> int:
     """Process all recordings; exit code 0, 1 if some failed, 2 if none succeeded."""
     jobs = [] if args.list else _plan(args)
     check_choices(args)
     if not args.list and (args.manifest or args.shard or args.ray):
         return _run_batch(jobs, args)
-    retargeter = None if args.list else retargeter_for(args)
+    retargeter = None if args.list else retargeter_for(args, _upper(args))
     alone = len(jobs) == 1
     done = 0
     with our_warnings():
@@ -136,7 +141,7 @@ def _worker(jobs: Sequence[Job], args: argparse.Namespace) -> Callable[[int], fl
     """Load the models; returns a function that processes a job by its number and returns its duration in seconds."""
     from gesticulator.pipeline import Gesticulator
 
-    retargeter = retargeter_for(args)
+    retargeter = retargeter_for(args, _upper(args))
     with limited_threads(int(args.threads)):
         system = Gesticulator.from_pretrained(args.bundle)
     check_cues(system, args)

@@ -392,8 +392,8 @@ def test_the_server_makes_marks_and_echoes_words_without_them(g: Any) -> None:
     session = session_opener(g, ServerLimits())("one", request)
     words = [{"text": word.text, "start": word.start, "end": word.end}
              for word in [*_texts(_words(w3="shrug")), Word("[wave]", 5.1, 5.1)]]
-    session.obey({"type": "words", "words": words})
-    answers = [session.feed(_sound().samples), session.obey({"type": "finish"})]
+    answers = [*session.obey({"type": "words", "words": words}), *session.feed(_sound().samples),
+               *session.obey({"type": "finish"})]
     events = [json.loads(message) for answer in answers for message in answer.messages if isinstance(message, str)]
     assert [event["text"] for event in events if event["type"] == "word"] == [f"w{n}" for n in range(12)]
     made = np.concatenate([frames.rotations for answer in answers for frames in answer.frames])

@@ -196,8 +196,8 @@ def check_job(job: Job, args: argparse.Namespace) -> None:
                          f"pipe a recording into {PROGRAM}, or name a file")
 
 
-def retargeter_for(args: argparse.Namespace) -> Retargeter | None:
-    """The retargeter for the requested character; None for the default skeleton.
+def retargeter_for(args: argparse.Namespace, upper: bool = False) -> Retargeter | None:
+    """The retargeter for the requested character; None for the default skeleton. upper: of the upper body alone.
 
     The mapping is saved before it is checked, so that an unusable one can be corrected.
     """
@@ -211,7 +211,6 @@ def retargeter_for(args: argparse.Namespace) -> Retargeter | None:
     from gesticulator.characters.several import note_of
 
     character, mapping = choose(args.character, args.mapping, args.save_mapping)
-    upper = args.mask is not None or args.layer is not None
     legs = False if args.seated or upper else True if args.legs else None
     note = note_of(character, mapping.joints["Hips"])
     if note and not args.quiet:

@@ -80,8 +80,10 @@ class Retargeter:
         self.body: Body = measure(character, self.mapping)
         # Legs whose feet hang elsewhere would be torn from them by hips that move.
         whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
-        self.contacts, self.legs = contacts, whole and (not self.body.sits if legs is None else legs)
+        self.legs = whole and (not self.body.sits if legs is None else legs)
+        self.contacts = False  # what they correct on purpose is not a fault
         self.doubts = (*self.mapping.doubts, *require_sound(self))
+        self.contacts = contacts
 
     def __call__(self, motion: Motion) -> CharacterMotion:
         """The motion on the character. ValueError if the motion is not on one of our skeletons."""
