@@ -53,7 +53,8 @@ def calls_of(run: Callable[[], object]) -> Calls:
     project = in_json = every = 0
     for (file, _, name), (_, count, *_) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
         every += count
-        project += count * file.startswith(str(ROOT))
+        # A virtual environment may lie in the checkout; what is installed in it is not ours.
+        project += count * (file.startswith(str(ROOT)) and "site-packages" not in file)
         in_json += count * ("/json/" in file or "_json" in name)
     return Calls(project, in_json, every)
 
