@@ -1,4 +1,4 @@
-"""Do characters that nobody mapped move as ours does? python benchmarks/retarget.py [--rigs 200] [--seed 1] [--placed]
+"""Do characters without a mapping move as ours does? python benchmarks/retarget.py [--rigs 200] [--seed 1] [--placed]
 
 Rigs are drawn by `tests/rigs.py` (names x rest pose x units x twist and extra bones x proportions), their joints are
 looked for, and a gesture of the shipped weights is brought onto each, on legs. What is told, by kind of names: how many

@@ -1,4 +1,4 @@
-"""Two hundred characters that nobody mapped by hand: their joints are found, and their bones point as ours do.
+"""Two hundred characters without a mapping by hand: their joints are found, and their bones point as ours do.
 
 The rigs come from `tests/rigs.py` (see `SEEDS`).
 """
