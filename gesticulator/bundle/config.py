@@ -252,6 +252,8 @@ class SelectionConfig:
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
     together: NotNegative = 0.0
     """Weight, relative to `timing`, of a head that turns as fast as goes with the speed of the hands."""
+    pitch: NotNegative = 0.0
+    """Weight, relative to `timing`, of a trunk that turns faster where the voice is high and slower where it is low."""
     as_styled: NotNegative = 0.0
     """Weight, relative to `timing`, of hands that are as fast, high and far as the unit's style code says."""
     fresh: bool = False
