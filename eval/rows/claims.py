@@ -25,6 +25,7 @@ import numpy as np
 from data_module.errors import InputError
 from eval import stats
 from eval.claim import FAILS, HOLDS, UNDECIDED, WHOLE, Bound, Claim, Verdict
+from eval.crossed import crossed
 from eval.rows import OURS, PERFORMER, TABLES, racer
 from eval.rows.cells import Cells
 from eval.rows.row import COLUMNS, DECIDED, DECISIONS, RowColumn
@@ -184,7 +185,7 @@ def judged(claim: PaperClaim, cells: Cells) -> Verdict:
     apart = apart[np.isfinite(apart).any(axis=1)] if apart.size else apart
     if not apart.size:
         return claim.claim.undecided("no figure of a clip that both have")
-    verdict, seeds = claim.claim.judge(stats.crossed(apart)), len(apart)
+    verdict, seeds = claim.claim.judge(crossed(apart)), len(apart)
     if seeds < DECIDED:
         verdict = replace(verdict, holds=None, reason=f"{seeds} of {DECIDED} seeds")
     return replace(verdict, over=(seeds, verdict.value.n))
