@@ -3,10 +3,9 @@
 Theory: the bootstrap (Efron 1979): draw as many clips with replacement as there are, compute the figure, repeat; the
 2.5th and 97.5th percentiles bound a mean. Clips, not blocks, are drawn, because blocks of one clip are alike; clips of
 one group (speaker, sentence) are drawn together where `groups` names them. Where a figure has two sources of chance,
-few training seeds and clips, see `eval.crossed`; raters and clips, of which there are many, are both drawn at once (Owen
-2007). A figure of a set, such as a distance
-between distributions, is biased upwards in redrawn sets, which hold clips twice: its interval is the basic bootstrap's,
-twice the figure less the percentiles.
+few training seeds and clips, see `eval.crossed`; raters and clips, of which there are many, are both drawn at once
+(Owen 2007). A figure of a set, such as a distance between distributions, is biased upwards in redrawn sets, which hold
+clips twice: its interval is the basic bootstrap's, twice the figure less the percentiles.
 
 What fools it: fewer than about ten clips make the interval too narrow, and one clip has none: it is then drawn each
 time, and the width of 0 means nothing. Clips of one speaker, or cut from one recording, are alike and count as fewer.

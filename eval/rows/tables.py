@@ -1,9 +1,9 @@
 """The rows' figures put into the papers' tables.
 
 Nothing is trained or measured here: what the cells hold is averaged over seeds and clips, with 95 % intervals over both
-(`eval.crossed`), and shown beside the papers' figures. Under each table stand the references and the controls. A column in
-which a control does as well as `ours` or better bears (!), and is named below: it cannot tell good motion from bad in
-that respect.
+(`eval.crossed`), and shown beside the papers' figures. Under each table stand the references and the controls. A column
+in which a control does as well as `ours` or better bears (!), and is named below: it cannot tell good motion from bad
+in that respect.
 """
 
 from __future__ import annotations
@@ -197,8 +197,8 @@ def about(facts: Mapping[str, Any]) -> Table:
              for name, row in facts["rows"].items()}
     told = facts["store"]
     return Table("Ablation", {}, {}, notes=[
-        f"Preset {facts['preset']}; test split: {told['test_recordings']} recordings. Means over seeds and clips with 95 % "
-        "intervals by variance components and Satterthwaite's degrees of freedom. The paper's figures are of other data, another skeleton and "
+        f"Preset {facts['preset']}; test split: {told['test_recordings']} recordings. Means over seeds and clips with "
+        "95 % intervals by variance components. The paper's figures are of other data, another skeleton and "
         "another network for FGD: compare the order, not the values. FGD, diversity and motion variance are means of "
         "the jackknife's values, so less biased than the figures of the sets (in the JSON). (!): a control, motion "
         "that is known to be wrong, does as well as `ours` or better.",

@@ -149,7 +149,7 @@ def current(ablation: Ablation, cells: Cells) -> Cells:
 
 def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance) -> None:
     """Table.json and claims.json with their Markdown; the claims read the probes' results beside the folder."""
-    from eval.rows.claims import claims_table
+    from eval.rows.decisions import claims_table
     from eval.rows.tables import all_tables
     from eval.table import save
 
