@@ -127,7 +127,7 @@ NOT_HERE = [PaperClaim(where, says, "", "", needs=needs) for where, says, needs 
      "trained for less than an epoch: its loss stood at 2.268 of 2.303 nats"),
     ("RG 7.1.2", "speech of a second language helps the encoder, for either",
      f"{_PROBE}the table of two languages"),
-    ("RACER 4.2", "the reward tells the motion of the sound from other motion of the recording, either way",
+    ("RACER 4.2", "the reward finds the motion of a sound among others more often than chance, either way",
      f"{_PROBE}gesticulator probe rewards"),
     ("RACER 1", "a decision takes less than the shortest block, 200 ms", f"{_PROBE}python benchmarks/q_network.py"))]
 CLAIMS: list[PaperClaim] = [*_rhythmic_gesticulator(), *_racer(), *NOT_HERE]

@@ -68,7 +68,7 @@ EFFECTS = (
     Effect("the high level determines lexemes, the low one style", ("RG-47",),
            ("RG Fig. 14: the high level tells lexemes better than the low one",)),
     Effect("reward models identify the motion that belongs to the audio", ("RA-03", "RA-04", "RA-05"),
-           ("RACER 4.2: the reward tells the motion of the sound from other motion of the recording, either way",)),
+           ("RACER 4.2: the reward finds the motion of a sound among others more often than chance, either way",)),
     Effect("learning offline beats imitation", ("RA-07", "RA-17"),
            _pair(*_RACER, f"{racer.PREFIX}supervised", "fgd", _PMB)),
     Effect("the learned reward beats distance", ("RA-18",),
