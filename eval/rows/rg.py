@@ -67,7 +67,7 @@ ROWS: dict[str, Row] = {
                        ("style.text_features=32", "style.text_bottleneck=32")),
     "range-0.2-1.0": Row("may intervals between beats vary more?", ("rhythm.beats.d_max=1.0",)),
     "range-0.5-1.0": Row("may they be long?", ("rhythm.beats.d_max=1.0", "rhythm.beats.d_min=0.5")),
-    "words-in-lstm": Row("do words help more inside the recurrence? (Eq. 18; ours has a head for words on a frozen LSTM)",
+    "words-in-lstm": Row("do words help more inside the recurrence? (Eq. 18; ours: a head on a frozen LSTM)",
                          ("interpreter.text_features=32", "interpreter.text_bottleneck=32", "interpreter.text_head=0",
                           "schedules.interpreter_text.steps=0")),
     "statistical": Row("must the lexemes fit the speech? Drawn from Eq. 24, at temperature 1",
