@@ -1,8 +1,9 @@
 """Everything that was measured, on one page: `gesticulator report [--results docs/results] [--out docs/report]`.
 
-The page, `report.md`, is made of what the other commands wrote and measures nothing itself: what became of the claims
-of both papers, the papers' tables with their figures beside ours, the figures, the metrics with their controls, all
-other measurements, and the chapter of each metric from its own module. Every table is a file of results
+The page, `report.md`, is made of what the other commands wrote and measures nothing itself: a page of what holds of
+both papers, one of what does not, one of what is open, the method, all claims, the papers' tables with their figures
+beside ours, the figures with what is seen in them, the metrics with their controls, all other measurements, and the
+chapter of each metric from its own module. Every table is a file of results
 (`eval.table`) put under its heading. What is not there is named with the command that makes it. The same inputs give
 the same bytes.
 
@@ -24,6 +25,7 @@ from urllib.parse import quote
 
 from data_module.errors import InputError
 from data_module.files import read_text, write_text
+from eval import report_claims
 from eval.metrics import METRICS
 from eval.probes import PROBES
 from eval.stats import Interval
@@ -152,6 +154,7 @@ def document(results: Results, out: Path, title: str = TITLE) -> str:
     """The whole report as Markdown, for a file in `out`."""
     sections = {
         "What this is": _about(results, out),
+        **_verdict_pages(results),
         "Claims": _tables_of(results, "claims", CLAIMS),
         "Tables": _tables_of(results, "ablation/table", ABLATE),
         "Figures": _figure_lines(results, out),
@@ -177,20 +180,30 @@ def headings(markdown: str) -> list[tuple[int, str, str]]:
     return out
 
 
+def _verdict_pages(results: Results) -> dict[str, list[str]]:
+    """What holds, what does not, what is open, and the method; empty where claims.json does not say."""
+    facts = results.facts("claims")
+    if not isinstance(facts.get("claims"), list):
+        return {}
+    return {"What holds": report_claims.what_holds(facts), "What does not hold": report_claims.what_does_not(facts),
+            "What could not be tested, and what is undecided": report_claims.what_is_open(facts),
+            "Method": report_claims.method()}
+
+
 def _about(results: Results, out: Path) -> list[str]:
     """What was run, in a few lines, and what became of it."""
     lines = ["What the evaluation commands found, beside what two papers print: *Rhythmic Gesticulator* (RG, 2022) and "
              "*RACER* (2023). The papers' figures are of other data, another skeleton and another FGD network: compare "
              "the order, not the values. `-` stands where a figure is undefined or was not measured. Intervals are "
-             "bootstrap 95 %, over clips, and over seeds where there are several.", ""]
+             "of 95 %: over seeds and clips where there are several of both, else by the bootstrap over clips.", ""]
     count = results.facts("claims").get("count")
     if isinstance(count, dict) and all(isinstance(number, int) for number in count.values()):
         told = ", ".join(f"{number} {verdict}" for verdict, number in count.items())
         lines += [f"> **Of {sum(count.values())} claims: {told}.**", ">"]
     flags = results.facts("score").get("flags")
     titles = [str(flag.get("title")) for flag in flags if isinstance(flag, dict)] if isinstance(flags, list) else []
-    beaten = "; ".join(dict.fromkeys(titles)) or "none, or not measured"
-    lines += [f"> Metrics that a control beats: {beaten}.", ""]
+    beaten = "; ".join(dict.fromkeys((*titles, *report_claims.failing_metrics(results.facts("claims")))))
+    lines += [f"> Metrics that a control beats: {beaten or 'none, or not measured'}.", ""]
     lines += [Table("", {"store": Column("store"), "fingerprint": Column("fingerprint")}, {
         name: {"store": store.get("name"), "fingerprint": str(store.get("fingerprint", "-"))[:12]}
         for name in results.tables if isinstance(store := results.facts(name).get("store"), dict)}, "file").markdown()]
@@ -231,7 +244,8 @@ def _lines_of(figure: ReportFigure, out: Path) -> list[str]:
     named = f"{figure.paper}: {figure.title}"
     alt = re.sub(r"[\[\]\n]", " ", named)
     lines = [f"### {named}", "", f"![{alt}]({_link(figure.picture, out)})" if figure.picture else
-             "The picture is not there.", "", figure.caption, ""]
+             "The picture is not there.", "", " ".join(filter(None, (
+                 figure.caption, report_claims.seen(figure.paper, figure.numbers)))), ""]
     return [*lines, numbers_table(figure.numbers).markdown()] if figure.numbers else lines
 
 
