@@ -153,8 +153,9 @@ def _order(name: str) -> tuple[int, int, str]:
 def document(results: Results, out: Path, title: str = TITLE) -> str:
     """The whole report as Markdown, for a file in `out`."""
     sections = {
-        "What this is": _about(results, out),
+        "What this is": _about(results),
         **_verdict_pages(results),
+        **_limits(results, out),
         "Claims": _tables_of(results, "claims", CLAIMS),
         "Tables": _tables_of(results, "ablation/table", ABLATE),
         "Figures": _figure_lines(results, out),
@@ -163,8 +164,7 @@ def document(results: Results, out: Path, title: str = TITLE) -> str:
         "The metrics": _metric_lines(),
         "How to run all of it again": ["```sh", *COMMANDS.splitlines(), "```"]}
     body = "\n".join(line for name, lines in sections.items() for line in (f"## {name}", "", *lines, ""))
-    contents = "\n".join(f"{'  ' * (level - 2)}- [{text}](#{anchor})" for level, text, anchor in headings(body)
-                         if level in (2, 3))
+    contents = "\n".join(f"- [{text}](#{anchor})" for level, text, anchor in headings(body) if level == 2)
     return f"# {title}\n\n{contents}\n\n{body}".rstrip() + "\n"
 
 
@@ -190,7 +190,7 @@ def _verdict_pages(results: Results) -> dict[str, list[str]]:
             "Method": report_claims.method()}
 
 
-def _about(results: Results, out: Path) -> list[str]:
+def _about(results: Results) -> list[str]:
     """What was run, in a few lines, and what became of it."""
     lines = ["What the evaluation commands found, beside what two papers print: *Rhythmic Gesticulator* (RG, 2022) and "
              "*RACER* (2023). The papers' figures are of other data, another skeleton and another FGD network: compare "
@@ -209,10 +209,13 @@ def _about(results: Results, out: Path) -> list[str]:
         for name in results.tables if isinstance(store := results.facts(name).get("store"), dict)}, "file").markdown()]
     if results.unreadable:
         lines += [f"Cannot be read, so left out: {', '.join(f'`{name}`' for name in results.unreadable)}.", ""]
-    limits = results.folder / "limits.md"
-    if limits.is_file():
-        lines += ["### What this corpus cannot show", "", _included(limits, out)]
     return lines
+
+
+def _limits(results: Results, out: Path) -> dict[str, list[str]]:
+    """What the corpus cannot show, from limits.md beside the results."""
+    limits = results.folder / "limits.md"
+    return {"What this corpus cannot show": [_included(limits, out)]} if limits.is_file() else {}
 
 
 def _included(file: Path, out: Path) -> str:
@@ -250,7 +253,13 @@ def _lines_of(figure: ReportFigure, out: Path) -> list[str]:
 
 
 def numbers_table(numbers: Mapping[str, Any]) -> Table:
-    """A figure's numbers, a line each; of a list that is longer than `MANY` its length."""
+    """A figure's numbers, a line each, or a table where several rows have the same columns; of a list that is longer
+    than `MANY` its length."""
+    parts = [value for value in numbers.values() if isinstance(value, Mapping)]
+    if len(parts) == len(numbers) > 1 and all(list(part) == list(parts[0]) for part in parts) and all(
+            isinstance(value, int | float) for part in parts for value in part.values()):
+        return Table("", {str(key): Column(str(key)) for key in parts[0]}, {
+            name: {str(key): _number(value) for key, value in part.items()} for name, part in numbers.items()})
     rows = {}
     for name, value in _flat("", numbers):
         long = isinstance(value, list) and len(value) > MANY

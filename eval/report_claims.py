@@ -31,7 +31,9 @@ def _claims(facts: Mapping[str, Any], word: str) -> list[tuple[int, Claim]]:
 
 def _difference(claim: Claim) -> str:
     held = claim.get("difference")
-    return Interval.from_dict(held).text(_digits(held)) if isinstance(held, Mapping) else "-"
+    if not isinstance(held, Mapping):
+        return "-"
+    return f"{held['mean']:.4g}" if held["low"] == held["high"] else Interval.from_dict(held).text(_digits(held))
 
 
 def _digits(held: Mapping[str, Any]) -> int:
@@ -100,9 +102,9 @@ def what_is_open(facts: Mapping[str, Any]) -> list[str]:
         str(number): {"claim": _sentence(claim), "here": _difference(claim),
                       "needed": ", ".join(map(str, claim.get("needed") or [])) or None}
         for number, claim in _claims(facts, UNDECIDED)}, "undecided")
-    return ["A claim has no valid test where the paper prints no effect, or where motion that is known to be wrong does "
-            "as well by its metric. It is undecided where the interval leaves both open; the last column is what would "
-            "tell no effect from the paper's at 80 % power.", "", untested.markdown(), still.markdown()]
+    return ["A claim has no valid test where the paper prints no effect, or where motion that is known to be wrong is "
+            "no worse by its metric. It is undecided where the interval leaves both open; the last column is what "
+            "would tell no effect from the paper's at 80 % power.", "", untested.markdown(), still.markdown()]
 
 
 def method() -> list[str]:
@@ -120,12 +122,13 @@ Numbers = Mapping[str, Any]
 
 
 def _styles(n: Numbers) -> str:
-    told = []
+    told, ordered = [], []
     for feature in dict.fromkeys(name.partition(", asked")[0] for name in n if ", asked" in name):
         low, mid, high = (float(n[f"{feature}, asked {level}"]) for level in ("low", "mid", "high"))
-        told.append(f"{feature} is {low:.2f}, {mid:.2f} and {high:.2f} where low, middle and high are asked for, "
-                    + ("in that order" if low < mid < high else "out of order"))
-    return "; ".join(told)
+        told.append(f"{feature} {low:.2f}, {mid:.2f} and {high:.2f}")
+        ordered.append(low < mid < high)
+    return f"{'; '.join(told)} where low, middle and high are asked for, " + (
+        "all in that order" if all(ordered) else f"{sum(ordered)} of {len(ordered)} in that order")
 
 
 def _timing(n: Numbers) -> str:
