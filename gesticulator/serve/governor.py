@@ -5,10 +5,11 @@ streams and of one more, each speaking without a pause, fits into `share` of the
 refuses before anybody's latency moves. The first stream is always admitted.
 
 **Downgrading.** Admitted streams may still be late: the machine became slower, or does something else. Then streams are
-downgraded one at a time, the lowest priority first: all that have full look-ahead to low look-ahead, then all to hurried
-blocks, before the first one to idle motion. One number, `depth`, says how far: with M streams of full look-ahead among N,
-step k of the first M is "the k-th lowest of them has low look-ahead", of the next N "the k-th lowest is hurried", and
-of the last N "it idles". Restoring is the same number going down, so streams come back in reverse order.
+downgraded one at a time, the lowest priority first: all that have full look-ahead to low look-ahead, then all to
+hurried blocks, before the first one to idle motion. One number, `depth`, says how far: with M streams of full
+look-ahead among N, step k of the first M is "the k-th lowest of them has low look-ahead", of the next N "the k-th
+lowest is hurried", and of the last N "it idles". Restoring is the same number going down, so streams come back in
+reverse order.
 
 Low look-ahead saves no computing. Its poses come so much earlier (`Governed.saving`) that a stream may be late by as
 much and still keep what its client was promised, so a short shortage costs nothing but the view of the next block.
