@@ -86,10 +86,14 @@ class Processes:
              "--address-opens", "4", "--keys-file", str(keys), "--drain-seconds", "2"], cwd=ROOT,
             stderr=self.log.open("w"), env={**os.environ, "TMPDIR": str(folder)})
         self.port = 0
-        while (text := self.log.read_text()).count("is ready") < 2:
-            if self.process.poll() is not None:
-                raise RuntimeError(text)
-            time.sleep(0.5)
+        try:
+            while (text := self.log.read_text()).count("is ready") < 2:
+                if self.process.poll() is not None:
+                    raise RuntimeError(text)
+                time.sleep(0.5)
+        except BaseException:
+            self.process.terminate()
+            raise
         self.port = int(re.findall(r"ws://127.0.0.1:(\d+)/", text)[0])
 
     @property
@@ -370,7 +374,7 @@ def table(report: dict[str, Any]) -> str:
     lines = ["# Soak", "", f"`{report['command']}`, {report['date']}, commit {report['commit']}; "
              f"{report['processor']}, {report['cores']} cores, which did other work at the same time (load "
              f"{min(loads):g} to {max(loads):g}).", "",
-             f"{report['minutes']:g} minutes with {report['concurrent']} streams at a time; `--minutes` makes it longer.",
+             f"{report['minutes']:g} minutes with {report['concurrent']} streams at a time (`--minutes` for more).",
              "",
              "| | |", "|---|---|"]
     for name, label in (("streams", "streams that were finished"), ("pieces", "pieces of sound"),
@@ -412,6 +416,7 @@ def main() -> int:
         return 0
     samples = resample(load_speech(ROOT / "examples" / "speech.flac"), RATE).samples
     voice = (samples * 32767).astype("<i2")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the server is stopped, too
     with tempfile.TemporaryDirectory() as folder:
         processes = Processes(Path(folder))
         try:

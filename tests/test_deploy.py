@@ -33,7 +33,7 @@ from gesticulator.serve.command import COMMAND as SERVE
 from gesticulator.serve.command import read_limits
 from gesticulator.serve.connection import CLOSE_SECONDS
 from gesticulator.serve.metrics import ServerMetrics, exposition
-from gesticulator.serve.server import ANSWER_SECONDS, STUCK_SECONDS
+from gesticulator.serve.server import ANSWER_SECONDS, STUCK_SECONDS, LiveServer
 from gesticulator.serve.settings import STREAMS_PER_CORE, ServerLimits
 
 ROOT = Path(__file__).parents[1]
@@ -461,9 +461,13 @@ def test_a_proxy_terminates_tls_says_who_the_client_is_and_hides_the_rest(
     with ExitStack() as opened:
         servers = [opened.enter_context(served(ServerLimits(streams=8, drain_seconds=0.5), {})) for _ in range(2)]
         named: list[str | None] = []
-        for server, _ in servers:
-            monkeypatch.setattr(server, "_address_of", lambda ws, request, of=type(server)._address_of, at=server: (
-                named.append(request.headers.get("X-Forwarded-For")), of(at, ws, request))[1])
+        address_of = LiveServer._address_of
+
+        def noted(server: LiveServer, ws: Any, request: Any) -> str:
+            named.append(request.headers.get("X-Forwarded-For"))
+            return address_of(server, ws, request)
+
+        monkeypatch.setattr(LiveServer, "_address_of", noted)
         ports = free_port(), free_port()
         opened.enter_context(started(proxy(tmp_path, ports, [own for _, own in servers]), ports[1]))
 

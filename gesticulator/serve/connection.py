@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from gesticulator.serve.metrics import ServerMetrics
     from gesticulator.serve.session import Session, Work
     from gesticulator.serve.settings import ServerLimits
-    from gesticulator.serve.vmc import VmcOutput
+    from gesticulator.serve.vmc import PoseOutput
 
 PIECE_SECONDS = 0.5
 """Audio taken up at a time, seconds; it is computed in turns of a block."""
@@ -104,7 +104,7 @@ class Workplace:
     scheduler: Scheduler
     open_session: Callable[[str, StreamRequest], Session]
     host: Host
-    output: VmcOutput | None = None
+    output: PoseOutput | None = None
 
 
 class Connection:
