@@ -123,17 +123,15 @@ class BlockCutter:
     """Cuts speech at 16 kHz at its beats as it arrives, and encodes each window of three blocks.
 
     latency: "full" returns a block once the next block is known, which is the input the models were trained with. "low"
-    returns it once its end is known, with a guess in place of the next block (`_foreseen`).
+    returns it once its end is known, with a guess in place of the next block (`_foreseen`). It may be set at any time,
+    and affects the blocks that were not returned yet.
     """
 
     def __init__(self, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
                  latency: str = "full", start: float = 0.0) -> None:
         """words: encoder of the words that `add_words` will add, or None; start: where the first block begins, seconds
         of the sound."""
-        if latency not in LATENCIES:
-            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
         self._config, self._front, self.latency = config, front or front_end_for(config), latency
-        self._low = latency == "low"
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
         self._words = None if words is None else WordTrack(words, config.text.bridge)
@@ -155,6 +153,17 @@ class BlockCutter:
         """Cut at these beats, rising seconds with their flags, and detect none. Call it before anything is fed."""
         self._edges += beats
         self._beats_given = True
+
+    @property
+    def latency(self) -> str:
+        """One of `LATENCIES`."""
+        return "low" if self._low else "full"
+
+    @latency.setter
+    def latency(self, latency: str) -> None:
+        if latency not in LATENCIES:
+            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
+        self._low = latency == "low"
 
     def fork(self) -> BlockCutter:
         """An independent copy, which shares what never changes."""
