@@ -70,7 +70,8 @@ class Retargeter:
 
         legs: False keeps hips and legs at rest (a seated character), True makes the character stand; None: it stands
         unless it sits in its file. `InputError` if the joints cannot be identified reliably, or if what comes out is
-        not sound (`gesticulator.characters.soundness`). Attribute doubts: what is odd about it, in words.
+        not sound (`gesticulator.characters.soundness`). Attributes: doubts, what is odd about it, in words; confidence,
+        that of the mapping, or the share of the checks that found nothing odd if that is less.
         """
         from gesticulator.characters.joints import find_joints
         from gesticulator.characters.soundness import require_sound
@@ -83,7 +84,9 @@ class Retargeter:
         whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
         self.legs = whole and (not self.body.sits if legs is None else legs)
         self.contacts = False  # what they correct on purpose is not a fault
-        self.doubts = (*self.mapping.doubts, *require_sound(self))
+        measured = require_sound(self)
+        self.doubts = (*self.mapping.doubts, *measured.doubts)
+        self.confidence = min(self.mapping.confidence, measured.share)
         self.contacts = contacts
 
     def __call__(self, motion: Motion) -> CharacterMotion:
