@@ -67,7 +67,8 @@ class VrmCharacter extends Character {
     }
     this.group.updateWorldMatrix(true, true);
     this.contacts = new Contacts(vrm.scene, bones, trunk.map(raw).filter(Boolean),
-      Object.keys(vrm.humanoid.humanBones).filter((bone) => !trunk.includes(bone)).map(raw).filter(Boolean));
+      Object.keys(vrm.humanoid.humanBones).filter((bone) => !trunk.includes(bone)).map(raw).filter(Boolean),
+      ["leftUpperLeg", "rightUpperLeg"].map(raw).filter(Boolean));
   }
 
   get root() { return this.vrm.humanoid.getRawBoneNode("hips"); }
@@ -158,7 +159,8 @@ class NamedCharacter extends Character {
     this.size = this.restHips.y - low > 0.05 ? this.restHips.y : null;
     this.group.updateWorldMatrix(true, true);
     const trunk = this.nodes.filter((node) => /^(Hips|Spine\d?)$/.test(this.joints.get(node) ?? ""));
-    this.contacts = new Contacts(scene, this.byJoint, trunk, this.moving().filter((node) => !trunk.includes(node)));
+    this.contacts = new Contacts(scene, this.byJoint, trunk, this.moving().filter((node) => !trunk.includes(node)),
+      this.nodes.filter((node) => /UpLeg$/.test(this.joints.get(node) ?? "")));
   }
 
   get root() { return this.hips; }
