@@ -14,6 +14,7 @@ import * as edits from "./plan.js";
 import { readJson } from "./plan.js";
 import { Palette } from "./palette.js";
 import { Performer } from "./performer.js";
+import { Pins } from "./pins.js";
 import { Session } from "./session.js";
 import { silencePicture, signPicture, TITLES } from "./signs.js";
 import { Stage } from "./stage.js";
@@ -279,7 +280,7 @@ const actions = {
   "ctrl+c": copy, "ctrl+v": paste,
   "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": () => { session.select(null); $("file-menu").open = false; document.activeElement?.blur(); },
   "f": () => look("front"), "s": () => look("side"), "c": () => look("close"), "r": () => look("reset"), "t": toggleTrails, "d": toggleTogether,
-  "p": () => palette?.toggle(),
+  "p": () => palette?.toggle(), "g": () => { if (data.live) pins.toggle(); },
   "a": () => session.activate(1 - session.active), "+": () => zoom(1.3), "=": () => zoom(1.3), "-": () => zoom(1 / 1.3), "?": () => $("sheet").showModal(),
   ...Object.fromEntries([1, 2, 3, 4, 5].map((rank) => [String(rank), () => inspector.chooseRank(rank)])),
 };
@@ -308,6 +309,7 @@ function bindDesk() {
   click("export-go", exportAny);
   click("trails", toggleTrails);
   click("curve", toggleCurve);
+  click("pose", () => pins.toggle());
   click("together", toggleTogether);
   click("help", () => $("sheet").showModal());
   click("notice", () => notice(""));
@@ -343,7 +345,7 @@ function tick(now) {
     if (panelFor !== block) { panelFor = block; inspector.update(); palette?.mark(); }
     writeClock(time);
     timeline.draw(time);
-    stage?.draw(time);
+    stage?.draw(time, () => pins.show());
     if (together) placeLabels();
   }
   requestAnimationFrame(tick);
@@ -393,6 +395,8 @@ const palette = data.live ? new Palette(session, clock, live, async () => {
   if (!answer.ok) throw new Error(answer.statusText);
   return answer.json();
 }, timeline) : null;
+const pins = new Pins(session, clock, () => stage, changed);
+$("pose").hidden = !data.live;
 $("palette-open").hidden = !palette;
 $("export-any").hidden = !data.live?.formats;
 $("export-format").replaceChildren(...(data.live?.formats ?? []).map(([format, about]) => element("option", { value: format }, `${format}: ${about}`)));
@@ -421,6 +425,6 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
 if (data.notice) notice(data.notice);
 if (data.character) await wear(bytesOf(data.character.data), data.character);
 // For the console: what is open, and the pose as the figure has it.
-window.preview = { clock, timeline, session, inspector, takeFile, exports: { vrmaOf, characterGlb, figureGlb }, get stage() { return stage; }, get worn() { return worn; } };
+window.preview = { clock, pins, timeline, session, inspector, takeFile, exports: { vrmaOf, characterGlb, figureGlb }, get stage() { return stage; }, get worn() { return worn; } };
 requestAnimationFrame(tick);
 document.body.dataset.ready = "true";

@@ -153,14 +153,17 @@ export class Stage {
     this.camera.updateProjectionMatrix();
   }
 
-  draw(time) {
+  /** posed(): called when all are in their pose, before the picture is drawn. */
+  draw(time, posed = () => {}) {
     const { yaw, pitch, distance, x, y, z } = this.view;
     // A narrow window needs more room for the arms, and two need more than one.
     const [wide, least] = this.performers.length > 1 ? [1.9, 1.2] : [0.8, 1];
     const far = distance * Math.max(least, wide / this.camera.aspect);
     this.camera.position.set(x + far * Math.sin(yaw) * Math.cos(pitch), y + far * Math.sin(pitch), z + far * Math.cos(yaw) * Math.cos(pitch));
     this.camera.lookAt(x, y, z);
+    this.camera.updateMatrixWorld();
     for (const performer of this.performers) performer.show(time, this.camera);
+    posed();
     this.renderer.render(this.scene, this.camera);
   }
 
