@@ -3,7 +3,7 @@
 import { cuesOf, cueTime, moveCue } from "./cues.js";
 import { clamp } from "./numbers.js";
 import { movePin, pinsOf } from "./pins.js";
-import { blockAt, blocksOfUnit, curveOf, moveBeat, withCurve } from "./plan.js";
+import { blockAt, blocksOfUnit, curveOf, moveBeat, stretched, withCurve } from "./plan.js";
 import { sizes } from "./theme.js";
 
 /** CSS pixels around a handle in which it is taken, for a mouse and for a finger. */
@@ -65,6 +65,10 @@ export class TimelineHands {
       const time = timeline.timeAt(x), unit = session.plan.units.find(({ start, end }) => time >= start && time < end);
       if (unit) return { kind: "unit", unit };
     }
+    if (session.selection && within(rows.blocks)) {
+      const [first, last] = session.selection;
+      if (last + 1 < session.plan.blocks.length && Math.abs(timeline.x(session.plan.blocks[last].end) - x) < near) return { kind: "stretch", first, last };
+    }
     if (y >= rows.gap.top) return { kind: "block", block: blockAt(session.plan, timeline.timeAt(x)) };
     return { kind: "time" };
   }
@@ -76,7 +80,7 @@ export class TimelineHands {
     this.pointers.set(event.pointerId, x);
     if (this.pointers.size > 1) { this.drag = { kind: "pinch", spread: this.spread(), resume: false }; return; }
     const hit = this.hit(x, y, event.pointerType);
-    this.drag = { ...hit, begun: x, resume: hit.kind === "time" && clock.playing };
+    this.drag = { ...hit, plan: session.plan, begun: x, resume: hit.kind === "time" && clock.playing };
     if (this.drag.resume) clock.pause();
     timeline.held = true;
     if (hit.kind === "block") this.pick(hit.block, event.shiftKey);
@@ -135,8 +139,8 @@ export class TimelineHands {
     const { timeline, session, clock } = this, [x, y] = this.place(event);
     if (!this.pointers.has(event.pointerId)) {
       const { kind, block } = this.hit(x, y, event.pointerType);
-      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks" : kind === "pin" ? "a pinned pose: click to go there, drag to another moment" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
-      timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", unit: "pointer", cue: "grab", pin: "grab", point: "crosshair" }[kind] ?? "text";
+      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks" : kind === "stretch" ? "drag to stretch or squeeze the selected blocks" : kind === "pin" ? "a pinned pose: click to go there, drag to another moment" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
+      timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", unit: "pointer", cue: "grab", pin: "grab", stretch: "ew-resize", point: "crosshair" }[kind] ?? "text";
       return;
     }
     this.pointers.set(event.pointerId, x);
@@ -151,6 +155,8 @@ export class TimelineHands {
       const [at, value] = pointAt(timeline, x, y);
       points[drag.point] = [clamp(at, low + 0.01, high - 0.01), value];
       session.edit(withCurve(session.plan, points), "curve");
+    } else if (drag.kind === "stretch") {
+      session.edit(stretched(drag.plan, drag.first, drag.last, time), "stretch");
     } else if (drag.kind === "pin") {
       if (Math.abs(x - drag.begun) > 4 || drag.moved) {
         drag.moved = true;
