@@ -375,6 +375,10 @@ class Gesticulator:
         meanings = self._meanings(speech, options)
         shaping = self.shaping(speech, options, cast.speaker, cut.edges, meanings)
         motion = self.to_motion(rendering.motion, cut, cast.speaker, options, shaping)
+        if options.plan is not None and options.plan.pins:
+            from gesticulator.body.pins import pinned
+
+            motion = pinned(motion, options.plan)
         origin = self.origin(speech, options, cast, meanings)
         plan = (plan_of(speech, cut, blocks, origin) if options.plan is None else
                 rendered_plan(options.plan, speech, blocks, origin))

@@ -152,12 +152,17 @@ def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
     elif what == "cue":
         plan["cues"] = [*plan.get("cues", ()), {"gesture": ("wave", "shrug", "nod")[value % 3],
                                                "time": blocks[at]["start"]}]
+    elif what == "pin":
+        side, sign = (("Left", 1.0), ("Right", -1.0))[value % 2]
+        plan["pins"] = [*plan.get("pins", ()), {"time": blocks[at]["start"] + 1e-3 * (value % 300),
+                                                "joint": f"{side}Hand", "position": [sign * 0.25, 1.25, 0.3],
+                                                "hold": (0.0, 0.4)[value // 2 % 2]}][:value % 4]
     else:
         plan["knobs"][what] = KNOBS[what][value % len(KNOBS[what])]
     return plan
 
 
-EDITS = st.lists(st.tuples(st.sampled_from(["undo", "cue", "curve", *BLOCK, *BLOCK, *BEATS, *KNOBS]),
+EDITS = st.lists(st.tuples(st.sampled_from(["undo", "cue", "curve", "pin", "pin", *BLOCK, *BLOCK, *BEATS, *KNOBS]),
                            st.integers(0, 30), st.integers(0, 10_000)), min_size=3, max_size=7)
 
 

@@ -49,11 +49,11 @@ def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal
     new_upper = share[:, None] * along + beside[:, None] * out
     new_lower = far[:, None] * along - new_upper
     for node, before, after in ((top, upper, new_upper), (middle, lower, new_lower)):
-        turned = _swing(before, after) @ turns[node]
+        turned = swing(before, after) @ turns[node]
         turns[node] = turned if where is None else np.where(where[:, None, None], turned, turns[node])
 
 
-def _swing(a: Array, b: Array) -> Array:
+def swing(a: Array, b: Array) -> Array:
     """[T, 3, 3] the shortest rotations from directions a [T, 3] to b."""
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)
     b = b / np.linalg.norm(b, axis=-1, keepdims=True)

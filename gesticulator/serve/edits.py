@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from data_module.errors import InputError
+from data_module.errors import InputError, one_line
 from data_module.motion.skeletons import standing
 from gesticulator.body.frame_pieces import FramePiece, FramePieces, SignedPieces, signed
 from gesticulator.body.mirror import mirrored_motion
@@ -133,7 +133,7 @@ class LivePlans:
         played, cut = maker.renderer.played(options.plan), maker.renderer.cut(options.plan)
         posed = maker.shaped.blocks(played, cut, self._shaping(options, cut.edges))
         times = cut.knot_times.reshape(len(cut), -1)
-        pieces = self._frames(maker, options).learn(times, posed, float(cut.edges[-1]), motion.rotations)
+        pieces = self._frames(maker, options).learn(times, posed, float(cut.edges[-1]), motion.rotations, options.plan)
         return self._kept(plain, shape, pieces, root).number
 
     def answer(self, request: Mapping[str, Any], abandoned: Callable[[], bool] = lambda: False) -> Iterator[bytes]:
@@ -155,8 +155,18 @@ class LivePlans:
         options = planned(InferenceOptions(plan=plan))
         assert options.plan is not None
         check_plan_of(self._system.bundle, options.plan, self._sound)
-        yield from self._messages(plan, plain, options, _Asked(
+        parts = self._messages(plan, plain, options, _Asked(
             have, _view(request), abandoned, lambda made: self.on_edit(request, made)))
+        # What is wrong with a plan may be found after parts of the answer were sent.
+        begun = False
+        try:
+            for part in parts:
+                yield part
+                begun = True
+        except InputError as error:
+            if not begun:
+                raise
+            yield message({"kind": "failed", "ranges": [], "error": one_line(error)})
 
     def _messages(self, plan: GesturePlan, plain: Mapping[str, Any], options: InferenceOptions, asked: _Asked
                   ) -> Iterator[bytes]:
@@ -229,12 +239,12 @@ class LivePlans:
         posed = maker.shaped.blocks(played, cut, self._shaping(options, cut.edges))
         order = list(range(len(cut)))
         frames = self._frames(maker, options)
-        lacking = [at for at, known in enumerate(frames.known(times, posed, duration)) if not known]
+        lacking = [at for at, known in enumerate(frames.known(times, posed, duration, options.plan)) if not known]
         first = int(np.searchsorted(cut.edges[1:], asked.view[0]))
         seen = [at for at in lacking if cut.edges[at + 1] > asked.view[0] and cut.edges[at] < asked.view[1]]
         found = {}
         if len(lacking) - len(seen) >= FIRST_SHOWN and seen:
-            for at, piece in frames.pieces(times, posed, duration, seen):
+            for at, piece in frames.pieces(times, posed, duration, seen, options.plan):
                 found[at] = piece
                 asked.check()
             pieces = [found[at] for at in seen]
@@ -243,7 +253,7 @@ class LivePlans:
             sent |= {at: found[at].number for at in seen}
             yield message({"kind": "frames", "ranges": ranges}, data)
             order = order[first:] + order[:first]
-        for at, piece in frames.pieces(times, posed, duration, order):
+        for at, piece in frames.pieces(times, posed, duration, order, options.plan):
             found[at] = piece
             if at % 8 == 0:
                 asked.check()

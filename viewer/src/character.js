@@ -74,6 +74,12 @@ class VrmCharacter extends Character {
 
   get root() { return this.vrm.humanoid.getRawBoneNode("hips"); }
 
+  /** The node of one of our joints. */
+  node(joint) {
+    const bone = { LeftArm: "leftUpperArm", LeftForeArm: "leftLowerArm", LeftHand: "leftHand", RightHand: "rightHand", Head: "head" }[joint];
+    return bone && this.vrm.humanoid.getRawBoneNode(bone);
+  }
+
   moving() {
     return Object.keys(this.vrm.humanoid.humanBones).map((bone) => this.vrm.humanoid.getRawBoneNode(bone)).filter(Boolean);
   }
@@ -137,6 +143,8 @@ class NamedCharacter extends Character {
   }
 
   get kind() { return "GLB"; }
+
+  node(joint) { return this.byJoint.get(joint); }
 
   prepare(nodes) {
     const { scene } = this.gltf;

@@ -2,6 +2,7 @@
 
 import { cuesOf, cueTime } from "./cues.js";
 import { clamp, minutes } from "./numbers.js";
+import { PLACED, pinsOf } from "./pins.js";
 import { beatFlag, blockAt, curveOf, differs, INTENSITY } from "./plan.js";
 import { drawSign, flagColour } from "./signs.js";
 import { colours, lexemeColour, sizes } from "./theme.js";
@@ -48,6 +49,7 @@ export class Timeline {
     row("wave", low ? 26 : 52);
     row("gap", 4);
     row("curve", this.curved ? 44 : 0);
+    row("pins", pinsOf(plan).length ? 17 : 0);
     row("units", plan.units?.length ? 15 : 0);
     row("blocks", 30);
     rows.height = y;
@@ -94,6 +96,7 @@ export class Timeline {
     this.wave.draw(pen, this.left, this.scale, { width, ...rows.wave }, time);
     this.drawBeats(pen);
     this.drawCurve(pen, width);
+    this.drawPins(pen);
     this.drawUnits(pen);
     this.drawBlocks(pen, blockAt(plan, time));
     this.drawRange(pen, width);
@@ -228,6 +231,22 @@ export class Timeline {
     for (const [time, value] of points) { pen.beginPath(); pen.arc(this.x(time), this.curveY(value), 4.5 * u, 0, Math.PI * 2); pen.fill(); }
     pen.fillStyle = colours.soft;
     pen.fillText(points.length ? "size" : "size: click to set points, click a point twice to remove it", 6 * u, top + 11 * u);
+  }
+
+  /** Pinned poses: a diamond at the moment, a bar while it holds. */
+  drawPins(pen) {
+    const { top, tall } = this.rows.pins, u = sizes.unit, middle = top + tall / 2;
+    if (!tall) return;
+    for (const { time, joint, hold = 0 } of pinsOf(this.session.plan)) {
+      const x = this.x(time);
+      pen.fillStyle = colours[joint.startsWith("Left") ? "left" : joint.startsWith("Right") ? "right" : "accent"];
+      pen.fillRect(x, middle - 1.5 * u, hold * this.scale, 3 * u);
+      pen.beginPath();
+      for (const [dx, dy] of [[-5, 0], [0, -5], [5, 0], [0, 5]]) pen.lineTo(x + dx * u, middle + dy * u);
+      pen.fill();
+      pen.fillStyle = colours.soft;
+      pen.fillText(PLACED[joint] ?? joint, x + Math.max(hold * this.scale, 5 * u) + 4 * u, middle + 0.5);
+    }
   }
 
   /** Gesture units and their phases: from the moment that the hands leave rest until they are back. */

@@ -2,7 +2,8 @@
 
 import { cuesOf, cueTime, moveCue } from "./cues.js";
 import { clamp } from "./numbers.js";
-import { blockAt, blocksOfUnit, curveOf, moveBeat, withCurve } from "./plan.js";
+import { movePin, pinsOf } from "./pins.js";
+import { blockAt, blocksOfUnit, curveOf, moveBeat, stretched, withCurve } from "./plan.js";
 import { sizes } from "./theme.js";
 
 /** CSS pixels around a handle in which it is taken, for a mouse and for a finger. */
@@ -54,9 +55,19 @@ export class TimelineHands {
       const points = curveOf(session.plan);
       return { kind: "point", point: points.findIndex(([time, value]) => Math.hypot(timeline.x(time) - x, timeline.curveY(value) - y) < near + 3) };
     }
+    if (rows.pins.tall && within(rows.pins)) {
+      // Signs before bars: a pin may lie within the time that another one holds.
+      const pins = pinsOf(session.plan), sign = pins.findIndex(({ time }) => Math.abs(timeline.x(time) - x) < near);
+      const pin = sign >= 0 ? sign : pins.findIndex(({ time, hold = 0 }) => x > timeline.x(time) && x < timeline.x(time + hold));
+      if (pin >= 0) return { kind: "pin", pin };
+    }
     if (within(rows.units)) {
       const time = timeline.timeAt(x), unit = session.plan.units.find(({ start, end }) => time >= start && time < end);
       if (unit) return { kind: "unit", unit };
+    }
+    if (session.selection && within(rows.blocks)) {
+      const [first, last] = session.selection;
+      if (last + 1 < session.plan.blocks.length && Math.abs(timeline.x(session.plan.blocks[last].end) - x) < near) return { kind: "stretch", first, last };
     }
     if (y >= rows.gap.top) return { kind: "block", block: blockAt(session.plan, timeline.timeAt(x)) };
     return { kind: "time" };
@@ -69,12 +80,13 @@ export class TimelineHands {
     this.pointers.set(event.pointerId, x);
     if (this.pointers.size > 1) { this.drag = { kind: "pinch", spread: this.spread(), resume: false }; return; }
     const hit = this.hit(x, y, event.pointerType);
-    this.drag = { ...hit, begun: x, resume: hit.kind === "time" && clock.playing };
+    this.drag = { ...hit, plan: session.plan, begun: x, resume: hit.kind === "time" && clock.playing };
     if (this.drag.resume) clock.pause();
     timeline.held = true;
     if (hit.kind === "block") this.pick(hit.block, event.shiftKey);
     else if (hit.kind === "beat") session.selectBeat(hit.beat);
     else if (hit.kind === "cue") clock.seek(cueTime(session.plan, cuesOf(session.plan)[hit.cue]));
+    else if (hit.kind === "pin") this.takePin(hit.pin);
     else if (hit.kind === "point") this.takePoint(hit.point, x, y);
     else if (hit.kind === "unit") this.pickUnit(hit.unit, event.shiftKey);
     else if (hit.kind === "time") this.scrub(x);
@@ -95,6 +107,12 @@ export class TimelineHands {
     const made = pointAt(timeline, x, y);
     session.edit(withCurve(session.plan, [...points, made]), "curve");
     this.drag.point = curveOf(session.plan).findIndex(([time]) => time === made[0]);
+  }
+
+  /** Go to a pin, and take it along. */
+  takePin(pin) {
+    this.drag.one = pinsOf(this.session.plan)[pin];
+    this.clock.seek(this.drag.one.time + 0.02 / this.session.take.fps);
   }
 
   /** Select the blocks of a gesture unit, or with shift all up to its end. */
@@ -121,8 +139,8 @@ export class TimelineHands {
     const { timeline, session, clock } = this, [x, y] = this.place(event);
     if (!this.pointers.has(event.pointerId)) {
       const { kind, block } = this.hit(x, y, event.pointerType);
-      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
-      timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", unit: "pointer", cue: "grab", point: "crosshair" }[kind] ?? "text";
+      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks" : kind === "stretch" ? "drag to stretch or squeeze the selected blocks" : kind === "pin" ? "a pinned pose: click to go there, drag to another moment" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
+      timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", unit: "pointer", cue: "grab", pin: "grab", stretch: "ew-resize", point: "crosshair" }[kind] ?? "text";
       return;
     }
     this.pointers.set(event.pointerId, x);
@@ -137,6 +155,15 @@ export class TimelineHands {
       const [at, value] = pointAt(timeline, x, y);
       points[drag.point] = [clamp(at, low + 0.01, high - 0.01), value];
       session.edit(withCurve(session.plan, points), "curve");
+    } else if (drag.kind === "stretch") {
+      session.edit(stretched(drag.plan, drag.first, drag.last, time), "stretch");
+    } else if (drag.kind === "pin") {
+      if (Math.abs(x - drag.begun) > 4 || drag.moved) {
+        drag.moved = true;
+        const [plan, one] = movePin(session.plan, drag.one, clamp(time, 0, clock.duration));
+        session.edit(plan, "pin moved");
+        drag.one = one;
+      }
     } else if (drag.kind === "cue") {
       if (Math.abs(x - drag.begun) > 4 || drag.moved) {
         drag.moved = true;
