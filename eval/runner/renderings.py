@@ -141,10 +141,12 @@ Pair = tuple[Rendering, Rendering | None]
 
 @cache
 def program_key(packages: tuple[str, ...] = PROGRAM) -> str:
-    """Of every line of these packages; all that make motion when not told."""
+    """Of every line of these packages and modules; all that make motion when not told."""
     told = hashlib.sha256()
     for package in packages:
         spec = importlib.util.find_spec(package)
+        if spec is not None and not spec.submodule_search_locations and spec.origin:
+            told.update(Path(spec.origin).read_bytes())
         for place in () if spec is None else spec.submodule_search_locations or ():
             for file in sorted(Path(place).rglob("*.py")):
                 told.update(file.read_bytes())
