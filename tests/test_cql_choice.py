@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from benchmark_files import benchmark
 
-from data_module.types import Blocks
 from eval.claim import Bound
+from eval.runner.renderings import spread_evenly
 from gesticulator.bundle import bundle as bundles
 from gesticulator.options import InferenceOptions
 from gesticulator.pipeline import Gesticulator, PolicyWarning
@@ -69,15 +69,10 @@ def test_streams_of_one_gesticulator_remark_once(shipped: bundles.Bundle) -> Non
 # The table
 
 
-def blocks(silent: list[bool]) -> Blocks:
-    count = len(silent)
-    return Blocks(np.arange(count + 1) * 0.3, np.zeros(count, dtype=np.int8), np.array(silent), frames=10, fps=20.0)
-
-
 def played(*sequences: list[int], silent: list[bool] | None = None) -> object:
     own = cql.Played()
     for sequence in sequences:
-        own.add(np.array(sequence), blocks(silent or [False] * len(sequence)), {"eye_seam": 1.0})
+        own.add(np.array(sequence), np.array(silent or [False] * len(sequence)), {"eye_seam": 1.0})
     return own
 
 
@@ -97,4 +92,4 @@ def test_twice_the_margin() -> None:
 
 
 def test_recordings_are_spread_over_the_split() -> None:
-    assert cql.spread(list(range(10)), 3) == [0, 4, 9] and cql.spread([1, 2], 5) == [1, 2]
+    assert spread_evenly(list(range(11)), 3) == [0, 5, 10] and spread_evenly([1, 2], 5) == [1, 2]

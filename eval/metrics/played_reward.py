@@ -164,7 +164,8 @@ def found(model: RewardEnsemble, voices: Sequence[PlayedVoice], kind: str) -> di
         hits = retrieval(pairs, np.ones(pairs.shape, dtype=bool))
         for name, own in hits.items():
             rows.setdefault(name, []).append(float(np.mean(own)))
-        rows.setdefault("times", []).append(0.5 * (rows["motion_r1"][-1] + rows["audio_r1"][-1]) / rows["chance_r1"][-1])
+        hit = 0.5 * (rows["motion_r1"][-1] + rows["audio_r1"][-1])
+        rows.setdefault("times", []).append(hit / rows["chance_r1"][-1])
     return {name: stats.mean_interval(values) for name, values in rows.items()}
 
 

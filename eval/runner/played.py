@@ -37,8 +37,8 @@ _PROGRAM = ("data_module", "lexicon", "generator", "gesticulator.drawing", "gest
 
 @dataclass(frozen=True)
 class PlayedVoice:
-    """A voice in N blocks. audio: [N, K, d]; silent: [N]; log_duration: [N]; motions: by policy [N, K, D_m], normalised;
-    group: voices of one group are alike."""
+    """A voice in N blocks. audio: [N, K, d]; silent: [N]; log_duration: [N]; motions: by policy [N, K, D_m],
+    normalised; group: voices of one group are alike."""
 
     name: str
     group: str
@@ -54,8 +54,8 @@ class VoicePlayer:
     def __init__(self, ours: BundleSystem, folder: Path | None) -> None:
         self.ours, self._folder = ours, folder
 
-    def voices(self, voices: Sequence[AcceptanceVoice], policies: Sequence[str], others: Mapping[str, Any] | None = None,
-               progress: bool = True) -> list[PlayedVoice]:
+    def voices(self, voices: Sequence[AcceptanceVoice], policies: Sequence[str],
+               others: Mapping[str, Any] | None = None, progress: bool = True) -> list[PlayedVoice]:
         """Each voice as captured and by each policy; others: systems by name (`RenderedSystem`), which need not be of
         the bundle."""
         return [self.play(voice, seed, policies, others or {})
