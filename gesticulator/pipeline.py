@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -63,6 +64,10 @@ _WARM_SECONDS = 2
 """Sound for warming up, seconds: several blocks."""
 
 
+class PolicyWarning(UserWarning):
+    """A policy that was measured to be no better than the default one."""
+
+
 class Gesticulator:
     """A loaded bundle that turns speech into gesture, block by block (RG 6, Eq. 15)."""
 
@@ -74,6 +79,7 @@ class Gesticulator:
         self._words: WordEncoder | None = None
         self._names: tuple[LexemeName, ...] | None = None
         self._used_interpreters: dict[str, LexemeInterpreter] = {}
+        self._remarked = False
         self._warm: set[bool] = set()
         self.keeps_drawings = False
         """Whether performances keep the state before each block (`Performance.drawing`), from which edits start."""
@@ -281,9 +287,18 @@ class Gesticulator:
         temperature = options.temperature
         if temperature is None:
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
+        self._remark(interpreter)
         interpreter = interpreter.steered(options.beta, temperature)
         sampling = Sampling(temperature, defaults.top, int(options.seed))
         return Cast(interpreter, speaker, sampling, activity, controls, int(options.variation), interpreter.beta)
+
+    def _remark(self, interpreter: Interpreter) -> None:
+        """Warn once (`PolicyWarning`) of a policy that, by our figures, is no better than the one it stands beside."""
+        if self._remarked or interpreter.name != "cql" or "lstm" not in self.interpreters:
+            return
+        self._remarked = True
+        warnings.warn(PolicyWarning("cql chooses gestures no better than lstm by any figure of this project "
+                                    "(docs/racer.md), and at temperature 0 it repeats a few"), stacklevel=2)
 
     def _chosen_interpreter(self, options: InferenceOptions, text: bool) -> LexemeInterpreter:
         """The interpreter object of the options, or the one of their name: the bundle's, or an object used before.
