@@ -60,7 +60,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def _output_arguments(p: argparse.ArgumentParser, of: str, threads: str) -> None:
     p.add_argument("--vmc", metavar="HOST:PORT", help=f"also send the poses of {of} by VMC, such as 127.0.0.1:39539")
-    p.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper, or a folder")
     p.add_argument("--threads", type=int, default=1, metavar="N", help=f"torch threads {threads} (default 1)")
 
 
