@@ -64,7 +64,7 @@ def _output_arguments(p: argparse.ArgumentParser, of: str, threads: str) -> None
                    "as 127.0.0.1:9000")
     p.add_argument("--osc-axes", default="y-up", choices=("y-up", "unreal"), help="y-up: metres, Y up, right-handed, "
                    "with angles in degrees; unreal: centimetres, Z up, left-handed (default y-up)")
-    p.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper, or a folder")
     p.add_argument("--threads", type=int, default=1, metavar="N", help=f"torch threads {threads} (default 1)")
 
 

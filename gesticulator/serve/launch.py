@@ -79,6 +79,7 @@ class Launch:
 
 def launch(config: Launch) -> int:
     """Serve until SIGTERM or SIGINT; exit code 0. `InputError` for an invalid configuration."""
+    from gesticulator.bundle.files import bundle_folder
     from gesticulator.options import RANGES
     from gesticulator.serve.server import log_to_stderr
 
@@ -89,8 +90,8 @@ def launch(config: Launch) -> int:
         output.close()
         if config.workers > 1:
             raise InputError(output.option, "works with one worker only", "leave --workers out")
-    if config.bundle is not None and not Path(config.bundle).is_dir():
-        raise InputError(config.bundle, "is not a folder", "name a trained bundle")
+    if not bundle_folder(config.bundle).is_dir():
+        raise InputError(config.bundle or "--bundle", "is not a folder", "give default, paper, or a trained bundle")
     log_to_stderr()
     address = config.address
     with contextlib.ExitStack() as opened:
