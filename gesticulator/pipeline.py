@@ -295,7 +295,7 @@ class Gesticulator:
 
     def _remark(self, interpreter: Interpreter) -> None:
         """Warn once (`InterpreterWarning`) of an interpreter that is no better than another by our figures."""
-        known = INTERPRETERS[interpreter.name] if interpreter.name in INTERPRETERS else None
+        known = INTERPRETERS.get(interpreter.name)
         if known is not None and known.doubt and interpreter.name not in self._remarked:
             self._remarked.add(interpreter.name)
             warnings.warn(InterpreterWarning(known.doubt), stacklevel=3)
