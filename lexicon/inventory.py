@@ -40,7 +40,8 @@ def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, 
                    over: float = 2.0) -> Labels:
     """The silent lexemes, detected automatically (RG 6.4.1).
 
-    speeds: [S] mean joint speed of each lexeme, infinite for one without blocks; labels: [N] and silent: [N] over the training blocks.
+    speeds: [S] mean joint speed of each lexeme, infinite for one without blocks; labels: [N] and silent: [N] over the
+    training blocks.
     A lexeme is silent if it is among the slowest `slow_share` AND occurs on silent blocks `over` times as often as
     overall. If none meets both conditions, the slow lexeme most over-represented in silence is taken, so the set is
     never empty.
