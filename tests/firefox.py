@@ -1,4 +1,4 @@
-"""A headless Firefox for the tests of the page, spoken to by WebDriver BiDi (https://w3c.github.io/webdriver-bidi/)."""
+"""A Firefox for the tests of the page, spoken to by WebDriver BiDi (https://w3c.github.io/webdriver-bidi/)."""
 
 from __future__ import annotations
 
@@ -103,20 +103,36 @@ class FirefoxPage:
 
 
 @contextmanager
+def _screen() -> Iterator[dict[str, str]]:
+    """The variables of a virtual screen, where there is a program for one: without a screen Firefox has no WebGL."""
+    program = shutil.which("Xvfb")
+    if program is None:
+        yield {"MOZ_HEADLESS": "1"}
+        return
+    with subprocess.Popen([program, "-displayfd", "1", "-screen", "0", "1400x1000x24", "-nolisten", "tcp"],
+                          stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as screen:
+        try:
+            assert screen.stdout is not None
+            yield {"DISPLAY": f":{screen.stdout.readline().strip()}"}
+        finally:
+            screen.terminate()
+
+
+@contextmanager
 def firefox() -> Iterator[FirefoxPage]:
     """A browser with one page; the test is skipped, with the reason, where there is none."""
     client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
     program = os.environ.get("FIREFOX") or next(filter(None, map(shutil.which, NAMES)), None)
     if not program:
         pytest.skip("no Firefox on this machine")
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, _screen() as variables:
         (Path(folder) / "user.js").write_text("".join(
             f"user_pref({json.dumps(name)}, {json.dumps(value)});\n" for name, value in PREFERENCES.items()))
         said = Path(folder) / "said.txt"
         with said.open("w") as out:
             started = subprocess.Popen(
-                [program, "--headless", "--no-remote", "--profile", folder, "--remote-debugging-port", "0"],
-                stdout=out, stderr=out, env={**os.environ, "LIBGL_ALWAYS_SOFTWARE": "1", "HOME": folder})
+                [program, "--no-remote", "--profile", folder, "--remote-debugging-port", "0"], stdout=out, stderr=out,
+                env={**os.environ, "LIBGL_ALWAYS_SOFTWARE": "1", "HOME": folder, **variables})
         try:
             end, found = time.monotonic() + _STARTS, None
             while found is None:

@@ -72,7 +72,7 @@ def test_the_page_is_edited_in_firefox(served: tuple[PageServer, LivePlans, Path
         _is(page, plans)
         page.click("#palette-close")
         assert page.evaluate("document.getElementById('stage-message').hidden") == drawn, "without WebGL it says so"
-        if drawn:  # Firefox needs a driver for WebGL, such as that of Mesa
+        if drawn:  # Firefox needs a screen and a driver for WebGL, such as Xvfb and Mesa
             # A hand is pinned.
             page.press("f")
             page.press("g")

@@ -73,6 +73,40 @@ def test_two_tabs_of_one_recording_agree(served: tuple[PageServer, LivePlans, Pa
         one.check_quiet(server.url)
 
 
+def test_the_height_of_the_hands_is_a_slider_and_a_curve(
+        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+    server, plans, folder = served
+    with chromium() as browser:
+        opened = OpenedPage(browser, server.url, 1280, 900)
+        page = opened.page
+        before = _rotations(page)
+        assert page.locator("#hand-height-is").inner_text() == "free" and page.locator("#hands-free").is_hidden()
+        page.focus("#hand-height")
+        page.keyboard.press("End")
+        _rendered(page)
+        (curve,) = opened.plan()["curves"]
+        assert curve["knob"] == "height" and curve["times"] == [0] and curve["values"][0] > 0.3
+        assert page.locator("#hand-height-is").inner_text() == f"{curve['values'][0]:.2f}"
+        _is(page, plans, opened.plan())
+        # As a curve on the timeline: a second point, lower and later.
+        page.select_option("#curve-knob", "height")
+        box = page.locator("#timeline").bounding_box()
+        row = page.evaluate("() => preview.timeline.rows.curve")
+        x = page.evaluate("() => preview.timeline.x(4)")
+        page.mouse.click(box["x"] + x, box["y"] + row["top"] + row["tall"] - 8)
+        _rendered(page)
+        (curve,) = opened.plan()["curves"]
+        assert len(curve["times"]) == 2 and curve["values"][1] < 0.1
+        assert page.locator("#hand-height-is").inner_text() == "curve"
+        _is(page, plans, opened.plan())
+        page.screenshot(path=(PICTURES or folder) / "curve.png")
+        page.click("#hands-free")
+        _rendered(page)
+        assert "curves" not in opened.plan()
+        np.testing.assert_array_equal(_rotations(page), before)
+        opened.check_quiet(server.url)
+
+
 def test_a_gesture_is_stretched_and_the_take_before_is_seen_through(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, folder = served

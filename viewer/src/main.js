@@ -2,6 +2,8 @@
 
 import { readCharacter } from "./character.js";
 import { Clock } from "./clock.js";
+import { bindCurves } from "./curve_knobs.js";
+import { curveOf } from "./curves.js";
 import { $, element, notice } from "./dom.js";
 import { characterGlb, figureGlb, vrmaOf } from "./exports.js";
 import { bindFiles, fileName, save } from "./files.js";
@@ -423,7 +425,8 @@ $("variations").replaceChildren(...[1, 2, 3].map((number) => {
   return element("button", { "type": "button", "title": `Variation ${number} of these blocks: hover to see it, click to take it`, "aria-label": `Variation ${number}`,
     "onpointerenter": see, "onpointerleave": leave, "onfocus": see, "onblur": leave, "onclick": () => { leave(); session.edit(plan()); } }, `V${number}`);
 }));
-if (edits.curveOf(session.plan).length) toggleCurve();
+bindCurves(session, timeline, refresh);
+if (curveOf(session.plan).length) toggleCurve();
 clock.load(data.sound, data.soundType, () => notice("This browser cannot play the sound (Ogg Vorbis).", true));
 refresh();
 resized();

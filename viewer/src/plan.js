@@ -129,21 +129,6 @@ export const copied = (plan, first, last) => plan.blocks.slice(first, last + 1)
 /** Put the gestures of copied blocks on as many blocks from one on. */
 export const pasted = (plan, at, gestures) => changed(plan, at, at + gestures.length - 1, (block, k) => ({ ...block, ...gestures[k - at] }));
 
-/** The points of the intensity curve: [[seconds, factor]], in order. */
-export function curveOf(plan) {
-  const curve = (plan.curves ?? []).find(({ knob }) => knob === "intensity");
-  return curve ? curve.times.map((time, k) => [time, curve.values[k]]) : [];
-}
-
-/** A plan with these points of the intensity curve; without points, without the curve. */
-export function withCurve(plan, points) {
-  const others = (plan.curves ?? []).filter(({ knob }) => knob !== "intensity");
-  const sorted = [...points].sort((a, b) => a[0] - b[0]).filter(([time], k, all) => k === 0 || time > all[k - 1][0]);
-  const curves = sorted.length ? [...others, { knob: "intensity", times: sorted.map(([time]) => time), values: sorted.map(([, value]) => value) }] : others;
-  const { curves: _, ...rest } = plan;
-  return curves.length ? { ...rest, curves } : rest;
-}
-
 /** Blocks drawn with another variation: the same lexemes in a manner of its own for each number from 1. */
 export const varied = (plan, first, last, number) => changed(plan, first, last, (block) => (
   block.draw ? { ...block, draw: { ...block.draw, variation: (block.draw.variation + number) % 2 ** 32 } } : block));

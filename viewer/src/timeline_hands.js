@@ -1,16 +1,17 @@
 // What a pointer does on the timeline: scrub, select blocks, move beats, drag the range, pinch and wheel to zoom.
 
 import { cuesOf, cueTime, moveCue } from "./cues.js";
+import { curveOf, withCurve } from "./curves.js";
 import { clamp } from "./numbers.js";
 import { movePin, pinsOf } from "./pins.js";
-import { blockAt, blocksOfUnit, curveOf, moveBeat, stretched, withCurve } from "./plan.js";
+import { blockAt, blocksOfUnit, moveBeat, stretched } from "./plan.js";
 import { sizes } from "./theme.js";
 
 /** CSS pixels around a handle in which it is taken, for a mouse and for a finger. */
 const NEAR = { mouse: 6, pen: 8, touch: 16 };
 
-/** A point of the intensity curve at a place: [seconds, factor]. */
-const pointAt = (timeline, x, y) => [Math.round(clamp(timeline.timeAt(x), 0, timeline.duration) * 1000) / 1000, Math.round(timeline.curveValue(y) * 20) / 20];
+/** A point of the curve at a place: [seconds, value]. */
+const pointAt = (timeline, x, y) => [Math.round(clamp(timeline.timeAt(x), 0, timeline.duration) * 1000) / 1000, timeline.curveValue(y)];
 
 export class TimelineHands {
   constructor(timeline, session, clock, changed) {
@@ -52,7 +53,7 @@ export class TimelineHands {
       if (beat && Math.abs(timeline.x(blocks[beat].start) - x) < near) return { kind: "beat", beat };
     }
     if (rows.curve.tall && within(rows.curve)) {
-      const points = curveOf(session.plan);
+      const points = curveOf(session.plan, timeline.knob);
       return { kind: "point", point: points.findIndex(([time, value]) => Math.hypot(timeline.x(time) - x, timeline.curveY(value) - y) < near + 3) };
     }
     if (rows.pins.tall && within(rows.pins)) {
@@ -95,18 +96,18 @@ export class TimelineHands {
 
   /** Take a point of the curve, or set one; a second click on a point removes it. */
   takePoint(point, x, y) {
-    const { session, timeline } = this, points = curveOf(session.plan), now = performance.now();
+    const { session, timeline } = this, points = curveOf(session.plan, timeline.knob), now = performance.now();
     if (point >= 0) {
       if (now - (this.clicked ?? 0) < 350) {
-        session.edit(withCurve(session.plan, points.filter((_, k) => k !== point)));
+        session.edit(withCurve(session.plan, points.filter((_, k) => k !== point), timeline.knob));
         this.drag.kind = "none";
       }
       this.clicked = now;
       return;
     }
     const made = pointAt(timeline, x, y);
-    session.edit(withCurve(session.plan, [...points, made]), "curve");
-    this.drag.point = curveOf(session.plan).findIndex(([time]) => time === made[0]);
+    session.edit(withCurve(session.plan, [...points, made], timeline.knob), "curve");
+    this.drag.point = curveOf(session.plan, timeline.knob).findIndex(([time]) => time === made[0]);
   }
 
   /** Go to a pin, and take it along. */
@@ -151,10 +152,10 @@ export class TimelineHands {
       session.edit(moveBeat(session.plan, drag.beat, time), `beat ${drag.beat}`);
       session.beat = drag.beat;
     } else if (drag.kind === "point" && drag.point >= 0) {
-      const points = curveOf(session.plan), [low, high] = [points[drag.point - 1]?.[0] ?? -0.01, points[drag.point + 1]?.[0] ?? clock.duration + 0.01];
+      const points = curveOf(session.plan, timeline.knob), [low, high] = [points[drag.point - 1]?.[0] ?? -0.01, points[drag.point + 1]?.[0] ?? clock.duration + 0.01];
       const [at, value] = pointAt(timeline, x, y);
       points[drag.point] = [clamp(at, low + 0.01, high - 0.01), value];
-      session.edit(withCurve(session.plan, points), "curve");
+      session.edit(withCurve(session.plan, points, timeline.knob), "curve");
     } else if (drag.kind === "stretch") {
       session.edit(stretched(drag.plan, drag.first, drag.last, time), "stretch");
     } else if (drag.kind === "pin") {
