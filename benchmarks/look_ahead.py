@@ -7,6 +7,9 @@ shipped bundle. For each setting, over all recordings and seeds:
 
 - late: seconds from the sound at t to the frame of t, without computing (p50, p95, and the largest).
 - foreseen: share of blocks that were generated without the block after them.
+- same: share of blocks whose lexeme is that of the full mode (where the blocks are the same); moved: mean distance of
+  the hands from where the full mode has them at the same time, metres. Noise is keyed by time, so both are what the
+  look-ahead changes.
 - PMB, its chance level, and how far above chance it is, percent; apart: the same less the full mode's, paired by
   recording and seed, with the 95 % interval.
 - speed: of the hands in speech, m/s; acceleration: mean of the hands', m/s^2; blocks: per second.
@@ -16,9 +19,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,8 +45,8 @@ from gesticulator.options import InferenceOptions
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stream import Stream
 
-SHORTER = (0.2, 0.3, 0.4)
-"""Longest blocks, seconds, in the low mode; the shipped one is 0.5."""
+SHORTER = (0.3, 0.4)
+"""Longest blocks, seconds, in the low mode; the shipped one is 0.5. The shortest is at most half as long."""
 WAITS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 """Seconds that a block may wait for the one after it; 0 is the low mode."""
 
@@ -66,7 +70,9 @@ class WaitingCutter(BlockCutter):
     def __init__(self, *arguments: Any, wait: float, longest: float, share: list[bool], start: float = 0.0) -> None:
         """share: receives for each block whether it was returned without the one after it."""
         super().__init__(*arguments, "low", start)
-        self._beats, self._voice = BeatTracker(replace(self._config.rhythm.beats, d_max=longest), start), _Remembered()
+        beats = self._config.rhythm.beats
+        self._beats = BeatTracker(replace(beats, d_max=longest, d_min=min(beats.d_min, longest / 2)), start)
+        self._voice = _Remembered()
         self._wait, self._share, self._since = wait, share, dict[float, float]()
 
     def _ready_blocks(self) -> Iterator[SpeechBlock]:
@@ -109,10 +115,30 @@ def stream_of(system: Gesticulator, seed: int, setting: tuple[str, float, float]
     return Stream(system.bundle, system.cast(options, False), options, cutter)
 
 
-def performed(system: Gesticulator, speech: Speech, seed: int, setting: tuple[str, float, float]
-              ) -> tuple[np.ndarray, np.ndarray, list[bool]]:
-    """One recording: PMB, chance, above chance, speed, acceleration and blocks a second; lateness [T]; and for each
-    block whether it was foreseen."""
+@dataclass(frozen=True)
+class Performed:
+    """One recording. figures: PMB, chance, above chance, speed, acceleration and blocks a second; late: [T] seconds;
+    foreseen: of each block; lexemes: by the end of their block, seconds; hands: [T, 2, 3] metres."""
+
+    figures: np.ndarray
+    late: np.ndarray
+    foreseen: list[bool]
+    lexemes: dict[float, int]
+    hands: np.ndarray
+
+    def same(self, other: Performed) -> float:
+        """Share of equal lexemes; NaN where the blocks are not the same."""
+        if self.lexemes.keys() != other.lexemes.keys():
+            return math.nan
+        return float(np.mean([other.lexemes[end] == lexeme for end, lexeme in self.lexemes.items()]))
+
+    def moved(self, other: Performed) -> float:
+        """Mean distance of the hands, metres."""
+        return float(np.linalg.norm(self.hands - other.hands, axis=-1).mean())
+
+
+def performed(system: Gesticulator, speech: Speech, seed: int, setting: tuple[str, float, float]) -> Performed:
+    """One recording in a setting."""
     share: list[bool] = []
     stream = stream_of(system, seed, setting, share)
     parts, late = [], []
@@ -127,9 +153,10 @@ def performed(system: Gesticulator, speech: Speech, seed: int, setting: tuple[st
     rhythm = clip.rhythm()
     hands = positions_of(motion)[:, [stream.skeleton.index(hand) for hand in ("RightHand", "LeftHand")]]
     harder = np.linalg.norm(np.diff(hands, 2, axis=0), axis=-1).mean() * stream.fps ** 2
-    blocks = sum(len(part.blocks) for part in parts) / speech.duration
-    return np.array([rhythm.pmb, rhythm.chance, rhythm.above_chance, clip.speech_speed, harder, blocks]), \
-        np.concatenate(late), share
+    lexemes = {round(block.end, 6): block.lexeme for part in parts for block in part.blocks}
+    figures = np.array([rhythm.pmb, rhythm.chance, rhythm.above_chance, clip.speech_speed, harder,
+                        len(lexemes) / speech.duration])
+    return Performed(figures, np.concatenate(late), share, lexemes, hands)
 
 
 def settings(longest: float) -> dict[str, tuple[str, float, float]]:
@@ -155,18 +182,23 @@ def main() -> None:
     system.warm()
     report: dict[str, Any] = {"processor": processor(), "files": [Path(name).name for name in a.speech],
                               "seconds": round(sum(seconds), 1), "seeds": a.seeds, "settings": {}}
-    above: dict[str, np.ndarray] = {}
+    full: list[list[Performed]] = []
     for name, setting in settings(system.bundle.config.rhythm.beats.d_max).items():
         made = [[performed(system, speech, seed, setting) for speech in recordings] for seed in range(a.seeds)]
-        values = np.array([[one[0] for one in row] for row in made])
-        late = np.concatenate([one[1] for row in made for one in row])
-        share = [foreseen for row in made for one in row for foreseen in one[2]]
-        above[name] = values[..., 2]
+        full = full or made
+        values, theirs = (np.array([[one.figures for one in row] for row in of]) for of in (made, full))
+        late = np.concatenate([one.late for row in made for one in row])
+        share = [foreseen for row in made for one in row for foreseen in one.foreseen]
+        pairs = [(one, other) for row, others in zip(made, full, strict=True)
+                 for one, other in zip(row, others, strict=True)]
+        same = float(np.mean([one.same(other) for one, other in pairs]))
         means = np.average(values, axis=1, weights=seconds).mean(axis=0)
-        apart = crossed(above[name] - above["full"], seconds)
+        apart = crossed(values[..., 2] - theirs[..., 2], seconds)
         report["settings"][name] = {
             "late": dict(zip(("p50", "p95", "max"), np.percentile(late, [50, 95, 100]).round(3).tolist(), strict=True)),
-            "foreseen": round(float(np.mean(share)), 3) if share else float(name == "low"),
+            "foreseen": round(float(np.mean(share)), 3) if share else 0.0,
+            "same": None if math.isnan(same) else round(same, 3),
+            "moved": round(float(np.mean([one.moved(other) for one, other in pairs])), 4),
             **dict(zip(("pmb", "chance", "above_chance"), means[:3].round(1).tolist(), strict=True)),
             "apart": [round(float(one), 1) for one in (apart.mean, apart.low, apart.high)],
             **dict(zip(("speed", "acceleration", "blocks"), means[3:].round(3).tolist(), strict=True))}

@@ -76,18 +76,18 @@ KINDS: dict[str, dict[str, Any]] = {
 class Processes:
     """The server and its workers, started with two tenants' keys."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, workers: int) -> None:
         self.good, self.rude = secrets.token_hex(16), secrets.token_hex(16)
         keys, self.log = folder / "keys.txt", folder / "server.log"
         keys.write_text(f"good {self.good} priority=1\nrude {self.rude} streams=4\n")
         command = "from gesticulator.serve.command import COMMAND as C; import sys; sys.exit(C.main('s', sys.argv[1:]))"
         self.process = subprocess.Popen(
-            [sys.executable, "-c", command, "--port", "0", "--workers", "2", "--streams", "64", "--core-share", "100",
-             "--address-opens", "4", "--keys-file", str(keys), "--drain-seconds", "2"], cwd=ROOT,
+            [sys.executable, "-c", command, "--port", "0", "--workers", str(workers), "--streams", "64",
+             "--core-share", "100", "--address-opens", "4", "--keys-file", str(keys), "--drain-seconds", "2"], cwd=ROOT,
             stderr=self.log.open("w"), env={**os.environ, "TMPDIR": str(folder)})
         self.port = 0
         try:
-            while (text := self.log.read_text()).count("is ready") < 2:
+            while (text := self.log.read_text()).count("is ready") < workers:
                 if self.process.poll() is not None:
                     raise RuntimeError(text)
                 time.sleep(0.5)
@@ -279,7 +279,7 @@ async def disturb(processes: Processes, clients: list[Client], count: Count, unt
                     if socket is not None:
                         socket.transport.abort()
                         count.cut += 1
-            if kill_at and now >= kill_at[0] and len(processes.workers()) == 2:
+            if kill_at and now >= kill_at[0] and len(processes.workers()) > 1:
                 del kill_at[0]
                 os.kill(processes.workers()[-1], signal.SIGKILL)
                 count.killed += 1
@@ -330,7 +330,7 @@ class Watch:
                 with contextlib.suppress(OSError):
                     row["processes"][str(pid)] = {"memory": memory_of(pid), "descriptors": descriptors_of(pid)}
             self.rows.append(row)
-            print(json.dumps({**row, **asdict(count)}), file=sys.stderr, flush=True)
+            print(json.dumps({**asdict(count), **row}), file=sys.stderr, flush=True)
             await asyncio.sleep(self.step)
 
     def growth(self) -> dict[str, dict[str, float]]:
@@ -346,25 +346,25 @@ class Watch:
         return found
 
 
-async def soak(processes: Processes, voice: np.ndarray, minutes: float, streams: int, kills: int, step: float
-               ) -> dict[str, Any]:
+async def soak(processes: Processes, voice: np.ndarray, a: argparse.Namespace) -> dict[str, Any]:
     """Run it; returns the report."""
-    count, watch, kinds = Count(), Watch(step), list(KINDS)
+    count, watch, kinds = Count(), Watch(a.step), list(KINDS)
     before = {str(pid): descriptors_of(pid) for pid in processes.all()}
-    until = time.monotonic() + 60 * minutes
-    clients = [Client(kinds[k % len(kinds)], processes, np.roll(voice, k * 79190), count, k) for k in range(streams)]
+    until = time.monotonic() + 60 * a.minutes
+    clients = [Client(kinds[k % len(kinds)], processes, np.roll(voice, k * 79190), count, k) for k in range(a.streams)]
     watching = asyncio.create_task(watch.run(processes, count))
-    disturbing = asyncio.create_task(disturb(processes, clients, count, until, kills))
+    disturbing = asyncio.create_task(disturb(processes, clients, count, until, a.kills))
     await asyncio.gather(*(one.run(until) for one in clients))
     await disturbing
-    await asyncio.sleep(70)  # the server keeps lost streams for a minute
+    await asyncio.sleep(a.grace)
     watching.cancel()
     after = {str(pid): descriptors_of(pid) for pid in processes.all()}
     leaked = {pid: after[pid] - before[pid] for pid in after if pid in before}
     return {**asdict(count), "descriptors": {pid: [before[pid], after[pid]] for pid in leaked},
             "memory": watch.growth(), "rows": watch.rows,
             "holds": {"nothing lost": not (count.lost or count.doubled or count.failures),
-                      "memory flat": all(one["growth"] <= GROWTH for one in watch.growth().values()),
+                      **({"memory flat": all(one["growth"] <= GROWTH for one in watch.growth().values())}
+                         if watch.growth() else {}),
                       "no descriptor leaked": all(more <= 0 for more in leaked.values())}}
 
 
@@ -405,7 +405,10 @@ def main() -> int:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--minutes", type=float, default=80.0)
     p.add_argument("--streams", type=int, default=8, help="at a time (default 8)")
-    p.add_argument("--kills", type=int, default=3, help="of a worker (default 3)")
+    p.add_argument("--kills", type=int, default=3, help="of a worker (default 3); none with one worker")
+    p.add_argument("--workers", type=int, default=2, help="of the server (default 2)")
+    p.add_argument("--grace", type=float, default=70.0, help="seconds after the last stream (default 70: the server "
+                   "keeps lost streams for a minute)")
     p.add_argument("--step", type=float, default=30.0, help="seconds between rows (default 30)")
     p.add_argument("--out", type=Path, help="path of the report, without .json and .md")
     p.add_argument("--attack", choices=list(live_attack.ATTACKS), help=argparse.SUPPRESS)
@@ -418,9 +421,9 @@ def main() -> int:
     voice = (samples * 32767).astype("<i2")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the server is stopped, too
     with tempfile.TemporaryDirectory() as folder:
-        processes = Processes(Path(folder))
+        processes = Processes(Path(folder), a.workers)
         try:
-            report = asyncio.run(soak(processes, voice, a.minutes, a.streams, a.kills, a.step))
+            report = asyncio.run(soak(processes, voice, a))
         finally:
             code = processes.stop()
             warnings = [line for line in processes.log.read_text(errors="replace").splitlines()
