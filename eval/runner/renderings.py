@@ -42,7 +42,7 @@ from eval.metrics.eye.pitch import pitch_track
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechFeatures
-from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 
@@ -326,7 +326,9 @@ class FiledSystem:
 
 
 def system_at(name: str, place: Path, kept: KeptRenderings) -> RenderedSystem:
-    """A bundle where the folder holds one, else motion files; InputError where it holds neither."""
+    """A bundle where the folder holds one or where it is the name of a shipped one and no folder, else motion files;
+    InputError where it holds neither."""
+    place = place if place.exists() else bundle_folder(str(place))
     return BundleSystem(name, place, kept) if (place / INDEX).is_file() else FiledSystem(name, place)
 
 

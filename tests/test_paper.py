@@ -1,0 +1,188 @@
+"""Both papers in their own form: the presets `paper` and `paper-quick`, the shipped bundle, and bundles by name."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_module.errors import InputError
+from data_module.motion.bvh import read_bvh
+from data_module.speech.audio import load_speech
+from data_module.types import Speech
+from eval.rows import rg
+from eval.runner.renderings import BundleSystem, KeptRenderings, system_at
+from eval.score.played_rows import PlayedBundle
+from gesticulator import infer
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.config import Config, from_dict, system_of
+from gesticulator.bundle.files import CARD, INDEX, NAMED, BundleWarning, bundle_folder, read_index
+from gesticulator.pipeline import Gesticulator, InterpreterWarning
+from gesticulator.training import command as train
+from gesticulator.training.presets import preset
+from gesticulator.training.stages import wanted
+
+ROOT = Path(__file__).parent.parent
+EXAMPLE = ROOT / "examples" / "speech.flac"
+CHOOSERS = ("lstm", "cql", "cql-literal", "statistical")
+TOY = ("encoder.width=16", "lexicon.size=12", "lexicon.code_width=32", "lexicon.widths=[16,24,32,32]",
+       "generator.motion_features=16", "generator.audio_features=8", "generator.audio_bottleneck=8",
+       "generator.hidden=48", "generator.groups=4", "generator.classes=8", "generator.lstm_width=32",
+       "generator.lstm_layers=1", "interpreter.width=32", "interpreter.audio_features=8",
+       "interpreter.audio_bottleneck=8", "interpreter.text_features=8", "interpreter.text_bottleneck=8",
+       "style.width=16", "style.audio_features=8", "style.audio_bottleneck=8", "reward.width=16",
+       "reward.projection=8", "judge.width=12", "judge.projection=8",
+       "episodes.prefix=2", *(f"{q}.{size}" for q in ("cql", "cql_literal") for size in (
+           "width=16", "heads=2", "layers=2", "decisions=6", "audio_features=4", "audio_bottleneck=8",
+           "copy_every=4")))
+STEPS = {"speech": 8, "contrast": 8, "lexicon": 60, "generator": 12, "interpreter": 12, "style": 12, "reward": 8,
+         "cql": 8, "cql_literal": 8}
+
+
+@pytest.fixture(scope="module")
+def toy(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The preset `paper` at toy size, trained by the real command."""
+    out = tmp_path_factory.mktemp("paper") / "bundle"
+    short = [f"schedules.{stage}.{what}" for stage, steps in STEPS.items() for what in (
+        f"steps={steps}", "batch=64" if stage == "lexicon" else "batch=8", "validations=1")]
+    assert train.main(["--data", str(tiny_store), "--out", str(out), "--preset", "paper", "--threads", "1", "--quiet",
+                       *(part for setting in (*TOY, *short) for part in ("--set", setting))]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def paper() -> Gesticulator:
+    return Gesticulator.from_pretrained("paper")
+
+
+@pytest.fixture(scope="module")
+def spoken() -> Speech:
+    """Six seconds of the example."""
+    speech = load_speech(EXAMPLE)
+    return Speech(speech.samples[:6 * speech.sample_rate], speech.sample_rate)
+
+
+def test_the_preset_is_both_papers_and_trains_every_stage(toy: Path) -> None:
+    names = {stage.name for stage in wanted(preset("paper"))}
+    assert names == {"speech", "contrast", "lexicon", "interpreter", "interpreter_text", "generator", "style",
+                     "reward", "reward_judge", "q_network", "q_network_literal"}
+    bundle = bundles.load(toy)
+    assert set(bundle.figures) == names and all(np.isfinite(list(values.values())).all()
+                                                for values in bundle.figures.values())
+    assert bundle.interpreters == CHOOSERS and set(bundle.parts) >= {"encoder", "style"}
+    assert bundle.config.motion.joints == 16 and system_of(bundle.config).naming.stage == "lexicon"
+    assert not np.allclose(bundle.statistics.low.mean, bundle.statistics.high.mean), "two levels of speech"
+
+
+@pytest.mark.parametrize("name", ["paper", "paper-quick"])
+def test_nothing_of_ours_is_in_the_papers_form(name: str) -> None:
+    config, published = preset(name), preset("paper-trinity")
+    assert (config.lexicon.kind, config.generator.head, config.motion.joints) == ("pose", "regression", 16)
+    assert (config.silence.hint, config.silence.mask, config.silence.augmentation) == (True, True, 0.05)
+    assert config.rhythm == published.rhythm and config.schedules.gate.steps == config.schedules.planner.steps == 0
+    if name == "paper":
+        loss = ("reconstruction", "perceptual", "lexeme", "style", "velocity", "style_dropout", "style_width")
+        assert [getattr(config.generator, term) for term in loss] == [
+            getattr(published.generator, term) for term in loss]
+        assert config.silence.rest == "decay" and config.silence.rest_decay == 0
+        racer = preset("racer-trinity").cql
+        assert (config.cql_literal.gamma, config.cql_literal.warm_up) == (racer.gamma, racer.warm_up)
+
+
+def test_the_quick_preset_is_that_of_the_tables() -> None:
+    quick, table = preset("paper-quick"), rg.PRESETS["ablation"]()
+    assert table.schedules == quick.schedules and table.generator == quick.generator
+    assert [stage.name for stage in wanted(quick)] == [stage.name for stage in wanted(table)]
+    assert "speech" not in {stage.name for stage in wanted(quick)} and table.cql == quick.cql
+
+
+@pytest.mark.parametrize("name", list(NAMED))
+def test_a_shipped_bundle_is_found_by_its_name_wherever_the_command_runs(name: str, tmp_path: Path,
+                                                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert bundle_folder(name) == NAMED[name] and (bundle_folder(name) / INDEX).is_file()
+    assert bundle_folder(None) == NAMED["default"]
+    (tmp_path / name).mkdir()
+    (tmp_path / name / INDEX).write_text("{}")
+    with pytest.warns(BundleWarning, match=re.escape(f"./{name}")):
+        assert bundle_folder(name) == NAMED[name], "a folder of that name does not change what a command does"
+    assert bundle_folder(f"./{name}") == bundle_folder(Path(name)) == Path(name)
+
+
+def test_a_folder_of_motion_files_is_no_bundle_by_whatever_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+                                                                ) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert isinstance(system_at("theirs", Path("paper"), KeptRenderings(None)), BundleSystem)
+    assert PlayedBundle.named("paper:cql") == PlayedBundle(NAMED["paper"], "cql")
+    (tmp_path / "paper").mkdir()
+    assert PlayedBundle.named("paper") is None
+    assert PlayedBundle.named("nothing") is None
+
+
+@pytest.mark.parametrize("name", ["papers", "Default", "no/such/folder"])
+def test_a_name_that_is_none_is_one_line(name: str) -> None:
+    with pytest.raises(InputError, match="default or paper") as error:
+        Gesticulator.from_pretrained(name)
+    assert "\n" not in str(error.value) and name in str(error.value)
+
+
+def test_the_shipped_bundle_is_small_and_says_what_it_was_trained_on() -> None:
+    folder = NAMED["paper"]
+    assert sum(file.stat().st_size for file in folder.iterdir()) <= 12e6
+    index = read_index(folder)
+    assert from_dict(Config, index["config"]) == preset("paper"), "the preset makes this bundle"
+    default = read_index(NAMED["default"])
+    for key in ("licence", "store", "hours", "seed"):
+        assert index["provenance"][key] == default["provenance"][key]
+    card = (folder / CARD).read_text()
+    assert index["provenance"]["fingerprint"] in card and "## Limits" in card
+
+
+def test_every_part_of_the_shipped_bundle_opens(paper: Gesticulator) -> None:
+    assert paper.interpreters == CHOOSERS
+    for name in paper.bundle.parts:
+        assert paper.bundle.parts[name] is not None
+
+
+@pytest.mark.parametrize("interpreter", CHOOSERS)
+def test_the_example_is_gestured_by_each_interpreter(interpreter: str, paper: Gesticulator, spoken: Speech) -> None:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        made = paper(spoken, interpreter=interpreter, seed=1)
+        again = paper(spoken, interpreter=interpreter, seed=1)
+        other = paper(spoken, interpreter=interpreter, seed=2)
+    assert np.isfinite(made.motion.rotations).all() and made.motion.duration == pytest.approx(6.0, abs=0.05)
+    np.testing.assert_array_equal(made.motion.rotations, again.motion.rotations)
+    literal = interpreter == "cql-literal"
+    assert np.array_equal(made.lexemes, other.lexemes) == literal, "only arg max does not depend on the seed"
+    lines = [warning for warning in told if issubclass(warning.category, InterpreterWarning)]
+    assert bool(lines) == literal and all("\n" not in str(line.message) for line in lines)
+    silent = np.isin(made.lexemes, paper.bundle.silent)
+    assert silent[made.blocks.silent].all(), "the mask: silent lexemes in silence"
+
+
+def test_the_command_plays_it_by_name_and_warns_of_the_literal_form(tmp_path: Path,
+                                                                    capfd: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "o.bvh"
+    assert infer.main([str(EXAMPLE), "-o", str(out), "--bundle", "paper", "--interpreter", "cql-literal", "--quiet",
+                       "--fps", "20"]) == 0
+    lines = [line for line in capfd.readouterr().err.splitlines() if "cql-literal" in line]
+    assert len(lines) == 1 and "warning" in lines[0]
+    motion = read_bvh(out)
+    assert np.isfinite(motion.rotations).all() and len(motion.skeleton.names) == 16
+
+
+def test_the_shipped_bundles_are_not_edited(tmp_path: Path) -> None:
+    from gesticulator.bundle.command import BUNDLE
+
+    for name in ("default", "paper"):
+        with pytest.raises(SystemExit):
+            BUNDLE.main("gesticulator bundle", ["silent", name, "--add", "1"])
+    shutil.copytree(NAMED["paper"], tmp_path / "mine")
+    assert BUNDLE.main("gesticulator bundle", ["silent", str(tmp_path / "mine"), "--add", "1"]) == 0
