@@ -21,7 +21,7 @@ import dataclasses
 
 from eval.rows.row import COLUMNS, PaperTable, Row, RowColumn, line
 from gesticulator.bundle import config as configs
-from gesticulator.bundle.config import Config, FitSettings
+from gesticulator.bundle.config import Config
 from gesticulator.training import presets
 
 OURS = "ours"
@@ -155,40 +155,8 @@ TABLES: dict[str, PaperTable] = {
 
 
 def ablation() -> Config:
-    """`regression`, the paper's system, made short, for a row and seed in at most five minutes of one core.
-
-    What is heard are mel bands: the speech encoder of `regression` carries less and costs more than all rows together.
-    Sixteen joints, the paper's. Shorter and narrower: the generator (an LSTM of 1 x 128, 8 groups, 800 steps of 16
-    windows) and both interpreters (96 and 64 wide, stopped early). Over the last quarter of its steps the validation
-    of a generator still gains 1 to 2 %. There is no gate and nothing can be asked of the style: the paper's system has
-    neither here.
-    """
-    base = presets.regression()
-    s = base.schedules
-
-    def short(steps: int, of: FitSettings) -> FitSettings:
-        return dataclasses.replace(of, steps=steps, batch=32)
-
-    def early(of: FitSettings) -> FitSettings:
-        return dataclasses.replace(of, validations=20, patience=5)
-
-    return dataclasses.replace(
-        base, name="ablation",
-        schedules=dataclasses.replace(
-            s, speech=configs.NOT_TRAINED, contrast=configs.NOT_TRAINED,
-            lexicon=dataclasses.replace(s.lexicon, steps=1_200, batch=256),
-            generator=dataclasses.replace(short(800, s.generator), batch=16), style=short(300, s.style),
-            interpreter=early(short(600, s.interpreter)),
-            interpreter_text=early(short(600, s.interpreter_text)),
-            gate=short(0, s.gate), reward=dataclasses.replace(s.reward, steps=0), cql=short(0, s.cql)),
-        front_end=configs.FrontEndConfig(name="mel", bands=40),
-        motion=dataclasses.replace(base.motion, joints=16),
-        generator=dataclasses.replace(base.generator, motion_features=32, audio_features=24, audio_bottleneck=32,
-                                      hidden=128, groups=8, lstm_width=128, lstm_layers=1, use_control=False),
-        interpreter=dataclasses.replace(base.interpreter, audio_features=24, audio_bottleneck=32, width=96,
-                                        text_head=128, use_control=False),
-        style=dataclasses.replace(base.style, audio_features=24, audio_bottleneck=32, width=64),
-        cql=dataclasses.replace(base.cql, width=64, heads=4, layers=4, copy_every=10))
+    """The preset `paper-quick`, for a row and seed in at most five minutes of one core."""
+    return dataclasses.replace(presets.paper_quick(), name="ablation")
 
 
 def tiny() -> Config:

@@ -194,7 +194,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
                    help="processes for cutting and encoding the recordings")
     p.add_argument("--speech", action="append", default=[], metavar="DIR",
                    help="folder of additional audio, if the speech encoder was trained with it")
-    p.add_argument("--bundle", metavar="DIR", help="bundle for RACER's rows ('shipped'; default: trained here)")
+    p.add_argument("--bundle", metavar="NAME|DIR",
+                   help="bundle for RACER's rows: default, paper, or a folder (default: trained here)")
     p.add_argument("--system", action="append", default=[], metavar="NAME=DIR", dest="systems",
                    help="another system's motion for the test recordings, with the same file names")
     p.add_argument("--out", default="docs/results/ablation", metavar="DIR",
@@ -269,8 +270,8 @@ def ablation_of(arguments: argparse.Namespace) -> Ablation:
     from eval.runner.context import EvalContext, opened
     from eval.runner.rg import RgRows
     from eval.runner.row import Ablation
-    from gesticulator.bundle import bundle as bundles
     from gesticulator.bundle import config as configs
+    from gesticulator.bundle.files import bundle_folder
     from gesticulator.training.stages import Run
 
     store, work = opened(arguments.data, arguments.work)
@@ -280,7 +281,7 @@ def ablation_of(arguments: argparse.Namespace) -> Ablation:
     # For a first look raw directions are enough: networks take minutes to train.
     by = ([gesture_features.RawFeatures(34, count=1)] if arguments.preset == "tiny"
           else gesture_features.networks(store, work, first.progress))
-    bundle = str(bundles.SHIPPED) if arguments.bundle == "shipped" else arguments.bundle
+    bundle = str(bundle_folder(arguments.bundle)) if arguments.bundle else None
     context = EvalContext(first, networks=gesture_features.by_name(by), limit=arguments.limit)
     return Ablation(RgRows(context), CellStore(Path(arguments.out)), bundle)
 
