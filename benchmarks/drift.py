@@ -21,7 +21,7 @@ import numpy as np
 
 from data_module.motion.phases import hand_places
 from data_module.speech import audio
-from data_module.types import Array, Speech
+from data_module.types import Array, Samples, Speech
 from eval import stats
 from eval.runner.context import opened
 from eval.runner.renderings import AcceptanceVoice, held_out_voices
@@ -36,8 +36,11 @@ RATE, WINDOW = 20.0, 30.0
 
 def windows(hands: Array) -> dict[str, Array]:
     """Of hands [T, 2, 3] at `RATE`, by window [N]: drift from the first, cm; speed, m/s; spread about the mean, cm."""
-    count, frames = int(len(hands) / RATE / WINDOW), round(RATE * WINDOW)
-    parts = hands[:count * frames].reshape(count, frames, 2, 3)
+    frames = round(RATE * WINDOW)
+    count = max(1, round(len(hands) / frames))
+    # Motion ends a few frames before the sound: the last window is then filled with its last frame.
+    index = np.minimum(np.arange(count * frames), len(hands) - 1)
+    parts = hands[index].reshape(count, frames, 2, 3)
     places = parts.mean(axis=1)
     speed = np.linalg.norm(np.diff(parts, axis=1), axis=-1).mean(axis=(1, 2)) * RATE
     spread = np.linalg.norm(parts - places[:, None], axis=-1).mean(axis=(1, 2))
@@ -53,7 +56,7 @@ def slope(values: Array) -> float:
 
 def long_readings(voices: Sequence[AcceptanceVoice], seconds: float) -> Iterator[Speech]:
     """As many recordings of that length as the voices fill, each voice once."""
-    held: list[Array] = []
+    held: list[Samples] = []
     for voice in voices:
         held.append(audio.resample(voice.speech, audio.SAMPLE_RATE).samples)
         if sum(map(len, held)) >= seconds * audio.SAMPLE_RATE:
@@ -63,8 +66,8 @@ def long_readings(voices: Sequence[AcceptanceVoice], seconds: float) -> Iterator
 
 def apart(voices: Sequence[AcceptanceVoice]) -> list[float]:
     """Centimetres between the mean hands of half minutes of two recordings of one speaker, for each pair."""
-    places = [(voice.speaker, hand_places(voice.motion, RATE)[:round(RATE * WINDOW)].mean(axis=0)) for voice in voices
-              if voice.motion is not None and voice.motion.duration >= WINDOW]
+    places = [(voice.performer, hand_places(voice.own, RATE)[:round(RATE * WINDOW)].mean(axis=0)) for voice in voices
+              if voice.own is not None and voice.own.duration >= WINDOW]
     return [100 * float(np.linalg.norm(one - other, axis=-1).mean())
             for (first, one), (second, other) in combinations(places, 2) if first == second]
 

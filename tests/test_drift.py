@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import published_bvh
 import pytest
 
-from benchmarks.drift import RATE, WINDOW, long_readings, slope, windows
+from benchmarks.drift import RATE, WINDOW, apart, long_readings, slope, windows
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.types import Speech
 from eval.runner.renderings import AcceptanceVoice
@@ -26,6 +29,7 @@ def waving(windows_: int, drift: float = 0.0, tires: float = 0.0) -> np.ndarray:
 def test_hands_that_stay_do_not_drift() -> None:
     found = windows(waving(6))
     assert np.abs(found["drift"]).max() < 0.2 and abs(slope(found["drift"])) < 0.1
+    assert len(windows(waving(6)[:-5])["drift"]) == 6, "a few frames less are still six windows"
     assert found["speed"] == pytest.approx(0.1 * np.pi, rel=0.01) and found["spread"] == pytest.approx(10.0, rel=0.01)
 
 
@@ -38,6 +42,16 @@ def test_hands_that_walk_away_drift_by_as_much() -> None:
 def test_hands_that_tire_slow_down() -> None:
     found = windows(waving(6, tires=0.1))
     assert slope(found["speed"]) == pytest.approx(-2 * 0.1 * 0.1 * np.pi, rel=0.05)
+
+
+def test_two_recordings_of_one_speaker_lie_apart_and_others_are_not_compared() -> None:
+    motion = published_bvh.moving(31.0, 20.0)
+    moved = replace(motion, rotations=np.roll(motion.rotations, 100, axis=0))
+    silence = Speech(np.zeros(16, np.float32), SAMPLE_RATE)
+    same = [AcceptanceVoice("a", silence, "test", motion, "ann"), AcceptanceVoice("b", silence, "test", motion, "ann")]
+    assert apart(same) == pytest.approx([0.0], abs=1e-6)
+    assert apart([same[0], replace(same[1], own=moved)])[0] > 0.01
+    assert apart([same[0], replace(same[1], performer="ben")]) == []
 
 
 def test_readings_are_joined_until_the_minutes_are_full() -> None:
