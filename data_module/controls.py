@@ -29,6 +29,8 @@ __all__ = ["Controls", "Curve", "Levels", "controls_from", "measure", "read_curv
 FEATURES = ("height", "speed", "radius")
 """Right hand over the hips (m), mean speed of both hands (m/s), mean horizontal distance of both hands from the
 vertical axis through the root (m)."""
+MOOD = "mood"
+"""A curve that is not of the hands: -1 (sad) to 1 (a smile)."""
 UNITS = {"height": "m", "speed": "m/s", "radius": "m"}
 LEVELS = ("low", "mid", "high")
 QUANTILES = (0.15, 0.5, 0.85)
@@ -36,7 +38,8 @@ WINDOW = 4.0
 """Seconds (RG 7.2.1)."""
 
 _HANDS = ("RightHand", "LeftHand")
-_LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}  # no body does more
+_LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0),  # no body does more
+           MOOD: (-1.0, 1.0)}
 _FAR = 3.0  # spreads from the mean
 _LEAST_SPREAD = 1e-3
 
@@ -288,6 +291,8 @@ def _number(text: str) -> float | None:
 def _check_limits(what: str, value: float, feature: str) -> None:
     low, high = _LIMITS[feature]
     if not low <= value <= high:  # also NaN
+        if feature == MOOD:
+            raise InputError(what, "is out of range", f"give {low:g} (sad) to {high:g} (a smile)")
         raise InputError(what, f"is not a possible {feature} of a hand",
                          f"give {UNITS[feature]} from {low:g} to {high:g}")
 
