@@ -41,14 +41,18 @@ class TellingStream:
 
     skeleton = CHARACTER
     lacking = 0.05
+    look_ahead = LOOK_AHEAD
 
     def __init__(self, request: StreamRequest, seconds: float = 0.0, share: Share = 0.0) -> None:
         self.request, self.seconds, self.share = request, seconds, share
-        self.hurried, self.history = False, HISTORY
+        self.hurried, self.history, self.latency = False, HISTORY, "full"
         self.time = 0.0
         self.made = 0
         self.state = StreamState.IDLE
         self.words: list[Word] = []
+
+    def look_ahead_at(self, latency: str) -> float:
+        return LOOK_AHEAD
 
     def steps(self, call: str, *arguments: Any) -> Generator[StreamFrames, None, None]:
         """A call in one step; waits in steps of 0.4 s, which end where they are closed."""

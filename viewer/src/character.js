@@ -68,10 +68,17 @@ class VrmCharacter extends Character {
     }
     this.group.updateWorldMatrix(true, true);
     this.contacts = new Contacts(vrm.scene, bones, trunk.map(raw).filter(Boolean),
-      Object.keys(vrm.humanoid.humanBones).filter((bone) => !trunk.includes(bone)).map(raw).filter(Boolean));
+      Object.keys(vrm.humanoid.humanBones).filter((bone) => !trunk.includes(bone)).map(raw).filter(Boolean),
+      ["leftUpperLeg", "rightUpperLeg"].map(raw).filter(Boolean));
   }
 
   get root() { return this.vrm.humanoid.getRawBoneNode("hips"); }
+
+  /** The node of one of our joints. */
+  node(joint) {
+    const bone = { LeftArm: "leftUpperArm", LeftForeArm: "leftLowerArm", LeftHand: "leftHand", RightHand: "rightHand", Head: "head" }[joint];
+    return bone && this.vrm.humanoid.getRawBoneNode(bone);
+  }
 
   moving() {
     return Object.keys(this.vrm.humanoid.humanBones).map((bone) => this.vrm.humanoid.getRawBoneNode(bone)).filter(Boolean);
@@ -137,6 +144,8 @@ class NamedCharacter extends Character {
 
   get kind() { return "GLB"; }
 
+  node(joint) { return this.byJoint.get(joint); }
+
   prepare(nodes) {
     const { scene } = this.gltf;
     scene.updateMatrixWorld(true);
@@ -160,7 +169,8 @@ class NamedCharacter extends Character {
     this.size = this.restHips.y - low > 0.05 ? this.restHips.y : null;
     this.group.updateWorldMatrix(true, true);
     const trunk = this.nodes.filter((node) => /^(Hips|Spine\d?)$/.test(this.joints.get(node) ?? ""));
-    this.contacts = new Contacts(scene, this.byJoint, trunk, this.moving().filter((node) => !trunk.includes(node)));
+    this.contacts = new Contacts(scene, this.byJoint, trunk, this.moving().filter((node) => !trunk.includes(node)),
+      this.nodes.filter((node) => /UpLeg$/.test(this.joints.get(node) ?? "")));
   }
 
   get root() { return this.hips; }

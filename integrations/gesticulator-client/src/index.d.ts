@@ -10,7 +10,7 @@ export type GestureEvent =
   | { type: "beat"; time: number }
   | { type: "lexeme"; start: number; end: number; lexeme: number; silent: boolean }
   | { type: "word"; text: string; start: number; end: number }
-  | { type: "pace"; effort: "full" | "less" | "none"; passed: number }
+  | { type: "pace"; effort: "full" | "low" | "less" | "none"; passed: number }
   | { type: "done"; frames: number }
   | { type: "error"; code: number; message: string; retry_after?: number }
   | { type: "lost"; code: number; reason: string }

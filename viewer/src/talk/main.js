@@ -50,7 +50,7 @@ function heard(of, message) {
 function pace({ effort, passed }) {
   const lost = passed > 0 ? `${passed.toFixed(1)} s were passed over` : "";
   clearTimeout(calm);
-  if (effort === "full") {
+  if (effort === "full" || effort === "low") { // with low look-ahead the poses are as late as was promised
     // One that is always too slow has time for a moment after each part that it passed over.
     calm = setTimeout(() => { $("pace").textContent = `This machine keeps up again${lost && `; ${lost}`}.`; }, CALM);
     return;
