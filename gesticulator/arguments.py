@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import Field, fields
 from typing import TYPE_CHECKING, Any, cast
@@ -56,7 +57,16 @@ def _cue(text: str) -> GestureCue:
     return GestureCue(gesture, at)
 
 
-_PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue}
+def _mood(text: str) -> object:
+    """A number, or the curve in a CSV file."""
+    if os.path.lexists(text.strip()):
+        from data_module.controls import MOOD, read_curve
+
+        return read_curve(text.strip(), MOOD)
+    return RANGES["mood"].parse("--mood", text)
+
+
+_PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue, "mood": _mood}
 """Field -> parser of its value, for values that are neither numbers nor words."""
 _GROUPS = {
     "audio and transcript": "",
@@ -109,10 +119,10 @@ def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionF
         more["choices"] = flag.choices
     else:
         more["metavar"] = flag.metavar
-    if field.name in RANGES:
-        more["type"] = number(field.name)
-    elif field.name in _PARSERS:
+    if field.name in _PARSERS:
         more["type"] = _PARSERS[field.name]
+    elif field.name in RANGES:
+        more["type"] = number(field.name)
     if flag.many:
         more["action"] = "append"
     group.add_argument(name, help=text, **more)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["FPS", "RANGES", "HandControl", "InferenceOptions", "Range"]
 
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
+MoodControl: TypeAlias = "float | str | os.PathLike[str] | Curve"
 
 MEANING_LEVELS = ("off", "few", "normal", "rich")
 """How many of the gestures that the words call for are shown."""
@@ -190,13 +191,17 @@ class InferenceOptions:
     with each."""
     mouth: float = _option(1.0, "with --face: how far the mouth opens; 0 keeps it shut (default 1)", "0..2")
     """With a face: how far the mouth opens, 0 (shut) to 2; 1 is as the network gives it."""
-    mood: float = _option(0.0, "with --face full: from -1 (sad) to 1 (a smile) (default 0)", "-1..1")
-    """With a whole face: -1 (sad) to 1 (a smile)."""
+    mood: MoodControl = _option(0.0, "with --face full: from -1 (sad) to 1 (a smile), or a CSV file with the columns "
+                                "time and value (default 0)", "VALUE")
+    """With a whole face: -1 (sad) to 1 (a smile), a `Curve` over time, or the path of a CSV file with the columns time
+    and value."""
 
     def __post_init__(self) -> None:
         for name in ("seed", "variation", "temperature", "beta", "activity", "intensity", "fps", "gain", "mouth",
                      "mood"):
             value = getattr(self, name)
+            if name == "mood" and not isinstance(value, int | float):
+                continue  # a curve, whose values are checked where it is read
             if value is not None or name not in ("temperature", "beta", "activity"):
                 RANGES[name].check(name, value)
         if self.controls is not None and any(part is not None for part in self.hands):
@@ -307,4 +312,4 @@ class InferenceArguments(TypedDict, total=False):
     seated: bool
     face: str
     mouth: float
-    mood: float
+    mood: MoodControl

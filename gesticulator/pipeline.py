@@ -430,8 +430,7 @@ class Gesticulator:
             return None
         from gesticulator.body.face import FaceSettings, face_of
 
-        settings = FaceSettings(options.face, float(options.mouth), float(options.mood), int(options.seed))
-        return face_of(settings, speech.samples, plan.blocks, motion)
+        return face_of(FaceSettings.of(options), speech.samples, plan.blocks, motion)
 
     def _rest_pose(self, speaker: int) -> Motion:
         """The speaker's resting pose, a motion of one frame."""

@@ -536,7 +536,7 @@ def _face_of(options: InferenceOptions) -> Face | None:
         return None
     from gesticulator.body.face import Face, FaceSettings
 
-    settings = FaceSettings(options.face, float(options.mouth), float(options.mood), int(options.seed))
+    settings = FaceSettings.of(options)
     return Face(settings, LONGEST_HISTORY)
 
 

@@ -39,6 +39,24 @@ def posed(**parts: float) -> FaceMotion:
     return replace(face, gaze=np.array([[parts.get("left", 0.0), parts.get("up", 0.0)]]), **rest)
 
 
+def syllables(text: str, pauses: tuple[float, ...]) -> tuple[Performance, list[float]]:
+    """A still character that says a syllable after each of the pauses (seconds), and when each begins."""
+    espeak = pytest.importorskip("data_module.performer.espeak")
+    if shutil.which("espeak-ng") is None:
+        pytest.skip("espeak-ng is not installed")
+    samples, _ = espeak.ipa_phrases([espeak.Line("en-us", text, 150, 45, 50)])[0]
+    starts, pieces, at = [], [], 0.0
+    for pause in pauses:
+        pieces += [np.zeros(round(pause * RATE)), samples]
+        starts.append(at + round(pause * RATE) / RATE)
+        at = starts[-1] + len(samples) / RATE
+    sound = np.concatenate([*pieces, np.zeros(round(PAUSE * RATE))])
+    sound = (0.5 * sound / np.abs(sound).max()).astype(np.float32)
+    motion = still(len(sound) / RATE, 60.0)
+    face = face_of(FaceSettings("lips"), sound, (), motion)
+    return replace(perform(len(sound) / RATE), motion=motion, speech=Speech(sound, RATE), face=face), starts
+
+
 def spoken() -> tuple[Performance, list[VisemeSpan]]:
     """A still character that says the words of `WORDS` with pauses around them, and the visemes of its phones."""
     espeak = pytest.importorskip("data_module.performer.espeak")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import shutil
@@ -13,6 +14,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_module.controls import Curve
 from data_module.errors import InputError
 from data_module.face import FaceMotion, at_rest
 from data_module.motion import rotation, skeletons
@@ -30,10 +32,12 @@ from data_module.visemes import (
     opening,
     spans,
 )
+from gesticulator.arguments import performance_arguments
 from gesticulator.body.face import Face, FaceSettings, in_head
 from gesticulator.body.face_life import RATE, FaceLife
 from gesticulator.body.face_lips import REACH, SHIPPED, Lips, load_weights, with_dominance, with_strength
 from gesticulator.characters.face_shapes import ARKIT, arkit, curves, find_shapes, is_lips, oculus, summed, vrm
+from gesticulator.options import InferenceOptions
 from gesticulator.training.face import FaceTraining, LabelledRows, fit, with_long_pause
 from interpreters.visemes import VisemeNet, VisemeStepper
 
@@ -331,3 +335,38 @@ def test_lips_only_drives_no_lids() -> None:
     lips = FaceMotion(face.visemes, face.blink, face.brows, face.smile, face.gaze, 60.0, True)
     shapes = find_shapes(ARKIT)
     assert "eyeBlinkLeft" in summed(face, shapes) and "eyeBlinkLeft" not in summed(lips, shapes)
+
+
+# --------------------------------------------------------------------------------------------------------------- mood
+
+def test_a_mood_follows_its_curve_in_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "mood.csv"
+    path.write_text("time,mood\n0,-1\n1,0\n2,1\n")
+    settings_ = FaceSettings.of(InferenceOptions(face="full", mood=path))
+    motion = _head(0.0, 180)
+    smile = Face(settings_).frames(0, motion).smile  # in silence
+    np.testing.assert_allclose(smile[::30], np.interp(np.arange(6) / 2, [0, 1, 2], [-1, 0, 1]), atol=1e-9)
+    plain = Face(FaceSettings.of(InferenceOptions(face="full", mood=0.5))).frames(0, motion)
+    assert np.array_equal(plain.smile, np.full(180, 0.5))
+    assert Face(settings_).frames(0, motion).brows[0] == pytest.approx(-0.25)
+
+
+@pytest.mark.parametrize(("rows", "told"), [("0,2\n", "out of range"), ("1,0\n0,1\n", "goes back"), ("", "empty")])
+def test_a_broken_mood_is_refused_with_its_line(rows: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "mood.csv"
+    path.write_text(rows)
+    with pytest.raises(InputError, match=told):
+        FaceSettings.of(InferenceOptions(face="full", mood=path))
+
+
+def test_the_command_line_takes_a_mood_as_a_number_or_a_file(tmp_path: Path) -> None:
+    parser = argparse.ArgumentParser()
+    performance_arguments(parser)
+    path = tmp_path / "mood.csv"
+    path.write_text("0,0.2\n3,0.8\n")
+    assert parser.parse_args(["--face", "full", "--mood", str(path)]).mood == Curve((0.0, 3.0), (0.2, 0.8))
+    assert parser.parse_args(["--face", "full", "--mood", "-0.5"]).mood == -0.5
+    with pytest.raises(InputError, match="mood"):
+        parser.parse_args(["--mood", "happy"])
+    with pytest.raises(InputError, match="is for a face"):
+        InferenceOptions(mood=Curve((0.0,), (0.5,)))

@@ -9,18 +9,19 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from browser import OpenedPage, chromium
-from face_samples import FPS, PAUSE, posed, spoken, still
+from face_samples import FPS, PAUSE, posed, spoken, still, syllables
 from live_double import served
 from performances import perform, write
 
 from data_module.face import FaceMotion
-from data_module.types import Array
+from data_module.types import Array, Speech
 from data_module.visemes import OPENINGS, VISEMES, VisemeSpan
 from gesticulator.characters.face_shapes import vrm
 from gesticulator.export import film
@@ -276,3 +277,44 @@ def test_the_live_page_shows_a_face_where_it_is_asked_for(browser: Any) -> None:
         assert page.evaluate("() => live.performer.figure.dots[0].visible || live.performer.show() || "
                              "live.performer.figure.dots[0].visible")
         page.close()
+
+
+# ---------------------------------------------------------------------------------------------------- mouth and sound
+
+def _lags(film_: Path, starts: list[float]) -> Array:
+    """Seconds from the sound of each syllable to the mouth that opens for it, as both are in a film."""
+    import av
+
+    from gesticulator.export.figure_face import MOUTH
+
+    with av.open(str(film_)) as container:
+        pictures = np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]).astype(int)
+    with av.open(str(film_)) as container:
+        sound = np.concatenate([part.to_ndarray().reshape(-1) for part in container.decode(audio=0)])
+    opened = _near(pictures, MOUTH, 45).astype(float)
+    level = np.sqrt(np.convolve(sound ** 2, np.ones(480) / 480, "same"))  # over 10 ms
+    out = []
+    for start in starts:
+        first = round((start - 0.1) * film.SOUND_RATE)
+        loud = level[first:first + film.SOUND_RATE // 2]
+        heard = (first + np.argmax(loud > 0.25 * loud.max())) / film.SOUND_RATE
+        frame = round((start - 0.1) * film.FPS)
+        wide = opened[frame:frame + film.FPS // 2]
+        half = (wide.min() + wide.max()) / 2
+        after = int(np.argmax(wide > half))
+        seen = frame + after - 1 + (half - wide[after - 1]) / (wide[after] - wide[after - 1])
+        out.append(seen / film.FPS - heard)
+    return np.array(out)
+
+
+def test_mouth_and_sound_of_a_film_are_within_40_ms(tmp_path: Path) -> None:
+    """A train of *pa* at irregular intervals: the mouth opens when the burst is heard."""
+    pytest.importorskip("av")
+    pytest.importorskip("PIL")
+    made, starts = syllables("pa", (0.6, 0.5, 0.37, 0.62, 0.45, 0.53))
+    lags = _lags(write(tmp_path / "talk.mp4", made), starts)
+    assert np.abs(lags).max() < 0.04, lags
+    late = replace(made, speech=Speech(np.roll(made.speech.samples, round(0.2 * made.speech.sample_rate)),
+                                       made.speech.sample_rate))
+    moved = _lags(write(tmp_path / "late.mp4", late), starts)
+    np.testing.assert_allclose(moved, lags - 0.2, atol=0.02, err_msg="the measurement finds a sound that is late")

@@ -7,18 +7,21 @@ hold their target while the head, which the body moves, turns: what the head doe
 from __future__ import annotations
 
 import math
+import os
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from data_module.controls import MOOD, Curve, read_curve
 from data_module.face import FaceMotion
 from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Samples
 from data_module.visemes import SILENT, VISEMES
 from gesticulator.body.face_life import RATE, FaceLife
 from gesticulator.body.face_lips import Lips, with_strength
+from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import Block
 
 _MOST_ASIDE, _MOST_UP = math.radians(28.0), math.radians(18.0)
@@ -30,12 +33,27 @@ _MOUTH_SMILES = 0.5
 @dataclass(frozen=True)
 class FaceSettings:
     """What is asked of a face. kind: "lips" or "full"; mouth: strength of the lips, 0 to 2; mood: -1 (sad) to 1 (a
-    smile); seed: of lids, brows and eyes."""
+    smile), or a curve of it over media time; seed: of lids, brows and eyes."""
 
     kind: str
     mouth: float = 1.0
-    mood: float = 0.0
+    mood: float | Curve = 0.0
     seed: int = 0
+
+    @classmethod
+    def of(cls, options: InferenceOptions) -> FaceSettings:
+        """What a performance asks for; `InputError` for a broken file of a mood."""
+        mood = options.mood
+        if isinstance(mood, str | os.PathLike):
+            mood = read_curve(mood, MOOD)
+        return cls(options.face, float(options.mouth), mood if isinstance(mood, Curve) else float(mood),
+                   int(options.seed))
+
+    def mood_at(self, times: Array) -> Array:
+        """[T] the mood at media times [T], -1 to 1."""
+        if isinstance(self.mood, Curve):
+            return np.clip(self.mood.at(times), -1.0, 1.0)
+        return np.full(len(times), self.mood)
 
 
 class Face:
@@ -100,8 +118,9 @@ class Face:
         if lips or not count:
             return FaceMotion(visemes, none, none, none, np.zeros((count, 2)), motion.fps, lips)
         steps = self._stepped(times)
-        smile = self._settings.mood * (1.0 - (1.0 - _MOUTH_SMILES) * (1.0 - visemes[:, SILENT]))
-        brows = np.clip(steps[:, 1] + 0.25 * min(self._settings.mood, 0.0), -1.0, 1.0)
+        mood = self._settings.mood_at(times)
+        smile = mood * (1.0 - (1.0 - _MOUTH_SMILES) * (1.0 - visemes[:, SILENT]))
+        brows = np.clip(steps[:, 1] + 0.25 * np.minimum(mood, 0.0), -1.0, 1.0)
         face = FaceMotion(visemes, np.clip(steps[:, 0], 0.0, 1.0), brows, smile, in_head(steps[:, 2:], motion),
                           motion.fps)
         self._forget(float(times[-1]))

@@ -138,8 +138,9 @@ def _sphere(rows: int, down: float) -> tuple[Array, NDArray[np.int64]]:
 
 def _mouth(mesh: FaceMesh) -> None:
     def curves(**parts: float) -> Array:
-        names = ("open_", "wide", "press", "bite", "smile")
-        table = mouth_outline(*(np.array([parts.get(name, 0.0)]) for name in names), _COLUMNS)[0]
+        open_, wide, press, bite, smile = (np.array([parts.get(name, 0.0)]) for name in (
+            "open_", "wide", "press", "bite", "smile"))
+        table = mouth_outline(open_, wide, press, bite, smile, _COLUMNS)[0]
         if not {"open_", "bite"} & set(parts):
             table[:, 3] = table[:, 2]  # no teeth between lips that meet
         return table
