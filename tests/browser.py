@@ -51,7 +51,7 @@ class OpenedPage:
 
     def check_quiet(self, own: str = "file:") -> None:
         """Nothing went wrong, and nothing was asked for but the page itself and what it holds."""
-        assert self.complaints == []
+        assert self.complaints == [], self.complaints
         assert [url for url in self.requests if not url.startswith((own, "data:", "blob:"))] == []
 
     def time(self) -> float:

@@ -77,6 +77,8 @@ def test_the_page_is_edited_in_firefox(served: tuple[PageServer, LivePlans, Path
             page.press("f")
             page.press("g")
             page.wait("document.querySelector('.handle').getBoundingClientRect().width > 0")
+            page.wait("JSON.stringify(preview.stage.view) === JSON.stringify(preview.stage.goal)")
+            page.evaluate("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(() => go(true))))")
             at = page.middle('.handle[data-joint="LeftHand"]')
             page.drag(at, (at[0] + 10, at[1] - 20), (at[0] + 20, at[1] - 45))
             _rendered(page)

@@ -220,13 +220,13 @@ export class Timeline {
   drawCurve(pen, width) {
     const { top, tall } = this.rows.curve, u = sizes.unit;
     if (!tall) return;
+    const points = curveOf(this.session.plan, this.knob), { name, unit, neutral } = this.knobs[this.knob];
+    const first = points[0] ?? [0, neutral], last = points.at(-1) ?? [0, neutral];
     pen.fillStyle = colours.track;
     pen.fillRect(0, top + 2 * u, width, tall - 4 * u);
     pen.strokeStyle = colours.line;
     pen.lineWidth = u;
     if (neutral !== null) { pen.beginPath(); pen.moveTo(0, this.curveY(neutral)); pen.lineTo(width, this.curveY(neutral)); pen.stroke(); }
-    const points = curveOf(this.session.plan, this.knob), { name, unit, neutral } = this.knobs[this.knob];
-    const first = points[0] ?? [0, neutral], last = points.at(-1) ?? [0, neutral];
     pen.strokeStyle = pen.fillStyle = colours.accent;
     pen.lineWidth = 2 * u;
     if (first[1] !== null) {
