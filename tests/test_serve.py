@@ -391,7 +391,7 @@ def test_what_is_wrong_is_closed_with_its_code_and_others_go_on(messages: tuple[
 
 def test_an_answer_of_minutes_that_was_sent_at_once_is_interrupted_where_it_is_played() -> None:
     async def test() -> None:
-        limits = replace(LIMITS, waiting_seconds=200.0, stream_seconds=200.0, message_bytes=2**23)
+        limits = replace(LIMITS, waiting_seconds=200.0, stream_seconds=200.0, message_bytes=2**23, quiet_seconds=60.0)
         async with running(limits) as at, connect(at.url, Hello(RATE, fps=10)) as stream:
             await stream.send(pcm(150.0))
             await stream.idle(0.0)

@@ -205,7 +205,8 @@ def test_a_single_server_ends_with_code_0_in_the_middle_of_a_stream() -> None:
 @pytest.mark.parametrize(("arguments", "wrong"), [
     (["--port", "99999"], "port 99999"), (["--host", "no.such.host.invalid"], "no.such.host.invalid"),
     (["--host", "0.0.0.0"], "--token-file"), (["--streams", "0"], "limits.streams"), (["--workers", "0"], "--workers"),
-    (["--vmc", "nowhere"], "HOST:PORT"), (["--vmc", "127.0.0.1:39539", "--workers", "2"], "one worker"),
+    (["--vmc", "nowhere"], "HOST:PORT"), (["--osc", "nowhere"], "--osc nowhere"),
+    (["--vmc", "127.0.0.1:39539", "--workers", "2"], "one worker"),
     (["--bundle", "/no/such/folder"], "is not a folder"), (["--drain-seconds", "nan"], "limits.drain_seconds"),
     (["--threads", "0"], "--threads")])
 def test_what_cannot_be_served_is_told_in_one_line(arguments: list[str], wrong: str,
