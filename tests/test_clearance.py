@@ -143,3 +143,16 @@ def test_no_hand_is_in_the_trunk_and_no_elbow_behind_it_at_any_knob(knobs: dict,
         assert gap.min() > -0.01
     body = common_body(motion)
     assert max(elbow_behind(body, side) for side in ("Left", "Right")) <= 1.0
+
+
+def test_a_hand_that_is_moved_turns_to_the_same_side_as_its_neighbours() -> None:
+    time = np.arange(120) / FPS
+    motion = reaching(1.2 + 0.9 * np.sin(2 * np.pi * time), np.full(120, 1.9))
+    # The forearm is turned by more than half a turn, where the quaternion of a matrix may lie on the other side.
+    twist = rotation.from_exponential_map((2.9 + 0.4 * np.sin(3 * time))[:, None] * [1.0, 0.0, 0.0])
+    arm = FINGERED.index("LeftForeArm")
+    turns = motion.rotations.copy()
+    turns[:, arm] = rotation.continuous(rotation.multiply(turns[:, arm], twist))
+    free = cleared(replace(motion, rotations=turns))
+    assert (free.rotations != turns).any()
+    assert (np.sum(free.rotations[1:] * free.rotations[:-1], axis=-1) > 0).all()

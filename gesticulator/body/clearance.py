@@ -79,7 +79,7 @@ def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, flo
                 {joint: place[at] for joint, place in pose.places.items()})
     turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
     chain = (skeleton.index(name + "Arm"), skeleton.index(name + "ForeArm"), skeleton.index(name + "Hand"))
-    body, limbs = _Body(pose), _BelowShoulder(skeleton, chain[0], pose.places[name + "Arm"])
+    body, limbs = _Body(pose), BelowShoulder(skeleton, chain[0], pose.places[name + "Arm"])
     points = [skeleton.index(name + part) for part in ("Hand", "HandMiddle1") if name + part in skeleton.names]
     for _ in range(_STEPS):
         push = body.push([limbs.place(turns, point) for point in points], sign)
@@ -90,10 +90,12 @@ def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, flo
     for joint in chain:
         above = turns[skeleton.parents[joint]]
         local = np.swapaxes(above, -1, -2) @ turns[joint]
-        rotations[at, joint] = Rotation.from_matrix(local).as_quat(scalar_first=True)
+        new, old = Rotation.from_matrix(local).as_quat(scalar_first=True), rotations[at, joint]
+        # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
+        rotations[at, joint] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
 
 
-class _BelowShoulder(OurLimbs):
+class BelowShoulder(OurLimbs):
     """The nodes of an arm under a shoulder that stays where it is."""
 
     def __init__(self, skeleton: Skeleton, shoulder: int, place: Array) -> None:
@@ -146,17 +148,17 @@ class _Body:
         across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, elbow), -1, 0)
         plane = -BACK - BACK_FALLS * np.maximum(across * sign - BACK_ENDS, 0.0)
         beyond = np.maximum(np.maximum(-along, along - self._length), 0.0) / CAP
-        depth = _soft(plane - RECEDES * beyond ** 2 - ahead, ELBOW_SOFT)
+        depth = soft(plane - RECEDES * beyond ** 2 - ahead, ELBOW_SOFT)
         return depth[:, None] * (OUTWARD[0] * sign * self._axes[:, 0] + OUTWARD[1] * self._axes[:, 2])
 
     def _out_of_trunk(self, point: Array, sign: float) -> Array:
         across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, point), -1, 0)
         beyond = np.maximum(np.maximum(-along, along - self._length), 0.0) / CAP
-        return self._axes[:, 2] * _soft(trunk_front(across * sign) - RECEDES * beyond ** 2 - ahead)[:, None]
+        return self._axes[:, 2] * soft(trunk_front(across * sign) - RECEDES * beyond ** 2 - ahead)[:, None]
 
     def _off_face(self, point: Array) -> Array:
         x, y, z = np.moveaxis(np.einsum("tji,tj->ti", self._head, point - self._face), -1, 0)
-        return self._head[..., 2] * _soft(face_front(np.hypot(x, y)) - z)[:, None]
+        return self._head[..., 2] * soft(face_front(np.hypot(x, y)) - z)[:, None]
 
 
 def trunk_front(across: Array) -> Array:
@@ -178,6 +180,6 @@ def face_front(radius: Array) -> Array:
     return np.asarray(HEAD_RADIUS - inside ** 2 / HEAD_RADIUS - 2.0 * (radius - inside))
 
 
-def _soft(depth: Array, soft: float = SOFT) -> Array:
-    """max(depth, 0) without a kink."""
-    return np.where(depth > soft, depth, np.clip(depth + soft, 0.0, 2.0 * soft) ** 2 / (4.0 * soft))
+def soft(depth: Array, over: float = SOFT) -> Array:
+    """max(depth, 0) without a kink, metres. over: metres on both sides in which it is rounded."""
+    return np.where(depth > over, depth, np.clip(depth + over, 0.0, 2.0 * over) ** 2 / (4.0 * over))

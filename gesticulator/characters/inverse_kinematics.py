@@ -49,7 +49,7 @@ def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal
     new_upper = share[:, None] * along + beside[:, None] * out
     new_lower = far[:, None] * along - new_upper
     for node, before, after in ((top, upper, new_upper), (middle, lower, new_lower)):
-        turned = _swing(before, after) @ turns[node]
+        turned = swing(before, after) @ turns[node]
         turns[node] = turned if where is None else np.where(where[:, None, None], turned, turns[node])
 
 
@@ -66,11 +66,11 @@ def swivel(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], sh
     size = np.linalg.norm(beside, axis=-1, keepdims=True)
     length = np.linalg.norm(moved, axis=-1, keepdims=True)
     moved = np.where(length > 1e-6, moved / np.maximum(length, 1e-9) * size, beside)
-    turns[top] = _swing(upper, centre + moved) @ turns[top]
-    turns[middle] = _swing(lower, way - centre - moved) @ turns[middle]
+    turns[top] = swing(upper, centre + moved) @ turns[top]
+    turns[middle] = swing(lower, way - centre - moved) @ turns[middle]
 
 
-def _swing(a: Array, b: Array) -> Array:
+def swing(a: Array, b: Array) -> Array:
     """[T, 3, 3] the shortest rotations from directions a [T, 3] to b."""
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)
     b = b / np.linalg.norm(b, axis=-1, keepdims=True)

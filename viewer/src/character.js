@@ -4,6 +4,7 @@ import { Group, LoadingManager, Quaternion, Vector3 } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { VRMLoaderPlugin, VRMUtils } from "@pixiv/three-vrm";
 
+import { showFace } from "../../integrations/gesticulator-client/src/face.js";
 import { chains, jointsByName } from "./bone_names.js";
 import { Contacts } from "./contacts.js";
 import { BONES, bonesOf, humanoidPose } from "./humanoid.js";
@@ -73,6 +74,12 @@ class VrmCharacter extends Character {
 
   get root() { return this.vrm.humanoid.getRawBoneNode("hips"); }
 
+  /** The node of one of our joints. */
+  node(joint) {
+    const bone = { LeftArm: "leftUpperArm", LeftForeArm: "leftLowerArm", LeftHand: "leftHand", RightHand: "rightHand", Head: "head" }[joint];
+    return bone && this.vrm.humanoid.getRawBoneNode(bone);
+  }
+
   moving() {
     return Object.keys(this.vrm.humanoid.humanBones).map((bone) => this.vrm.humanoid.getRawBoneNode(bone)).filter(Boolean);
   }
@@ -94,6 +101,7 @@ class VrmCharacter extends Character {
     this.hips.position.set(this.rest.x + way * root[0] * size, this.rest.y + (root[1] - take.skeleton.height) * size, this.rest.z + way * root[2] * size);
     if (!take.has("LeftUpLeg")) this.keepLegs(poser);
     this.contacts.repair(poser);
+    if (poser.face) showFace(this.vrm, poser.face);
     const now = performance.now();
     // Hair and cloth swing on after what they hang on.
     this.vrm.update(this.before === null ? 0 : Math.min((now - this.before) / 1000, 0.1));
@@ -135,6 +143,8 @@ class NamedCharacter extends Character {
   }
 
   get kind() { return "GLB"; }
+
+  node(joint) { return this.byJoint.get(joint); }
 
   prepare(nodes) {
     const { scene } = this.gltf;
