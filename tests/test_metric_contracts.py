@@ -91,6 +91,7 @@ WORSE: dict[str, Motion] = {
     "slow, one hand": posed(RightArm=turn(2, 0.9 + 0.4 * SLOW), Head=turn(0, 0.4 * SLOW), Spine1=turn(1, 0.3 * SLOW)),
     "arms in the trunk": posed(LeftArm=turn(2, -1.9), RightArm=turn(2, 1.9), LeftForeArm=turn(1, -0.6),
                                RightForeArm=turn(1, 0.6)),
+    "an elbow behind the trunk": posed(LeftArm=np.array([0.375, 0.332, -1.58]), LeftForeArm=turn(1, -1.5)),
     "drifting": posed(RightArm=turn(2, 1.3 - 1.3 * TIME / SECONDS), LeftArm=turn(2, -1.3 + 1.3 * TIME / SECONDS)),
     "whirling": posed(LeftArm=turn(2, 0.6 * np.sin(3.1 * TIME) - 1.6 * TIME),
                       RightArm=turn(2, 0.6 * np.sin(2 * TIME) + 1.1 * TIME)),

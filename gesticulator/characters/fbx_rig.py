@@ -15,7 +15,7 @@ import numpy as np
 
 from data_module.errors import InputError, shown
 from data_module.files import read_json
-from gesticulator.characters.blender import run_in_blender
+from gesticulator.characters.blender import job_in_blender
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.rig import Character, Skin, decomposed
 
@@ -34,7 +34,7 @@ def read_fbx_character(path: str | os.PathLike[str]) -> Character:
         raise InputError(path, "does not exist" if not source.exists() else "is not a regular file", "check the path")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "rig.json"
-        run_in_blender(source, SCRIPT, str(source.resolve()), str(target))
+        job_in_blender(source, SCRIPT, str(source.resolve()), str(target))
         document: dict[str, Any] = read_json(target, "export it again", _LARGEST)
     bones = document["bones"]
     if len(bones) < 2:

@@ -10,7 +10,7 @@ import numpy as np
 
 from data_module.files import write_bytes
 from data_module.motion import rotation
-from gesticulator.characters.blender import run_in_blender
+from gesticulator.characters.blender import job_in_blender
 from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.clip import STEADY, ClipLayout
 from gesticulator.export.scene import Scene
@@ -33,11 +33,11 @@ def write_animated(path: Path, moved: CharacterMotion, clip: ClipLayout) -> Path
         target, motion = Path(folder) / f"out{path.suffix.lower()}", Path(folder) / "motion.npz"
         source = str(moved.character.path.resolve())
         if target.suffix == ".glb":
-            run_in_blender(path, SCRIPT, source, str(target))
+            job_in_blender(path, SCRIPT, source, str(target))
             write_bytes(path, _animated_glb(target, moved, clip))
             return path
         np.savez(motion, **pose(moved))
-        run_in_blender(path, SCRIPT, source, str(target), repr(moved.fps), repr(clip.keys), clip.name, str(motion))
+        job_in_blender(path, SCRIPT, source, str(target), repr(moved.fps), repr(clip.keys), clip.name, str(motion))
         write_bytes(path, target.read_bytes())
     return path
 
