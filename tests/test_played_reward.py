@@ -11,7 +11,8 @@ from torch import Tensor
 
 from data_module.speech.audio import as_speech
 from eval.baselines.interpreters import ReplayInterpreter
-from eval.metrics.played_reward import (
+from eval.runner.played import PERFORMER, REPLAYED, PlayedVoice
+from eval.runner.played_reward import (
     PlayedWindows,
     Scores,
     found,
@@ -20,7 +21,6 @@ from eval.metrics.played_reward import (
     train,
     whole_windows,
 )
-from eval.runner.played import PERFORMER, REPLAYED, PlayedVoice
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import FitSettings
 from gesticulator.pipeline import Gesticulator
