@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -24,7 +23,7 @@ from eval.table import Column, Provenance, Table, publish
 from generator.flow import FlowGenerator
 from generator.model import GumbelCodes
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.training.stages.corpus import Corpus, prepare
 from gesticulator.training.stages.lexicon import token_labels
 from gesticulator.training.stages.windows import AT_ONCE, Windows, sequences
@@ -84,13 +83,13 @@ def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("store", help="a store built by `gesticulator build`")
-    p.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     p.add_argument("--work", metavar="DIR", help="work folder with cached blocks (default: STORE.work)")
     p.add_argument("--split", default="val")
     p.add_argument("--out")
     a = p.parse_args()
     store, work = opened(a.store, a.work)
-    folder = Path(a.bundle) if a.bundle else bundles.SHIPPED
+    folder = bundle_folder(a.bundle)
     bundle = bundles.load(folder)
     generator, lexicon = bundle.generator, bundle.lexicon
     if not isinstance(generator, FlowGenerator) or not isinstance(lexicon, MovementLexicon):

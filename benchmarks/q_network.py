@@ -20,6 +20,7 @@ import torch
 from data_module.layers import freeze
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import bundle_folder
 from interpreters.base import BlockFeatures, LexemeInterpreter
 from interpreters.cql import QNetwork
 
@@ -51,7 +52,7 @@ def main() -> None:
     p.add_argument("--out")
     a = p.parse_args()
     torch.set_num_threads(1)
-    bundle = bundles.load(a.bundle or bundles.SHIPPED)
+    bundle = bundles.load(bundle_folder(a.bundle))
     network = bundle.q_network
     if network is None:
         raise SystemExit("the bundle holds no Q-network")

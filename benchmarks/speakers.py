@@ -12,7 +12,6 @@ import argparse
 import math
 import shlex
 import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from eval.runner.context import opened
 from eval.runner.renderings import TAKE, AcceptanceVoice, held_out_voices
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.pipeline import Gesticulator
 
 FIGURES = {name: bound for name, bound in BOUNDS.items() if name.startswith("eye_")}
@@ -55,12 +54,12 @@ def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("store", help="a store built by `gesticulator build`")
-    p.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     p.add_argument("--seconds", type=float, default=60.0)
     p.add_argument("--limit", type=int, default=6, help="recordings of the test split (default 6)")
     p.add_argument("--out")
     a = p.parse_args()
-    folder = Path(a.bundle) if a.bundle else bundles.SHIPPED
+    folder = bundle_folder(a.bundle)
     gesticulator = Gesticulator(bundles.load(folder))
     take = real_take(HZ, own_rig=True)
     voices = [] if take is None else [AcceptanceVoice("take", take[1], TAKE, take[0])]

@@ -17,7 +17,6 @@ import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -32,7 +31,7 @@ from eval.runner.context import opened
 from eval.runner.renderings import AcceptanceVoice, held_out_voices
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages.planner import RATE, units_of
 from gesticulator.training.stages.unit_styles import spans, style_of
@@ -120,13 +119,13 @@ def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("store", help="a store built by `gesticulator build`")
-    p.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     p.add_argument("--seconds", type=float, default=60.0)
     p.add_argument("--limit", type=int, help="recordings, at most")
     p.add_argument("--out")
     a = p.parse_args()
     store, _ = opened(a.store, None)
-    folder = Path(a.bundle) if a.bundle else bundles.SHIPPED
+    folder = bundle_folder(a.bundle)
     bundle = bundles.load(folder)
     if not isinstance(bundle.style, UnitStyleInterpreter):
         raise InputError(folder, "has no style codes of gesture units", "train one with the preset `default`")

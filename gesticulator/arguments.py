@@ -86,7 +86,8 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                       help="which nodes are which joints, if they are not identified automatically")
     body.add_argument("--save-mapping", metavar="FILE.json", help="write the joint mapping, to check or correct it")
     body.add_argument("--no-contacts", action="store_true", help="do not keep the hands outside the trunk")
-    p.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper (both papers in their own "
+                   "form), or a folder (default: default)")
     p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle contains and exit")
     p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
                    help="number of torch threads; it affects the last bits of the output (default 1, usually the "
@@ -131,10 +132,9 @@ def check_choices(args: argparse.Namespace) -> None:
         raise InputError(f"--beta {args.beta:g}", f"is read by the interpreter {steered} alone",
                          f"add --interpreter {steered}, or leave it out")
     if args.speaker is not None:
-        from gesticulator.bundle.bundle import SHIPPED
-        from gesticulator.bundle.files import read_index
+        from gesticulator.bundle.files import bundle_folder, read_index
 
-        speakers = read_index(args.bundle or SHIPPED)["speakers"]
+        speakers = read_index(bundle_folder(args.bundle))["speakers"]
         if args.speaker not in speakers:
             near = difflib.get_close_matches(args.speaker, speakers, 1)
             raise InputError(f"--speaker {shown(args.speaker)}", "is not in the bundle",

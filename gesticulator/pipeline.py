@@ -20,10 +20,10 @@ from data_module.errors import InputError, shown
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator.body.motion_path import MotionPath
-from gesticulator.bundle.bundle import SHIPPED, Bundle
+from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for, representation_of
-from gesticulator.bundle.files import lexicon_hash
+from gesticulator.bundle.files import bundle_folder, lexicon_hash
 from gesticulator.drawing.cutter import BlockCutter, encode_speech
 from gesticulator.drawing.driver import (
     Cast,
@@ -41,6 +41,7 @@ from gesticulator.options import HandControl, InferenceArguments, InferenceOptio
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import sound_hash
 from gesticulator.version import __version__
+from interpreters import INTERPRETERS
 from interpreters.base import as_interpreter
 
 if TYPE_CHECKING:
@@ -64,8 +65,8 @@ _WARM_SECONDS = 2
 """Sound for warming up, seconds: several blocks."""
 
 
-class PolicyWarning(UserWarning):
-    """A policy that was measured to be no better than the default one."""
+class InterpreterWarning(UserWarning):
+    """An interpreter was chosen that is no better than another, or worse (`InterpreterEntry.doubt`)."""
 
 
 class Gesticulator:
@@ -79,7 +80,7 @@ class Gesticulator:
         self._words: WordEncoder | None = None
         self._names: tuple[LexemeName, ...] | None = None
         self._used_interpreters: dict[str, LexemeInterpreter] = {}
-        self._remarked = False
+        self._remarked = set[str]()
         self._warm: set[bool] = set()
         self.keeps_drawings = False
         """Whether performances keep the state before each block (`Performance.drawing`), from which edits start."""
@@ -87,12 +88,12 @@ class Gesticulator:
     @classmethod
     def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
                         ) -> Gesticulator:
-        """Load a bundle from its folder, or the shipped one when no path is given. device: "cpu" or "cuda".
+        """Load a bundle: "default" (also if none is given), "paper", or a folder. device: "cpu" or "cuda".
 
         Output is bit for bit reproducible on one machine with the same device and number of threads.
         """
         device = _usable(device)  # fail before the bundle is loaded
-        return cls(load_bundle(Path(path) if path is not None else SHIPPED), device)
+        return cls(load_bundle(bundle_folder(path)), device)
 
     @property
     def speakers(self) -> tuple[str, ...]:
@@ -284,7 +285,7 @@ class Gesticulator:
         controls = self.controls(options)
         speaker = self.speaker_index(options.speaker)
         interpreter = as_interpreter(self._chosen_interpreter(options, text))
-        temperature = options.temperature
+        temperature = _own_temperature(interpreter) if options.temperature is None else options.temperature
         if temperature is None:
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
         self._remark(interpreter)
@@ -293,12 +294,11 @@ class Gesticulator:
         return Cast(interpreter, speaker, sampling, activity, controls, int(options.variation), interpreter.beta)
 
     def _remark(self, interpreter: Interpreter) -> None:
-        """Warn once (`PolicyWarning`) of a policy that, by our figures, is no better than the one it stands beside."""
-        if self._remarked or interpreter.name != "cql" or "lstm" not in self.interpreters:
-            return
-        self._remarked = True
-        warnings.warn(PolicyWarning("cql chooses gestures no better than lstm by any figure of this project "
-                                    "(docs/racer.md), and at temperature 0 it repeats a few"), stacklevel=2)
+        """Warn once (`InterpreterWarning`) of an interpreter that is no better than another by our figures."""
+        known = INTERPRETERS.get(interpreter.name)
+        if known is not None and known.doubt and interpreter.name not in self._remarked:
+            self._remarked.add(interpreter.name)
+            warnings.warn(InterpreterWarning(known.doubt), stacklevel=3)
 
     def _chosen_interpreter(self, options: InferenceOptions, text: bool) -> LexemeInterpreter:
         """The interpreter object of the options, or the one of their name: the bundle's, or an object used before.
@@ -390,6 +390,10 @@ class Gesticulator:
         meanings = self._meanings(speech, options)
         shaping = self.shaping(speech, options, cast.speaker, cut.edges, meanings)
         motion = self.to_motion(rendering.motion, cut, cast.speaker, options, shaping)
+        if options.plan is not None and options.plan.pins:
+            from gesticulator.body.pins import pinned
+
+            motion = pinned(motion, options.plan)
         origin = self.origin(speech, options, cast, meanings)
         plan = (plan_of(speech, cut, blocks, origin) if options.plan is None else
                 rendered_plan(options.plan, speech, blocks, origin))
@@ -595,6 +599,11 @@ def _texts_for(count: int, text: Text | Sequence[Text | None] | None) -> Sequenc
 def _prepared(speech: Speech, options: InferenceOptions) -> Speech:
     """The speech as the models need it: amplified by the gain, resampled to `SAMPLE_RATE`."""
     return resample(amplified(speech, options.gain), SAMPLE_RATE)
+
+
+def _own_temperature(interpreter: Interpreter) -> float | None:
+    """The default temperature of an interpreter by its entry; None for that of the bundle."""
+    return INTERPRETERS[interpreter.name].temperature if interpreter.name in INTERPRETERS else None
 
 
 def _usable(device: str | torch.device) -> torch.device:

@@ -32,7 +32,8 @@ class InterpreterEntry(RegistryEntry):
     of the part. model: module and class of the weights, if not the interpreter itself: it has `build(settings, sizes)`,
     and `Settings`, the class of its settings, if those are among `others`. file: names of the files of the part and the
     text part without suffix, by default the names of the parts. tied: the weights fit one codebook only. stage: module
-    and name of the stage that trains it, if the table of stages lacks it.
+    and name of the stage that trains it, if the table of stages lacks it. temperature: its default temperature, if it
+    is not that of the bundle. doubt: a warning for whoever plays it; empty for none.
     """
 
     part: str = ""
@@ -43,6 +44,8 @@ class InterpreterEntry(RegistryEntry):
     file: tuple[str, ...] = ()
     tied: bool = True
     stage: str = ""
+    temperature: float | None = None
+    doubt: str = ""
 
     def load_model(self) -> Any:
         return _object(self.model or self.where)
@@ -70,7 +73,15 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
     "lstm": InterpreterEntry(
         "the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter", "interpreter_text",
         file=("lexeme_interpreter", "lexeme_interpreter_text"), tied=False),
-    "cql": InterpreterEntry("RACER's Q-network", "interpreters.cql:QNetwork", "q_network", section="cql"),
+    "cql": InterpreterEntry(
+        "RACER's Q-network", "interpreters.cql:QNetwork", "q_network", section="cql",
+        doubt="cql chooses gestures no better than lstm by any figure of this project (docs/racer.md), and at "
+              "temperature 0 it repeats a few"),
+    "cql-literal": InterpreterEntry(
+        "RACER's Q-network as published: recorded lexemes only, arg max", "interpreters.cql:LiteralQNetwork",
+        "q_network_literal", section="cql_literal", temperature=0.0,
+        doubt="interpreter cql-literal is RACER's as published, for comparison: it repeats few lexemes; "
+              "--interpreter cql varies them"),
     "advantage": InterpreterEntry(
         "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage:AdvantageInterpreter", "advantage",
         prior="lstm", model="interpreters.advantage:Critics"),

@@ -21,7 +21,7 @@ from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSiz
 from interpreters.settings import QConfig
 from interpreters.transformer import INITIAL, Head, KeyValue, Layer, begin_small, sliding, two_stream_mask
 
-__all__ = ["ConservativeQ", "QNetwork", "conservative_q_loss"]
+__all__ = ["ConservativeQ", "LiteralQNetwork", "QNetwork", "conservative_q_loss"]
 
 
 @dataclass(frozen=True)
@@ -146,6 +146,12 @@ class QNetwork(nn.Module, InterpreterDefaults):
         keep = self.cached and tokens.shape[2] < window
         scores = self.head(out[0, 1, -1]).double().cpu().numpy()
         return scores, QState(state.speaker, tokens, present if keep else None, features.high)
+
+
+class LiteralQNetwork(QNetwork):
+    """The Q-network that learned from recorded lexemes only and whose best lexeme is played, as published."""
+
+    name = "cql-literal"
 
 
 def data_nll(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from eval.claim import Bound
 from eval.runner.renderings import spread_evenly
 from gesticulator.bundle import bundle as bundles
 from gesticulator.options import InferenceOptions
-from gesticulator.pipeline import Gesticulator, PolicyWarning
+from gesticulator.pipeline import Gesticulator, InterpreterWarning
 from gesticulator.training.presets import preset
 
 cql = benchmark("cql")
@@ -26,7 +26,7 @@ def shipped() -> bundles.Bundle:
 def temperature(system: Gesticulator, **asked: object) -> float:
     options = InferenceOptions.of(dict(asked))  # type: ignore[arg-type]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PolicyWarning)
+        warnings.simplefilter("ignore", InterpreterWarning)
         return system.cast(options, text=False).sampling.temperature
 
 
@@ -53,7 +53,7 @@ def test_a_policy_that_is_no_better_is_remarked_upon_once(shipped: bundles.Bundl
         assert not caught
         for _ in range(3):
             system.cast(options, text=False)
-    assert [type(one.message) for one in caught] == [PolicyWarning]
+    assert [type(one.message) for one in caught] == [InterpreterWarning]
     assert "lstm" in str(caught[0].message) and "\n" not in str(caught[0].message)
 
 
@@ -63,7 +63,7 @@ def test_streams_of_one_gesticulator_remark_once(shipped: bundles.Bundle) -> Non
         warnings.simplefilter("always")
         for _ in range(2):
             system.stream(16000, interpreter="cql")
-    assert [one for one in caught if issubclass(one.category, PolicyWarning)] == caught[:1]
+    assert [one for one in caught if issubclass(one.category, InterpreterWarning)] == caught[:1]
 
 
 # The table

@@ -17,7 +17,7 @@ def test_what_each_preset_is(name: str) -> None:
     racer, flow = name.startswith("racer"), name == "default"
     assert system.drawing.name == ("decoded" if racer else "flow" if flow else "regression")
     assert (system.blocks, system.varies) == (not racer, flow)
-    assert system.streams == system.lives == (name in ("default", "regression"))
+    assert system.streams == system.lives == (name in ("default", "paper-quick", "regression"))
 
 
 @pytest.mark.parametrize("name", PRESETS)

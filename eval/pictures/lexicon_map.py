@@ -47,6 +47,7 @@ from eval.pictures.strips import save_strip
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
+from gesticulator.bundle.files import NAMED, bundle_folder
 from lexicon.movement import MovementLexicon
 
 LEAST, SURE, PRIOR = 5, 3.0, 500.0
@@ -220,8 +221,8 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
     order = sorted((own for own in entries if own.blocks), key=lambda own: (-own.blocks, own.lexeme))
     save_strip(sheet([own.lexeme for own in order[:MOST]], motions, [own.does for own in entries], silent),
                out / "lexemes.png", dpi=100)
-    shipped = folder is None or Path(folder).resolve() == bundles.SHIPPED.resolve()
-    command = (f"gesticulator bundle silent{'' if shipped else ' ' + shlex.quote(str(folder))}",
+    shipped = bundle_folder(folder).resolve() in {own.resolve() for own in NAMED.values()}
+    command = (f"gesticulator bundle silent{'' if folder is None else ' ' + shlex.quote(str(folder))}",
                " --out my-bundle" if shipped else "")
     note = (f"{len(infos)} recordings, {len(labels)} blocks of {store.corpus}; {used} of {size} lexemes used, "
             f"{len(silent)} silent. Words: at least {LEAST} times and {SURE:g} standard errors too often. Pictures: "
@@ -239,7 +240,7 @@ def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What `gesticulator draw lexicon` takes."""
-    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    parser.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     parser.add_argument("--data", required=True, metavar="STORE")
     parser.add_argument("--out", required=True, type=Path, metavar="FOLDER")
     parser.add_argument("--split", default="train", choices=(*SPLITS, "all"))
@@ -254,7 +255,7 @@ def run(arguments: argparse.Namespace) -> list[Path]:
         raise InputError("--points", "must be 10 or more")
     torch.set_num_threads(1)
     store = Store.open(arguments.data)
-    result = write_map(bundles.load(arguments.bundle or bundles.SHIPPED), arguments.bundle, store,
+    result = write_map(bundles.load(bundle_folder(arguments.bundle)), arguments.bundle, store,
                        evenly(store, arguments.split, arguments.limit), arguments.out, arguments.points)
     print(f"{result['blocks']} blocks, {sum(own['blocks'] > 0 for own in result['lexemes'])} of "
           f"{len(result['lexemes'])} lexemes used; {100 * result['neighbours_in_picture']:.0f} % of neighbours in the "

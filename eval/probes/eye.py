@@ -43,7 +43,7 @@ from eval.runner.renderings import (
     plan_of,
 )
 from eval.table import Table
-from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import bundle_folder
 
 Pairs = Sequence[tuple[AcceptanceVoice, Pair]]
 
@@ -56,7 +56,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="audio files, or folders of them (default: the voice of the real recording)")
     parser.add_argument("--data", metavar="STORE",
                         help="also compare with its test split (the corpus) and with unit selection")
-    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    parser.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     parser.add_argument("--renderings", type=int, default=8, metavar="N", help="seeds per audio file (default 8)")
     parser.add_argument("--reference", type=Path, metavar="FILE",
                         help=f"feature space of the Fréchet distance (default: {REFERENCE} in GESTICULATOR_DATA)")
@@ -147,7 +147,7 @@ def _of_test_split(store: Store, limit: int | None) -> list[AcceptanceVoice]:
 def _players(arguments: argparse.Namespace, store: Store | None) -> list[RenderedSystem]:
     """Unit selection, where there is a store, and ours."""
     kept = KeptRenderings(None)
-    ours = BundleSystem(OURS, Path(arguments.bundle) if arguments.bundle else bundles.SHIPPED, kept)
+    ours = BundleSystem(OURS, bundle_folder(arguments.bundle), kept)
     if store is None:
         return [ours]
     work = arguments.work or Path(f"{store.path}.work")

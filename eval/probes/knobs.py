@@ -122,7 +122,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=30.0, metavar="S",
                         help="seconds of each audio file (default 30)")
     parser.add_argument("--only", nargs="+", choices=list(ROWS), metavar="ROW", help="only these settings")
-    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    parser.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
 
 
 def run(arguments: argparse.Namespace) -> Sequence[Table]:

@@ -243,7 +243,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--data", required=True, nargs="+", type=Path, metavar="DIR",
         help="folders of LANGUAGE_NAME.flac, and stores (their test split)")
-    add("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    add("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     add("--reverse", metavar="DIR", help="a bundle trained on another language, on the same speech")
     add("--interpreters", default=("lstm",), type=_listed, metavar="A,B", help=f"of {', '.join(INTERPRETERS)} (lstm)")
     add("--speak", type=_listed, metavar="cmn,de",

@@ -184,7 +184,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speech", nargs="+", type=Path, default=[], metavar="FILE",
                         help="recordings in which the gestures are performed, too")
     parser.add_argument("--draws", type=int, default=4, metavar="N", help="variations of each script (default 4)")
-    parser.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    parser.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
 
 
 def run(arguments: argparse.Namespace) -> Sequence[Table]:

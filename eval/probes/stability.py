@@ -129,7 +129,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="audio files (default: the voice of the real recording in GESTICULATOR_DATA)")
     parser.add_argument("--text", nargs="+", type=Path, default=[], metavar="FILE",
                         help="their transcripts in the same order; then one word is changed, too")
-    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    parser.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     parser.add_argument("--speaker", metavar="NAME", help="speaker (default: that of the bundle)")
     parser.add_argument("--seeds", type=int, default=2, metavar="N", help="renderings of each sound (default 2)")
 

@@ -151,7 +151,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pause", type=float, default=30.0, metavar="S",
                         help="seconds of a pause, 0 for none (default 30)")
     parser.add_argument("--renderings", type=int, default=4, metavar="N", help="seeds for each (default 4)")
-    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    parser.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     parser.add_argument("--system", action="append", default=[], metavar="NAME=DIR", help="BVH files with legs")
     parser.add_argument("--people", type=Path, metavar="DIR", help="people from whom to measure the bands anew")
 

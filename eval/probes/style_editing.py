@@ -61,7 +61,7 @@ def tables(result: Mapping[str, Any]) -> list[Table]:
 def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, a bundle, how many clips."""
     parser.add_argument("--data", required=True, metavar="STORE", help="store whose test split is used")
-    parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    parser.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="also draw RG Fig. 10")
     parser.add_argument("--clips", type=int, default=CLIPS, help=f"number of clips (default {CLIPS})")
     parser.add_argument("--seconds", type=float, default=SECONDS, help=f"seconds of each clip (default {SECONDS:g})")

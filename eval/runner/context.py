@@ -30,7 +30,7 @@ from eval.metrics.gesture_features import Features
 from eval.table import Provenance
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.bundle.models import JUDGES
 from gesticulator.cli import PROGRAM
 from gesticulator.pipeline import Gesticulator
@@ -70,7 +70,8 @@ class EvalContext:
     def arguments(parser: argparse.ArgumentParser) -> None:
         """What `of` reads."""
         parser.add_argument("--data", required=True, metavar="STORE", help="a store built by `gesticulator build`")
-        parser.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+        parser.add_argument("--bundle", metavar="NAME|DIR",
+                            help="bundle: default, paper, or a folder (default: default)")
         parser.add_argument("--work", metavar="DIR",
                             help="work folder: cached blocks and networks, and the reward models of the bundle's "
                             "training (default: STORE.work)")
@@ -83,7 +84,7 @@ class EvalContext:
         if arguments.limit is not None and arguments.limit < 1:
             raise InputError(f"--limit {arguments.limit}", "leaves no recording", "choose 1 or more")
         store, work = opened(arguments.data, arguments.work)
-        bundle = with_judges(bundles.load(arguments.bundle or bundles.SHIPPED), work)
+        bundle = with_judges(bundles.load(bundle_folder(arguments.bundle)), work)
         return cls.over(store, bundle, work, arguments.limit, not arguments.quiet)
 
     @property
@@ -204,7 +205,6 @@ def provenance(arguments: argparse.Namespace) -> Provenance:
     """Where the figures of the command that is running come from: `--bundle` is measured, the shipped one where it is
     left out, and none where the command has no such option."""
     named = getattr(arguments, "bundle", None)
-    folder = bundles.SHIPPED if named in (None, "shipped") else Path(named)
-    index = folder / INDEX
+    index = bundle_folder(named) / INDEX
     return Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]]),
                           index if hasattr(arguments, "bundle") and index.is_file() else None)

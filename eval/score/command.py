@@ -432,7 +432,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--truth", type=Path, required=True, metavar="DIR", help="the speakers' own motion, or a store")
     add("--system", action="append", required=True, metavar="NAME=DIR",
-        help="motion files, or a bundle ('shipped' for the shipped one) that is run on the audio of the truth, "
+        help="motion files, or a bundle (a folder, default or paper) that is run on the audio of the truth, "
         "NAME=BUNDLE:INTERPRETER; can be repeated")
     add("--speech", type=Path, metavar="DIR", help="folder of the audio (default: beside the motion)")
     add("--fgd", type=Path, metavar="FOLDER", help="folder of the Human3.6M network of the papers")
@@ -441,7 +441,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "judging reward model")
     add("--bundle", metavar="DIR",
         help="bundle whose lexicon measures diversity, motion variance and lexeme accuracy, and whose judging model "
-        "in --work measures the reward ('shipped' for the shipped one)")
+        "in --work measures the reward (a folder, default or paper)")
     add("--split", default="test", choices=(*SPLITS, "all"), help="split of the store to compare (default: test)")
     add("--piece", metavar="SECONDS", help="cut long clips into pieces of this length")
     add("--rate", metavar="FPS", help="frame rate of the comparison (default: the lowest of all)")
@@ -461,8 +461,9 @@ def scored(arguments: argparse.Namespace) -> Scores:
     bundle = None
     if arguments.bundle:
         from gesticulator.bundle import bundle as bundles
+        from gesticulator.bundle.files import bundle_folder
 
-        bundle = with_judges(bundles.load(bundles.SHIPPED if arguments.bundle == "shipped" else arguments.bundle),
+        bundle = with_judges(bundles.load(bundle_folder(arguments.bundle)),
                              arguments.work)
         # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
         _ = bundle.block_models

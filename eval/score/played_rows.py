@@ -12,11 +12,9 @@ from data_module.store import Store
 from data_module.types import Speech
 from eval.clip.foreign import Clip
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.pipeline import Gesticulator
 from interpreters import INTERPRETERS
-
-SHIPPED = "shipped"
 
 
 @dataclass(frozen=True)
@@ -28,10 +26,11 @@ class PlayedBundle:
 
     @classmethod
     def named(cls, place: str) -> PlayedBundle | None:
-        """BUNDLE or BUNDLE:INTERPRETER, where BUNDLE may be "shipped"; None for a place that holds no bundle."""
+        """BUNDLE or BUNDLE:INTERPRETER, where BUNDLE is a folder, "default" or "paper"; None for a place that holds no
+        bundle, such as a folder of motion files, by whatever name."""
         before, colon, after = place.rpartition(":")
         own, chooser = (before, after) if colon and after in INTERPRETERS else (place, None)
-        folder = bundles.SHIPPED if own == SHIPPED else Path(own)
+        folder = bundle_folder(own) if (Path(own) / INDEX).is_file() or not Path(own).is_dir() else Path(own)
         return cls(folder, chooser) if (folder / INDEX).is_file() else None
 
     def row(self, truth: Mapping[str, Clip], seed: int) -> dict[str, Clip]:

@@ -315,7 +315,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     n.add_argument("--takes", type=int, default=1, metavar="N", help="clips of each gesture (default 1)")
     n.add_argument("--seed", type=int, default=0, metavar="K", help="seed of clips, answers and orders (default 0)")
     n.add_argument("--raters", type=int, default=30, metavar="N", help="number of different orders (default 30)")
-    n.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    n.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     a = commands.add_parser("analyse", help="compute means, intervals, ANOVA, Tukey HSD and ranks; of a study of "
                             "meanings, shares and confusions")
     a.add_argument("--key", type=Path, required=True, metavar="FILE.json")

@@ -13,8 +13,7 @@ from gesticulator.batch import ray_pool
 from gesticulator.batch.jobs import Job
 from gesticulator.batch.manifest import check_manifest, default_name
 from gesticulator.batch.run import BatchTask, Maker, done_here, file_hash, parse_shard, run_batch
-from gesticulator.bundle.bundle import SHIPPED
-from gesticulator.bundle.files import INDEX, read_index
+from gesticulator.bundle.files import INDEX, bundle_folder, read_index
 from gesticulator.version import __version__
 
 _NOT_SETTINGS = {"speech", "output", "preview", "plan_out", "text", "bundle", "list", "quiet", "manifest", "shard",
@@ -35,7 +34,7 @@ def run_jobs(jobs: Sequence[Job], args: argparse.Namespace, make: Maker) -> tupl
     check_manifest(path)
     if args.ray:
         ray_pool.check_ray(args.ray)
-    folder = Path(args.bundle) if args.bundle else SHIPPED
+    folder = bundle_folder(args.bundle)
     read_index(folder)
     bundle, settings = file_hash(folder / INDEX), _settings_hash(args)
     tasks = [BatchTask(number, job.source, job.targets, (__version__, bundle, _with_text(settings, job.text)),

@@ -29,6 +29,7 @@ from gesticulator.bundle.files import (
     CARD,
     ENDING,
     INDEX,
+    NAMED,
     TIED,
     Weights,
     lexicon_hash,
@@ -70,8 +71,9 @@ if TYPE_CHECKING:
 __all__ = ["Bundle", "load"]
 
 P = TypeVar("P")
-SHIPPED = Path(__file__).parents[1] / "assets" / "bundle"
-"""The bundle shipped with the package."""
+SHIPPED = NAMED["default"]
+"""The shipped bundle that is used unless another is given; `gesticulator.bundle.files.bundle_folder` finds the others
+by name."""
 _NO_BLOCKS = "holds RACER's own codec, without lexicon, generator and style"
 _STATISTICS = "statistics"
 

@@ -13,7 +13,8 @@ from gesticulator.cli import Command
 def _arguments(p: argparse.ArgumentParser) -> None:
     verbs = p.add_subparsers(dest="what", required=True, metavar="inspect|silent|upgrade")
     inspect = verbs.add_parser("inspect", help="show the content, sizes, hashes and training data of a bundle")
-    inspect.add_argument("bundle", nargs="?", metavar="BUNDLE", help="folder of the bundle (default: the shipped one)")
+    inspect.add_argument("bundle", nargs="?", metavar="BUNDLE",
+                         help="default, paper, or the folder of a bundle (default: default)")
     inspect.add_argument("--settings", action="store_true", help="also show every setting")
     silent.arguments(verbs.add_parser("silent", help="list or edit the silent lexemes (RG 6.4.1)"))
     upgrade = verbs.add_parser("upgrade", help="convert a bundle of an older format to the current one")
@@ -37,11 +38,11 @@ def _run(args: argparse.Namespace) -> int:
 def _inspected(given: str | None, settings: bool) -> str:
     """The output of `bundle inspect`. Every part is opened, so a broken one is found here."""
     from data_module.layers import parameter_count
-    from gesticulator.bundle.bundle import SHIPPED, load
-    from gesticulator.bundle.files import read_index
+    from gesticulator.bundle.bundle import load
+    from gesticulator.bundle.files import bundle_folder, read_index
     from gesticulator.bundle.models import part_table
 
-    folder = Path(given) if given else SHIPPED
+    folder = bundle_folder(given)
     index, bundle = read_index(folder), load(folder)
     sizes = {name: parameter_count(bundle.parts[name]) for name in bundle.parts}
     lines = [f"{folder}: format {index['format']}, preset {bundle.config.name}, made by "

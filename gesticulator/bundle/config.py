@@ -179,6 +179,8 @@ class Schedules:
     """Each of RACER's two reward models."""
     cql: FitSettings = NOT_TRAINED
     """RACER's Q-network; 0 steps: no reward models either."""
+    cql_literal: FitSettings = NOT_TRAINED
+    """A second Q-network as published (`Config.cql_literal`), beside the first."""
     advantage: FitSettings = NOT_TRAINED
     """The critics of the advantage interpreter."""
     others: dict[str, dict[str, Any]] = field(default_factory=dict, hash=False)
@@ -253,6 +255,8 @@ class SelectionConfig:
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
     together: NotNegative = 0.0
     """Weight, relative to `timing`, of a head that turns as fast as goes with the speed of the hands."""
+    pitch: NotNegative = 0.0
+    """Weight, relative to `timing`, of a trunk that turns faster where the voice is high and slower where it is low."""
     as_styled: NotNegative = 0.0
     """Weight, relative to `timing`, of hands that are as fast, high and far as the unit's style code says."""
     fresh: bool = False
@@ -288,6 +292,9 @@ class Config:
     """The reward that evaluates one: other recordings, seeds and sizes."""
     episodes: EpisodeConfig = field(default_factory=EpisodeConfig)
     cql: QConfig = field(default_factory=QConfig)
+    cql_literal: QConfig = field(default_factory=lambda: QConfig(conservative=1.0))
+    """The Q-network as published, on recorded lexemes only: no discount but the paper's and no warm-up. RACER gives no
+    alpha; 1 weighs the two terms of its Eq. 11 equally."""
     advantage: CriticConfig = field(default_factory=CriticConfig)
     tokens: Annotated[str, SettingChoice(("lexicon", "racer"))] = "lexicon"
     """Gesture vocabulary: "lexicon", one lexeme per block at the beat, rendered by a generator; or "racer", RACER's

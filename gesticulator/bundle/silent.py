@@ -87,7 +87,8 @@ def rewritten_copy(folder: Path, target: Path, silent: Iterable[int]) -> None:
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
-    p.add_argument("bundle", nargs="?", metavar="BUNDLE", help="folder of the bundle (default: the shipped one)")
+    p.add_argument("bundle", nargs="?", metavar="BUNDLE",
+                   help="default, paper, or the folder of a bundle (default: default)")
     p.add_argument("--set", metavar="3,7,9", help="use exactly these")
     p.add_argument("--automatic", action="store_true", help="restore those that training detected")
     p.add_argument("--add", metavar="3,7,9", default="", help="add these")
@@ -97,10 +98,9 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """List or edit the silent lexemes; InputError for invalid arguments."""
-    from gesticulator.bundle.bundle import SHIPPED
-    from gesticulator.bundle.files import read_index
+    from gesticulator.bundle.files import NAMED, bundle_folder, read_index
 
-    folder = Path(args.bundle) if args.bundle else SHIPPED
+    folder = bundle_folder(args.bundle)
     index = read_index(folder)
     before, size = silent_of(index, folder)
     add, remove = numbers(args.add), numbers(args.remove)
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
     after = edited(before, size, chosen=chosen, add=add, remove=remove)
     if args.out is not None:
         rewritten_copy(folder, args.out, after)
-    elif folder.resolve() == SHIPPED.resolve():
+    elif folder.resolve() in {shipped.resolve() for shipped in NAMED.values()}:
         raise InputError(folder, "is shipped with the package and is not changed",
                          "add --out DIR for an edited copy, and use that")
     else:

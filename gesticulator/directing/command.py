@@ -10,7 +10,7 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from gesticulator.cli import Command
 
-_BUNDLE_HELP = "folder of trained weights (default: the shipped ones)"
+_BUNDLE_HELP = "default, paper, or the folder of a bundle (default: default)"
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
@@ -19,7 +19,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     check = verbs.add_parser("check", help="report the errors of a plan with their lines, or its edits")
     check.add_argument("plan", metavar="PLAN", help="a plan, .json or .bml")
     names = verbs.add_parser("names", help="list the named gestures and the names of the lexemes")
-    names.add_argument("--bundle", metavar="DIR", help=_BUNDLE_HELP)
+    names.add_argument("--bundle", metavar="NAME|DIR", help=_BUNDLE_HELP)
     convert = verbs.add_parser("convert", help="convert JSON to BML or back")
     convert.add_argument("plan", metavar="PLAN", help="a plan, .json or .bml")
     convert.add_argument("out", type=Path, metavar="OUT", help="the file to write, .json or .bml")
@@ -53,7 +53,8 @@ def _summary(path: str) -> str:
 
 
 def _print_names(bundle: str | None) -> None:
-    from gesticulator.bundle.bundle import SHIPPED, load
+    from gesticulator.bundle.bundle import load
+    from gesticulator.bundle.files import bundle_folder
     from gesticulator.directing.lexeme_names import lexeme_names
     from gesticulator.plan.gestures import GESTURES
 
@@ -61,7 +62,7 @@ def _print_names(bundle: str | None) -> None:
     for name, about in GESTURES.items():
         print(f"  {name}: {about}")
     print("lexemes (learned movements, named by what the hands do)")
-    for entry in lexeme_names(load(Path(bundle) if bundle else SHIPPED)):
+    for entry in lexeme_names(load(bundle_folder(bundle))):
         print(f"  {entry.lexeme}: {entry.name}{'  (silent)' if entry.silent else ''}")
 
 

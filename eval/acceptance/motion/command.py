@@ -60,7 +60,7 @@ from eval.runner.renderings import (
     system_at,
 )
 from eval.table import Cell, Column, Table, dumps, loads
-from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import bundle_folder
 
 TITLES = {"motion": "Perceptual figures", "lexicon": "Lexemes: consistency and obedience",
           "rest": "Rest and idle motion", "effort": "Effort and level of the voice",
@@ -115,7 +115,7 @@ GROUPS: dict[str, Callable[[Acceptance], tuple[list[Verdict], list[Table]]]] = {
 def arguments(parser: argparse.ArgumentParser) -> None:
     """What the probe takes."""
     add = parser.add_argument
-    add("--bundle", type=Path, metavar="DIR", help="bundle (default: the shipped one)")
+    add("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     add("--store", metavar="STORE",
         help="store whose test split is the corpus and whose training split is used for unit selection")
     add("--system", action="append", default=[], metavar="NAME=DIR",
@@ -168,7 +168,7 @@ def _opened(arguments: argparse.Namespace) -> tuple[Acceptance, Path | None]:
     store = Store.open(arguments.store) if arguments.store else None
     work = arguments.work or (None if store is None else Path(f"{store.path}.work") / "acceptance")
     kept = KeptRenderings(None if work is None else work / "renderings")
-    ours = BundleSystem(OURS, arguments.bundle or bundles.SHIPPED, kept)
+    ours = BundleSystem(OURS, bundle_folder(arguments.bundle), kept)
     _ = ours.bundle.block_models  # a bundle of RACER's own codec has no lexemes that blocks are drawn by
     ours.gesticulator.speaker_index(arguments.speaker)
     take = real_take(HZ, own_rig=True)

@@ -49,8 +49,7 @@ from eval.runner.policy import Decisions, PolicyJudge
 from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
-from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.files import read_index
+from gesticulator.bundle.files import bundle_folder, read_index
 from gesticulator.training.stages.q_network import takes_of
 from gesticulator.training.stages.reward import context_of, reward_table
 
@@ -119,7 +118,7 @@ def run(arguments: argparse.Namespace) -> list[Table]:
     if lacking:
         raise InputError("probe racer", f"finds no {', '.join(lacking)}",
                          "use a bundle with schedules.advantage.steps, and --work with the work folder of its training")
-    folder = Path(arguments.bundle or bundles.SHIPPED)
+    folder = bundle_folder(arguments.bundle)
     clauses, shown = accepted(context, folder, arguments)
     if arguments.json is not None:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)

@@ -25,7 +25,7 @@ from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TE
 from gesticulator.training.stages.labels import LABELS, Labelled
 from gesticulator.training.stages.lexicon import CODEC, LEXICON, TOKENS, Tokens
 from gesticulator.training.stages.planner import PLANNER
-from gesticulator.training.stages.q_network import EPISODES, Q_NETWORK
+from gesticulator.training.stages.q_network import EPISODES, Q_LITERAL, Q_NETWORK
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
 from gesticulator.training.stages.speech import CONTRAST, ENCODER, SPEECH
 from gesticulator.training.stages.style import STYLE, STYLE_TEXT
@@ -46,6 +46,8 @@ ENTRIES: Registry[RegistryEntry] = Registry("stages", "a gesticulator.training.s
     "reward": RegistryEntry("RACER's reward model: how well motion fits speech", f"{_HERE}.reward:REWARD"),
     "reward_judge": RegistryEntry("a second reward model, which judges", f"{_HERE}.reward:REWARD_JUDGE"),
     "q_network": RegistryEntry("RACER's Q-network, by conservative Q-learning", f"{_HERE}.q_network:Q_NETWORK"),
+    "q_network_literal": RegistryEntry("RACER's Q-network as published: recorded lexemes only",
+                                       f"{_HERE}.q_network:Q_LITERAL"),
     "advantage": RegistryEntry("the critics of the advantage interpreter", f"{_HERE}.advantage:ADVANTAGE"),
     "generator": RegistryEntry("the generator: from lexemes and styles to motion", f"{_HERE}.generator:GENERATOR"),
     "style": RegistryEntry("the style interpreter: from speech to style codes", f"{_HERE}.style:STYLE"),
@@ -81,9 +83,9 @@ class StageTable(Mapping[str, Stage[Any]]):
 STAGES = StageTable()
 
 __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUALS", "ENCODER", "EPISODES", "GATE",
-           "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "PLANNER", "Q_NETWORK", "REWARD",
-           "REWARD_JUDGE", "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node", "Run",
-           "Stage", "Tokens", "assemble", "closure", "wanted"]
+           "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "PLANNER", "Q_LITERAL", "Q_NETWORK",
+           "REWARD", "REWARD_JUDGE", "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node",
+           "Run", "Stage", "Tokens", "assemble", "closure", "wanted"]
 
 
 def wanted(config: Config) -> list[Stage[Any]]:

@@ -23,10 +23,10 @@ from gesticulator.training.stages.features import CORPUS
 from gesticulator.training.stages.interpreter import INTERPRETER
 from gesticulator.training.stages.labels import LABELS, Labelled, model_sizes
 from gesticulator.training.stages.lexicon import TOKENS
-from gesticulator.training.stages.reward import REWARD, step_reward
+from gesticulator.training.stages.reward import REWARD, reward_table, step_reward
 from interpreters.base import BlockFeatures
 from interpreters.cql import ConservativeQ, QNetwork, data_nll
-from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, SilentLexemes, build
+from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, Reward, SilentLexemes, build
 from interpreters.statistical import StatisticalInterpreter
 
 _CHECKS, _WINDOWS = 4, 64
@@ -56,21 +56,28 @@ def silent_of(labelled: Labelled) -> SilentLexemes:
 
 
 def _make_episodes(run: Run) -> Episodes:
-    file = run.work / f"episodes-{run.key(EPISODES)}.npz"
+    def make() -> Episodes:
+        corpus, config, labelled = run.get(CORPUS), run.config, run.get(LABELS)
+        frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
+        others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions,
+                                                                        config.statistical)}
+        if system_of(config).uses(INTERPRETER.name):
+            others["sampled"] = run.get(INTERPRETER)
+        return build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
+                     silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(),
+                     policies=BehaviourPolicies(others, features_of(corpus)), seed=run.seed(EPISODES))
+
+    return _cached(run, EPISODES, make)
+
+
+def _cached(run: Run, node: Node[Episodes], make: Callable[[], Episodes]) -> Episodes:
+    file = run.work / f"{node.name}-{run.key(node)}.npz"
     if file.exists():
         try:
             return Episodes.load(file)
         except InputError:
             pass  # truncated by a crash, or changed: compute again
-    corpus, config, labelled = run.get(CORPUS), run.config, run.get(LABELS)
-    frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
-    others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions,
-                                                                    config.statistical)}
-    if system_of(config).uses(INTERPRETER.name):
-        others["sampled"] = run.get(INTERPRETER)
-    episodes = build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
-                     silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(), policies=BehaviourPolicies(
-                         others, features_of(corpus)), seed=run.seed(EPISODES))
+    episodes = make()
     episodes.save(file)
     return episodes
 
@@ -82,6 +89,27 @@ def _episode_needs(config: Config) -> Sequence[Node[Any]]:
 EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "statistical", "silence.hint"), needs=_episode_needs,
                                 make=_make_episodes)
 """The offline data set of the training split, cached under the hash of its inputs (RACER 4.3)."""
+
+
+def literal_reward(run: Run) -> Reward:
+    """The reward of a step as published: the cosine of motion and audio (RACER Eq. 8), relative to nothing."""
+    return reward_table(run.get(REWARD), run.get(TOKENS), run.get(CORPUS), literal=True).sequence
+
+
+def _make_literal(run: Run) -> Episodes:
+    def make() -> Episodes:
+        corpus, labelled = run.get(CORPUS), run.get(LABELS)
+        return build(takes_of(corpus, labelled.hinted, "train"), LITERAL, literal_reward(run),
+                     silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(),
+                     seed=run.seed(LITERAL_EPISODES))
+
+    return _cached(run, LITERAL_EPISODES, make)
+
+
+LITERAL_EPISODES: Node[Episodes] = Node(
+    "episodes_literal", settings=("silence.hint",), needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD),
+    make=_make_literal)
+"""RACER's own data set: the lexemes of the performers and nothing else."""
 
 
 def q_batch(corpus: Corpus, windows: dict[str, Tensor], lookahead: int = 1) -> dict[str, Tensor]:
@@ -99,24 +127,24 @@ def new_q_network(config: Config, corpus: Corpus, vectors: Tensor, silent: NDArr
                                                             silent=tuple(silent.tolist()))))
 
 
-def _train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
-    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
-    decisions, ahead = config.cql.decisions, config.cql.lookahead
-    episodes = run.get(EPISODES)
+def _train(run: Run, learner: ConservativeQ, folder: Path, stage: Stage[QNetwork], episodes: Episodes,
+           reward: Reward) -> Figures:
+    """Fit a Q-network to episodes; `reward` is that of a step of the validation recordings."""
+    corpus, labelled, config = run.get(CORPUS), run.get(LABELS), learner.config
     held = build(takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train"), LITERAL,
-                 step_reward(run), silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
+                 reward, silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
     # Windows of the plain recordings; precomputed window rewards belong to the training episodes.
     plain = Episodes(held.episodes)
-    checks = [q_batch(corpus, plain.windows(fitting.generator_for(3, i), _WINDOWS, decisions), ahead)
+    checks = [q_batch(corpus, plain.windows(fitting.generator_for(3, i), _WINDOWS, config.decisions), config.lookahead)
               for i in range(_CHECKS)]
 
     @torch.no_grad()
     def validate() -> Figures:
         return q_figures(learner, [{key: value.to(run.device) for key, value in b.items()} for b in checks])
 
-    task = fitting.Task(lambda rng: q_batch(corpus, episodes.windows(rng, run.schedule(Q_NETWORK).batch, decisions),
-                                            ahead), validate=validate, before_step=learner.before_step)
-    return run.fit(Q_NETWORK, learner, task, folder)
+    task = fitting.Task(lambda rng: q_batch(corpus, episodes.windows(rng, run.schedule(stage).batch, config.decisions),
+                                            config.lookahead), validate=validate, before_step=learner.before_step)
+    return run.fit(stage, learner, task, folder)
 
 
 @torch.no_grad()
@@ -142,6 +170,17 @@ def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> d
 Q_NETWORK: Stage[QNetwork] = Stage(
     "q_network", settings=("cql", "silence.hint"), schedule="cql",
     needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, EPISODES),
-    wanted=lambda config: config.schedules.cql.steps > 0, part="q_network", train=_train,
+    wanted=lambda config: config.schedules.cql.steps > 0, part="q_network",
+    train=lambda run, learner, folder: _train(run, learner, folder, Q_NETWORK, run.get(EPISODES), step_reward(run)),
     finish=lambda learner: cast("ConservativeQ", learner).online,
     build=lambda run: ConservativeQ(models.build("q_network", model_sizes(run))))
+Q_LITERAL: Stage[QNetwork] = Stage(
+    "q_network_literal", settings=("cql_literal", "silence.hint"), schedule="cql_literal",
+    needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, LITERAL_EPISODES),
+    wanted=lambda config: min(config.schedules.cql.steps, config.schedules.cql_literal.steps) > 0,
+    part="q_network_literal",
+    train=lambda run, learner, folder: _train(run, learner, folder, Q_LITERAL, run.get(LITERAL_EPISODES),
+                                              literal_reward(run)),
+    finish=lambda learner: cast("ConservativeQ", learner).online,
+    build=lambda run: ConservativeQ(models.build("q_network_literal", model_sizes(run))))
+"""The Q-network as published, trained on `LITERAL_EPISODES`."""
