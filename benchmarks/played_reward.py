@@ -24,9 +24,9 @@ from pathlib import Path
 import torch
 
 from eval import stats
-from eval.metrics.played_reward import PlayedWindows, Scores, found, margins, scored, train
 from eval.runner.context import opened
 from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, PlayedVoice, VoicePlayer
+from eval.runner.played_reward import PlayedWindows, Scores, found, margins, scored, train
 from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
 from eval.stats import Interval
 from eval.table import Cell, Column, Provenance, Table, publish

@@ -6,9 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from test_infer import babble
 from torch import Tensor
 
-from eval.metrics.played_reward import (
+from data_module.speech.audio import as_speech
+from eval.baselines.interpreters import ReplayInterpreter
+from eval.runner.played import PERFORMER, REPLAYED, PlayedVoice
+from eval.runner.played_reward import (
     PlayedWindows,
     Scores,
     found,
@@ -17,8 +21,9 @@ from eval.metrics.played_reward import (
     train,
     whole_windows,
 )
-from eval.runner.played import PERFORMER, REPLAYED, PlayedVoice
+from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import FitSettings
+from gesticulator.pipeline import Gesticulator
 from interpreters.reward import RewardModel
 from interpreters.reward_table import RewardTable
 from interpreters.settings import RewardConfig
@@ -89,6 +94,32 @@ def test_rivals_are_on_the_same_sound_and_only_beside_played_motion() -> None:
     row, valid = kinds[True]["rival"][3, 0], kinds[True]["valid"][3].bool()
     assert any(torch.equal(voice.motions[RIVAL][start:start + int(valid.sum())], row[valid])
                for voice in voices for start in range(BLOCKS) if start + int(valid.sum()) <= BLOCKS)
+
+
+# Lexemes that are known beforehand
+
+
+def test_a_replay_goes_on_where_the_generator_begins_anew() -> None:
+    replay = ReplayInterpreter([np.array([3, 1, 2]), np.array([0])], 5)
+    out = []
+    for restarts in (True, True, False, True):
+        if restarts:
+            replay.start(0, 0)
+        out.append(int(replay.step(None, None, 0)[0].argmax()))  # type: ignore[arg-type]
+    assert out == [3, 1, 2, 0], "a start within a sequence continues it, one after its end begins the next"
+
+
+def test_what_is_replayed_is_played_by_the_shipped_bundle() -> None:
+    bundle = bundles.load(bundles.SHIPPED)
+    assert bundle.config.selection.fresh, "its generator starts interpreters again within a recording"
+    system, speech = Gesticulator(bundle), babble(8.0)
+    count = len(system.encode_speech(as_speech(speech, 16000)).blocks.silent)
+    wanted = np.random.default_rng(3).integers(len(bundle.vectors), size=count)
+    made = system(speech, 16000, interpreter=ReplayInterpreter([wanted], len(bundle.vectors)), temperature=0.0)
+    silent = made.blocks.silent
+    spoken = ~(silent | np.append(silent[1:], False))  # rest is a rule, which chooses for itself
+    assert spoken.sum() > 10
+    np.testing.assert_array_equal(made.lexemes[spoken], wanted[spoken])
 
 
 # Speeds in the reward model

@@ -6,7 +6,8 @@ played.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,18 +91,22 @@ class Bigram:
 
 
 class ReplayInterpreter:
-    """Lexemes that are known beforehand, one sequence after the other: each `start` begins the next."""
+    """Lexemes that are known beforehand, one sequence after the other: a `start` begins the next once the one before is
+    played to its end. Before that it goes on, since a generator that forgets the past where the hands set out anew
+    (`selection.fresh`) starts its interpreter again there."""
 
     def __init__(self, sequences: Iterable[Lexemes], size: int) -> None:
         self._coming, self._size = iter(sequences), size
+        self._left: deque[int] = deque()
 
-    def start(self, speaker: int, first_lexeme: int) -> Iterator[int]:
-        """The state is what is yet to come."""
-        return iter(next(self._coming).tolist())
+    def start(self, speaker: int, first_lexeme: int) -> None:
+        """What is yet to come is kept here."""
+        if not self._left:
+            self._left = deque(next(self._coming).tolist())
 
-    def step(self, state: Iterator[int], features: BlockFeatures, previous_lexeme: int) -> tuple[Array, Iterator[int]]:
+    def step(self, state: None, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, None]:
         """Scores [S] that leave one choice."""
-        return _only(next(state), self._size), state
+        return _only(self._left.popleft(), self._size), None
 
 
 class RandomStyle:

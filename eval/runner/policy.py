@@ -261,7 +261,8 @@ def perform(system: Gesticulator, recordings: Sequence[Recording], lexemes: Sequ
             progress: bool, encoded: Sequence[SpeechFeatures] | None = None) -> list[Motion]:
     """What the generator makes of these lexemes [M] for the speech of these recordings, the gate open. encoded: the
     recordings' speech, where it was encoded before."""
-    replay = ReplayInterpreter(lexemes, len(system.bundle.vectors))
-    return [system(replace(recording.speech, words=None), speaker=recording.info.speaker, interpreter=replay,
+    size = len(system.bundle.vectors)
+    return [system(replace(recording.speech, words=None), speaker=recording.info.speaker,
+                   interpreter=ReplayInterpreter([lexemes[place]], size),
                    temperature=0.0, activity=1.0, encoded=encoded[place] if encoded else None).motion
             for place, recording in enumerate(tqdm(recordings, desc=label, disable=not progress))]
