@@ -25,7 +25,7 @@ from gesticulator.serve.settings import ServerLimits
 if TYPE_CHECKING:
     from gesticulator.pipeline import Gesticulator
     from gesticulator.serve.server import ServerAddress
-    from gesticulator.serve.vmc import VmcOutput
+    from gesticulator.serve.vmc import PoseOutput, VmcOutput
 
 LOG = logging.getLogger("gesticulator.serve")
 SAMPLE_RATE = 16000
@@ -141,7 +141,8 @@ def serve_here(config: Launch, sockets: Sockets, worker: int = 0, folder: Path |
     listening = sockets.listening
 
     async def serve() -> None:
-        outputs, output = config.outputs(), None
+        outputs = config.outputs()
+        output: PoseOutput | None = None
         if outputs:
             from gesticulator.serve.vmc import SeveralOutputs
 
