@@ -151,6 +151,8 @@ def session(editor: Editor) -> None:
                                                                            "time": blocks[at[7]]["end"]}]))
     editor.changed("delete a beat", _delete(at[8]))
     editor.changed("move a beat", _move(at[11]))
+    editor.changed("pin a hand", lambda blocks, plan: plan.update(pins=[{
+        "time": blocks[at[12]]["start"], "joint": "LeftHand", "position": [0.25, 1.25, 0.3]}]))
     for number in range(12):
         editor.changed("", _swap(at[number]))
     editor.changed("swap after 20 edits", _swap(at[13]))

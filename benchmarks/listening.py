@@ -1,10 +1,13 @@
-"""What the lexeme interpreter and the planner hear: `python benchmarks/listening.py STORE --work DIR [--preset NAME]`.
+"""What the interpreters and the planner hear: `python benchmarks/listening.py STORE --work DIR [--preset NAME]`.
 
 Both are trained twice, with the same settings and seeds: on the recordings, and on the same recordings with the sound
 of each rolled by half its length, so that what can be heard there says nothing about the motion. Both are then judged
 on the true sound of the test split, given the true past: nats by which they predict the lexeme, the beginning
 of a gesture unit (of blocks after a rest), the phase, the hand and the size of a stroke. The statistical interpreter
 (RG Eq. 24) stands beside them. Differences are paired over recordings.
+
+Likewise the lexeme interpreter that reads words: trained on the words, and on words rolled by half of each recording,
+and judged on the true words, in all blocks and in those of strokes that the corpus chose for the meaning of a word.
 
 The links between speech and motion of our own corpus are planted by its rules (`gesticulator build performer --links`).
 """
@@ -16,6 +19,7 @@ import dataclasses
 import shlex
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -23,6 +27,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from data_module.store import Recording
 from data_module.types import Array
 from eval import stats
 from eval.runner.context import opened
@@ -31,7 +36,7 @@ from gesticulator.training.presets import preset
 from gesticulator.training.stages.base import Run
 from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.features import CORPUS
-from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
+from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TEXT, teacher_logits
 from gesticulator.training.stages.labels import LABELS
 from gesticulator.training.stages.planner import PLANNER, UNITS
 from interpreters.base import BlockFeatures
@@ -44,13 +49,34 @@ FIGURES = {"lexeme": "lexeme", "unit start": "beginning of a unit", "phase": "ph
            "size": "size of a stroke"}
 
 
+def half_way_on(corpus: Corpus) -> Tensor:
+    """[N] block numbers, those of every recording rolled by half of its blocks."""
+    return torch.as_tensor(np.concatenate([
+        np.roll(corpus.blocks_of(recording), len(corpus.blocks_of(recording)) // 2)
+        for recording in range(len(corpus.names))]))
+
+
 def rolled(corpus: Corpus) -> Corpus:
     """The corpus with the sound of every recording rolled by half its blocks."""
-    order = np.concatenate([np.roll(corpus.blocks_of(recording), len(corpus.blocks_of(recording)) // 2)
-                            for recording in range(len(corpus.names))])
-    rows = torch.as_tensor(order)
+    rows = half_way_on(corpus)
     low = corpus.low[rows]
     return dataclasses.replace(corpus, low=low, high=low if corpus.high is corpus.low else corpus.high[rows])
+
+
+def reworded(corpus: Corpus) -> Corpus:
+    """The corpus with the words of every recording rolled by half its blocks."""
+    if corpus.word_at is None:
+        raise ValueError("this corpus was prepared without text")
+    return dataclasses.replace(corpus, word_at=corpus.word_at[half_way_on(corpus)])
+
+
+def in_meant_strokes(recording: Recording, durations: Array) -> NDArray[np.bool_]:
+    """[M] whether the middle of each block, of the given durations in seconds, lies in a stroke that was chosen for the
+    meaning of a word."""
+    middles = np.cumsum(durations) - durations / 2
+    strokes = recording.truth.strokes if recording.truth else ()
+    spans = [(stroke.start, stroke.end) for stroke in strokes if stroke.meaning]
+    return np.array([any(start <= middle < end for start, end in spans) for middle in middles], dtype=bool)
 
 
 def mean_where(values: Tensor, mask: Tensor) -> float:
@@ -78,11 +104,11 @@ def of_planner(model: UnitPlanner, corpus: Corpus, units: NDArray[np.int64], blo
 
 
 def of_lexemes(logits: Callable[[NDArray[np.int64]], Array], labels: NDArray[np.int64], blocks: NDArray[np.int64]
-               ) -> float:
-    """Nats per lexeme of a recording, the first left out. logits: scores [M - 1, S] of its blocks [M]."""
+               ) -> Array:
+    """[M - 1] nats of each lexeme of a recording but the first. logits: scores [M - 1, S] of its blocks [M]."""
     scores = logits(blocks)
     log = scores - np.logaddexp.reduce(scores, axis=1, keepdims=True)
-    return float(-log[np.arange(len(log)), labels[blocks][1:]].mean())
+    return np.asarray(-log[np.arange(len(log)), labels[blocks][1:]])
 
 
 def deaf_logits(model: StatisticalInterpreter, corpus: Corpus, labels: NDArray[np.int64], blocks: NDArray[np.int64]
@@ -123,15 +149,53 @@ def main() -> None:
         blocks = corpus.blocks_of(recording)
         for name, (interpreter, planner) in models.items():
             one = of_planner(planner, corpus, units, blocks)
-            one["lexeme"] = of_lexemes(
+            one["lexeme"] = float(of_lexemes(
                 lambda own, model=interpreter: np.asarray(  # type: ignore[misc]
-                    teacher_logits(model, corpus, own, labels[own]).double().numpy()), labels, blocks)
+                    teacher_logits(model, corpus, own, labels[own]).double().numpy()), labels, blocks).mean())
             for key, value in one.items():
                 rows[name][key].append(value)
-        rows["statistical"]["lexeme"].append(of_lexemes(
-            lambda own: deaf_logits(statistical, corpus, labels, own), labels, blocks))
-    publish([table(rows, a.split)], a.out, Provenance.now(
+        rows["statistical"]["lexeme"].append(float(of_lexemes(
+            lambda own: deaf_logits(statistical, corpus, labels, own), labels, blocks).mean()))
+    publish([table(rows, a.split), words_table(hears, work, a.split)], a.out, Provenance.now(
         shlex.join(["python", "benchmarks/listening.py", *sys.argv[1:]])))
+
+
+def words_table(reads: Run, work: Path, split: str) -> Table:
+    """Nats of the interpreter that reads words and of one that was trained on the wrong ones, on the true words.
+
+    reads: a run with the true words. Both start from its interpreter without text."""
+    corpus, labels = reads.get(CORPUS), reads.get(LABELS).hinted
+    wrong = Run(reads.config, reads.store, work, progress=False)
+    wrong.provide(CORPUS, reworded(corpus), f"{reads.key(CORPUS)}-reworded")
+    wrong.provide(LABELS, reads.get(LABELS), reads.key(LABELS))
+    wrong.provide(INTERPRETER, reads.get(INTERPRETER), reads.key(INTERPRETER))
+    models = {"right words": reads.get(INTERPRETER_TEXT), "trained on wrong words": wrong.get(INTERPRETER_TEXT),
+              "no words": reads.get(INTERPRETER)}
+    every: dict[str, list[float]] = {name: [] for name in models}
+    meant: dict[str, list[float]] = {name: [] for name in models}
+    count = 0
+    for recording in corpus.recordings(split, with_text=True):
+        blocks = corpus.blocks_of(recording)
+        calls = in_meant_strokes(reads.store.load(corpus.names[recording]), corpus.durations[blocks])[1:]
+        count += int(calls.sum())
+        for name, model in models.items():
+            nats = of_lexemes(
+                lambda own, model=model: np.asarray(  # type: ignore[misc]
+                    teacher_logits(model, corpus, own, labels[own]).double().numpy()), labels, blocks)
+            every[name].append(float(nats.mean()))
+            if calls.any():
+                meant[name].append(float(nats[calls].mean()))
+    columns = {name: Column(name, "nats", 3) for name in models}
+    columns |= {f"{name} more": Column(f"{name}, more", "nats", 3) for name in models if name != "right words"}
+    cells: dict[str, dict[str, stats.Interval]] = {}
+    for title, figures in (("lexeme, all blocks", every), ("lexeme, in strokes chosen for a word", meant)):
+        cells[title] = {name: stats.mean_interval(values) for name, values in figures.items()}
+        cells[title] |= {f"{name} more": stats.paired(values, figures["right words"])
+                         for name, values in figures.items() if name != "right words"}
+    return Table("What the interpreter reads", columns, cells, "decision", [
+        f"{len(every['no words'])} recordings with words of the {split} split, {count} blocks in strokes that were "
+        f"chosen for a word, in {len(meant['no words'])} of them; bootstrap 95 % intervals over recordings, "
+        "differences paired. The corpus places these strokes by its own rules; texts are unseen, cue words are not."])
 
 
 def table(rows: dict[str, dict[str, list[float]]], split: str) -> Table:

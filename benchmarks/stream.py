@@ -36,7 +36,7 @@ from realtime import processor
 from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.types import Motion, Speech
 from eval.clip.measure import measure
-from eval.stats import crossed
+from eval.crossed import crossed
 from gesticulator.pipeline import Gesticulator
 from gesticulator.stream import StreamFrames
 

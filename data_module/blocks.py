@@ -170,7 +170,8 @@ def denormalise(knots: Array, first: Array, blocks: Blocks, fps: float, smooth_o
 class KnotPath:
     """Streaming `denormalise`, block by block. A frame is returned when it no longer depends on future knots: two knots
     and half the smoothing kernel beyond it are known. With `prompt` the slope at the newest knot is that of the line to
-    it, so that one knot is sufficient."""
+    it, so that one knot is sufficient. `prompt` may change between knots: no frame is repeated or left out, and the
+    path and its slope stay continuous."""
 
     def __init__(self, first: Array, fps: float, smooth_over: float = SMOOTHING, prompt: bool = False) -> None:
         """first: [D] the pose at time 0; fps, smooth_over: see `denormalise`."""
@@ -180,6 +181,8 @@ class KnotPath:
         self._sigma, self._half = smooth_over, _half(fps, smooth_over)
         self._times, self._values = np.zeros(1), np.array(first, dtype=np.float64)[None]
         self._slopes = np.zeros_like(self._values)
+        self._settled = prompt
+        """Whether the slope at the newest knot is final, because frames up to it were returned."""
 
     @property
     def reach(self) -> float:
@@ -192,7 +195,8 @@ class KnotPath:
         known = len(self._times)
         self._times, self._values = np.concatenate([self._times, times]), np.concatenate([self._values, values])
         # The slope at the last knot was that of the line to it, without a knot beyond.
-        keep = known if self.prompt and known > 1 else known - 1
+        keep = known if self._settled and known > 1 else known - 1
+        self._settled = self.prompt
         near = max(keep - 1, 0)
         more = slopes(self._times[near:], self._values[near:])[keep - near:]
         self._slopes = np.concatenate([self._slopes[:keep], more])
@@ -218,7 +222,7 @@ class KnotPath:
         """Go back to frame `first`: `values` are the knots [M, D], at least two, up to the one after which the path
         changes, whose position is unchanged."""
         self._times, self._values, self.next = times, np.array(values, dtype=np.float64), first
-        self._slopes = slopes(self._times, self._values)
+        self._slopes, self._settled = slopes(self._times, self._values), self.prompt
 
     def _given(self, until: int, count: int | None = None) -> Array:
         out = self._frames(np.arange(self.next, until), count)

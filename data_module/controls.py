@@ -36,7 +36,8 @@ WINDOW = 4.0
 """Seconds (RG 7.2.1)."""
 
 _HANDS = ("RightHand", "LeftHand")
-_LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}  # no body does more
+LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}
+"""Smallest and greatest values of the features: no body does more."""
 _FAR = 3.0  # spreads from the mean
 _LEAST_SPREAD = 1e-3
 
@@ -286,7 +287,7 @@ def _number(text: str) -> float | None:
 
 
 def _check_limits(what: str, value: float, feature: str) -> None:
-    low, high = _LIMITS[feature]
+    low, high = LIMITS[feature]
     if not low <= value <= high:  # also NaN
         raise InputError(what, f"is not a possible {feature} of a hand",
                          f"give {UNITS[feature]} from {low:g} to {high:g}")

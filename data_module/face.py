@@ -55,6 +55,14 @@ class FaceMotion:
         return np.concatenate([self.visemes, self.blink[:, None], self.brows[:, None], self.smile[:, None], self.gaze],
                               axis=1)
 
+    def at(self, times: Array) -> Array:
+        """[K, 20] `values` at times [K] in seconds, in proportion between frames; the last frame is held."""
+        values = self.values()
+        where = np.clip(np.asarray(times) * self.fps, 0.0, len(self) - 1)
+        low = np.floor(where).astype(np.int64)
+        share = (where - low)[:, None]
+        return np.asarray(values[low] * (1.0 - share) + values[np.minimum(low + 1, len(self) - 1)] * share)
+
     def fitted(self, count: int) -> FaceMotion:
         """The first `count` frames, the last one held where there are fewer."""
         if count == len(self):

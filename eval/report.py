@@ -1,8 +1,9 @@
 """Everything that was measured, on one page: `gesticulator report [--results docs/results] [--out docs/report]`.
 
-The page, `report.md`, is made of what the other commands wrote and measures nothing itself: what became of the claims
-of both papers, the papers' tables with their figures beside ours, the figures, the metrics with their controls, all
-other measurements, and the chapter of each metric from its own module. Every table is a file of results
+The page, `report.md`, is made of what the other commands wrote and measures nothing itself: a page of what holds of
+both papers, one of what does not, one of what is open, the method, all claims, the papers' tables with their figures
+beside ours, the figures with what is seen in them, the metrics with their controls, all other measurements, and the
+chapter of each metric from its own module. Every table is a file of results
 (`eval.table`) put under its heading. What is not there is named with the command that makes it. The same inputs give
 the same bytes.
 
@@ -24,6 +25,7 @@ from urllib.parse import quote
 
 from data_module.errors import InputError
 from data_module.files import read_text, write_text
+from eval import report_claims
 from eval.metrics import METRICS
 from eval.probes import PROBES
 from eval.stats import Interval
@@ -52,7 +54,7 @@ CHAPTERS = ("metrics.joint_error", "metrics.fgd", "metrics.gesture_features", "m
             "metrics.eye.together", "metrics.eye.units", "metrics.eye.voice", "metrics.eye.frechet",
             "metrics.eye.stability", "metrics.eye.pitch", "acceptance.corpus.bounds", "acceptance.corpus.by_source",
             "acceptance.corpus.style_from_sound", "acceptance.corpus.planned_strokes", "baselines.unit_selection",
-            "baselines.controls", "baselines.interpreters", "stats")
+            "baselines.controls", "baselines.interpreters", "stats", "crossed")
 """The modules of `eval` whose docstrings are the chapters."""
 COMMANDS = """\
 gesticulator build performer --out STORE                   # a corpus, or see `gesticulator build --help`
@@ -151,7 +153,9 @@ def _order(name: str) -> tuple[int, int, str]:
 def document(results: Results, out: Path, title: str = TITLE) -> str:
     """The whole report as Markdown, for a file in `out`."""
     sections = {
-        "What this is": _about(results, out),
+        "What this is": _about(results),
+        **_verdict_pages(results),
+        **_limits(results, out),
         "Claims": _tables_of(results, "claims", CLAIMS),
         "Tables": _tables_of(results, "ablation/table", ABLATE),
         "Figures": _figure_lines(results, out),
@@ -160,8 +164,7 @@ def document(results: Results, out: Path, title: str = TITLE) -> str:
         "The metrics": _metric_lines(),
         "How to run all of it again": ["```sh", *COMMANDS.splitlines(), "```"]}
     body = "\n".join(line for name, lines in sections.items() for line in (f"## {name}", "", *lines, ""))
-    contents = "\n".join(f"{'  ' * (level - 2)}- [{text}](#{anchor})" for level, text, anchor in headings(body)
-                         if level in (2, 3))
+    contents = "\n".join(f"- [{text}](#{anchor})" for level, text, anchor in headings(body) if level == 2)
     return f"# {title}\n\n{contents}\n\n{body}".rstrip() + "\n"
 
 
@@ -177,29 +180,42 @@ def headings(markdown: str) -> list[tuple[int, str, str]]:
     return out
 
 
-def _about(results: Results, out: Path) -> list[str]:
+def _verdict_pages(results: Results) -> dict[str, list[str]]:
+    """What holds, what does not, what is open, and the method; empty where claims.json does not say."""
+    facts = results.facts("claims")
+    if not isinstance(facts.get("claims"), list):
+        return {}
+    return {"What holds": report_claims.what_holds(facts), "What does not hold": report_claims.what_does_not(facts),
+            "What could not be tested, and what is undecided": report_claims.what_is_open(facts),
+            "Method": report_claims.method()}
+
+
+def _about(results: Results) -> list[str]:
     """What was run, in a few lines, and what became of it."""
     lines = ["What the evaluation commands found, beside what two papers print: *Rhythmic Gesticulator* (RG, 2022) and "
              "*RACER* (2023). The papers' figures are of other data, another skeleton and another FGD network: compare "
              "the order, not the values. `-` stands where a figure is undefined or was not measured. Intervals are "
-             "bootstrap 95 %, over clips, and over seeds where there are several.", ""]
+             "of 95 %: over seeds and clips where there are several of both, else by the bootstrap over clips.", ""]
     count = results.facts("claims").get("count")
     if isinstance(count, dict) and all(isinstance(number, int) for number in count.values()):
         told = ", ".join(f"{number} {verdict}" for verdict, number in count.items())
         lines += [f"> **Of {sum(count.values())} claims: {told}.**", ">"]
     flags = results.facts("score").get("flags")
     titles = [str(flag.get("title")) for flag in flags if isinstance(flag, dict)] if isinstance(flags, list) else []
-    beaten = "; ".join(dict.fromkeys(titles)) or "none, or not measured"
-    lines += [f"> Metrics that a control beats: {beaten}.", ""]
+    beaten = "; ".join(dict.fromkeys((*titles, *report_claims.failing_metrics(results.facts("claims")))))
+    lines += [f"> Metrics that a control beats: {beaten or 'none, or not measured'}.", ""]
     lines += [Table("", {"store": Column("store"), "fingerprint": Column("fingerprint")}, {
         name: {"store": store.get("name"), "fingerprint": str(store.get("fingerprint", "-"))[:12]}
         for name in results.tables if isinstance(store := results.facts(name).get("store"), dict)}, "file").markdown()]
     if results.unreadable:
         lines += [f"Cannot be read, so left out: {', '.join(f'`{name}`' for name in results.unreadable)}.", ""]
-    limits = results.folder / "limits.md"
-    if limits.is_file():
-        lines += ["### What this corpus cannot show", "", _included(limits, out)]
     return lines
+
+
+def _limits(results: Results, out: Path) -> dict[str, list[str]]:
+    """What the corpus cannot show, from limits.md beside the results."""
+    limits = results.folder / "limits.md"
+    return {"What this corpus cannot show": [_included(limits, out)]} if limits.is_file() else {}
 
 
 def _included(file: Path, out: Path) -> str:
@@ -231,12 +247,19 @@ def _lines_of(figure: ReportFigure, out: Path) -> list[str]:
     named = f"{figure.paper}: {figure.title}"
     alt = re.sub(r"[\[\]\n]", " ", named)
     lines = [f"### {named}", "", f"![{alt}]({_link(figure.picture, out)})" if figure.picture else
-             "The picture is not there.", "", figure.caption, ""]
+             "The picture is not there.", "", " ".join(filter(None, (
+                 figure.caption, report_claims.seen(figure.paper, figure.numbers)))), ""]
     return [*lines, numbers_table(figure.numbers).markdown()] if figure.numbers else lines
 
 
 def numbers_table(numbers: Mapping[str, Any]) -> Table:
-    """A figure's numbers, a line each; of a list that is longer than `MANY` its length."""
+    """A figure's numbers, a line each, or a table where several rows have the same columns; of a list that is longer
+    than `MANY` its length."""
+    parts = [value for value in numbers.values() if isinstance(value, Mapping)]
+    if len(parts) == len(numbers) > 1 and all(list(part) == list(parts[0]) for part in parts) and all(
+            isinstance(value, int | float) for part in parts for value in part.values()):
+        return Table("", {str(key): Column(str(key)) for key in parts[0]}, {
+            name: {str(key): _number(value) for key, value in part.items()} for name, part in numbers.items()})
     rows = {}
     for name, value in _flat("", numbers):
         long = isinstance(value, list) and len(value) > MANY

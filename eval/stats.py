@@ -2,10 +2,10 @@
 
 Theory: the bootstrap (Efron 1979): draw as many clips with replacement as there are, compute the figure, repeat; the
 2.5th and 97.5th percentiles bound a mean. Clips, not blocks, are drawn, because blocks of one clip are alike; clips of
-one group (speaker, sentence) are drawn together where `groups` names them. Where a figure has two sources of chance
-(training seeds and clips, raters and clips) both are drawn at once (Owen 2007). A figure of a set, such as a distance
-between distributions, is biased upwards in redrawn sets, which hold clips twice: its interval is the basic bootstrap's,
-twice the figure less the percentiles.
+one group (speaker, sentence) are drawn together where `groups` names them. Where a figure has two sources of chance,
+few training seeds and clips, see `eval.crossed`; raters and clips, of which there are many, are both drawn at once
+(Owen 2007). A figure of a set, such as a distance between distributions, is biased upwards in redrawn sets, which hold
+clips twice: its interval is the basic bootstrap's, twice the figure less the percentiles.
 
 What fools it: fewer than about ten clips make the interval too narrow, and one clip has none: it is then drawn each
 time, and the width of 0 means nothing. Clips of one speaker, or cut from one recording, are alike and count as fewer.
@@ -129,23 +129,6 @@ def paired(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None
     """The mean of first less second, clip by clip [n] (see `mean_interval`)."""
     apart = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
     return mean_interval(apart, weights, groups=groups, seed=seed, draws=draws)
-
-
-def crossed(values: ArrayLike, weights: ArrayLike | None = None, *, seed: int = 0, draws: int = DRAWS) -> Interval:
-    """Mean and 95 % interval of values [seeds, clips], seeds and clips drawn anew together; NaN left out.
-
-    weights: [clips]. With one seed it is the interval over clips. `n` counts the clips.
-    """
-    value = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    weight = np.isfinite(value) * (np.ones(value.shape[1]) if weights is None
-                                   else np.asarray(weights, dtype=np.float64))
-    total = np.where(weight > 0, value, 0.0) * weight
-    clips = int((weight > 0).any(axis=0).sum())
-    if clips == 0:
-        return Interval.undefined()
-    times = _crossed_draws(value.shape, seed, draws)
-    sums, masses = ((times[0] @ part * times[1]).sum(axis=1) for part in (total, weight))
-    return limits(float(total.sum() / weight.sum()), sums[masses > 0] / masses[masses > 0], clips)
 
 
 def crossed_means(values: Array, seed: int = 0, draws: int = DRAWS) -> Array:

@@ -66,7 +66,7 @@ _WARM_SECONDS = 2
 
 
 class InterpreterWarning(UserWarning):
-    """An interpreter was chosen that is worse than another (`InterpreterEntry.doubt`)."""
+    """An interpreter was chosen that is no better than another, or worse (`InterpreterEntry.doubt`)."""
 
 
 class Gesticulator:
@@ -80,6 +80,7 @@ class Gesticulator:
         self._words: WordEncoder | None = None
         self._names: tuple[LexemeName, ...] | None = None
         self._used_interpreters: dict[str, LexemeInterpreter] = {}
+        self._remarked = set[str]()
         self._warm: set[bool] = set()
         self.keeps_drawings = False
         """Whether performances keep the state before each block (`Performance.drawing`), from which edits start."""
@@ -287,9 +288,17 @@ class Gesticulator:
         temperature = _own_temperature(interpreter) if options.temperature is None else options.temperature
         if temperature is None:
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
+        self._remark(interpreter)
         interpreter = interpreter.steered(options.beta, temperature)
         sampling = Sampling(temperature, defaults.top, int(options.seed))
         return Cast(interpreter, speaker, sampling, activity, controls, int(options.variation), interpreter.beta)
+
+    def _remark(self, interpreter: Interpreter) -> None:
+        """Warn once (`InterpreterWarning`) of an interpreter that is no better than another by our figures."""
+        known = INTERPRETERS.get(interpreter.name)
+        if known is not None and known.doubt and interpreter.name not in self._remarked:
+            self._remarked.add(interpreter.name)
+            warnings.warn(InterpreterWarning(known.doubt), stacklevel=3)
 
     def _chosen_interpreter(self, options: InferenceOptions, text: bool) -> LexemeInterpreter:
         """The interpreter object of the options, or the one of their name: the bundle's, or an object used before.
@@ -300,8 +309,6 @@ class Gesticulator:
         if not isinstance(chosen, str):
             self._used_interpreters[interpreter_name(chosen)] = chosen
             return chosen
-        if chosen in INTERPRETERS and INTERPRETERS[chosen].doubt:
-            warnings.warn(InterpreterWarning(INTERPRETERS[chosen].doubt), stacklevel=3)
         if chosen in self.interpreters or options.plan is None:
             return self.interpreter(chosen, text)
         if chosen not in self._used_interpreters:
@@ -383,6 +390,10 @@ class Gesticulator:
         meanings = self._meanings(speech, options)
         shaping = self.shaping(speech, options, cast.speaker, cut.edges, meanings)
         motion = self.to_motion(rendering.motion, cut, cast.speaker, options, shaping)
+        if options.plan is not None and options.plan.pins:
+            from gesticulator.body.pins import pinned
+
+            motion = pinned(motion, options.plan)
         origin = self.origin(speech, options, cast, meanings)
         plan = (plan_of(speech, cut, blocks, origin) if options.plan is None else
                 rendered_plan(options.plan, speech, blocks, origin))

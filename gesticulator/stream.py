@@ -30,7 +30,7 @@ from gesticulator.body.motion_path import HISTORY, LONGEST_HISTORY, MotionPath
 from gesticulator.body.rest import RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
-from gesticulator.drawing.cutter import TICK, BlockCutter
+from gesticulator.drawing.cutter import LATENCIES, TICK, BlockCutter
 from gesticulator.drawing.drawer import FREE
 from gesticulator.drawing.driver import BlockRequest, Cast, Driver, controls_at
 from gesticulator.options import InferenceOptions
@@ -179,10 +179,14 @@ class Stream:
     @property
     def look_ahead(self) -> float:
         """Seconds of sound after a frame that are needed at most before the frame is final."""
+        return self.look_ahead_at(self.latency)
+
+    def look_ahead_at(self, latency: str) -> float:
+        """`look_ahead` with another latency, "full" or "low"."""
         beats = self._bundle.config.rhythm.beats
         # From a beat to where the next beat is certain, and from there to where the pauses of the block after it are.
         certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD
-        if not self._path.prompt:
+        if latency != "low":
             known = beats.d_max + silence.LOOK_AHEAD + silence.STEP * silence.FRAME
             # A block is generated once the next one is known; its last knot is certain with the knot after that.
             certain = beats.d_max + max(certain, known) + beats.d_max / self._bundle.frames
@@ -204,6 +208,22 @@ class Stream:
         if not 0 < seconds <= LONGEST_HISTORY:
             raise InputError(f"history {seconds:g} s", "is out of range", f"give up to {LONGEST_HISTORY:g}")
         self._path.history = float(seconds)
+
+    @property
+    def latency(self) -> str:
+        """Look-ahead of the blocks: "full", or "low", with which a block is generated without the one after it. It may
+        be set between two calls: frames follow each other without a gap or a jump. The frames after a change to "full"
+        come when as much sound is known as it needs, so none comes for `look_ahead_at("full") - look_ahead_at("low")`
+        seconds of sound."""
+        return "low" if self._path.prompt else "full"
+
+    @latency.setter
+    def latency(self, latency: str) -> None:
+        if self._cutter is not None:
+            self._cutter.latency = latency
+        elif latency not in LATENCIES:
+            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
+        self._path.prompt = latency == "low"
 
     @property
     def hurried(self) -> bool:
@@ -344,6 +364,7 @@ class Stream:
         """The cutter of the current utterance. Its blocks begin after the last knot that was generated."""
         if self._cutter is None:
             self._cutter = self._new_cutter(start=max(self._committed - self._begun, 0.0))
+            self._cutter.latency = self.latency
         return self._cutter
 
     def _begin(self, time: float) -> None:

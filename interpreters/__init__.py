@@ -73,7 +73,10 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
     "lstm": InterpreterEntry(
         "the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter", "interpreter_text",
         file=("lexeme_interpreter", "lexeme_interpreter_text"), tied=False),
-    "cql": InterpreterEntry("RACER's Q-network", "interpreters.cql:QNetwork", "q_network", section="cql"),
+    "cql": InterpreterEntry(
+        "RACER's Q-network", "interpreters.cql:QNetwork", "q_network", section="cql",
+        doubt="cql chooses gestures no better than lstm by any figure of this project (docs/racer.md), and at "
+              "temperature 0 it repeats a few"),
     "cql-literal": InterpreterEntry(
         "RACER's Q-network as published: recorded lexemes only, arg max", "interpreters.cql:LiteralQNetwork",
         "q_network_literal", section="cql_literal", temperature=0.0,

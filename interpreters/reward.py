@@ -23,6 +23,11 @@ from torch.nn import functional
 from data_module.layers import masked_mean
 from interpreters.settings import LEAST_TEMPERATURE, RewardConfig
 
+SPEED_PARTS = 3
+"""Parts of a block in which speed is measured."""
+SLOW = 0.3
+"""Deviations a second: slower than this is still (`RewardModel.speeds`)."""
+
 __all__ = ["RewardEnsemble", "RewardModel", "contrast"]
 
 
@@ -153,6 +158,8 @@ class RewardModel(nn.Module):
         self.config, self.frames = config, frames
         self.read_motion = nn.Linear(frames * motion_width, config.width)
         self.read_tempo = nn.Linear(1, config.width, bias=False) if config.tempo else None
+        parts = min(SPEED_PARTS, frames - 1)
+        self.read_speeds = nn.Linear(parts * motion_width, config.width, bias=False) if config.speeds else None
         self.read_audio = nn.Linear(frames * audio_width, config.width)
         self.encode_motion, self.encode_audio = WindowEncoder(config), WindowEncoder(config)
         self.log_temperature = nn.Parameter(torch.tensor(math.log(config.temperature)))
@@ -172,7 +179,25 @@ class RewardModel(nn.Module):
     def block_motion(self, motion: Tensor, log_duration: Tensor) -> Tensor:
         """Tokens [..., C] of motion blocks [..., K, D_m] that last exp(log_duration [...]) seconds."""
         tokens: Tensor = self.read_motion(motion.flatten(-2))
+        if self.read_speeds is not None:
+            tokens = tokens + self.read_speeds(self.speeds(motion, log_duration))
         return tokens + self.tempo(log_duration)
+
+    def speeds(self, motion: Tensor, log_duration: Tensor) -> Tensor:
+        """[..., parts * D_m]: log(1 + v / SLOW), where v is the mean absolute speed of each dimension in each part of a
+        block, per second; 0 for a still pose of any duration. motion: [..., K, D_m]; log_duration: [...]."""
+        steps = motion.diff(dim=-2).abs()
+        count = steps.shape[-2]
+        means = torch.stack([part.mean(-2) for part in steps.tensor_split(min(SPEED_PARTS, count), dim=-2)], dim=-2)
+        return torch.log1p(means * (count / SLOW) * (-log_duration).exp()[..., None, None]).flatten(-2)
+
+    def block_candidates(self, base: Tensor, added: Tensor, log_duration: Tensor) -> Tensor:
+        """Tokens [B, S, C] of the blocks base [B, K, D_m] with each contribution added [S, K, D_m]; log_duration: [B].
+        Poses are read linearly, so a sum of tokens is the token of the sum; speeds are not."""
+        if self.read_speeds is None:
+            return self.block_motion(base, log_duration)[:, None] + functional.linear(added.flatten(-2),
+                                                                                      self.read_motion.weight)
+        return self.block_motion(base[:, None] + added, log_duration[:, None].expand(-1, len(added)))
 
     def tempo(self, log_duration: Tensor) -> Tensor:
         """The contribution of the log duration [...] of a block to its motion token, [..., C]: zero unless `tempo` is
@@ -232,8 +257,7 @@ class RewardModel(nn.Module):
         log_duration as in `losses`; base [B, K, D_m] the motion of the last block without its lexeme; lexemes [S, K,
         D_m] the motion that each adds."""
         history = self.block_motion(batch["motion"][:, :-1], batch["log_duration"][:, :-1])
-        base = self.block_motion(batch["base"], batch["log_duration"][:, -1])
-        candidates = base[:, None] + functional.linear(batch["lexemes"].flatten(-2), self.read_motion.weight)
+        candidates = self.block_candidates(batch["base"], batch["lexemes"], batch["log_duration"][:, -1])
         motion = self.encode_motion.every_last(history, batch["valid"], candidates)
         return torch.einsum("bsp,bp->bs", motion, audio)
 

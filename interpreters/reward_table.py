@@ -87,7 +87,11 @@ class RewardTable(CorpusRewards):
             self._log_duration, self._audio = log_duration, self.model.block_audio(audio)
             self._tempo = self.model.tempo(log_duration)
             self._lexemes: Tensor | None = None
-            if decoded is not None:
+            self._added: Tensor | None = None
+            """[S, K, D_m] the contributions themselves, where tokens of a sum are no sum of tokens."""
+            if decoded is not None and model.read_speeds is not None:
+                size, self._added = len(decoded), decoded
+            elif decoded is not None:
                 size = len(decoded)
                 self._lexemes = self.model.block_motion(decoded, log_duration.new_zeros(size))
                 if bases is not None:  # the bias comes with the base
@@ -113,7 +117,9 @@ class RewardTable(CorpusRewards):
     def every(self, history: Tensor, blocks: Tensor, valid: Tensor, base: Tensor | None = None) -> Tensor:
         """See `CorpusRewards.every`. With lexemes decoded by themselves only the last token differs between candidates;
         with `decode` a candidate may change the whole window."""
-        if self._lexemes is None:
+        if self._added is not None:
+            motion = self._every_added(self._added, history, blocks, valid, base)
+        elif self._lexemes is None:
             motion = self._every_whole(history, blocks, valid)
         else:
             lexemes = torch.cat([history, torch.zeros_like(blocks[:, :1])], 1)  # the last one is not used
@@ -122,6 +128,22 @@ class RewardTable(CorpusRewards):
             candidates = self._lexemes + tokens[:, -1:]
             motion = self.model.encode_motion.every_last(before, valid, candidates)
         return self._cosine(motion, self._embed_audio(blocks, valid)[:, None])
+
+    def _every_added(self, added: Tensor, history: Tensor, blocks: Tensor, valid: Tensor, base: Tensor | None
+                     ) -> Tensor:
+        """Motion vectors [B, S, P] of `every` for a model that reads speeds; added: [S, K, D_m]."""
+        lexemes = torch.cat([history, torch.zeros_like(blocks[:, :1])], 1)  # the last one is not used
+        base = self._base(added, lexemes, blocks, valid) if base is None else base
+        times = self._log_duration[blocks]
+        before = self.model.block_motion(base[:, :-1] + added[history], times[:, :-1])
+        candidates = self.model.block_candidates(base[:, -1], added, times[:, -1])
+        return self.model.encode_motion.every_last(before, valid, candidates)
+
+    def _base(self, added: Tensor, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """[B, W, K, D_m] what a lexeme's contribution is added to; zeros for lexemes decoded by themselves."""
+        if self.bases is None:
+            return added.new_zeros(*blocks.shape, *added.shape[1:])
+        return self.bases(lexemes, blocks, valid)
 
     def _embed_audio(self, blocks: Tensor, valid: Tensor) -> Tensor:
         vectors = self.model.embed_audio(self._audio[blocks], valid)
@@ -141,6 +163,9 @@ class RewardTable(CorpusRewards):
 
     def _motion_tokens(self, lexemes: Tensor, blocks: Tensor, valid: Tensor, base: Tensor | None = None) -> Tensor:
         """Tokens [B, W, C] of lexemes [B, W] on blocks [B, W], undefined at padding."""
+        if self._added is not None:
+            base = self._base(self._added, lexemes, blocks, valid) if base is None else base
+            return self.model.block_motion(base + self._added[lexemes], self._log_duration[blocks])
         if self._lexemes is not None:
             return self._lexemes[lexemes] + self._tempo[blocks] + self._base_tokens(lexemes, blocks, valid, base)
         assert self._decode is not None

@@ -270,6 +270,9 @@ class RewardConfig:
     tempo: bool = False
     """Make the duration of each block an input of the motion side. The audio side has it too, so durations alone then
     identify 9 pairs in 10, and a policy cannot change them."""
+    speeds: bool = False
+    """Give the motion encoder also how fast each dimension moves (`RewardModel.speeds`). The paper's encoder sees poses
+    alone, of which speed is no linear function; yet speed is what follows the voice most."""
     rivals: Natural = 4
     """H, additional negatives of each decoded window: the window with some of its last lexemes replaced. Without them
     a single lexeme hardly changes the reward, and not towards the right one."""

@@ -40,7 +40,8 @@ def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, 
                    over: float = 2.0) -> Labels:
     """The silent lexemes, detected automatically (RG 6.4.1).
 
-    speeds: [S] mean joint speed of each decoded lexeme; labels: [N] and silent: [N] over the training blocks.
+    speeds: [S] mean joint speed of each lexeme, infinite for one without blocks; labels: [N] and silent: [N] over the
+    training blocks.
     A lexeme is silent if it is among the slowest `slow_share` AND occurs on silent blocks `over` times as often as
     overall. If none meets both conditions, the slow lexeme most over-represented in silence is taken, so the set is
     never empty.
@@ -49,7 +50,11 @@ def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, 
     everywhere = np.bincount(labels, minlength=size) / max(len(labels), 1)
     in_silence = np.bincount(labels[silent], minlength=size) / max(int(silent.sum()), 1)
     ratio = in_silence / np.maximum(everywhere, 1e-12)
-    slow = speeds <= np.quantile(speeds, slow_share)
+    with np.errstate(invalid="ignore"):
+        limit = np.quantile(speeds, slow_share)
+    if not np.isfinite(limit):  # most lexemes have no block: the slowest of those that have
+        limit = np.quantile(speeds[np.isfinite(speeds)], slow_share)
+    slow = speeds <= limit
     chosen = np.flatnonzero(slow & (ratio >= over))
     if len(chosen) == 0:
         candidates = np.flatnonzero(slow)

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.face import at_rest
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
+from data_module.visemes import VISEMES
 from gesticulator.body.motion_path import HISTORY
 from gesticulator.plan.plan import Block, BlockDraw
 from gesticulator.serve.protocol import StreamRequest
@@ -39,14 +41,18 @@ class TellingStream:
 
     skeleton = CHARACTER
     lacking = 0.05
+    look_ahead = LOOK_AHEAD
 
     def __init__(self, request: StreamRequest, seconds: float = 0.0, share: Share = 0.0) -> None:
         self.request, self.seconds, self.share = request, seconds, share
-        self.hurried, self.history = False, HISTORY
+        self.hurried, self.history, self.latency = False, HISTORY, "full"
         self.time = 0.0
         self.made = 0
         self.state = StreamState.IDLE
         self.words: list[Word] = []
+
+    def look_ahead_at(self, latency: str) -> float:
+        return LOOK_AHEAD
 
     def steps(self, call: str, *arguments: Any) -> Generator[StreamFrames, None, None]:
         """A call in one step; waits in steps of 0.4 s, which end where they are closed."""
@@ -109,7 +115,12 @@ class TellingStream:
         turns[:, 0] = rotation.from_exponential_map(np.stack([0 * numbers, numbers * TURN, 0 * numbers], -1))
         blocks = tuple(Block(k * LOOK_AHEAD, (k + 1) * LOOK_AHEAD, k, k % 2 == 1, BlockDraw(0, 0, k))
                        for k in range(int(first / fps / LOOK_AHEAD), int(self.made / fps / LOOK_AHEAD)))
-        return StreamFrames(first, fps, CHARACTER, turns, np.tile([0.0, 0.95, 0.0], (len(numbers), 1)), blocks)
+        face = None
+        if self.request.options.get("face", "off") != "off":  # the mouth opens and shuts once a second
+            face = at_rest(len(numbers), fps)
+            face.visemes[:, VISEMES.index("aa")] = 0.5 - 0.5 * np.cos(2 * np.pi * numbers / fps)
+            face.visemes[:, 0] -= face.visemes[:, VISEMES.index("aa")]
+        return StreamFrames(first, fps, CHARACTER, turns, np.tile([0.0, 0.95, 0.0], (len(numbers), 1)), blocks, face)
 
 
 def opener(limits: ServerLimits, seconds: float = 0.0, share: Share = 0.0) -> Callable[[str, StreamRequest], Session]:

@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -836,6 +837,37 @@ def _results(folder: Path) -> Path:
     return folder / "t.json"
 
 
+def submission_names(file: Path) -> object:
+    from gesticulator.batch.submission import _names
+
+    return _names(file)
+
+
+def _submission(form: str, name: str) -> Callable[[Path], Path]:
+    """A recording's motion in the form of a leaderboard, beside its sound and what it must be like."""
+    def write(folder: Path) -> Path:
+        from data_module.motion.smplx import smplx_arrays
+
+        motion = published_bvh.moving(0.5, 30.0)
+        for place in (folder / "like", folder / "out", folder / "wav"):
+            place.mkdir(exist_ok=True)
+            if form == "genea":
+                write_bvh(place / name, motion)
+            else:
+                np.savez(place / name, **smplx_arrays(motion))  # type: ignore[arg-type, unused-ignore]
+        soundfile.write(folder / "wav" / "a.wav", _noise(0.5), RATE)
+        return folder / "out" / name
+    return write
+
+
+def _read_submission(form: str, file: Path) -> object:
+    from gesticulator.batch.submission_check import check
+
+    like = file.parent.parent / "like"
+    return check(form, file.parent, {"a": file.parent.parent / "wav" / "a.wav"},
+                 like if form == "beat2" else like / file.name)
+
+
 READERS: dict[str, Case] = {
     **{kind: Case(_sound(kind, subtype), load_speech, examples=share)
        # MP3 takes a process each.
@@ -941,6 +973,10 @@ READERS: dict[str, Case] = {
     "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
     "edges of a plan": Case(_written("a.json", '{"blocks": [{"start": 0, "end": 0.5}, {"start": 0.5, "end": 1}]}'),
                             _read_edges),
+    "names of a submission": Case(_written("a.txt", "one\ntwo\n"), submission_names),
+    "names of a submission, by split": Case(_written("a.csv", "id,type\none,test\ntwo,train\n"), submission_names),
+    "submission, BEAT2": Case(_submission("beat2", "a.npz"), partial(_read_submission, "beat2")),
+    "submission, GENEA": Case(_submission("genea", "a.bvh"), partial(_read_submission, "genea")),
     "token": Case(_written("a.txt", "secret\n"), _read_token)
 }
 

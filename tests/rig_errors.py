@@ -66,3 +66,27 @@ def worst(rig: Rig, motion: Motion, moved: CharacterMotion) -> dict[str, float]:
             there = moved.world_matrices()[:, node, :3, :3] @ own @ rig.axes.T
             out["trunk"] = max(out["trunk"], degrees(there, rotation.rotate(world[:, names.index(name)], axis)))
     return out
+
+
+def inside(rig: Rig, moved: CharacterMotion, torso: tuple[float, float]) -> np.ndarray:
+    """[T] how deep her wrists and knuckles are in an elliptic column from hips to neck: 1 at its axis, 0 outside."""
+    places, turns = places_of(rig, moved), moved.world_matrices()[:, rig.spine[-1], :3, :3]
+    rest = rig.character.world_matrices()[rig.spine[-1], :3, :3]
+    left = turns @ np.linalg.inv(rest) @ rig.axes[0] @ rig.axes.T
+    hips, neck = places[:, rig.truth["Hips"]], places[:, rig.neck[0]]
+    names = [side + part for side in ("Left", "Right") for part in ("Hand", "HandMiddle1")]
+    return np.max([depth_in_column(places[:, rig.truth[name]], hips, neck, left, torso) for name in names], axis=0)
+
+
+def depth_in_column(point: np.ndarray, hips: np.ndarray, neck: np.ndarray, left: np.ndarray,
+                    torso: tuple[float, float]) -> np.ndarray:
+    """[T] how deep points [T, 3] are in an elliptic column from hips to neck: 1 at its axis, 0 outside."""
+    axis = neck - hips
+    height = np.linalg.norm(axis, axis=-1, keepdims=True)
+    axis = axis / height
+    left = left - np.sum(left * axis, axis=-1, keepdims=True) * axis
+    left = left / np.linalg.norm(left, axis=-1, keepdims=True)
+    own = point - hips
+    x, y, z = (np.sum(own * way, axis=-1) for way in (left, axis, np.cross(left, axis)))
+    within = (y > 0) & (y < height[:, 0])
+    return np.where(within, np.maximum(1.0 - np.hypot(x / torso[0], z / torso[1]), 0.0), 0.0)

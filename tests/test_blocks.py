@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from data_module.blocks import (
     METHODS,
     BlockSettings,
+    KnotPath,
     cut,
     denormalise,
     first_pose,
@@ -272,6 +274,32 @@ def test_the_cubic_is_exact_at_knots_smooth_and_local(gaps: list[float], seed: i
     apart = np.abs(hermite(times, changed, dense) - hermite(times, values, dense)).max(axis=1) > 1e-9
     assert (dense[apart] > times[knot - 2]).all()
     assert (dense[apart] < times[min(knot + 2, len(times) - 1)]).all()
+
+
+@given(st.lists(st.tuples(st.integers(1, 4), st.booleans()), min_size=3, max_size=12), st.integers(0, 9))
+def test_a_path_whose_look_ahead_changes_is_whole_and_smooth(pushes: list[tuple[int, bool]], seed: int) -> None:
+    """Knots of a line give that line whatever the mode; those of a slow swing give it nearly, and its speed too: a
+    slope that was used on one side of a knot is used on the other one."""
+    rng, fps = np.random.default_rng(seed), 240.0
+    path, line = (KnotPath(np.zeros(1), fps, 0.0) for _ in range(2))
+    end, out, straight = 0.0, [], []
+    for count, prompt in pushes:
+        times = end + np.cumsum(rng.uniform(0.02, 0.05, count))
+        end = float(times[-1])
+        path.prompt = line.prompt = prompt
+        out.append(path.push(times, np.sin(4.0 * times)[:, None]))
+        straight.append(line.push(times, 3.0 * times[:, None]))
+        certain = end if prompt else end - 0.05
+        assert path.next >= math.floor(certain * fps), "frames come as early as the mode allows"
+    out.append(path.finish(end))
+    straight.append(line.finish(end))
+    frames, times = np.concatenate(out)[:, 0], np.arange(round(end * fps)) / fps
+    assert len(frames) == round(end * fps), "none is missing and none comes twice"
+    np.testing.assert_allclose(np.concatenate(straight)[:, 0], 3.0 * times, atol=1e-9)
+    # The slope of a line is wrong by 4^2 * 0.05 / 2 = 0.4, which moves the cubic by 0.4 * 0.05 * 4 / 27 a side.
+    np.testing.assert_allclose(frames, np.sin(4.0 * times), atol=6e-3)
+    np.testing.assert_allclose(np.diff(frames) * fps, 4.0 * np.cos(4.0 * (times[1:] - 0.5 / fps)), atol=0.5)
+    assert np.abs(np.diff(frames, 2)).max(initial=0.0) * fps < 0.35, "the speed does not jump at a knot"
 
 
 def test_smoothing_is_five_taps_at_20_fps_and_the_same_in_seconds_elsewhere() -> None:

@@ -1,4 +1,4 @@
-"""Hands of the default character outside its trunk and face: known answers, limits on speed, whole performances."""
+"""Hands of the default character outside its trunk and face, elbows off its back: known answers, speeds, the whole."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.types import Array, Motion
+from eval.metrics.eye.body import common_body
+from eval.metrics.eye.trunk import elbow_behind
 from gesticulator import Gesticulator
 from gesticulator.body.clearance import HEAD_RADIUS, STEEPEST, cleared, face_front, trunk_front
 from gesticulator.body.mirror import mirrored_motion
@@ -88,6 +90,43 @@ def test_both_sides_are_mirror_images() -> None:
     assert rotation.angle_between(mirrored_motion(other).rotations, cleared(motion).rotations).max() < 1e-6
 
 
+def drawn_back(back: Array) -> Motion:
+    """A left arm whose hand is beside the belly, with its elbow turned behind the back by `back` [T], radians."""
+    turns = np.zeros((len(back), len(FINGERED), 4))
+    turns[..., 0] = 1.0
+    down = rotation.from_exponential_map(np.tile([0.0, 0.0, -1.45], (len(back), 1)))
+    behind = rotation.from_exponential_map(back[:, None] * [1.0, 0.0, -0.35])
+    turns[:, FINGERED.index("LeftArm")] = rotation.multiply(behind, down)
+    turns[:, FINGERED.index("LeftForeArm")] = rotation.from_exponential_map(np.tile([0.0, -1.3, 0.0], (len(back), 1)))
+    return Motion(FINGERED, turns, np.zeros((len(back), 3)), FPS)
+
+
+def test_an_elbow_behind_the_back_swings_outward_and_the_hand_stays() -> None:
+    time = np.arange(60) / FPS
+    motion = drawn_back(0.45 + 0.45 * np.sin(2 * np.pi * time))
+    free = cleared(motion)
+    elbow, hand = FINGERED.index("LeftForeArm"), FINGERED.index("LeftHand")
+    before, after = (positions_of(one) for one in (motion, free))
+    hips = before[0, 0]
+    hidden = before[:, elbow] - hips
+    assert ((hidden[:, 2] < -0.08) & (hidden[:, 0] < 0.2)).any(), "it was hidden"
+    there = after[:, elbow] - hips
+    assert not ((there[:, 2] < -0.08) & (there[:, 0] < 0.2)).any()
+    moved = np.linalg.norm(after[:, elbow] - before[:, elbow], axis=1)
+    steps = [np.linalg.norm(np.diff(places[:, elbow], axis=0), axis=1).max() for places in (before, after)]
+    assert moved.max() > 0.03 and steps[1] < 2.5 * steps[0], "no jump"
+    alone = our_distances(pose_of(motion))["Left"] > 0.08  # frames in which the hand is clear
+    assert alone.any()
+    np.testing.assert_allclose(after[alone][:, hand], before[alone][:, hand], atol=1e-6)
+    turns = [rotation.from_exponential_map(np.zeros(3))]
+    for one in (motion, free):
+        world = turns[0]
+        for joint in ("LeftShoulder", "LeftArm", "LeftForeArm", "LeftHand"):
+            world = rotation.multiply(world, one.rotations[:, FINGERED.index(joint)])
+        turns.append(world)
+    assert rotation.angle_between(turns[1], turns[2]).max() < 1e-6, "the palm stays as it was"
+
+
 @pytest.fixture(scope="module")
 def system() -> Gesticulator:
     return Gesticulator.from_pretrained()
@@ -96,9 +135,24 @@ def system() -> Gesticulator:
 @pytest.mark.parametrize("knobs", [{}, {"intensity": 2.0, "legs": True}, {"energy": "lively", "mirror": True},
                                    {"hand_radius": 0.15, "hold_still": ((3.2, 5.0),)}])
 @pytest.mark.filterwarnings("ignore:hand_radius")
-def test_no_hand_is_in_the_trunk_at_any_knob(knobs: dict, system: Gesticulator) -> None:
+def test_no_hand_is_in_the_trunk_and_no_elbow_behind_it_at_any_knob(knobs: dict, system: Gesticulator) -> None:
     samples, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32",
                                    frames=160_000)
     motion = system(samples, rate, seed=1, **knobs).motion
     for gap in our_distances(pose_of(replace(motion, root_positions=np.zeros_like(motion.root_positions)))).values():
         assert gap.min() > -0.01
+    body = common_body(motion)
+    assert max(elbow_behind(body, side) for side in ("Left", "Right")) <= 1.0
+
+
+def test_a_hand_that_is_moved_turns_to_the_same_side_as_its_neighbours() -> None:
+    time = np.arange(120) / FPS
+    motion = reaching(1.2 + 0.9 * np.sin(2 * np.pi * time), np.full(120, 1.9))
+    # The forearm is turned by more than half a turn, where the quaternion of a matrix may lie on the other side.
+    twist = rotation.from_exponential_map((2.9 + 0.4 * np.sin(3 * time))[:, None] * [1.0, 0.0, 0.0])
+    arm = FINGERED.index("LeftForeArm")
+    turns = motion.rotations.copy()
+    turns[:, arm] = rotation.continuous(rotation.multiply(turns[:, arm], twist))
+    free = cleared(replace(motion, rotations=turns))
+    assert (free.rotations != turns).any()
+    assert (np.sum(free.rotations[1:] * free.rotations[:-1], axis=-1) > 0).all()

@@ -1,11 +1,6 @@
-"""How far a hand is from a trunk: known answers of an ellipse, the way out, and the same measured on the page."""
+"""How far a hand is from a trunk: known answers of an ellipse, the way out."""
 
 from __future__ import annotations
-
-import json
-import shutil
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,13 +10,7 @@ from data_module.types import Array
 from gesticulator.characters.contacts import Trunk, plain_trunk
 
 WIDTH, DEPTH, HEIGHT = 0.2, 0.1, 0.5
-VIEWER = Path(__file__).parent.parent / "viewer"
 COUNT = 2000
-AROUND = """import { outside } from "./src/contacts.js";
-import { Vector3 } from "three";
-import { readFileSync } from "node:fs";
-const { trunk, cases } = JSON.parse(readFileSync(0, "utf8")), vector = (x) => new Vector3(...x);
-console.log(JSON.stringify(cases.map((x) => outside(trunk, ...x.map(vector)).gap)));"""
 
 
 def measured(points: Array, trunk: Trunk | None = None, turn: Rotation | None = None) -> tuple[Array, Array]:
@@ -102,17 +91,3 @@ def test_beyond_its_ends_the_distance_grows_from_that_of_the_rim() -> None:
     length = np.linalg.norm(neck - hips, axis=1)
     expected = np.hypot(np.maximum(radial(trunk, local), 0.0), (local[:, 1] - 1.0) * length)
     np.testing.assert_allclose(trunk.distance(points, hips, neck, chest)[0], expected, atol=1e-12)
-
-
-def test_the_page_measures_as_python_does() -> None:
-    node = shutil.which("node")
-    if node is None or not (VIEWER / "node_modules").is_dir():
-        pytest.skip("node is not installed, or npm ci --prefix viewer has not been run")
-    trunk = Trunk(np.array([0.1, 0.5, 0.8]), np.array([0.3, 0.25, 0.2]), np.array([0.2, 0.22, 0.15]),
-                  np.array([0.02, 0.05, 0.0]))
-    points, hips, neck, chest, _ = columns((-0.4, 1.4))
-    cases = np.stack([points, hips, neck, chest[..., 0]], axis=1)
-    rows = {name: getattr(trunk, name).tolist() for name in ("steps", "width", "depth", "ahead")}
-    done = subprocess.run([node, "--input-type=module", "-e", AROUND], cwd=VIEWER, check=True, capture_output=True,
-                          input=json.dumps({"trunk": rows, "cases": cases.tolist()}), text=True)
-    np.testing.assert_allclose(json.loads(done.stdout), trunk.distance(points, hips, neck, chest)[0], atol=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -14,7 +15,7 @@ PAGE = ROOT / "docs" / "coverage.md"
 STATES = {"todo", "partial", "done"}
 PARTS = {"RG": 52, "RA": 22, "JX": 11, "MO": 14}
 IDS = [f"{part}-{number:02}" for part, last in PARTS.items() for number in range(1, last + 1)]
-VERDICTS = {"holds", "does not hold", "undecided"}
+CLAIMS = json.loads((ROOT / "docs" / "results" / "claims.json").read_text(encoding="utf-8"))["tables"][0]["facts"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ def names(cell: str) -> tuple[str, ...]:
 
 def rows() -> list[Row]:
     found = []
-    for line in PAGE.read_text(encoding="utf-8").splitlines():
+    parts = PAGE.read_text(encoding="utf-8").partition("\n## What is missing\n")[0]
+    for line in parts.splitlines():
         cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
         if line.startswith("|") and cells[0][:2] in PARTS:
             assert len(cells) == 6, f"six cells are expected: {line}"
@@ -52,12 +54,26 @@ def functions(path: Path) -> frozenset[str]:
     return frozenset(name for name in plain | inner if name.rsplit("::", 1)[-1].startswith("test"))
 
 
-def effects() -> list[tuple[str, tuple[str, ...], str]]:
-    """(effect, rows that it belongs to, verdict) of the table of effects."""
-    _, _, source = PAGE.read_text(encoding="utf-8").partition("\n## Effects\n")
-    lines = [line for line in source.splitlines() if line.startswith("| ")][1:]
-    cells = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines]
-    return [(effect, names(rows_of), verdict) for effect, rows_of, verdict, _ in cells]
+@dataclass(frozen=True)
+class ShownEffect:
+    """A row of the table of effects; claim: its number in claims.md."""
+
+    says: str
+    rows: tuple[str, ...]
+    verdict: str
+    claim: int
+
+
+def table_below(heading: str) -> list[list[str]]:
+    """The cells of the rows of the first table below a heading."""
+    _, _, source = PAGE.read_text(encoding="utf-8").partition(f"\n## {heading}\n")
+    lines = [line for line in source.partition("\n## ")[0].splitlines() if line.startswith("| ")][1:]
+    return [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines]
+
+
+def effects() -> list[ShownEffect]:
+    return [ShownEffect(effect, names(rows_of), verdict, int(claim))
+            for effect, rows_of, verdict, _, claim in table_below("Effects")]
 
 
 def test_every_part_of_both_papers_stands_there_once_and_in_order() -> None:
@@ -81,10 +97,28 @@ def test_a_row_says_only_what_is_there(row: Row) -> None:
         assert row.files, f"{row.id} is partial without a file"
 
 
-def test_what_is_done_has_an_effect_that_was_decided() -> None:
+def test_every_effect_has_the_verdict_that_stands_in_the_claims() -> None:
+    """The page has the effects of claims.json, in order, each with the verdict of the claim that it names."""
+    assert [(effect.says, list(effect.rows), effect.verdict, effect.claim) for effect in effects()] == [
+        (effect["effect"], effect["rows"], effect["verdict"], effect["claim"]) for effect in CLAIMS["effects"]]
+    for effect in effects():
+        assert CLAIMS["claims"][effect.claim - 1]["verdict"] == effect.verdict, effect.says
+
+
+def test_what_is_done_has_an_effect_that_was_decided_or_no_figure_in_the_paper() -> None:
     states = {row.id: row.state for row in rows()}
-    assert effects()
-    for effect, belongs, verdict in effects():
-        assert verdict in VERDICTS, effect
-        for row in belongs:
-            assert states[row] == "partial" if verdict == "undecided" else states[row] in STATES, f"{row}: {effect}"
+    assert len(effects()) > 20
+    for effect in effects():
+        printed = bool(CLAIMS["claims"][effect.claim - 1]["paper"])
+        is_open = effect.verdict == "undecided" or (effect.verdict == "no valid test" and printed)
+        for row in effect.rows:
+            assert states[row] == "partial" or not is_open, f"{row}: {effect.says}"
+
+
+def test_every_partial_row_says_what_is_missing_and_no_other() -> None:
+    lacking = table_below("What is missing")
+    listed = [row for cells in lacking for row in names(cells[0])]
+    assert sorted(listed) == sorted(row.id for row in rows() if row.state == "partial" and not row.id.startswith("MO"))
+    for cells in lacking:
+        assert len(cells) == 4 and len(cells[1]) > 15, f"{cells[0]} does not say what is missing"
+        assert "`" in cells[2] or "not to be had" in cells[1], f"{cells[0]} names no command"

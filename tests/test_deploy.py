@@ -26,13 +26,14 @@ import pytest
 import yaml
 from live_double import served
 from pipecat_gesticulator import Hello, Poses, connect
+from websockets.asyncio.client import connect as open_socket
 
 from gesticulator.infer import COMMAND as INFER
 from gesticulator.serve.command import COMMAND as SERVE
 from gesticulator.serve.command import read_limits
 from gesticulator.serve.connection import CLOSE_SECONDS
 from gesticulator.serve.metrics import ServerMetrics, exposition
-from gesticulator.serve.server import ANSWER_SECONDS, STUCK_SECONDS
+from gesticulator.serve.server import ANSWER_SECONDS, STUCK_SECONDS, LiveServer
 from gesticulator.serve.settings import STREAMS_PER_CORE, ServerLimits
 
 ROOT = Path(__file__).parents[1]
@@ -398,3 +399,98 @@ def test_streams_stay_with_their_server_behind_a_balancer(balancer: Any, tmp_pat
         for frames in asyncio.run(all_of_them()):
             assert frames == list(range(120))
         assert [server.metrics.numbers["streams_total"] for server, _ in servers] == [3, 3]
+
+
+# ---------------------------------------------------------------------------------------------------- TLS
+
+def certificate(folder: Path) -> tuple[Path, Path]:
+    """A certificate of this machine, and its key."""
+    files = folder / "fullchain.pem", folder / "privkey.pem"
+    subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
+                    "-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-days", "2",
+                    "-out", str(files[0]), "-keyout", str(files[1])], check=True, capture_output=True)
+    return files
+
+
+def nginx_tls(folder: Path, ports: tuple[int, int], servers: list[int]) -> list[str]:
+    """The command of nginx with our TLS configuration; ports: of http and of https."""
+    text = (DEPLOY / "tls" / "nginx.conf").read_text()
+    for place, own in ((80, ports[0]), ("443 ssl", f"{ports[1]} ssl")):
+        assert text.count(f"listen {place};") == 1
+        text = text.replace(f"listen {place};", f"listen 127.0.0.1:{own};")
+    for told, port in zip(("8771", "8772"), servers, strict=True):
+        text = text.replace(f"127.0.0.1:{told}", f"127.0.0.1:{port}")
+    for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"):
+        text = text.replace("access_log off;", f"access_log off;\n    {kind}_temp_path {folder}/{kind};", 1)
+    (folder / "nginx.conf").write_text(text.replace("/etc/ssl/gestures.example.org", str(folder)))
+    checked = subprocess.run(["nginx", "-t", "-p", str(folder), "-c", str(folder / "nginx.conf"), "-e", "stderr",
+                              "-g", f"pid {folder}/pid;"], capture_output=True, text=True)
+    assert checked.returncode == 0 and "warn" not in checked.stderr, checked.stderr
+    return ["nginx", "-p", str(folder), "-c", str(folder / "nginx.conf"), "-e", "stderr",
+            "-g", f"daemon off; master_process off; pid {folder}/pid;"]
+
+
+def caddy(folder: Path, ports: tuple[int, int], servers: list[int]) -> list[str]:
+    """The command of Caddy with our configuration, and this machine's name and certificate."""
+    text = (DEPLOY / "tls" / "Caddyfile").read_text()
+    validated = subprocess.run(["caddy", "validate", "--adapter", "caddyfile", "--config",
+                                str(DEPLOY / "tls" / "Caddyfile")], capture_output=True, text=True)
+    assert validated.returncode == 0, validated.stderr
+    named = f"localhost:{ports[1]} {{\n\ttls {folder}/fullchain.pem {folder}/privkey.pem"
+    assert "\ngestures.example.org {" in text
+    text = text.replace("\ngestures.example.org {", f"\n{named}")
+    for told, port in zip(("8771", "8772"), servers, strict=True):
+        text = text.replace(f"127.0.0.1:{told}", f"127.0.0.1:{port}")
+    (folder / "Caddyfile").write_text(
+        f"{{\n\tadmin off\n\tauto_https disable_redirects\n\thttp_port {ports[0]}\n}}\n{text}")
+    return ["caddy", "run", "--adapter", "caddyfile", "--config", str(folder / "Caddyfile")]
+
+
+@pytest.mark.parametrize("proxy", [nginx_tls, caddy], ids=["nginx", "caddy"])
+def test_a_proxy_terminates_tls_says_who_the_client_is_and_hides_the_rest(
+        proxy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A verified certificate, streams without a gap, no address that a client makes up, and no metrics."""
+    import urllib.error
+    import urllib.request
+
+    if any(shutil.which(name) is None for name in (proxy.__name__.removesuffix("_tls"), "openssl")):
+        pytest.skip("it is not installed")
+    whole, _ = certificate(tmp_path)
+    monkeypatch.setenv("SSL_CERT_FILE", str(whole))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with ExitStack() as opened:
+        servers = [opened.enter_context(served(ServerLimits(streams=8, drain_seconds=0.5), {})) for _ in range(2)]
+        named: list[str | None] = []
+        address_of = LiveServer._address_of
+
+        def noted(server: LiveServer, ws: Any, request: Any) -> str:
+            named.append(request.headers.get("X-Forwarded-For"))
+            return address_of(server, ws, request)
+
+        monkeypatch.setattr(LiveServer, "_address_of", noted)
+        ports = free_port(), free_port()
+        opened.enter_context(started(proxy(tmp_path, ports, [own for _, own in servers]), ports[1]))
+
+        async def talk() -> list[int]:
+            numbers: list[int] = []
+            async with connect(f"wss://localhost:{ports[1]}/stream", Hello(16000)) as stream:
+                await stream.send(buzz(2.0))
+                await stream.finish()
+                async for message in stream:
+                    if isinstance(message, Poses):
+                        numbers += range(message.first, message.first + len(message))
+            return numbers
+
+        async def several() -> list[list[int]]:
+            pretends = open_socket(f"wss://localhost:{ports[1]}/stream", additional_headers={
+                "X-Forwarded-For": "1.2.3.4"})
+            async with pretends as ws:
+                await ws.send(Hello(16000).text())
+                assert json.loads(await ws.recv())["type"] == "hello"
+            return await asyncio.gather(*(talk() for _ in range(4)))
+
+        assert asyncio.run(several()) == [list(range(120))] * 4
+        assert named and set(named) <= {"127.0.0.1", "::1"}
+        assert urllib.request.urlopen(f"https://localhost:{ports[1]}/healthz", timeout=5).status == 200
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(f"https://localhost:{ports[1]}/metrics", timeout=5)

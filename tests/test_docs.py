@@ -285,7 +285,7 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
         [shown(right, "lstm", "free_running", 1),
          *(shown(right, name, "free_running", 1, False) for name in ("previous lexeme and speaker", "majority"))],
         [f"{sum(onsets) / len(onsets):.2f}"],
-        [" / ".join(str(count[verdict]) for verdict in ("holds", "does not hold", "undecided"))],
+        [" / ".join(str(count[verdict]) for verdict in ("holds", "does not hold", "no valid test", "undecided"))],
         [f"{times['warm_lstm']:.2f} / {times['cold']:.2f}",
          f"{times['warm_with_text']:.2f} / {times['cold_with_text']:.2f}"],
     ]

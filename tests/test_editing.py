@@ -152,12 +152,17 @@ def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
     elif what == "cue":
         plan["cues"] = [*plan.get("cues", ()), {"gesture": ("wave", "shrug", "nod")[value % 3],
                                                "time": blocks[at]["start"]}]
+    elif what == "pin":
+        side, sign = (("Left", 1.0), ("Right", -1.0))[value % 2]
+        plan["pins"] = [*plan.get("pins", ()), {"time": blocks[at]["start"] + 1e-3 * (value % 300),
+                                                "joint": f"{side}Hand", "position": [sign * 0.25, 1.25, 0.3],
+                                                "hold": (0.0, 0.4)[value // 2 % 2]}][:value % 4]
     else:
         plan["knobs"][what] = KNOBS[what][value % len(KNOBS[what])]
     return plan
 
 
-EDITS = st.lists(st.tuples(st.sampled_from(["undo", "cue", "curve", *BLOCK, *BLOCK, *BEATS, *KNOBS]),
+EDITS = st.lists(st.tuples(st.sampled_from(["undo", "cue", "curve", "pin", "pin", *BLOCK, *BLOCK, *BEATS, *KNOBS]),
                            st.integers(0, 30), st.integers(0, 10_000)), min_size=3, max_size=7)
 
 
@@ -227,6 +232,35 @@ def test_a_curve_sizes_where_it_runs_and_leaves_locked_blocks(system: Gesticulat
         block["locked"] = True
     page.edit(plan)
     np.testing.assert_array_equal(page.frames, before)
+
+
+def test_curves_of_the_hands_draw_the_recording_again_with_its_lexemes(
+        system: Gesticulator, speech: Speech, first: Performance, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = Page(system, first)
+    original, before = page.plan, page.frames.copy()
+    hand, heights = first.joints.index("RightHand"), {}
+    for value in (0.0, 0.35):
+        page.edit({**page.plan, "curves": [{"knob": "height", "times": [0.0], "values": [value]}]})
+        made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(page.plan)))
+        np.testing.assert_array_equal(page.frames, frames_of_take(made))
+        heights[value] = made.positions()[60:, hand, 1].mean()
+        assert [one["lexeme"] for one in page.plan["blocks"]] == [one["lexeme"] for one in original["blocks"]]
+    assert heights[0.35] > heights[0.0] + 0.1, "metres above the hips, about"
+    drawn = _counted(monkeypatch)
+    page.edit(edited(page.plan, "swap", 8, 77))
+    assert drawn[0] <= 2, "under a curve too, an edit costs its block"
+    page.edit(original)
+    np.testing.assert_array_equal(page.frames, before)
+    assert drawn[0] <= 2
+    with pytest.raises(InputError, match="outside of 0 to 2 m"):
+        page.edit({**page.plan, "curves": [{"knob": "radius", "times": [0.0], "values": [7.0]}]})
+    # The next wish ends it in the middle.
+    asked = {"have": page.have, "view": [2.0, 3.0], "changes": {"blocks": [], "parts": {"curves": [
+        {"knob": "speed", "times": [0.0, 6.0], "values": [0.3, 0.8]}]}}}
+    calls = iter([False, False, False])
+    with pytest.raises(AbandonedError):
+        list(page.plans.answer(asked, lambda: next(calls, True)))
+    assert drawn[0] < 2 + len(original["blocks"])
 
 
 def test_the_visible_stretch_comes_first_and_a_new_wish_ends_the_old(system: Gesticulator, first: Performance,

@@ -238,6 +238,31 @@ def test_hands_through_the_belly_are_seen() -> None:
     assert trunk.inside(np.tile([0.0, 0.6, 0.0], (5, 1)), *line, 0.19) == 0.0  # above the chest it is outside
 
 
+def test_an_elbow_behind_the_trunk_is_seen_while_the_hand_gestures(take: tuple[Motion, Speech]) -> None:
+    """A hold with the upper arm drawn behind the back, as a generator may sample it, in a third of a real take."""
+    real = common_body(take[0])
+    assert eye.of_body(real)["eye_elbow_behind"] < 0.5
+    drawn = common_body(take[0])
+    count = len(drawn) // 3
+    turns = drawn.chest[:count]
+    for name, place in (("ForeArm", [0.15, 0.12, -0.12]), ("Hand", [0.12, -0.02, 0.10])):
+        away = rotation.rotate(turns, np.array(place)) + drawn.points["Waist"][:count] / 2
+        drawn.points["Left" + name][:count] = away
+    found = eye.of_body(drawn)
+    assert found["eye_elbow_behind"] == pytest.approx(100.0 / 3, abs=1.0)
+    assert eye.within("eye_elbow_behind", found["eye_elbow_behind"]) is False
+    assert found["eye_elbow_in_torso"] < 1.0, "which no other figure sees"
+    drawn.points["LeftForeArm"][:count] += rotation.rotate(turns, np.array([0.1, 0.0, 0.0]))
+    assert eye.of_body(drawn)["eye_elbow_behind"] < 0.5, "an elbow beside the trunk"
+
+
+def test_an_elbow_that_swings_back_with_a_low_hand_is_that_of_a_walk() -> None:
+    swing = posed(5.0, lambda time: {"LeftArm": np.tile([0.0, 0.7, -1.3], (len(time), 1)),
+                                     "LeftForeArm": np.zeros((len(time), 3))})
+    body = common_body(swing)
+    assert body.points["LeftForeArm"][:, 2].max() < -0.08 and eye.of_body(body)["eye_elbow_behind"] == 0.0
+
+
 def test_drift_is_told_in_centimetres() -> None:
     motion = posed(60.0, lambda time: {"RightForeArm": elbow("Right", np.where(time < 30, 0.0, math.pi / 2))})
     # A right angle of the forearm moves the wrist by 25 cm times root two, the other one not at all.

@@ -199,6 +199,9 @@ def test_silent_lexemes_are_slow_and_belong_to_silence() -> None:
     speeds = np.array([0.01, 2.0, 0.02, 1.0, 1.5])  # lexeme 2 is slow and never silent
     assert silent_lexemes(speeds, labels, silent, slow_share=0.4).tolist() == [0]
     assert len(silent_lexemes(speeds, labels, np.zeros(100, dtype=bool))) == 1, "never empty"
+    few = np.concatenate([[0.2, 0.1, 0.5], np.full(97, np.inf)])
+    used = np.array([0, 1, 1, 2] * 25)
+    assert silent_lexemes(few, used, used == 1).tolist() == [1], "of a hundred lexemes three are used"
 
 
 def test_nearest_silent_is_itself_for_a_silent_lexeme() -> None:

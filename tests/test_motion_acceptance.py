@@ -475,6 +475,8 @@ def test_other_words_keep_their_times_and_more_than_a_tenth_must_change() -> Non
         steering.other_words(speech, ())
     assert steering.words_clause([0.1, 0.1]).holds is False
     assert steering.words_clause([0.1, 0.12]).holds is True
+    assert steering.fainter_clause([0.0, 0.02]).holds is True
+    assert steering.fainter_clause([0.0, 0.7]).holds is False, "any trifle changes them"
 
 
 # -------------------------------------------------------------------------------------------------------- renderings

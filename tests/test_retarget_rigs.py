@@ -20,8 +20,7 @@ from data_module.types import Motion
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import SURE
 from gesticulator.characters.retarget import Retargeter
-from gesticulator.characters.rig import CharacterMotion
-from tests.rig_errors import LIMITS, places_of, worst
+from tests.rig_errors import LIMITS, depth_in_column, inside, worst
 from tests.rigs import NAMED, PLACES, POSES, STYLES, Rig, draw, placed
 
 SEEDS: tuple[int, ...] = (
@@ -144,35 +143,12 @@ def test_no_tool_needs_a_mapping_by_hand(style: str) -> None:
         assert found.confidence > 0.9, (style, found.doubts)
 
 
-def inside(rig: Rig, moved: CharacterMotion, torso: tuple[float, float]) -> np.ndarray:
-    """[T] how deep her wrists and knuckles are in an elliptic column from hips to neck: 1 at its axis, 0 outside."""
-    places, turns = places_of(rig, moved), moved.world_matrices()[:, rig.spine[-1], :3, :3]
-    rest = rig.character.world_matrices()[rig.spine[-1], :3, :3]
-    left = turns @ np.linalg.inv(rest) @ rig.axes[0] @ rig.axes.T
-    hips, neck = places[:, rig.truth["Hips"]], places[:, rig.neck[0]]
-    names = [side + part for side in ("Left", "Right") for part in ("Hand", "HandMiddle1")]
-    return np.max([_depth(places[:, rig.truth[name]], hips, neck, left, torso) for name in names], axis=0)
-
-
-def _depth(point: np.ndarray, hips: np.ndarray, neck: np.ndarray, left: np.ndarray, torso: tuple[float, float]
-           ) -> np.ndarray:
-    axis = neck - hips
-    height = np.linalg.norm(axis, axis=-1, keepdims=True)
-    axis = axis / height
-    left = left - np.sum(left * axis, axis=-1, keepdims=True) * axis
-    left = left / np.linalg.norm(left, axis=-1, keepdims=True)
-    own = point - hips
-    x, y, z = (np.sum(own * way, axis=-1) for way in (left, axis, np.cross(left, axis)))
-    within = (y > 0) & (y < height[:, 0])
-    return np.where(within, np.maximum(1.0 - np.hypot(x / torso[0], z / torso[1]), 0.0), 0.0)
-
-
 def _ours_inside(motion: Motion, torso: tuple[float, float] = (0.145, 0.115)) -> np.ndarray:
     places = kinematics.positions_of(motion)
     world = kinematics.global_rotations(WHOLE_BODY, motion.rotations)[:, WHOLE_BODY.index("Spine3")]
     left = rotation.rotate(world, np.array([1.0, 0.0, 0.0]))
     hips, neck = places[:, 0], places[:, WHOLE_BODY.index("Neck")]
-    return np.max([_depth(places[:, WHOLE_BODY.index(side + part)], hips, neck, left, torso)
+    return np.max([depth_in_column(places[:, WHOLE_BODY.index(side + part)], hips, neck, left, torso)
                    for side in ("Left", "Right") for part in ("Hand", "HandMiddle1")], axis=0)
 
 

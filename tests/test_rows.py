@@ -13,13 +13,27 @@ import numpy as np
 import pytest
 
 from data_module.errors import InputError
-from eval import stats
-from eval.claim import FAILS, HOLDS, UNDECIDED, Claim
+from eval.claim import FAILS, HOLDS, UNDECIDED
 from eval.commands import ABLATE
-from eval.rows import CONTROLS, OURS, REFERENCES, ROWS, SYSTEMS, TABLES, claims, racer, rg, tables
+from eval.rows import (
+    CONTROLS,
+    OURS,
+    REFERENCES,
+    ROWS,
+    SYSTEMS,
+    TABLES,
+    claims,
+    controls,
+    decisions,
+    racer,
+    rg,
+    tables,
+)
 from eval.rows.cells import Cell, Cells, CellStore, summaries
-from eval.rows.claims import BOUNDS, CLAIMS, PaperClaim
+from eval.rows.claims import CLAIMS, PaperClaim
+from eval.rows.effects import EFFECTS
 from eval.rows.row import COLUMNS, DECISIONS
+from eval.rows.verdicts import ALIKE, NO_TEST, Decision
 from eval.runner.ablate import FIGURES
 from eval.runner.context import EvalContext
 from eval.runner.rg import RgRows, configured
@@ -260,7 +274,7 @@ def test_figures_are_means_over_seeds_and_clips_by_their_weights() -> None:
     assert settling["ours"]["late"] == pytest.approx(3.0) and settling["no-style"]["late"] is None
     half = cell("racer-cql", 1, 1.0)
     del half["clips"][1]["maje"]  # it was not played
-    assert summaries({"racer-cql": {1: half}})["racer-cql"]["figures"]["maje"] == Interval(1.0, 1.0, 1.0, 1)
+    assert summaries({"racer-cql": {1: half}})["racer-cql"]["figures"]["maje"].text(1) == "1.0"
 
 
 def test_tables_of_stored_cells_keep_their_values() -> None:
@@ -273,7 +287,7 @@ def test_tables_of_stored_cells_keep_their_values() -> None:
             assert rows[name]["figures"][key].to_dict() == pytest.approx(value, rel=1e-9, nan_ok=True), (name, key)
             count += 1
     found = {(claim["where"], claim["first"], claim["second"], claim["metric"]): claim
-             for claim in claims.claims_table(cells).facts["claims"]}
+             for claim in decisions.claims_table(cells).facts["claims"]}
     for held in expected["claims"]:
         own = found[held["where"], held["first"], held["second"], held["metric"]]
         assert own["verdict"] == held["verdict"] and own["difference"] == pytest.approx(held["difference"], rel=1e-9)
@@ -289,7 +303,8 @@ def shown(table: Table) -> str:
 def test_tables_show_ours_beside_the_papers_and_mark_what_is_undecided() -> None:
     rows = summaries(cells_of(ours=[1.0] * 3, no_style=[2.0]))
     table = tables.paper_table("RG Table 1", rows, {"no-lexemes": "400 s counted"})
-    assert table.rows["Ours (w/o ZC) (undecided: 1 of 3 seeds)"]["maje"] == Interval(2.5, 2.0, 3.0, 2)
+    one_seed = table.rows["Ours (w/o ZC) (undecided: 1 of 3 seeds)"]["maje"]
+    assert isinstance(one_seed, Interval) and one_seed.mean == 2.5 and one_seed.n == 2
     assert table.rows["Ours (w/o ZC) (undecided: 1 of 3 seeds)"]["maje, paper"] == "52.85 / 21.33"
     assert table.rows["Ours (w/o SC) (400 s counted)"]["maje"] is None
     assert "SG (not handed in)" in table.rows and "Ours (audio only) (not run)" in table.rows
@@ -306,7 +321,7 @@ def test_racers_table_pairs_seeds_and_names_what_is_the_same() -> None:
     assert first.rows["racer-cql"]["return, paper"] == "9.34"
     apart = tables.racer_differences(cells)[0]
     assert list(apart.rows) == ["racer-cql - racer-supervised"], "not with itself, nor under another name"
-    assert apart.rows["racer-cql - racer-supervised"]["cosine"] == Interval(2.0, 2.0, 2.0, 2)
+    assert apart.rows["racer-cql - racer-supervised"]["cosine"].text(1) == "2.0 [2.0, 2.0]"
 
 
 def test_a_control_beats_a_column_by_its_direction() -> None:
@@ -337,7 +352,8 @@ def test_tables_and_claims_are_drawn_again_from_the_cells(tmp_path: Path, capsys
     first = load(out / "table.json")[0]
     assert first.facts["rows"]["no-style"]["figures"]["fgd"]["mean"] == 4.5 and first.facts["preset"] == "tiny"
     table = next(one for one in load(out / "table.json") if one.title == "Ours less each row")
-    assert table.rows["no-style"]["fgd"] == Interval(-2.0, -3.0, -1.0, 2)
+    apart = table.rows["no-style"]["fgd"]
+    assert isinstance(apart, Interval) and apart.mean == -2.0 and apart.low < -3.0, "t of two degrees of freedom"
     found = {claim["where"]: claim for claim in load(tmp_path / "claims.json")[0].facts["claims"]}
     assert found["RG Fig. 10"]["verdict"] == HOLDS and found["RG Fig. 10"]["difference"]["low"] == 0.4
     assert found["RG Fig. 13"]["verdict"] == UNDECIDED
@@ -347,71 +363,114 @@ def test_a_table_of_earlier_weights_answers_until_there_is_a_new_one(tmp_path: P
     for folder, mean in (("earlier", 2.0), (".", 3.0)):
         held = {"mean": mean, "low": 1.0, "high": 4.0, "n": 5}
         save([Table("x", {"a": Column("a")}, {}, facts={"claim": [held]})], tmp_path / folder / "languages.json", ABOUT)
-        assert claims.probed(tmp_path)["RG Fig. 13"].value.mean == mean
+        assert decisions.probed(tmp_path)["RG Fig. 13"].value.mean == mean
 
 
 # ------------------------------------------------------------------------------------------------------------- claims
 
 LOWER = PaperClaim("RG Table 1", "ours", "no-style", "fgd", "below")
+HIGHER = PaperClaim("RG Table 1", "ours", "no-lexemes", "pmb_above_chance")
 
 
-def fgd_cells(**rows: list[list[float]]) -> Cells:
-    """Cells with fgd = rows[row][seed][clip]; the performer has no seed."""
-    return {name.replace("_", "-"): {seed: {"clips": [{"name": f"clip {k}", "fgd": value}
+def cells_by(metric: str, **rows: list[list[float]]) -> Cells:
+    """Cells with metric = rows[row][seed][clip]; the performer and the controls have no seed."""
+    return {name.replace("_", "-"): {seed: {"clips": [{"name": f"clip {k}", metric: value}
                                                       for k, value in enumerate(clips)]}
-                                     for seed, clips in enumerate(seeds, start=name != "performer")}
+                                     for seed, clips in enumerate(seeds, start=name not in ("performer", *CONTROLS))}
             for name, seeds in rows.items()}
 
 
-@pytest.mark.parametrize(("low", "high", "above", "below", "alike"), [
-    (1.0, 2.0, HOLDS, FAILS, HOLDS), (-2.0, -1.0, FAILS, HOLDS, HOLDS), (-1.0, 1.0, UNDECIDED, UNDECIDED, HOLDS),
-    (-9.0, 9.0, UNDECIDED, UNDECIDED, UNDECIDED), (6.0, 9.0, HOLDS, FAILS, FAILS), (4.0, 9.0, HOLDS, FAILS, UNDECIDED)])
-def test_an_interval_decides(low: float, high: float, above: str, below: str, alike: str) -> None:
-    own = Interval((low + high) / 2, low, high, 10)
-    assert [Claim("", BOUNDS[says]).judge(own).word for says in ("above", "below", "alike")] == [above, below, alike]
+def fgd_cells(**rows: list[list[float]]) -> Cells:
+    """Cells of FGD, and controls that are worse than anything else."""
+    clips = max(len(seeds[0]) for seeds in rows.values())
+    return cells_by("fgd", **rows, shuffled=[[1e4 + k for k in range(clips)]])
 
 
 def test_differences_are_paired_over_seeds_and_clips() -> None:
     rng = np.random.default_rng(0)
-    hard = rng.normal(0, 100, size=(3, 12))  # what clips and seeds differ by is far more than what rows do
-    better = hard - 1 + rng.normal(0, 0.3, size=(3, 12))
-    found = claims.judged(LOWER, fgd_cells(ours=better.tolist(), no_style=hard.tolist()))
+    hard = rng.normal(3, 0.1, size=(3, 1)) + rng.normal(10, 3, size=12)  # what clips and seeds differ by is far more
+    better = hard - 2 + rng.normal(0, 0.3, size=(3, 12))
+    found = decisions.judged(LOWER, fgd_cells(ours=better.tolist(), no_style=hard.tolist()))
     assert found.word == HOLDS and found.over == (3, 12)
-    assert found.value.mean == pytest.approx(-1, abs=0.2)
-    assert claims.judged(LOWER, fgd_cells(ours=hard.tolist(), no_style=better.tolist())).word == FAILS
-    other = rng.normal(0, 100, size=(3, 12)).tolist()
-    assert claims.judged(LOWER, fgd_cells(ours=better.tolist(), no_style=other)).word == UNDECIDED
+    assert found.value.mean == pytest.approx(-2, abs=0.2)
+    assert found.margin == pytest.approx((12.53 - 10.78) / 12.53 / 2 * hard.mean(), rel=0.01), "as a share"
+    other = decisions.judged(LOWER, fgd_cells(ours=hard.tolist(), no_style=better.tolist()))
+    assert other.word == FAILS and other.reason.startswith("the opposite")
+    other = decisions.judged(LOWER, fgd_cells(ours=better.tolist(), no_style=rng.normal(10, 9, size=(3, 12)).tolist()))
+    assert other.word == UNDECIDED and len(other.needed) == 2
 
 
-def test_what_could_be_seen_is_seen_in_four_of_five_experiments() -> None:
-    rng, clips = np.random.default_rng(0), 40
-    least = claims.detectable(stats.mean_interval(rng.normal(size=clips)))
-    assert least == pytest.approx(2.80 / np.sqrt(clips), rel=0.25), "of clips that differ by 1"
-    experiments = rng.normal(-2.80 / np.sqrt(clips), 1, size=(300, clips))
-    decided = [BOUNDS["below"].holds(stats.mean_interval(one, draws=400)) is True for one in experiments]
-    assert np.mean(decided) == pytest.approx(0.8, abs=0.07)
-
-
-def test_an_interval_may_leave_out_half_of_the_papers_effect() -> None:
+def test_the_margin_is_half_of_the_papers_effect() -> None:
     cells = fgd_cells(ours=[[1.0, 2.0]] * 3, no_style=[[2.0, 6.0]] * 3)
-    half = claims.half_of_the_papers(LOWER, cells)
-    assert half == pytest.approx((10.78 - 12.53) / 12.53 / 2 * 4.0), "Table 1 on Trinity, as a share of 4 here"
-    points = PaperClaim("RG Table 1", OURS, "no-lexemes", "pmb_above_chance")
-    assert claims.half_of_the_papers(points, {}) == pytest.approx((91.36 - 85.74) / 2)
-    assert claims.half_of_the_papers(PaperClaim("RG Fig. 18", "size-100", "size-10", "fgd", "below"), cells) is None
-    for low, high, out in ((-0.2, 0.3, True), (-0.3, 0.3, False), (-0.9, -0.5, False), (0.1, 0.2, True)):
-        found = Interval((low + high) / 2, low, high, 9)
-        assert claims.leaves_out(found, -0.28) is out
-        assert claims.leaves_out(Interval(-found.mean, -high, -low, 9), 0.28) is out
+    assert claims.margin_of(LOWER, cells) == pytest.approx((12.53 - 10.78) / 12.53 / 2 * 4.0)
+    assert claims.margin_of(HIGHER, {}) == pytest.approx((91.36 - 85.74) / 2)
+    assert claims.margin_of(PaperClaim("RG Table 1", OURS, "no-style", "pmb_above_chance", "alike"), {}) == 5.0
+    assert np.isnan(claims.margin_of(PaperClaim("RG Fig. 18", "size-100", "size-10", "fgd", "below"), cells))
+
+
+def test_a_claim_needs_a_printed_effect_and_a_metric_that_passes_its_controls() -> None:
+    rows = {"ours": [[50.0, 51.0, 52.0]] * 3, "no_lexemes": [[30.0, 31.0, 32.5]] * 3}
+    wrong = [[5.0, 6.0, 7.5]]
+    assert decisions.judged(HIGHER, cells_by("pmb_above_chance", **rows, shuffled=wrong, jitter=wrong)).word == HOLDS
+    found = decisions.judged(HIGHER, cells_by("pmb_above_chance", **rows, shuffled=wrong, jitter=[[49.0, 51.5, 53.0]]))
+    assert found.word == NO_TEST and found.reason == "jitter no worse than ours"
+    assert decisions.judged(HIGHER, cells_by("pmb_above_chance", **rows)).reason == "its controls were not run"
+    silent = PaperClaim("RG 6.4.1", OURS, "no-hint", "silence_speed", "below")
+    found = decisions.judged(silent, cells_by("silence_speed", ours=[[1.0, 2.0, 3.0]] * 3,
+                                              no_hint=[[2.0, 3.5, 4.0]] * 3, still=[[0.0, 1.1, 2.2]]))
+    assert found.word == NO_TEST and found.reason == "the paper prints no effect"
+
+
+def test_an_amount_is_less_in_a_still_body_and_not_more_in_noise() -> None:
+    def reason(still: float, jitter: float) -> str:
+        rows = {"ours": [[3.0, 3.1, 3.2]] * 3, "performer": [[4.0, 4.1, 4.2]], "still": [[still, still, still + 0.1]],
+                "jitter": [[jitter, jitter + 0.1, jitter + 0.21]], "reversed": [[4.0, 4.1, 4.2]]}
+        return controls.failing("diversity", cells_by("diversity", **rows))
+
+    assert reason(0.0, 4.0) == ""
+    assert reason(3.2, 4.0) == "still no worse than ours"
+    assert "jitter has more than the performer" in reason(0.0, 5.0)
+
+
+def test_returns_need_random_lexemes_that_earn_less(tmp_path: Path) -> None:
+    def keep(random: float) -> str:
+        rows = {name: {"return": Interval(mean, mean - 0.5, mean + 0.5, 8)} for name, mean in
+                (("performer", 3.0), ("random", random), ("majority", 0.0))}
+        table = Table("Policies: training reward", {"return": Column("return")}, rows)
+        save([table], tmp_path / "policies.json", ABOUT)
+        return controls.failing("return", {}, tmp_path)
+
+    assert keep(1.0) == "" and keep(2.5) == "random lexemes not shown to earn less than the performer's"
+    assert "not known" in controls.failing("return", {}, None)
 
 
 def test_fewer_than_three_seeds_or_no_figure_decide_nothing() -> None:
-    found = claims.judged(LOWER, fgd_cells(ours=[[1.0] * 9] * 2, no_style=[[2.0] * 9] * 3))
+    found = decisions.judged(LOWER, fgd_cells(ours=[[1.0, 1.5] * 5] * 2, no_style=[[2.0, 2.6] * 5] * 3))
     assert found.word == UNDECIDED and found.reason == "2 of 3 seeds"
-    assert found.value.mean == -1.0, "it is shown all the same"
-    assert claims.judged(LOWER, fgd_cells(ours=[[1.0]] * 3)).reason == "not run: no-style"
+    assert found.value.mean == pytest.approx(-1.05), "it is shown all the same"
+    assert decisions.judged(LOWER, fgd_cells(ours=[[1.0]] * 3)).reason == "not run: no-style"
     empty = fgd_cells(ours=[[float("nan")] * 2] * 3, no_style=[[1.0] * 2] * 3)
-    assert claims.judged(LOWER, empty).reason == "no figure of a clip that both have"
+    assert decisions.judged(LOWER, empty).reason == "no figure of a clip that both have"
+
+
+def test_a_claim_without_a_valid_test_names_the_one_beside_it() -> None:
+    numbers = {(claim.where, claim.first, claim.second, claim.metric): k for k, claim in enumerate(CLAIMS)}
+    fgd, pmb = (numbers["RG Table 1", OURS, "no-lexemes", key] for key in ("fgd", "pmb_above_chance"))
+    found = [Decision(NO_TEST if claim.metric == "fgd" else UNDECIDED) for claim in CLAIMS]
+    assert decisions.beside(fgd, found) == pmb and decisions.beside(pmb, found) is None
+
+
+def test_an_effect_has_the_verdict_of_its_first_claim_with_a_valid_test() -> None:
+    names = [claim.name for claim in CLAIMS]
+    first, second = next(effect for effect in EFFECTS if len(effect.claims) == 2).claims
+    verdicts = {first: NO_TEST, second: FAILS}
+    told = decisions.effects([Decision(verdicts.get(name, HOLDS)) for name in names])
+    effect = next(one for one in told if names.index(second) + 1 in one["claims"])
+    assert (effect["verdict"], effect["claim"]) == (FAILS, names.index(second) + 1)
+    verdicts[first] = HOLDS
+    told = decisions.effects([Decision(verdicts.get(name, UNDECIDED)) for name in names])
+    assert any(one["verdict"] == HOLDS and one["claim"] == names.index(first) + 1 for one in told)
+    assert len(set(names)) == len(names)
 
 
 def test_only_seeds_and_clips_that_both_have_are_compared_and_the_performer_pairs_with_all() -> None:
@@ -422,7 +481,7 @@ def test_only_seeds_and_clips_that_both_have_are_compared_and_the_performer_pair
 
 
 def test_every_claim_is_of_rows_and_figures_that_there_are() -> None:
-    assert len({(claim.where, claim.first, claim.second, claim.metric) for claim in CLAIMS}) == len(CLAIMS) == 77
+    assert len({(claim.where, claim.first, claim.second, claim.metric) for claim in CLAIMS}) == len(CLAIMS) == 83
     decisions = {key for part in DECISIONS.values() for key in part}
     for claim in (claim for claim in CLAIMS if not claim.needs):
         assert claim.says in ("above", "below", "alike")
@@ -442,7 +501,7 @@ def test_the_papers_numbers_bear_their_claims_out() -> None:
             one, other = (float(part) for part in place.split(" ", 1)[1].split(" and "))
             numbered += 1
             if claim.says == "alike":
-                assert abs(one - other) < claims.ALIKE, claim
+                assert abs(one - other) < ALIKE, claim
             else:
                 assert (one > other) == (claim.says == "above") and one != other, claim
     assert numbered > 60

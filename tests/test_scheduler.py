@@ -6,6 +6,7 @@ import logging
 import os
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +168,7 @@ class Speaker:
     priority: int = 0
     lateness: float | None = 0.0
     effort: Effort = Effort.FULL
+    saving: float = 0.0
 
 
 def govern(speakers: list[Speaker], power: list[float], cost: dict[Effort, float]) -> list[list[Effort]]:
@@ -198,7 +200,9 @@ def govern(speakers: list[Speaker], power: list[float], cost: dict[Effort, float
     return history
 
 
-COST = {Effort.FULL: 0.06, Effort.LESS: 0.03, Effort.NONE: 0.01}
+COST = {Effort.FULL: 0.06, Effort.LOW: 0.06, Effort.LESS: 0.03, Effort.NONE: 0.01}
+STEPS = [Effort.FULL, Effort.LESS, Effort.NONE]
+"""Of a stream that has low look-ahead anyway."""
 
 
 def test_with_time_enough_nobody_is_downgraded() -> None:
@@ -211,7 +215,7 @@ def test_the_newest_of_the_lowest_priority_goes_first_and_the_first_keeps_its_ge
     speakers = [Speaker(priority=int(number < 2)) for number in range(12)]
     history = govern(speakers, [0.24] * 60, COST)
     for row in history:
-        levels = [list(Effort).index(effort) for effort in row]
+        levels = [STEPS.index(effort) for effort in row]
         assert max(levels) - min(levels) <= 1, "all hurry before the first one idles"
         assert levels == sorted(levels), "older ones, here of higher priority too, are never below newer ones"
     settled = history[-20:]
@@ -225,8 +229,42 @@ def test_streams_are_restored_in_reverse_order_when_there_is_time_again() -> Non
     assert Effort.NONE in history[19]
     assert history[-1] == [Effort.FULL] * 6
     for row in history:
-        levels = [list(Effort).index(effort) for effort in row]
+        levels = [STEPS.index(effort) for effort in row]
         assert levels == sorted(levels)
+
+
+def test_full_look_ahead_goes_first_then_quality_then_gestures_and_all_come_back_in_reverse_order() -> None:
+    """Eight streams, every other one with full look-ahead, on a machine that loses its time and has it again."""
+    speakers = [Speaker(priority=number // 4, saving=0.6 * (number % 2)) for number in range(8)]
+    order = sorted(range(8), key=lambda number: (speakers[number].priority, -number))
+    long = [number for number in order if speakers[number].saving]
+    states = []
+    for depth in range(4 + 8 + 8 + 1):
+        state = dict.fromkeys(range(8), Effort.FULL)
+        state.update(dict.fromkeys(long[:depth], Effort.LOW))
+        state.update(dict.fromkeys(order[:max(0, depth - 4)], Effort.LESS))
+        state.update(dict.fromkeys(order[:max(0, depth - 12)], Effort.NONE))
+        states.append([state[number] for number in range(8)])
+    history = govern(speakers, [0.10] * 20 + [1.0] * 160, COST)
+    visited = [states.index(row) for row in history]
+    assert max(visited) > 12 and visited[-1] == 0
+    down = visited.index(max(visited))
+    assert all(now <= before for before, now in pairwise(visited[down + 20:])), "nothing is restored out of order"
+    assert {4, 3, 2, 1} <= set(visited[down:]), "look-ahead comes back last, one stream after the other"
+
+
+def test_a_lateness_that_low_look_ahead_makes_up_for_goes_no_further_and_is_not_forgotten() -> None:
+    """Half a second late: poses of low look-ahead come 0.6 s earlier, so no quality is lost, and it stays so until the
+    sound is caught up."""
+    governor, speaker = Governor(0.85, 12, clock=(clock := Clock())), Speaker(saving=0.6)
+    efforts = []
+    for late in [0.5] * 100 + [0.0] * 100:
+        clock.now += REVIEW_SECONDS
+        speaker.lateness = late
+        governor.review([speaker])
+        efforts.append(governor.effort(speaker, governor.ranked([speaker])))
+    assert efforts[:100] == [Effort.LOW] * 100 and efforts[-1] == Effort.FULL
+    assert efforts[100:].count(Effort.LOW) == pytest.approx(2.0 / REVIEW_SECONDS, abs=1)
 
 
 def test_a_stream_that_is_rendered_whole_is_never_downgraded() -> None:

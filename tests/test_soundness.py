@@ -12,8 +12,9 @@ import pytest
 from data_module.errors import InputError
 from gesticulator import infer
 from gesticulator.batch.jobs import retargeter_for
+from gesticulator.characters.command import COMMAND
 from gesticulator.characters.joints import find_joints
-from gesticulator.characters.mapping import RigMapping
+from gesticulator.characters.mapping import RigMapping, save_mapping
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
 from gesticulator.characters.rig import Character, decomposed
@@ -156,3 +157,27 @@ def test_the_command_warns_of_what_is_odd(tmp_path: Path, capsys: pytest.Capture
     assert "left and right exchanged" in capsys.readouterr().err
     assert retargeter_for(parser.parse_args(["a.wav", "--character", str(file), "--quiet"])) is not None
     assert capsys.readouterr().err == ""
+
+
+def test_a_confidence_is_measured_and_a_doubt_is_shown_by_both_commands(tmp_path: Path,
+                                                                        capsys: pytest.CaptureFixture[str]) -> None:
+    """Names that are all known, and a mapping that a user wrote, say nothing of a forearm half as long as the other."""
+    rig = next(rig for rig in (draw(seed, "mixamo", "A") for seed in range(9)) if rig.character.kind == "glb")
+    names, found = rig.character.names, {}
+    for name, size in (("even", 1.0), ("odd", 0.5)):
+        lengths = rig.character.translations.copy()
+        lengths[names.index("mixamorig:LeftHand")] *= size
+        file = tmp_path / f"{name}.glb"
+        file.write_bytes(as_glb(replace(rig, character=replace(rig.character, translations=lengths))))
+        character = read_character(file)
+        mapping = find_joints(character)
+        save_mapping(tmp_path / f"{name}.json", mapping, character)
+        assert COMMAND.main("gesticulator character", [str(file), "--mapping", str(tmp_path / f"{name}.json")]) == 0
+        found[name] = capsys.readouterr().out
+    assert "100% sure" in found["even"] and "doubt" not in found["even"]
+    assert "90% sure: look at the result" in found["odd"] and "doubt: " in found["odd"]
+    parser = argparse.ArgumentParser()
+    infer.arguments(parser)
+    retargeter_for(parser.parse_args(["a.wav", "--character", str(file), "--mapping", str(tmp_path / "odd.json")]))
+    doubt = found["odd"].split("doubt: ")[1].splitlines()[0]
+    assert f"{doubt}; look at the result" in capsys.readouterr().err

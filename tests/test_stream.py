@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+import json
 import tracemalloc
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,11 @@ from gesticulator.bundle.features import representation_of
 from gesticulator.drawing.candidates import CandidateChooser
 from gesticulator.drawing.cutter import BlockCutter
 from gesticulator.pipeline import Gesticulator
+from gesticulator.serve import schema
+from gesticulator.serve.pace import Effort
+from gesticulator.serve.protocol import StreamRequest, published
+from gesticulator.serve.session import session_opener
+from gesticulator.serve.settings import ServerLimits
 from gesticulator.stream import Stream, StreamFrames, StreamState
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
@@ -253,6 +260,84 @@ def test_no_seam_jumps(latency: str) -> None:
     found = moves(made, stream)
     assert found["hands"][0].max() < FASTEST and found["hands"][1].max() < HARDEST
     assert found["head"][0].max() < HEAD_FASTEST and found["head"][1].max() < HEAD_HARDEST
+
+
+def test_a_change_of_the_look_ahead_leaves_no_jump_and_no_gap() -> None:
+    """From full to low and back, again and again, in the middle of strokes and of idling, beside two streams that never
+    change: frames come as late as their mode says, and those before the first change are the same."""
+    sound, step = example()[:13 * SAMPLE_RATE], SAMPLE_RATE // 50
+    stream, full = system().stream(), system().stream()
+    unchanged = joined(fed(full, sound[:4 * SAMPLE_RATE], (step,)))
+    saved, changes = stream.look_ahead_at("full") - stream.look_ahead_at("low"), (2.0, 4.7, 6.1, 8.6, 10.9)
+    assert stream.look_ahead == stream.look_ahead_at("full") and saved > 0.4
+    parts, late, changed, low = [], {"full": list[float](), "low": list[float]()}, -10.0, False
+    for at in range(0, len(sound), step):
+        now = at / SAMPLE_RATE
+        if sum(change <= now for change in changes) % 2 != low:
+            low, changed = not low, now
+            stream.latency = "low" if low else "full"
+            assert stream.latency == ("low" if low else "full")
+        if 7.0 <= now < 7.0 + step / SAMPLE_RATE:  # a break: the next utterance begins in the mode that is set
+            parts.append(stream.idle(0.5))
+        part = stream.feed(sound[at:at + step])
+        parts.append(part)
+        came = stream.time - part.times
+        assert np.all(came <= stream.look_ahead_at("full")), "a change back brings no frame too late"
+        if now > changed + 0.1:
+            late[stream.latency] += came.tolist()
+    parts.append(stream.finish())
+    made = joined(parts)
+    assert len(made) == round(13.5 * FPS)
+    before = round((2.0 - stream.look_ahead_at("full")) * FPS)
+    assert before > 10 and np.array_equal(made[:before], unchanged[:before])
+    assert max(late["low"]) <= stream.look_ahead_at("low") and np.median(late["full"]) - np.median(late["low"]) > 0.2
+    found = moves(made, stream)
+    # Within the strokes of these ten seconds it is up to 58 m/s^2 with either look-ahead.
+    assert found["hands"][0].max() < FASTEST and found["hands"][1].max() < HURRIED_HARDEST
+    assert found["head"][0].max() < HEAD_FASTEST and found["head"][1].max() < HEAD_HARDEST
+
+
+@pytest.mark.parametrize("latency", ["full", "low"])
+def test_a_look_ahead_that_is_set_before_any_sound_is_that_of_the_stream(latency: str) -> None:
+    """Also after it was set to the other one, and again by a second utterance."""
+    sound, made = example()[:round(SHORT * SAMPLE_RATE)], []
+    for opened in ("full", "low"):
+        stream = system().stream(latency=opened)
+        stream.latency = "low" if latency == "full" else "full"
+        stream.latency = latency
+        made.append(joined([*fed(stream, sound, (800,)), stream.idle(1.0), *fed(stream, sound, (800,)),
+                            stream.finish()]))
+    assert np.array_equal(*made)
+    with pytest.raises(InputError, match="latency 'none': is unknown"):
+        stream.latency = "none"
+
+
+def test_a_session_that_is_downgraded_and_restored_sends_every_frame_and_says_so() -> None:
+    """As the server asks for it, step by step: low look-ahead, hurried blocks, idle motion, and back."""
+    sound, limits = example()[:7 * SAMPLE_RATE], ServerLimits()
+    session = session_opener(system(), limits)("one", StreamRequest(SAMPLE_RATE, options={"keep_up": True}))
+    assert 0.4 < session.saving < session.facts.look_ahead
+    low = session_opener(system(), limits)("two", StreamRequest(SAMPLE_RATE, options={"latency": "low"}))
+    assert low.saving == 0.0
+    order = [*Effort, *reversed(list(Effort)[:-1])]
+    messages: list[bytes | str] = []
+    for number, effort in enumerate(order):
+        for at in range(number * SAMPLE_RATE, (number + 1) * SAMPLE_RATE, 1600):
+            for answer in session.feed(sound[at:at + 1600], effort=effort):
+                messages += answer.messages
+    for answer in session.obey({"type": "finish"}):
+        messages += answer.messages
+    events = [json.loads(one) for one in messages if isinstance(one, str)]
+    shown = [event["effort"] for event in events if event["type"] == "pace"]
+    assert [shown[0], *(now for before, now in pairwise(shown) if now != before)] == [str(one) for one in order[1:]]
+    for event in events:
+        schema.check(event, published()["$defs"][event["type"]], published())
+    numbers: list[int] = []
+    for packet in messages:
+        if isinstance(packet, bytes):
+            header = json.loads(packet[4:4 + int.from_bytes(packet[:4], "little")])
+            numbers += range(header["first"], header["first"] + header["count"])
+    assert numbers == list(range(round(7 * FPS)))
 
 
 @pytest.mark.parametrize("latency", ["full", "low"])

@@ -382,8 +382,11 @@ def test_hands_are_kept_out_of_a_wide_trunk_as_the_command_does(browser: Any, tm
     page.wait_for_function("() => preview.stage.performers[0].character !== null")
     moved = {}
     for torso in (None, (0.6, 0.55)):  # her own, and one that reaches to her wrists
-        page.evaluate("""(torso) => { if (torso) preview.worn.first.contacts.trunk = {
-            steps: [0, 1], width: [torso[0], torso[0]], depth: [torso[1], torso[1]], ahead: [0, 0] }; }""", torso)
+        page.evaluate("""(torso) => {
+            const row = [...Array(36).keys()].map((k) => k * Math.PI / 18).map(
+                (turn) => Math.hypot(torso?.[0] * Math.cos(turn), torso?.[1] * Math.sin(turn)));
+            if (torso) preview.worn.first.contacts.outline = { steps: [0, 1], reach: [row, row] };
+        }""", torso)
         opened.go_to(1.0)
         page.evaluate("() => preview.stage.draw(1.0)")
         places = page.evaluate(PLACES, list(BONES.items()))

@@ -44,9 +44,14 @@ class SpeechBlocks:
     @classmethod
     def of(cls, bundle: Bundle, speech: Speech) -> SpeechBlocks:
         """Cut and, where there is a model that judges, encoded as its training data was."""
-        speaker = speech.speaker or ""
         if bundle.reward_judge is None:
-            return cls(block_module.cut(speech, bundle.config.rhythm), None, speaker)
+            return cls(block_module.cut(speech, bundle.config.rhythm), None, speech.speaker or "")
+        return cls.heard(bundle, speech)
+
+    @classmethod
+    def heard(cls, bundle: Bundle, speech: Speech) -> SpeechBlocks:
+        """Cut and encoded, whatever the bundle has."""
+        speaker = speech.speaker or ""
         encoded = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
         frames, statistics = bundle.config.rhythm.frames, bundle.statistics
         low = _middle(statistics.low.apply(encoded.low), frames)

@@ -21,6 +21,7 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.types import Array
 from eval import stats
+from eval.crossed import crossed
 from eval.rows.racer import PREFIX
 from eval.rows.row import COLUMNS, DECIDED, DECISIONS, RowColumn
 from eval.table import dumps, loads
@@ -154,7 +155,7 @@ def weights_of(cells: Sequence[Cell], key: str, column: RowColumn) -> Array:
 def interval_of(cells: Sequence[Cell], key: str, column: RowColumn) -> stats.Interval:
     """The mean of a column over seeds and clips."""
     values = values_of(cells, key)
-    return stats.crossed(values, weights_of(cells, key, column)) if values.size else stats.Interval.undefined()
+    return crossed(values, weights_of(cells, key, column)) if values.size else stats.Interval.undefined()
 
 
 def latest(cells: Sequence[Cell]) -> dict[str, float]:

@@ -1,9 +1,9 @@
 """The rows' figures put into the papers' tables.
 
-Nothing is trained or measured here: what the cells hold is averaged over seeds and clips, with bootstrap 95 % intervals
-over both, and shown beside the papers' figures. Under each table stand the references and the controls. A column in
-which a control does as well as `ours` or better bears (!), and is named below: it cannot tell good motion from bad in
-that respect.
+Nothing is trained or measured here: what the cells hold is averaged over seeds and clips, with 95 % intervals over both
+(`eval.crossed`), and shown beside the papers' figures. Under each table stand the references and the controls. A column
+in which a control does as well as `ours` or better bears (!), and is named below: it cannot tell good motion from bad
+in that respect.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from eval import stats
+from eval.crossed import crossed
 from eval.metrics import pmb
 from eval.rows import CONTROLS, FLOOR, OURS, PERFORMER, REFERENCES, SYSTEMS, TABLES, racer, rg
 from eval.rows.cells import Cells, weights_of
@@ -154,7 +155,7 @@ def difference(cells: Cells, first: str, second: str, key: str, column: RowColum
     if not apart.size:
         return stats.Interval.undefined()
     weights = weights_of([cells[first][seed] for seed in shared], key, column) if column.by_blocks else None
-    return stats.crossed(apart, weights)
+    return crossed(apart, weights)
 
 
 def difference_table(cells: Cells) -> Table:
@@ -197,7 +198,7 @@ def about(facts: Mapping[str, Any]) -> Table:
     told = facts["store"]
     return Table("Ablation", {}, {}, notes=[
         f"Preset {facts['preset']}; test split: {told['test_recordings']} recordings. Means over seeds and clips with "
-        "bootstrap 95 % intervals, both drawn anew. The paper's figures are of other data, another skeleton and "
+        "95 % intervals by variance components. The paper's figures are of other data, another skeleton and "
         "another network for FGD: compare the order, not the values. FGD, diversity and motion variance are means of "
         "the jackknife's values, so less biased than the figures of the sets (in the JSON). (!): a control, motion "
         "that is known to be wrong, does as well as `ours` or better.",

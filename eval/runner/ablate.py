@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from eval.table import Provenance
 
 SEEDS = 3
+TABLES_COMMAND = "gesticulator ablate --tables"
 FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-10", "figure-11",
            "figure-14", "figure-15", "figure-16", "figure-17", "figure-18")
 """Those of `eval.runner.figures`, which is imported when one is drawn."""
@@ -147,14 +148,18 @@ def current(ablation: Ablation, cells: Cells) -> Cells:
     return {name: by_seed for name, by_seed in fresh.items() if by_seed}
 
 
-def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance) -> None:
-    """Table.json and claims.json with their Markdown; the claims read the probes' results beside the folder."""
-    from eval.rows.claims import claims_table
+def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance,
+          decided: Provenance | None = None) -> None:
+    """Table.json and claims.json with their Markdown; the claims read the probes' results beside the folder.
+
+    about: where the cells come from; decided: where the verdicts do, if they are of another commit.
+    """
+    from eval.rows.decisions import claims_table
     from eval.rows.tables import all_tables
     from eval.table import save
 
     save(all_tables(cells, facts), out / "table.json", about)
-    save([claims_table(cells, out.parent)], out.parent / "claims.json", about)
+    save([claims_table(cells, out.parent)], out.parent / "claims.json", decided or about)
 
 
 def redraw(out: Path) -> None:
@@ -163,13 +168,13 @@ def redraw(out: Path) -> None:
     InputError without either.
     """
     from eval.rows.cells import CellStore, summaries
-    from eval.table import load_with_provenance
+    from eval.table import Provenance, load_with_provenance
 
     cells = CellStore(out).read()
     if not cells:
         raise InputError(out, "holds no cells", "run the rows first")
     held, about = load_with_provenance(out / "table.json")
-    write(cells, {**held[0].facts, "rows": summaries(cells)}, out, about)
+    write(cells, {**held[0].facts, "rows": summaries(cells)}, out, about, Provenance.now(TABLES_COMMAND))
 
 
 # ------------------------------------------------------------------------------------------------------------- command

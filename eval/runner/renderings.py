@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,8 @@ from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
+
+T = TypeVar("T")
 
 TAKE, TEST = "take", "test"
 """Where a voice comes from: the real take, or the store's test split."""
@@ -85,11 +87,12 @@ class AcceptanceVoice:
         return told.hexdigest()
 
 
-def held_out_voices(store: Store, limit: int | None, joints: int, split: Split = "test", seconds: float = SECONDS
-                    ) -> list[AcceptanceVoice]:
+def held_out_voices(store: Store, limit: int | None, joints: int, split: Split = "test", seconds: float = SECONDS,
+                    *, spread: bool = False) -> list[AcceptanceVoice]:
     """The middle of every recording of a split that lasts long enough, with its performer's motion in so many
-    joints; InputError where none does."""
-    chosen = [info for info in store.of_split(split) if info.seconds >= SHORTEST][:limit]
+    joints; InputError where none does. limit: so many, the first or, with spread, evenly over the split."""
+    long = [info for info in store.of_split(split) if info.seconds >= SHORTEST]
+    chosen = spread_evenly(long, limit) if spread and limit else long[:limit]
     if not chosen:
         raise InputError(store.path, f"has no {split} recording of {SHORTEST:g} s or more", "build a larger store")
     out = []
@@ -98,6 +101,11 @@ def held_out_voices(store: Store, limit: int | None, joints: int, split: Split =
         out.append(AcceptanceVoice(info.name, piece.speech, TEST, piece.motion, info.speaker,
                                    info.group or info.name))
     return out
+
+
+def spread_evenly(items: Sequence[T], count: int) -> list[T]:
+    """So many of them, evenly over all, with the first and the last."""
+    return [items[k] for k in np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int)]
 
 
 @dataclass(frozen=True)
@@ -141,10 +149,12 @@ Pair = tuple[Rendering, Rendering | None]
 
 @cache
 def program_key(packages: tuple[str, ...] = PROGRAM) -> str:
-    """Of every line of these packages; all that make motion when not told."""
+    """Of every line of these packages and modules; all that make motion when not told."""
     told = hashlib.sha256()
     for package in packages:
         spec = importlib.util.find_spec(package)
+        if spec is not None and not spec.submodule_search_locations and spec.origin:
+            told.update(Path(spec.origin).read_bytes())
         for place in () if spec is None else spec.submodule_search_locations or ():
             for file in sorted(Path(place).rglob("*.py")):
                 told.update(file.read_bytes())

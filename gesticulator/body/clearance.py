@@ -1,4 +1,4 @@
-"""Keeps the hands of the default character out of its trunk and away from its face.
+"""Keeps the hands of the default character out of its trunk and away from its face, and its elbows off its back.
 
 The models draw poses, not contacts: at one block's end a hand is on one side of the chest, at the next on the other,
 and between them it would pass through, or end behind the back. An arm whose wrist or knuckles are too far back is bent
@@ -9,7 +9,9 @@ field z(p) of limited slope, which falls behind the body on the hand's side only
 changes at most `STEEPEST` times as fast as the hand moves, so that a hand that would shoot through the body passes in
 front of it without a jump; the direction out of a closed shape would turn round at its middle. With d the depth and
 e = `SOFT`, a hand is moved by 0 for d < -e, (d + e)^2 / 4e for -e < d < e, and d beyond, which leaves no kink in its
-path. Everything depends on the pose alone; a pose that needs no correction stays the same bit for bit.
+path. An elbow that the trunk would hide swings outward about the line from shoulder to wrist, by the same rule and a
+plane behind the trunk that recedes beside it; the hand stays. Everything depends on the pose alone; a pose that needs
+no correction stays the same bit for bit.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
 from gesticulator.characters.contacts import OURS, OurLimbs, Pose, pose_of
-from gesticulator.characters.inverse_kinematics import bend
+from gesticulator.characters.inverse_kinematics import bend, swivel
 
 SOFT = 0.05
 """Metres before and after the surface over which a hand is slowed; one at rest on the trunk, at 12 mm, moves by 7."""
@@ -37,6 +39,11 @@ OTHER_SIDE = (0.115, 0.07, 0.35)
 A hand there is beside the other arm, not behind the back."""
 CAP, RECEDES = 0.20, 0.5
 """Metres above the neck and below the hips over which the front of the trunk recedes, and by how many."""
+BACK, BACK_ENDS, BACK_FALLS, ELBOW_SOFT = 0.07, 0.16, 0.8, 0.06
+"""The plane behind which the trunk hides an elbow: metres behind its middle, up to which metres across, its slope from
+there on, and metres over which an elbow is slowed. Two people who talk never have an elbow there."""
+OUTWARD = (0.95, 0.3)
+"""Direction in which an elbow leaves it, outward and ahead: more to the front, it would flip round a raised hand."""
 HEAD_MIDDLE = np.array([0.0, 0.085, 0.025])
 """Middle of the face relative to the joint of the head, metres: the joint is at the top of the neck."""
 HEAD_RADIUS = 0.13
@@ -56,7 +63,8 @@ def cleared(motion: Motion) -> Motion:
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
         points = [side + name for name in ("Hand", "HandMiddle1") if side + name in pose.places]
         push = body.push([pose.places[point] for point in points], sign)
-        at = np.flatnonzero(np.linalg.norm(push, axis=-1) > _LEAST)
+        hidden = body.hidden(pose.places[side + "ForeArm"], sign)
+        at = np.flatnonzero((np.linalg.norm(push, axis=-1) > _LEAST) | (np.linalg.norm(hidden, axis=-1) > _LEAST))
         if len(at):
             rotations = motion.rotations.copy() if rotations is None else rotations
             _bend_arm(rotations, motion, pose, (side, sign), at)
@@ -71,19 +79,23 @@ def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, flo
                 {joint: place[at] for joint, place in pose.places.items()})
     turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
     chain = (skeleton.index(name + "Arm"), skeleton.index(name + "ForeArm"), skeleton.index(name + "Hand"))
-    body, limbs = _Body(pose), _BelowShoulder(skeleton, chain[0], pose.places[name + "Arm"])
+    body, limbs = _Body(pose), BelowShoulder(skeleton, chain[0], pose.places[name + "Arm"])
     points = [skeleton.index(name + part) for part in ("Hand", "HandMiddle1") if name + part in skeleton.names]
     for _ in range(_STEPS):
         push = body.push([limbs.place(turns, point) for point in points], sign)
         bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, _POLE_OF_ELBOW,
              np.linalg.norm(push, axis=-1) > _LEAST)
+    for _ in range(_STEPS):
+        swivel(turns, limbs, chain, body.hidden(limbs.place(turns, chain[1]), sign))
     for joint in chain:
         above = turns[skeleton.parents[joint]]
         local = np.swapaxes(above, -1, -2) @ turns[joint]
-        rotations[at, joint] = Rotation.from_matrix(local).as_quat(scalar_first=True)
+        new, old = Rotation.from_matrix(local).as_quat(scalar_first=True), rotations[at, joint]
+        # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
+        rotations[at, joint] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
 
 
-class _BelowShoulder(OurLimbs):
+class BelowShoulder(OurLimbs):
     """The nodes of an arm under a shoulder that stays where it is."""
 
     def __init__(self, skeleton: Skeleton, shoulder: int, place: Array) -> None:
@@ -131,14 +143,22 @@ class _Body:
         weights = np.sum(moves ** 2, axis=-1, keepdims=True)
         return np.asarray(np.sum(weights * moves, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12))
 
+    def hidden(self, elbow: Array, sign: float) -> Array:
+        """[T, 3] the displacement of an elbow [T, 3] behind the trunk; sign: 1 for the left, -1 for the right."""
+        across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, elbow), -1, 0)
+        plane = -BACK - BACK_FALLS * np.maximum(across * sign - BACK_ENDS, 0.0)
+        beyond = np.maximum(np.maximum(-along, along - self._length), 0.0) / CAP
+        depth = soft(plane - RECEDES * beyond ** 2 - ahead, ELBOW_SOFT)
+        return depth[:, None] * (OUTWARD[0] * sign * self._axes[:, 0] + OUTWARD[1] * self._axes[:, 2])
+
     def _out_of_trunk(self, point: Array, sign: float) -> Array:
         across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, point), -1, 0)
         beyond = np.maximum(np.maximum(-along, along - self._length), 0.0) / CAP
-        return self._axes[:, 2] * _soft(trunk_front(across * sign) - RECEDES * beyond ** 2 - ahead)[:, None]
+        return self._axes[:, 2] * soft(trunk_front(across * sign) - RECEDES * beyond ** 2 - ahead)[:, None]
 
     def _off_face(self, point: Array) -> Array:
         x, y, z = np.moveaxis(np.einsum("tji,tj->ti", self._head, point - self._face), -1, 0)
-        return self._head[..., 2] * _soft(face_front(np.hypot(x, y)) - z)[:, None]
+        return self._head[..., 2] * soft(face_front(np.hypot(x, y)) - z)[:, None]
 
 
 def trunk_front(across: Array) -> Array:
@@ -160,6 +180,6 @@ def face_front(radius: Array) -> Array:
     return np.asarray(HEAD_RADIUS - inside ** 2 / HEAD_RADIUS - 2.0 * (radius - inside))
 
 
-def _soft(depth: Array) -> Array:
-    """max(depth, 0) without a kink."""
-    return np.where(depth > SOFT, depth, np.clip(depth + SOFT, 0.0, 2.0 * SOFT) ** 2 / (4.0 * SOFT))
+def soft(depth: Array, over: float = SOFT) -> Array:
+    """max(depth, 0) without a kink, metres. over: metres on both sides in which it is rounded."""
+    return np.where(depth > over, depth, np.clip(depth + over, 0.0, 2.0 * over) ** 2 / (4.0 * over))

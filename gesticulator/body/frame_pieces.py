@@ -9,22 +9,28 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.blocks import KnotPath
-from data_module.types import Array
+from data_module.types import Array, Motion
 from gesticulator.body.clearance import cleared, cleared_poses
 from gesticulator.body.mirror import mirrored_motion
 from gesticulator.body.stance import seated
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
 from gesticulator.options import InferenceOptions
+from gesticulator.plan.plan import GesturePlan
+
+if TYPE_CHECKING:
+    from gesticulator.body.pins import PinGroup
 
 _LEAST, _EACH = 4000, 6
 """Pieces in memory: at least, and for each block of the recording. A piece takes 10 kB."""
+MOST_GROUPS = 200
+"""Groups of pins whose frames are in memory. One of 1.2 s at 60 frames a second takes 60 kB."""
 _MARGIN = 2
 """Knots on either side of those between which a frame lies that its slopes depend on, and one to spare."""
 
@@ -77,20 +83,49 @@ class SignedPieces:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Of N pieces. edges: [N + 1] their frames; first, last: [N] the blocks whose poses a piece depends on; begins: [N]
-    whether it depends on the beginning; count: of all frames."""
+    """Of N pieces, and of the frames of G groups of pins. edges: [N + 1] frames of the pieces; first, last: [N + G] the
+    blocks whose poses a piece or group depends on; begins: [N + G] whether it depends on the beginning; count: of all
+    frames; groups: [G]."""
 
     edges: Sequence[int]
     first: Sequence[int]
     last: Sequence[int]
     begins: Sequence[bool]
     count: int
+    groups: Sequence[PinGroup] = ()
+
+    @property
+    def size(self) -> int:
+        """N"""
+        return len(self.edges) - 1
+
+    def frames(self, at: int) -> tuple[int, int]:
+        """The first frame of a piece or group and the one after its last."""
+        if at < self.size:
+            return self.edges[at], self.edges[at + 1]
+        group = self.groups[at - self.size]
+        return group.first, group.last
+
+    def pinned_by(self, at: int) -> list[int]:
+        """The groups, as numbers from N on, that change frames of a piece."""
+        first, last = self.frames(at)
+        return [self.size + number for number, group in enumerate(self.groups)
+                if group.first < last and group.last > first]
 
     def key(self, at: int, blocks: Sequence[PosedBlock]) -> Hashable:
         """Everything that a piece depends on."""
+        near = self.pinned_by(at) if self.groups else ()
+        own = self._key(at, blocks)
+        return (*own, tuple([self.group_key(number, blocks) for number in near])) if near else own
+
+    def group_key(self, at: int, blocks: Sequence[PosedBlock]) -> Hashable:
+        """Everything that the frames of a group of pins depend on."""
+        return (*self._key(at, blocks), self.groups[at - self.size])
+
+    def _key(self, at: int, blocks: Sequence[PosedBlock]) -> tuple[Hashable, ...]:
         first, last = self.first[at], self.last[at]
-        end = self.count if last + 2 > len(self.first) else 0
-        return tuple([block.number for block in blocks[first:last + 1]]), self.edges[at], self.edges[at + 1], end
+        end = self.count if last + 2 > self.size else 0
+        return tuple([block.number for block in blocks[first:last + 1]]), *self.frames(at), end
 
 
 class FramePieces:
@@ -107,38 +142,49 @@ class FramePieces:
         self._known: OrderedDict[Hashable, FramePiece] = OrderedDict()
         self._most = max(_LEAST, _EACH * blocks)
         self._numbers = numbers
+        self._pinned: dict[Hashable, Array] = {}
 
-    def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int]
-               ) -> Iterator[tuple[int, FramePiece]]:
+    def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int],
+               plan: GesturePlan | None = None) -> Iterator[tuple[int, FramePiece]]:
         """The number and the piece of each of the blocks in `order`, of N blocks with knots at `times` [N, K] seconds
-        and of these poses."""
-        layout = self._layout(times, duration)
+        and of these poses. plan: its pins are applied."""
+        layout = self._layout(times, duration, plan)
         for at in order:
             yield at, self._remembered(layout, at, blocks, None)
 
-    def learn(self, times: Array, blocks: Sequence[PosedBlock], duration: float, rotations: Array) -> SignedPieces:
+    def learn(self, times: Array, blocks: Sequence[PosedBlock], duration: float, rotations: Array,
+              plan: GesturePlan | None = None) -> SignedPieces:
         """Remember the pieces of a motion that is known: [T, J, 4] rotations, w first."""
-        layout = self._layout(times, duration)
+        layout = self._layout(times, duration, plan)
         return signed([self._remembered(layout, at, blocks, rotations) for at in range(len(times))])
 
-    def known(self, times: Array, blocks: Sequence[PosedBlock], duration: float) -> list[bool]:
+    def known(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None = None
+              ) -> list[bool]:
         """[N] whether the piece of each block is remembered."""
-        layout = self._layout(times, duration)
+        layout = self._layout(times, duration, plan)
         return [layout.key(at, blocks) in self._known for at in range(len(times))]
 
-    def _layout(self, times: Array, duration: float) -> _Layout:
+    def _layout(self, times: Array, duration: float, plan: GesturePlan | None) -> _Layout:
         flat = np.concatenate([[0.0], times.ravel()])
         knots, count = times.shape[1], max(1, round(duration * self.fps))
         edges = [0, *np.minimum(np.ceil(times[:-1, -1] * self.fps - 1e-9), count).astype(int).tolist(), count]
+        groups = self._groups(plan, count)
         half = round(KnotPath(self._first, self.fps, self._smoothing).reach * self.fps) + 1
-        begins = np.maximum(np.array(edges[:-1]) - half, 0) / self.fps
-        stops = (np.array(edges[1:]) - 1 + half) / self.fps
+        begins = np.maximum(np.array([*edges[:-1], *(group.first for group in groups)]) - half, 0) / self.fps
+        stops = (np.array([*edges[1:], *(group.last for group in groups)]) - 1 + half) / self.fps
         # What is mirrored at the end of the recording lies before it.
         begins = np.where(stops > (count - 1) / self.fps, np.minimum(begins, (count - 1 - 2 * half) / self.fps), begins)
         low = np.searchsorted(flat, begins, side="right") - 1 - _MARGIN
         high = np.minimum(np.searchsorted(flat, stops, side="right") + _MARGIN, len(flat))
         first, last = np.maximum(low - 1, 0) // knots, (high - 2) // knots
-        return _Layout(tuple(edges), first.tolist(), last.tolist(), (low <= 0).tolist(), count)
+        return _Layout(tuple(edges), first.tolist(), last.tolist(), (low <= 0).tolist(), count, groups)
+
+    def _groups(self, plan: GesturePlan | None, count: int) -> Sequence[PinGroup]:
+        if plan is None or not plan.pins:
+            return ()
+        from gesticulator.body.pins import pin_groups
+
+        return pin_groups(plan, self.fps, count)
 
     def _remembered(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock], rotations: Array | None
                     ) -> FramePiece:
@@ -147,12 +193,8 @@ class FramePieces:
         if known is not None:
             self._known.move_to_end(key)
             return known
-        frames = layout.edges[at], layout.edges[at + 1]
-        if rotations is None:
-            near = blocks[layout.first[at]:layout.last[at] + 1]
-            turns = self._turns(near, layout.begins[at], frames, layout.count)
-        else:
-            turns = rotations[slice(*frames)]
+        frames = layout.frames(at)
+        turns = self._made(layout, at, blocks) if rotations is None else rotations[slice(*frames)]
         ends = turns[[0, -1]] if len(turns) else np.zeros((2, *turns.shape[1:]))
         made = FramePiece(*frames, next(self._numbers), np.round(turns * self._steps).astype("<i2"), ends)
         self._known[key] = made
@@ -160,8 +202,38 @@ class FramePieces:
             self._known.popitem(last=False)
         return made
 
-    def _turns(self, blocks: Sequence[PosedBlock], begins: bool, frames: tuple[int, int], count: int) -> Array:
-        """[T, J, 4] rotations of some frames of `count`; begins: whether the blocks are the first ones."""
+    def _made(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock]) -> Array:
+        """[T, J, 4] rotations of the frames of a piece."""
+        turns = self._body(layout, at, blocks).rotations
+        (first, last), near = layout.frames(at), layout.pinned_by(at)
+        for number in near:
+            group, moved = layout.groups[number - layout.size], self._with_pins(layout, number, blocks)
+            low, high = max(first, group.first), min(last, group.last)
+            turns = turns if number != near[0] else turns.copy()
+            rows, part = slice(low - first, high - first), moved[low - group.first:high - group.first]
+            # On the side of the frames around them.
+            turns[rows] = np.where(np.sum(part * turns[rows], axis=-1, keepdims=True) < 0.0, -part, part)
+        return turns
+
+    def _with_pins(self, layout: _Layout, number: int, blocks: Sequence[PosedBlock]) -> Array:
+        """[T, J, 4] rotations of the frames of a group of pins."""
+        from gesticulator.body.pins import with_group
+
+        key = layout.group_key(number, blocks)
+        if key not in self._pinned:
+            made = with_group(self._body(layout, number, blocks), layout.groups[number - layout.size]).rotations
+            while len(self._pinned) >= MOST_GROUPS:
+                self._pinned.pop(next(iter(self._pinned)))
+            self._pinned[key] = made
+        return self._pinned[key]
+
+    def _body(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock]) -> Motion:
+        """The frames of a piece or group, without pins."""
+        near = blocks[layout.first[at]:layout.last[at] + 1]
+        return self._frames(near, layout.begins[at], layout.frames(at), layout.count)
+
+    def _frames(self, blocks: Sequence[PosedBlock], begins: bool, frames: tuple[int, int], count: int) -> Motion:
+        """Some frames of `count`; begins: whether the blocks are the first ones."""
         times = np.concatenate([block.times for block in blocks])
         poses = cleared_poses(np.concatenate([block.poses for block in blocks]), self._representation)
         if begins:
@@ -170,7 +242,7 @@ class FramePieces:
         path.rewind(times, poses, frames[0])
         body = cleared(self._representation.motion(path.frames(*frames, count), self.fps))
         body = seated(body) if self._seated else body
-        return (mirrored_motion(body) if self._mirrored else body).rotations
+        return mirrored_motion(body) if self._mirrored else body
 
 
 def signed(pieces: Sequence[FramePiece]) -> SignedPieces:

@@ -63,7 +63,12 @@ class MotionPath:
 
     @property
     def prompt(self) -> bool:
+        """Whether frames up to the newest knot are final, see `KnotPath`; may be set between blocks."""
         return self._knots.prompt
+
+    @prompt.setter
+    def prompt(self, on: bool) -> None:
+        self._knots.prompt = on
 
     @property
     def reach(self) -> float:

@@ -198,7 +198,8 @@ class SelectionConfig:
     temperature: NotNegative = 0.0
     """0 takes the best lexeme (as in the paper); otherwise one is sampled from softmax(scores / temperature)."""
     q_temperature: NotNegative = 0.0
-    """Temperature for the Q-network, whose scores are Q values: 0 is RACER's greedy choice."""
+    """Temperature for the Q-network, whose scores are Q values: 0 is RACER's greedy choice, which on its own past
+    repeats a few lexemes."""
     beta: Annotated[float, SettingRange(0.0, 20.0)] = 1.0
     """For `--interpreter advantage`: how strongly the advantage biases the choice. A lexeme whose advantage is one
     standard deviation above the behaviour policy's mean is e^beta times as likely; 0 is the behaviour policy itself.
@@ -254,6 +255,8 @@ class SelectionConfig:
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
     together: NotNegative = 0.0
     """Weight, relative to `timing`, of a head that turns as fast as goes with the speed of the hands."""
+    pitch: NotNegative = 0.0
+    """Weight, relative to `timing`, of a trunk that turns faster where the voice is high and slower where it is low."""
     as_styled: NotNegative = 0.0
     """Weight, relative to `timing`, of hands that are as fast, high and far as the unit's style code says."""
     fresh: bool = False

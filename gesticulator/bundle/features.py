@@ -144,7 +144,8 @@ class SpeechFeatures:
     last column is the logarithm of each block's duration over the longest allowed (time-scaling hides the tempo).
     text: [N, 3K, d_t + 1] word vectors on the same windows, the last column the flag of the empty word; None for audio
     only. quiet: [N, K] whether each frame lies in a pause; None if silence is known per block only. onsets: of each
-    block, [n] seconds from its start to its end, inclusive; None if they were not detected."""
+    block, [n] seconds from its start to its end, inclusive; None if they were not detected. pitch: [N, K] octaves over
+    the voice's mean so far, 0 where it is unvoiced; None if it was not measured."""
 
     blocks: Blocks
     low: Features
@@ -152,6 +153,7 @@ class SpeechFeatures:
     text: Features | None = None
     quiet: NDArray[np.bool_] | None = None
     onsets: tuple[Array, ...] | None = None
+    pitch: Array | None = None
 
     def __len__(self) -> int:
         return len(self.blocks)
@@ -166,7 +168,8 @@ class SpeechFeatures:
         return SpeechBlock(i, float(blocks.edges[i]), float(blocks.edges[i + 1]), (before, during, after),
                            (was, now, then), self.low[i], self.high[i], None if self.text is None else self.text[i],
                            quiet[0], quiet[1] if i + 1 < count else None, BeatFlag(int(blocks.flags[i])),
-                           onsets=np.zeros(0) if self.onsets is None else self.onsets[i])
+                           onsets=np.zeros(0) if self.onsets is None else self.onsets[i],
+                           pitch=None if self.pitch is None else self.pitch[i])
 
 
 @dataclass(frozen=True)
@@ -195,7 +198,8 @@ class SpeechBlock:
     for its start. durations, silent: of the block before, the block and the block after (its own where there is none).
     low, high, text: [3K, d + 1] as in `SpeechFeatures`. quiet: [K] whether each frame lies in a pause; ahead: [K] the
     same for the block after, None at the end. foreseen: the block after is a prediction from its beginning. onsets: [n]
-    seconds from its start to its end, inclusive.
+    seconds from its start to its end, inclusive. pitch: [K] octaves over the voice's mean so far, 0 where it is
+    unvoiced; None if it was not measured.
     """
 
     number: int
@@ -212,6 +216,7 @@ class SpeechBlock:
     foreseen: bool = False
     onsets: Array = field(default_factory=lambda: np.zeros(0))
     key: float | None = None
+    pitch: Array | None = None
 
     @property
     def keyed_at(self) -> float:

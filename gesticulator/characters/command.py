@@ -33,11 +33,13 @@ def run(args: argparse.Namespace) -> int:
         Path(args.save_mapping).parent.mkdir(parents=True, exist_ok=True)
         save_mapping(args.save_mapping, mapping, character)
     check(mapping, character)
-    odd = [doubt for doubt in Retargeter(character, mapping).doubts if doubt not in mapping.doubts]
+    moved = Retargeter(character, mapping)
+    odd = [doubt for doubt in moved.doubts if doubt not in mapping.doubts]
     for doubt in odd:
         print(f"  doubt: {doubt}")
-    print("  moved to check it: " + ("look at the result" if odd else "stands upright and gestures; its mesh follows"
-                                     if len(character.skin.points) else "stands upright and gestures"))
+    print(f"  moved to check it, {moved.confidence:.0%} sure: " + (
+        "look at the result" if odd else "stands upright and gestures; its mesh follows"
+        if len(character.skin.points) else "stands upright and gestures"))
     return 0
 
 

@@ -1,16 +1,13 @@
-"""Keeps hands out of a trunk that is wider than that of the default character.
+"""Distances of the hands of the default character from its trunk and head, and arms bent to keep them.
 
-The same bone directions bring hands to other places on other bodies: a hand that passes a slim waist at a hand's
-breadth ends inside a stout one. If a hand is nearer to the character's trunk than the default character's hand is to
-its own, or inside it, the arm is bent until the distances agree (up to `MARGIN`). Both distances are computed by the
-same continuous function, so the correction is continuous too.
+`gesticulator.body.clearance` keeps the hands of every performance out of the body, `gesticulator.characters.trunk`
+those of other characters; what is here leads the hand of a gesture by name around the body.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,22 +16,12 @@ from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
 from gesticulator.characters.inverse_kinematics import Limbs, bend
 
-if TYPE_CHECKING:
-    from gesticulator.characters.frames import Body
-
 MARGIN = 0.03
-"""Metres from the trunk beyond which a hand is not corrected, for an adult; scaled by the length of the arms."""
+"""Metres from the trunk beyond which a hand is not corrected, for an adult."""
 OURS = (0.145, 0.115)
 """Half the width and half the depth of the default character's trunk, metres: a slim adult."""
-_HEIGHTS = 12
-"""Number of slices in which the trunk is measured on the mesh."""
-_OUTER = 98.0
-"""Percentile of the vertices of a slice taken as its surface, to ignore belt buckles."""
 _STEPS = 5
 """Iterations of pushing a hand outwards; each corrects the direction of the one before."""
-_ARM_LENGTH = 0.53
-"""Length of the default character's upper arm and forearm, metres."""
-
 
 @dataclass(frozen=True)
 class Trunk:
@@ -83,72 +70,6 @@ def plain_trunk(width: float, depth: float) -> Trunk:
     return Trunk(np.array([0.0, 1.0]), np.full(2, width), np.full(2, depth), np.zeros(2))
 
 
-def trunk_of(body: Body) -> Trunk:
-    """The trunk of a character: given by the user, else measured on its mesh, else scaled by its skeleton."""
-    if body.mapping.torso is not None:
-        return plain_trunk(*body.mapping.torso)
-    return _measured(body) or _scaled(body)
-
-
-def _scaled(body: Body) -> Trunk:
-    """The default trunk scaled by the width of the shoulders and the length of the trunk."""
-    joints, places = body.mapping.joints, body.rest_places
-    shoulders = float(np.linalg.norm(places[joints["LeftArm"]] - places[joints["RightArm"]]))
-    trunk = float(np.linalg.norm(places[joints["Head"]] - places[joints["Hips"]]))
-    scale = float(np.sqrt(shoulders / _SHOULDERS * trunk / _TRUNK))
-    return plain_trunk(OURS[0] * scale, OURS[1] * scale)
-
-
-_SHOULDERS, _TRUNK = 0.36, 0.62
-"""Distances from shoulder to shoulder and from hips to head of the default character, metres."""
-
-
-def _measured(body: Body) -> Trunk | None:
-    """The column around the vertices moved by hips, spine and chest; None if there are too few."""
-    character, mapping = body.character, body.mapping
-    if not len(character.flesh):
-        return None
-    trunk = np.zeros(len(character), dtype=bool)
-    trunk[[mapping.joints["Hips"], *mapping.spine]] = True
-    limbs = np.zeros(len(character), dtype=bool)
-    limbs[[node for name, node in mapping.joints.items() if name not in ("Hips",)]] = True
-    limbs[list(mapping.neck)] = True
-    for node, parent in enumerate(character.parents):  # children of the trunk other than limbs move with it
-        trunk[node] |= parent >= 0 and trunk[parent] and not limbs[node]
-    points = character.flesh[trunk[character.flesh_nodes]] @ body.bind_axes.T * body.unit
-    if len(points) < 30:
-        return None
-    hips, neck = (places @ body.bind_axes.T * body.unit for places in _bind_ends(body))
-    axis = neck - hips
-    length = float(np.linalg.norm(axis))
-    up = axis / length
-    left = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    left = left / np.linalg.norm(left)
-    fore = np.cross(left, up)
-    share, x, z = (points - hips) @ up / length, (points - hips) @ left, (points - hips) @ fore
-    steps, rows = [], []
-    for step in (np.arange(_HEIGHTS) + 0.5) / _HEIGHTS:
-        near = np.abs(share - step) < 1.0 / _HEIGHTS
-        if near.sum() < 8:
-            continue
-        back, front = np.percentile(z[near], [100.0 - _OUTER, _OUTER])
-        steps.append(step)
-        rows.append((float(np.percentile(np.abs(x[near]), _OUTER)), (front - back) / 2.0, (front + back) / 2.0))
-    if not rows:
-        return None
-    width, depth, ahead = np.array(rows).T
-    return Trunk(np.array(steps), np.maximum(width, 0.02), np.maximum(depth, 0.02), ahead)
-
-
-def _bind_ends(body: Body) -> tuple[Array, Array]:
-    """[3] hips and neck in the bind pose, in the file's units and axes."""
-    from gesticulator.characters.shape import bind_matrices
-
-    places = bind_matrices(body.character)[:, :3, 3]
-    top = body.mapping.neck[0] if body.mapping.neck else body.mapping.joints["Head"]
-    return places[body.mapping.joints["Hips"]], places[top]
-
-
 OUR_HEAD = Trunk(np.array([0.0, 0.2, 0.5, 0.8, 1.0]), np.array([0.04, 0.066, 0.078, 0.068, 0.035]),
                  np.array([0.06, 0.088, 0.1, 0.086, 0.045]), np.zeros(5))
 """The head of the default character, from chin to crown: that of an adult, 0.22 m high."""
@@ -190,26 +111,6 @@ def our_distances(ours: Pose) -> dict[str, Array]:
     column = ours.places["Hips"], ours.places["Neck"], ours.turns["Spine3"]
     return {side: np.min([trunk.distance(ours.places[side + name], *column)[0] for name in ("Hand", "HandMiddle1")
                           if side + name in ours.places], axis=0) for side in SIDES}
-
-
-def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose) -> None:
-    """Bend the arms in `turns` where a hand would be nearer to the character's trunk than on the default character.
-
-    A hand inside the default character's trunk stays as deep: errors of the source motion are not corrected here.
-    """
-    joints = body.mapping.joints
-    trunk, near = trunk_of(body), our_distances(ours)
-    chest = ours.turns["Spine3"]
-    neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
-    hips = np.zeros_like(neck)
-    for side in SIDES:
-        chain = (joints[side + "Arm"], joints[side + "ForeArm"], joints[side + "Hand"])
-        points = [node for node in (chain[2], joints.get(side + "HandMiddle1")) if node is not None]
-        arm = float(sum(np.linalg.norm(body.place({}, below) - body.place({}, above))
-                        for above, below in zip(chain, chain[1:], strict=False)))
-        margin = MARGIN * arm / _ARM_LENGTH
-        wanted = np.minimum(near[side] * arm / _ARM_LENGTH, margin)
-        push_out(turns, body, chain, points, wanted, (trunk, hips, neck, chest))
 
 
 def push_out(turns: dict[int, Array], limbs: Limbs, chain: tuple[int, int, int], points: Sequence[int], wanted: Array,

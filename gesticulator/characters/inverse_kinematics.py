@@ -49,11 +49,28 @@ def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal
     new_upper = share[:, None] * along + beside[:, None] * out
     new_lower = far[:, None] * along - new_upper
     for node, before, after in ((top, upper, new_upper), (middle, lower, new_lower)):
-        turned = _swing(before, after) @ turns[node]
+        turned = swing(before, after) @ turns[node]
         turns[node] = turned if where is None else np.where(where[:, None, None], turned, turns[node])
 
 
-def _swing(a: Array, b: Array) -> Array:
+def swivel(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], shift: Array) -> None:
+    """Rotate the first two nodes of a chain so that the second moves by about `shift` [T, 3], as far as the places of
+    the first and the third let it; the third keeps its world rotation if it is in `turns`."""
+    top, middle, _ = chain
+    socket, hinge, tip = (body.place(turns, node) for node in chain)
+    upper, lower, way = hinge - socket, tip - hinge, tip - socket
+    along = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
+    centre = np.sum(upper * along, axis=-1, keepdims=True) * along
+    beside = upper - centre
+    moved = beside + shift - np.sum(shift * along, axis=-1, keepdims=True) * along
+    size = np.linalg.norm(beside, axis=-1, keepdims=True)
+    length = np.linalg.norm(moved, axis=-1, keepdims=True)
+    moved = np.where(length > 1e-6, moved / np.maximum(length, 1e-9) * size, beside)
+    turns[top] = swing(upper, centre + moved) @ turns[top]
+    turns[middle] = swing(lower, way - centre - moved) @ turns[middle]
+
+
+def swing(a: Array, b: Array) -> Array:
     """[T, 3, 3] the shortest rotations from directions a [T, 3] to b."""
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)
     b = b / np.linalg.norm(b, axis=-1, keepdims=True)

@@ -168,9 +168,9 @@ def _torso(path: str | os.PathLike[str], value: object) -> tuple[float, float] |
 
 
 def described(mapping: RigMapping, character: Character) -> str:
-    """The mapping as text: its confidence, and our joints with the character's names."""
-    lines = [f"{character.path.name}: {len(character)} nodes, {len(mapping.joints)} joints found, "
-             f"{mapping.confidence:.0%} sure" + (f", names like {mapping.family}" if mapping.family else "")]
+    """The mapping as text: our joints with the character's names."""
+    lines = [f"{character.path.name}: {len(character)} nodes, {len(mapping.joints)} joints found"
+             + (f", names like {mapping.family}" if mapping.family else "")]
     lines += [f"  doubt: {doubt}" for doubt in mapping.doubts]
 
     def row(name: str, nodes: Sequence[int]) -> str:

@@ -22,8 +22,8 @@ so clavicles may be attached to the neck, thighs to the spine, and helper nodes 
 
 Trunk and neck are chains with other numbers of joints: R(t) is interpolated along ours, by the position between hips
 and chest (chest and head). The hips move scaled by the ratio of leg lengths, and two-bone inverse kinematics keeps each
-foot in place, which bends knees by fractions of a degree. Hands that would enter a wider trunk are kept outside
-(`gesticulator.characters.contacts`), and twist bones of the forearm share the roll of the hand
+foot in place, which bends knees by fractions of a degree. Hands that would enter the trunk are kept outside
+(`gesticulator.characters.trunk`), and twist bones of the forearm share the roll of the hand
 (`gesticulator.characters.twist`).
 
 Letters: T frames, J our joints, N nodes of the target. World axes are ours (Y up, facing +Z, left +X, metres) unless
@@ -40,11 +40,12 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion
-from gesticulator.characters.contacts import Pose, keep_hands_out, pose_of
+from gesticulator.characters.contacts import Pose, pose_of
 from gesticulator.characters.frames import Body, measure
 from gesticulator.characters.inverse_kinematics import bend
 from gesticulator.characters.mapping import SIDES, RigMapping, check
 from gesticulator.characters.rig import Character, CharacterMotion
+from gesticulator.characters.trunk import keep_hands_out
 from gesticulator.characters.twist import share_roll
 
 _SOCKETS = 0.18
@@ -69,7 +70,8 @@ class Retargeter:
 
         legs: False keeps hips and legs at rest (a seated character), True makes the character stand; None: it stands
         unless it sits in its file. `InputError` if the joints cannot be identified reliably, or if what comes out is
-        not sound (`gesticulator.characters.soundness`). Attribute doubts: what is odd about it, in words.
+        not sound (`gesticulator.characters.soundness`). Attributes: doubts, what is odd about it, in words; confidence,
+        that of the mapping, or the share of the checks that found nothing odd if that is less.
         """
         from gesticulator.characters.joints import find_joints
         from gesticulator.characters.soundness import require_sound
@@ -82,7 +84,9 @@ class Retargeter:
         whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
         self.legs = whole and (not self.body.sits if legs is None else legs)
         self.contacts = False  # what they correct on purpose is not a fault
-        self.doubts = (*self.mapping.doubts, *require_sound(self))
+        measured = require_sound(self)
+        self.doubts = (*self.mapping.doubts, *measured.doubts)
+        self.confidence = min(self.mapping.confidence, measured.share)
         self.contacts = contacts
 
     def __call__(self, motion: Motion) -> CharacterMotion:

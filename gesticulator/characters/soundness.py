@@ -73,10 +73,12 @@ _ANOTHER = "give a human character"
 
 @dataclass(frozen=True)
 class Findings:
-    """What is wrong with a moved character. faults: (reason, what to do, or our joints to correct); doubts: reasons."""
+    """What is wrong with a moved character. faults: (reason, what to do, or our joints to correct); doubts: reasons;
+    share: of the checks, those that found nothing."""
 
     faults: tuple[tuple[str, Remedy], ...] = ()
     doubts: tuple[str, ...] = ()
+    share: float = 1.0
 
 
 def probe_motion() -> Motion:
@@ -98,8 +100,8 @@ def probe_motion() -> Motion:
     return Motion(WHOLE_BODY, turns, np.zeros((len(poses), 3)), _FPS)
 
 
-def require_sound(retargeter: Mover) -> tuple[str, ...]:
-    """The doubts about what comes out on a character; `InputError` with the reason and the line to correct, for a
+def require_sound(retargeter: Mover) -> Findings:
+    """What was measured of a character that is sound; `InputError` with the reason and the line to correct, for a
     fault."""
     found = examine(retargeter)
     if found.faults:
@@ -110,7 +112,7 @@ def require_sound(retargeter: Mover) -> tuple[str, ...]:
             remedy = ("name the right nodes in a mapping: --save-mapping FILE.json, correct the line "
                       f"{', '.join(lines)}, then --mapping FILE.json")
         raise InputError(retargeter.character.path, f"would come out wrong: {reason}", remedy)
-    return found.doubts
+    return found
 
 
 def _quoted(key: str) -> str:
@@ -125,13 +127,16 @@ def examine(retargeter: Mover) -> Findings:
     checks: tuple[Callable[[], Check], ...] = (
         seen.connected, seen.on_four_legs, seen.upright, seen.sides, seen.facing, seen.proportions, seen.directions,
         seen.feet, seen.following, seen.tears)
+    silent = 0
     for check in checks:
-        for grave, reason, remedy in check():
+        found = list(check())
+        silent += not found
+        for grave, reason, remedy in found:
             if grave:
                 faults.append((reason, remedy))
             else:
                 doubts.append(reason)
-    return Findings(tuple(faults), tuple(doubts))
+    return Findings(tuple(faults), tuple(doubts), silent / len(checks))
 
 
 class _Seen:

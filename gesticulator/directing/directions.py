@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.controls import FEATURES, Controls, Curve
+from data_module.controls import FEATURES, LIMITS, UNITS, Controls, Curve
 from data_module.errors import InputError, shown
 from data_module.types import Array, Blocks, Speech, Word
 from gesticulator.bundle.bundle import Bundle
@@ -199,19 +199,27 @@ def planned(options: InferenceOptions) -> InferenceOptions:
             speaker=plan.speaker, interpreter=options.interpreter or plan.interpreter, seed=plan.seed,
             temperature=settings["temperature"], beta=settings.get("beta"),
             fps=options.fps if options.fps != FPS else settings.get("fps", FPS), gain=settings.get("gain", 0.0),
-            controls=_controls(settings), plan=_cued(plan), cues=plan.cues,
+            controls=_controls(settings, plan), plan=_cued(plan), cues=plan.cues,
             legs=options.legs or settings.get("legs") == "standing",
             seated=options.seated or settings.get("legs") == "seated", **combined)
     except (TypeError, ValueError) as error:
         raise plan.error(("made_by", "settings"), f"cannot be used ({error})", "leave it as it was written") from None
 
 
-def _controls(settings: Mapping[str, Any]) -> Controls | None:
-    values = {}
+def _controls(settings: Mapping[str, Any], plan: GesturePlan) -> Controls | None:
+    """The controls of the hands: curves of the plan, else those of its generation."""
+    values: dict[str, float | Curve] = {}
     for name in FEATURES:
         value = settings.get(f"hand_{name}")
         if value is not None:
             values[name] = Curve(tuple(value["times"]), tuple(value["values"])) if isinstance(value, dict) else value
+    for at, curve in enumerate(plan.curves):
+        if curve.knob in FEATURES:
+            low, high = LIMITS[curve.knob]
+            if not all(low <= value <= high for value in curve.values):
+                raise plan.error(("curves", at, "values"), f"are outside of {low:g} to {high:g} {UNITS[curve.knob]}",
+                                 "give values within it")
+            values[curve.knob] = Curve(curve.times, curve.values)
     return Controls(**values) if values else None
 
 

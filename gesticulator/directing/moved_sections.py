@@ -54,7 +54,8 @@ def moved_sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] 
     made_by = {**plan.made_by, "settings": _settings(plan.made_by.get("settings", {}), beats)}
     parts = {
         "words": now, "cues": tuple(_within(cue, duration) for cue, _, _ in cues if cue is not None),
-        "pins": tuple(pin for pin in pins if pin is not None), "knobs": moved_knobs(plan.knobs, beats),
+        "pins": tuple(replace(pin, time=min(pin.time, duration)) for pin in pins if pin is not None),
+        "knobs": moved_knobs(plan.knobs, beats),
         "units": tuple(unit for unit in (_unit(unit, beats) for unit in plan.units) if unit is not None),
         "meanings": tuple(_meaning(one, beats, duration) for one in plan.meanings
                           if beats.moment((one.start + one.end) / 2) is not None),

@@ -17,6 +17,8 @@ a small change of pose or sound rarely changes the choice:
   (`interpreters.planner`), m the mean over the block, and s its deviation in the training data.
 - Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
   hands over the block, and h_0 and s_0 what they are in speech: the head moves when the hands do.
+- Pitch: the mean of p (s - s_m) / s_0 over the frames, with p the pitch in octaves over the voice's mean, s the turning
+  speed of the trunk, s_m its mean over the candidates, and s_0 what it is in speech: the trunk goes with the pitch.
 - Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their
   targets, in standard deviations of the training data.
 
@@ -62,6 +64,10 @@ how far a hand reaches beyond the wrist, as a share of the forearm. Arms of peop
 1 % of the time."""
 _HEAD_TURNS, _HANDS_MOVE, _LEAST = 0.4, 0.5, 0.1
 """h_0, rad/s, and s_0, m/s; and what is added to a share of them, so that stillness has a logarithm."""
+_TRUNK = "Spine", "Spine1", "Spine2", "Spine3", "Chest"
+"""Joints from hips to chest, of those that a body may have."""
+_TRUNK_TURNS = 0.25
+"""s_0 of the trunk, rad/s."""
 _LEXEME = 2.0
 """Weight of the lexeme: a candidate that is a twentieth nearer to another lexeme loses 0.2."""
 
@@ -80,6 +86,7 @@ class CandidateChooser:
                         for side in ("Right", "Left")]
         self._joints += [chest, skeleton.index("Head")]
         self._head = np.flatnonzero(np.repeat([name in HEAD for name in skeleton.names], 3))
+        self._trunk = np.flatnonzero(np.repeat([name in _TRUNK for name in skeleton.names], 3))
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
@@ -104,6 +111,8 @@ class CandidateChooser:
             score += self._settings.timing * in_time(hands, times, speech.start, speech.onsets)
         if self._settings.together:
             score -= self._settings.together * apart_from_hands(poses[allowed][..., self._head], hands, times)
+        if self._settings.pitch and speech.pitch is not None:
+            score += self._settings.pitch * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
         if self._settings.seam:
             score -= self._settings.seam * jolt(hands, times)
         if code is not None and self._settings.as_styled:
@@ -238,6 +247,17 @@ def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
     turned = np.linalg.norm(np.diff(turns, axis=1), axis=-1).sum(1) / seconds
     moved = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1).sum(1) / seconds
     return np.asarray(np.abs(np.log(turned / _HEAD_TURNS + _LEAST) - np.log(moved / _HANDS_MOVE + _LEAST)))
+
+
+def with_pitch(trunk: Array, times: Array, pitch: Array) -> Array:
+    """[C] how far the trunk of each block turns faster than in the other blocks where the pitch [K] is high, and slower
+    where it is low; see `apart_from_hands`.
+
+    trunk: [C, T, 3 n] rotations of the joints from hips to chest as exponential maps.
+    """
+    turns = trunk[:, _BEFORE - 1:].reshape(*trunk[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
+    speed = np.linalg.norm(np.diff(turns, axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])
+    return np.asarray(((speed - speed.mean(0)) / _TRUNK_TURNS * pitch).mean(1))
 
 
 def jolt(hands: Array, times: Array) -> Array:

@@ -21,6 +21,7 @@ from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.beats import BeatTracker
 from data_module.speech.front_ends import FrontEnd
 from data_module.speech.onsets import OnsetTracker
+from data_module.speech.pitch import PitchLevel
 from data_module.speech.silence import (
     FRAME,
     STEP,
@@ -59,7 +60,7 @@ _NOTHING = LoudnessStep(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, bool)
 class _CutBlock:
     """A block of sound. start, end: seconds; flag: why it ends; sound: [L] samples, time-stretched; silent: whether the
     block is in a pause; quiet: [K] whether its frames are; reference: level of the voice known at its end, dBFS;
-    onsets: [n] seconds."""
+    onsets: [n] seconds; pitch: [K] as in `SpeechBlock`, or None."""
 
     start: float
     end: float
@@ -69,6 +70,7 @@ class _CutBlock:
     quiet: NDArray[np.bool_]
     reference: float
     onsets: Array
+    pitch: Array | None = None
 
     @property
     def duration(self) -> float:
@@ -121,17 +123,15 @@ class BlockCutter:
     """Cuts speech at 16 kHz at its beats as it arrives, and encodes each window of three blocks.
 
     latency: "full" returns a block once the next block is known, which is the input the models were trained with. "low"
-    returns it once its end is known, with a guess in place of the next block (`_foreseen`).
+    returns it once its end is known, with a guess in place of the next block (`_foreseen`). It may be set at any time,
+    and affects the blocks that were not returned yet.
     """
 
     def __init__(self, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
                  latency: str = "full", start: float = 0.0) -> None:
         """words: encoder of the words that `add_words` will add, or None; start: where the first block begins, seconds
         of the sound."""
-        if latency not in LATENCIES:
-            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
         self._config, self._front, self.latency = config, front or front_end_for(config), latency
-        self._low = latency == "low"
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
         self._words = None if words is None else WordTrack(words, config.text.bridge)
@@ -145,6 +145,7 @@ class BlockCutter:
         self._processed = self._levels = self._frames = self._count = 0
         self._edges: list[tuple[float, BeatFlag]] = [(start, BeatFlag.BOUNDARY)]  # of blocks that are not cut yet
         self._rises: list[float] = []  # onsets of blocks that are not cut yet
+        self._pitch = PitchLevel() if config.selection.pitch else None
         self._cut: list[_CutBlock] = []  # the block before, and those that are not returned yet
         self._ended = self._beats_given = False
 
@@ -152,6 +153,17 @@ class BlockCutter:
         """Cut at these beats, rising seconds with their flags, and detect none. Call it before anything is fed."""
         self._edges += beats
         self._beats_given = True
+
+    @property
+    def latency(self) -> str:
+        """One of `LATENCIES`."""
+        return "low" if self._low else "full"
+
+    @latency.setter
+    def latency(self, latency: str) -> None:
+        if latency not in LATENCIES:
+            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
+        self._low = latency == "low"
 
     def fork(self) -> BlockCutter:
         """An independent copy, which shares what never changes."""
@@ -284,7 +296,15 @@ class BlockCutter:
         silent = in_pause(self._pauses.between(first, min(last, self._frames) if ended else last))
         return _CutBlock(start, end, flag, self._stretched(start, end), silent,
                          self._quiet.at(frame_before(frames), ended), self._voice.block(end),
-                         np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]))
+                         np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]),
+                         self._pitch_of(start, end))
+
+    def _pitch_of(self, start: float, end: float) -> Array | None:
+        """[K] the block's pitch, if candidates are chosen by it."""
+        if self._pitch is None:
+            return None
+        first, last = (min(round(edge * SAMPLE_RATE), self._processed) - self._from for edge in (start, end))
+        return self._pitch.block(self._sound[first:last], SAMPLE_RATE, self._config.rhythm.frames)
 
     def _foreseen(self, block: _CutBlock) -> _CutBlock:
         """A guess of the next block: of the same length, with the sound so far, continued by its mirror image."""
@@ -323,7 +343,8 @@ class BlockCutter:
                                    for part in (before, block, after)])
         return SpeechBlock(self._count, block.start, block.end, (three[0].duration, block.duration, three[2].duration),
                            (three[0].silent, block.silent, three[2].silent), low, high, text, block.quiet,
-                           None if after is None else after.quiet, block.flag, onsets=block.onsets)
+                           None if after is None else after.quiet, block.flag, onsets=block.onsets,
+                           pitch=block.pitch)
 
     def _forget(self, start: float) -> None:
         """Free the memory of sound, flags and words before a block that was returned."""
@@ -416,4 +437,6 @@ def gathered(parts: Sequence[SpeechBlock], config: Config) -> SpeechFeatures:
     blocks = Blocks(edges, np.array([block.flag for block in parts], np.int8),
                     np.array([block.silent[1] for block in parts]), config.rhythm.frames, config.rhythm.fps)
     return SpeechFeatures(blocks, low, high, text, np.stack([block.quiet for block in parts]),
-                          tuple(block.onsets for block in parts))
+                          tuple(block.onsets for block in parts),
+                          None if parts[0].pitch is None else np.stack([block.pitch for block in parts
+                                                                        if block.pitch is not None]))

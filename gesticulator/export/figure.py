@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.types import Array, Motion
+
+if TYPE_CHECKING:
+    from gesticulator.export.figure_face import Patch
 
 INK, SOFT, FLOOR = "#262a31", "#8d8578", "#d9d0c2"
 SHIRT, TROUSERS, SKIN, HAIR, NOSE = "#3d7a85", "#4a4f5c", "#dcb999", "#5b493d", "#c79d7a"
@@ -104,12 +107,14 @@ class Limb(NamedTuple):
 @dataclass(frozen=True)
 class BodyPart:
     """Limbs with one outline. lift: metres by which it is moved towards the viewer in depth order; hand: side of the
-    hand that it ends in, if any; shown: [T] the frames in which it is visible, None for all."""
+    hand that it ends in, if any; shown: [T] the frames in which it is visible, None for all; patches: drawn over the
+    limbs."""
 
     limbs: tuple[Limb, ...]
     lift: float
     hand: str = ""
     shown: NDArray[np.bool_] | None = None
+    patches: tuple[Patch, ...] = ()
 
 
 _STANDS = {side + name: np.array([place]) for side, places in {
@@ -179,7 +184,12 @@ def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
     ahead = look(now["Nose"])[2] - look(centre)[2] > -0.04
     hair = Limb(centre, centre, 0.216, 0.216, HAIR)
     front = (Limb(face, face, 0.2, 0.2, SKIN), Limb(now["Nose"], now["Nose"], 0.034, 0.034, NOSE))
-    return [BodyPart((hair,), 0.05, shown=~ahead), BodyPart((hair, *front), 0.05, shown=ahead)]
+    patches: tuple[Patch, ...] = ()
+    if "Face" in now:
+        from gesticulator.export.figure_face import features
+
+        patches = features(now, look, face, 0.1)
+    return [BodyPart((hair,), 0.05, shown=~ahead), BodyPart((hair, *front), 0.05, shown=ahead, patches=patches)]
 
 
 class FlatLimb(NamedTuple):
@@ -199,17 +209,20 @@ class FlatLimb(NamedTuple):
 
 
 class FlatPart(NamedTuple):
-    """A projected part: depth [T], visible frames, limbs, and side of the hand that it ends in."""
+    """A projected part: depth [T], visible frames, limbs, side of the hand that it ends in, and patches [T, K, 2] with
+    their colours."""
 
     near: Array
     shown: NDArray[np.bool_] | None
     limbs: list[FlatLimb]
     hand: str
+    patches: list[tuple[Array, str]]
 
     def polygons(self, paper: str) -> Iterator[tuple[Array, str]]:
         """Polygons [T, K, 2] with their colours: first the outline in the colour of the paper."""
         yield from ((limb.outline(HALO), paper) for limb in self.limbs)
         yield from ((limb.outline(), limb.colour) for limb in self.limbs)
+        yield from self.patches
 
 
 def flattened(part: BodyPart, look: Look) -> FlatPart:
@@ -219,7 +232,8 @@ def flattened(part: BodyPart, look: Look) -> FlatPart:
         (start, scale, _), (end, other, _) = look(limb.start), look(limb.end)
         limbs.append(FlatLimb(start, end, limb.wide / 2 * scale, limb.narrow / 2 * other, (scale, other), limb.colour))
         depths.append(look((limb.start + limb.end) / 2)[2])
-    return FlatPart(np.mean(depths, axis=0) + part.lift, part.shown, limbs, part.hand)
+    return FlatPart(np.mean(depths, axis=0) + part.lift, part.shown, limbs, part.hand,
+                    [(look(patch.points)[0], patch.colour) for patch in part.patches])
 
 
 def seen(points: Mapping[str, Array], view: View) -> list[FlatPart]:

@@ -6,7 +6,7 @@ shows only the movement. Video and audio start at 0 and are equally long. The sa
 samples for the same encoder versions: one thread, no date, no muxer version. WebM and GIF are byte-identical too; an
 H.264 stream occasionally differs by a byte without visible effect.
 
-Not shown: face and custom characters; legs stand still if the motion has none. Outlines are snapped to half pixels, and
+Not shown: custom characters; legs stand still if the motion has none. Outlines are snapped to half pixels, and
 chroma is stored at half resolution (4:2:0), as in most videos.
 """
 
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.motion import skeletons
-from data_module.types import Array, Motion, Samples, Speech
+from data_module.types import Array, Samples, Speech
 from gesticulator.export.figure import FLOOR, FlatPart, body, figure_points, flattened, legs
 from gesticulator.export.scene import Scene
 
@@ -312,21 +312,26 @@ def _sound_frame(samples: Samples, first: int) -> Any:
 
 def write_film(path: Path, scene: Scene) -> Path:
     """Write the scene as a video with audio, atomically. Returns `path`."""
-    points = _moments(scene.motion, scene.duration, FPS)
+    points = _moments(scene, FPS)
     write_bytes(path, encode(points, scene.speech, path.suffix))
     return path
 
 
 def write_gif(path: Path, scene: Scene) -> Path:
     """Write the scene as a looping GIF without audio, atomically. Returns `path`."""
-    write_bytes(path, gif(_moments(scene.motion, scene.duration, GIF_FPS)))
+    write_bytes(path, gif(_moments(scene, GIF_FPS)))
     return path
 
 
-def _moments(motion: Motion, duration: float, fps: int) -> dict[str, Array]:
-    """The points to draw at each frame of a film, with the motion's legs and fingers if it has them."""
-    times = np.arange(max(1, math.floor(duration * fps + 1e-9))) / fps
-    return figure_points(motion, times, skeletons.has_legs(motion), fingers=True)
+def _moments(scene: Scene, fps: int) -> dict[str, Array]:
+    """The points to draw at each frame of a film, with legs, fingers and face if the scene has them."""
+    motion, times = scene.motion, np.arange(max(1, math.floor(scene.duration * fps + 1e-9))) / fps
+    points = figure_points(motion, times, skeletons.has_legs(motion), fingers=True)
+    if scene.face is not None:
+        from gesticulator.export.figure_face import face_points
+
+        points |= face_points(scene.face, motion, times)
+    return points
 
 
 def gif(points: dict[str, Array]) -> bytes:

@@ -32,7 +32,7 @@ def write_glb(path: Path, scene: Scene) -> Path:
         return write_animated(path, character, scene.clip)
     is_glb = character is not None and character.character.kind == "glb"
     write_bytes(path, character_glb(character, scene.clip, scene.face) if character is not None and is_glb
-                else skeleton_glb(scene.nodes, scene.clip))
+                else skeleton_glb(scene.nodes, scene.clip, scene.face if character is None else None))
     return path
 
 
@@ -87,17 +87,24 @@ def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face:
                  frozenset(node for joint, node in moved.joints.items() if joint in STEADY), more)
 
 
-def skeleton_glb(motion: NodeMotion, clip: ClipLayout) -> bytes:
-    """An animated skeleton with a figure of spindles: the bytes of a GLB file."""
+def skeleton_glb(motion: NodeMotion, clip: ClipLayout, face: FaceMotion | None = None) -> bytes:
+    """An animated skeleton with a figure of spindles: the bytes of a GLB file. With a face, it has a head with blend
+    shapes (`gesticulator.export.face_mesh`)."""
     gltf = skeleton_document(motion)
-    add_skeleton_clip(gltf, motion, clip)
+    more: list[tuple[int, str, Numbers]] = []
+    if face is not None:
+        from gesticulator.export.face import head_tracks
+
+        more = head_tracks(gltf, motion, face)
+    add_skeleton_clip(gltf, motion, clip, more)
     return gltf.to_bytes()
 
 
-def add_skeleton_clip(gltf: GltfDocument, motion: NodeMotion, clip: ClipLayout) -> None:
-    """Add a motion to a document of `skeleton_document`."""
+def add_skeleton_clip(gltf: GltfDocument, motion: NodeMotion, clip: ClipLayout,
+                      more: Sequence[tuple[int, str, Numbers]] = ()) -> None:
+    """Add a motion to a document of `skeleton_document`; more: as for `GltfDocument.animate`."""
     gltf.animate(clip, motion, {node: node for node, name in enumerate(motion.names)
-                                if not (clip.bare and name in STEADY)}, steady_nodes(motion))
+                                if not (clip.bare and name in STEADY)}, steady_nodes(motion), more)
 
 
 def steady_nodes(motion: NodeMotion) -> frozenset[int]:

@@ -27,8 +27,8 @@ VERSION = 2
 _FLOAT, _UINT8, _UINT16 = 5126, 5121, 5123
 _TYPES = {np.dtype("<f4"): _FLOAT, np.dtype("u1"): _UINT8, np.dtype("<u2"): _UINT16}
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
-VERTICES = 34962
-"""Target of a buffer view: vertex attributes."""
+VERTICES, TRIANGLES = 34962, 34963
+"""Targets of a buffer view: vertex attributes, and indices."""
 TRANSLATION, ROTATION, WEIGHTS = "translation", "rotation", "weights"
 """Animated properties of a node."""
 LARGEST = (1 << 32) - 1

@@ -22,7 +22,7 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.motion import kinematics
 from data_module.motion.skeletons import HIP_HEIGHT
-from data_module.types import Motion, Skeleton
+from data_module.types import Array, Motion, Skeleton
 from gesticulator.export import sound
 from gesticulator.export.gltf import open_gltf
 from gesticulator.export.scene import Scene
@@ -111,7 +111,8 @@ def describe(scene: Scene) -> dict[str, Any]:
     """The data of a take for the page: times in seconds, lengths in metres, arrays as base64 of little-endian numbers.
 
     `rotations` is int16 [T, J, 4], w first, in steps of 1 / `QUATERNION_STEPS`; `root` is float32 [T, 3], or [1, 3] for
-    a still root; `plan` is the gesture plan.
+    a still root; `plan` is the gesture plan; `face`, for a scene with one, is int16 [T, 20], `FaceMotion.values` in the
+    same steps.
     """
     return {**describe_motion(scene), "plan": scene.plan.to_dict()}
 
@@ -123,7 +124,13 @@ def describe_motion(scene: Scene) -> dict[str, Any]:
         **describe_shape(motion, scene.duration),
         "rotations": _base64(np.round(motion.rotations * QUATERNION_STEPS).astype("<i2").tobytes()),
         "root": _base64(root_path(motion)),
+        **({} if scene.face is None else {"face": _base64(_steps(scene.face.at(np.arange(len(motion)) / motion.fps)))}),
     }
+
+
+def _steps(values: Array) -> bytes:
+    """Numbers from -1 to 1 as int16 in steps of 1 / `QUATERNION_STEPS`."""
+    return np.round(np.clip(values, -1.0, 1.0) * QUATERNION_STEPS).astype("<i2").tobytes()
 
 
 def describe_shape(motion: Motion, duration: float) -> dict[str, Any]:

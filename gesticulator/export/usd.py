@@ -1,4 +1,5 @@
-"""`.usda` and `.usdc`: OpenUSD (UsdSkel) as text and binary: a skeleton, a plain figure bound to it, an animation.
+"""`.usda` and `.usdc`: OpenUSD (UsdSkel) as text and binary: a skeleton, a plain figure bound to it, an animation; with
+a face, blend shapes in ARKit's names.
 
 One time code is one frame; metres, Y up. Joints are paths of names ("Hips/Spine"); characters not allowed in USD names
 become "_".
@@ -8,15 +9,19 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from data_module.files import write_bytes
+from gesticulator.characters.face_shapes import ARKIT
 from gesticulator.export.clip import NAME, ClipLayout
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import FigureMesh, figure
+
+if TYPE_CHECKING:
+    from data_module.face import FaceMotion
 
 ROOT = "/Character"
 
@@ -29,7 +34,11 @@ def write_usd(path: Path, scene: Scene) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / f"motion{suffix}"
         stage = Usd.Stage.CreateNew(str(target))
-        _fill(stage, scene.nodes, scene.clip)
+        animation, skeleton = _fill(stage, scene.nodes, scene.clip)
+        if scene.face is not None:
+            _express(animation, scene.face, Usd)
+            if scene.character is None:
+                _add_face(stage, skeleton, scene.nodes)
         if scene.clip.sound:
             _refer_to_sound(stage, path.with_suffix(".wav").name)
         stage.GetRootLayer().Save()
@@ -37,7 +46,8 @@ def write_usd(path: Path, scene: Scene) -> Path:
     return path
 
 
-def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> None:
+def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> tuple[Any, Any]:
+    """Write skeleton, figure and animation; returns the animation and the skeleton."""
     from pxr import Gf, Usd, UsdGeom, UsdSkel
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -63,6 +73,54 @@ def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> None:
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     _dress(stage, skeleton, figure(motion))
+    return animation, skeleton
+
+
+def _express(animation: Any, face: FaceMotion, usd: Any) -> None:
+    """Add the weights of ARKit's 52 blend shapes to an animation."""
+    from pxr import Vt
+
+    from gesticulator.export.face_mesh import weights
+
+    animation.CreateBlendShapesAttr(list(ARKIT))
+    track = animation.CreateBlendShapeWeightsAttr()
+    for frame, values in enumerate(weights(face).astype(np.float32)):
+        track.Set(Vt.FloatArray.FromNumpy(values), usd.TimeCode(frame))
+
+
+def _add_face(stage: Any, skeleton: Any, motion: NodeMotion) -> None:
+    """Add a head with blend shapes, fixed to the joint of the head."""
+    from pxr import Gf, UsdGeom, UsdSkel, Vt
+
+    from gesticulator.export.face_mesh import JOINT, face_mesh
+
+    face = face_mesh()
+    joint = motion.names.index(JOINT)
+    place = motion.rest_matrices()[joint]
+    mesh = UsdGeom.Mesh.Define(stage, f"{ROOT}/Face")
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(face.positions.astype(np.float32)))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(face.normals.astype(np.float32)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(face.triangles)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray(face.triangles.ravel().tolist()))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(Vt.Vec3fArray.FromNumpy(face.colours.astype(np.float32)))
+    mesh.CreateExtentAttr([Gf.Vec3f(*edge.tolist()) for edge in (face.positions.min(0), face.positions.max(0))])
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    binding.CreateJointIndicesPrimvar(True, 1).Set(Vt.IntArray([joint]))
+    binding.CreateJointWeightsPrimvar(True, 1).Set(Vt.FloatArray([1.0]))
+    binding.CreateGeomBindTransformAttr(Gf.Matrix4d(*place.T.ravel().tolist()))
+    binding.CreateBlendShapesAttr(list(face.shapes))
+    targets = []
+    for name, moved in face.shapes.items():
+        shape = UsdSkel.BlendShape.Define(stage, f"{ROOT}/Face/{name}")
+        rows = np.flatnonzero(np.abs(moved).max(axis=1) > 0)
+        shape.CreatePointIndicesAttr(Vt.IntArray(rows.tolist()))
+        shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(moved[rows].astype(np.float32)))
+        targets.append(shape.GetPath())
+    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
 
 
 def _animation_name(clip: ClipLayout) -> str:

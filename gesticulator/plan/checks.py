@@ -19,6 +19,8 @@ CUES_PER_SECOND, ALLOWED_CUES = 4.0, 100
 """Most cues per second of sound; so many are allowed in any case. A gesture takes a second, so more cannot be seen."""
 MOST_INTENSITY = 2.0
 """Greatest value of an intensity curve."""
+PLACED = ("LeftHand", "RightHand", "Head")
+"""Joints that can be pinned to a place; arms and spine follow them."""
 _EPS = 1e-6
 """Largest difference of two equal times, seconds: numbers in files are rounded."""
 _FINGERPRINT = re.compile("([A-Za-z0-9+/]{8})+")
@@ -63,6 +65,12 @@ def _check_sections(plan: GesturePlan) -> None:
     check_units(plan.units, plan.error)
     check_meanings(plan.meanings, plan.error)
     check_pins(plan.pins, plan.error)
+    most = max(ALLOWED_CUES, int(CUES_PER_SECOND * plan.duration))
+    if len(plan.pins) > most:
+        raise plan.error(("pins", most), f"is one of {len(plan.pins)}", f"give {most} at most")
+    for at, pin in enumerate(plan.pins):
+        if pin.time > plan.duration + _EPS:
+            raise plan.error(("pins", at, "time"), f"is {pin.time:g}", f"give 0 to {plan.duration:g} seconds")
     knobs = [curve.knob for curve in plan.curves]
     for at, curve in enumerate(plan.curves):
         check_points(("curves", at), ("times", "values"), (curve.times, curve.values), plan.error)
@@ -166,8 +174,12 @@ def check_meanings(meanings: tuple[PlanMeaning, ...], error: Callable[[Place, st
 
 
 def check_pins(pins: tuple[PosePin, ...], error: Callable[[Place, str, str], InputError]) -> None:
-    """`InputError` for a pin without rotation and position, or with a rotation that is not a unit quaternion."""
+    """`InputError` for a pin without rotation and position, with a position of another joint than hands and head, or
+    with a rotation that is not a unit quaternion."""
     for at, pin in enumerate(pins):
+        if pin.position is not None and pin.joint not in PLACED:
+            raise error(("pins", at, "joint"), f"is {shown(pin.joint)}, which cannot be pinned to a place",
+                        f"give one of {', '.join(PLACED)}, or a rotation instead of the position")
         if pin.rotation is None and pin.position is None:
             raise error(("pins", at), "has neither a rotation nor a position", "give one of them, or both")
         if pin.rotation is not None and abs(sum(part * part for part in pin.rotation) - 1.0) > _UNIT:

@@ -300,12 +300,12 @@ class PlanMeaning:
 
 @dataclass(frozen=True)
 class PosePin:
-    """A fixed rotation, position or both of a joint at one time."""
+    """A fixed rotation, position or both of a joint at one time. The motion goes through it smoothly."""
 
     time: Seconds
     """Seconds."""
     joint: str
-    """The joint's name in the skeleton."""
+    """The joint's name in the skeleton; for a position LeftHand, RightHand or Head."""
     rotation: tuple[float, float, float, float] | None = None
     """Its local rotation, a unit quaternion, w first."""
     position: tuple[float, float, float] | None = None

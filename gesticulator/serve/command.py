@@ -60,6 +60,10 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def _output_arguments(p: argparse.ArgumentParser, of: str, threads: str) -> None:
     p.add_argument("--vmc", metavar="HOST:PORT", help=f"also send the poses of {of} by VMC, such as 127.0.0.1:39539")
+    p.add_argument("--osc", metavar="HOST:PORT", help="the same by plain OSC, for TouchDesigner or Unreal Engine, such "
+                   "as 127.0.0.1:9000")
+    p.add_argument("--osc-axes", default="y-up", choices=("y-up", "unreal"), help="y-up: metres, Y up, right-handed, "
+                   "with angles in degrees; unreal: centimetres, Z up, left-handed (default y-up)")
     p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper, or a folder")
     p.add_argument("--threads", type=int, default=1, metavar="N", help=f"torch threads {threads} (default 1)")
 
@@ -70,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
     return launch(Launch(
         address=read_address(args), limits=read_limits(args), workers=args.workers, vmc=args.vmc, bundle=args.bundle,
-        threads=args.threads))
+        threads=args.threads, osc=args.osc, osc_axes=args.osc_axes))
 
 
 def read_address(args: argparse.Namespace) -> ServerAddress:
@@ -121,6 +125,7 @@ COMMAND = Command(
         "serve --port 9000 --workers 4",
         "serve --host 0.0.0.0 --token-file token.txt --origin https://example.org",
         "serve --vmc 127.0.0.1:39539",
+        "serve --osc 127.0.0.1:9000 --osc-axes unreal",
     ))
 
 
@@ -139,7 +144,8 @@ def run_live(args: argparse.Namespace) -> int:
 
     limits = ServerLimits(drain_seconds=1.0, core_share=100.0)
     return launch(Launch(ServerAddress(port=args.port), limits, vmc=args.vmc,
-                         bundle=args.bundle, threads=args.threads, live=True, browser=not args.no_browser))
+                         bundle=args.bundle, threads=args.threads, live=True, browser=not args.no_browser,
+                         osc=args.osc, osc_axes=args.osc_axes))
 
 
 LIVE = Command(

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from gesticulator.serve.metrics import ServerMetrics
     from gesticulator.serve.session import Session, Work
     from gesticulator.serve.settings import ServerLimits
-    from gesticulator.serve.vmc import VmcOutput
+    from gesticulator.serve.vmc import PoseOutput
 
 PIECE_SECONDS = 0.5
 """Audio taken up at a time, seconds; it is computed in turns of a block."""
@@ -52,6 +52,9 @@ _REASON_BYTES = 120
 _MOST_WAITING = 10_000
 """Most queued messages: a minute of 6 ms packets; bounds empty commands too."""
 _WAITS = ("idle", "think")
+_DOWNGRADED = {Effort.LOW: "shortened_seconds_total", Effort.LESS: "hurried_seconds_total",
+               Effort.NONE: "passed_seconds_total"}
+"""Metrics of audio that was not processed as the client asked."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ class Workplace:
     scheduler: Scheduler
     open_session: Callable[[str, StreamRequest], Session]
     host: Host
-    output: VmcOutput | None = None
+    output: PoseOutput | None = None
 
 
 class Connection:
@@ -157,6 +160,8 @@ class Connection:
         self._detached: asyncio.Future[None] | None = None
         """Done when the socket that resumed the stream is no longer used by it."""
         self._welcome: dict[str, Any] = {}
+        self.saving = 0.0
+        """Seconds by which low look-ahead brings poses earlier, see `Governed`."""
 
     @property
     def lateness(self) -> float | None:
@@ -175,7 +180,7 @@ class Connection:
                 other.give_up()
                 self.place.host.admit(self, replace(request, resume=None))
             session = await self.place.scheduler.run(self.member, lambda: self.place.open_session(self.name, request))
-            self._welcome = session.welcome()
+            self._welcome, self.saving = session.welcome(), session.saving
             if request.resumable:
                 self.session, self._sent = self.session or new_session(), SentMessages(self.place.limits.resume_bytes)
                 self._welcome["session"] = self.session
@@ -439,10 +444,10 @@ class Connection:
         metrics.time("answer_seconds", time.monotonic() - sound.arrived)
         if sound.effort != Effort.NONE:
             self._pace.worked(seconds, elapsed)
-        if sound.effort == Effort.FULL and not sound.heard:
+        if sound.effort in (Effort.FULL, Effort.LOW) and not sound.heard:
             self.place.host.worked(seconds, took)
-        if sound.effort != Effort.FULL:
-            metrics.add("passed_seconds_total" if sound.effort == Effort.NONE else "hurried_seconds_total", seconds)
+        if sound.effort in _DOWNGRADED:
+            metrics.add(_DOWNGRADED[sound.effort], seconds)
 
     def _ends(self, session: Session) -> bool:
         """Whether the wait that is being computed ends here."""

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from data_module.errors import InputError
+from data_module.controls import FEATURES
+from data_module.errors import InputError, one_line
 from data_module.motion.skeletons import standing
 from gesticulator.body.frame_pieces import FramePiece, FramePieces, SignedPieces, signed
 from gesticulator.body.mirror import mirrored_motion
@@ -27,6 +28,7 @@ from gesticulator.directing.directions import check_plan_of, planned
 from gesticulator.directing.editing import PlayedBlock
 from gesticulator.directing.record import fingerprinted, named, rendered_plan
 from gesticulator.directing.shaped_blocks import ShapedBlocks
+from gesticulator.drawing.driver import OnBlock
 from gesticulator.export.html import LONG, LONG_FPS, QUATERNION_STEPS, describe_shape, root_path, shown
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
@@ -37,6 +39,7 @@ from gesticulator.serve.page_server import AbandonedError, UnknownRenderingError
 
 if TYPE_CHECKING:
     from data_module.types import Array, Motion
+    from gesticulator.bundle.bundle import Bundle
     from gesticulator.directing.editing import PlanRenderer
     from gesticulator.pipeline import Gesticulator
 
@@ -133,7 +136,7 @@ class LivePlans:
         played, cut = maker.renderer.played(options.plan), maker.renderer.cut(options.plan)
         posed = maker.shaped.blocks(played, cut, self._shaping(options, cut.edges))
         times = cut.knot_times.reshape(len(cut), -1)
-        pieces = self._frames(maker, options).learn(times, posed, float(cut.edges[-1]), motion.rotations)
+        pieces = self._frames(maker, options).learn(times, posed, float(cut.edges[-1]), motion.rotations, options.plan)
         return self._kept(plain, shape, pieces, root).number
 
     def answer(self, request: Mapping[str, Any], abandoned: Callable[[], bool] = lambda: False) -> Iterator[bytes]:
@@ -155,14 +158,24 @@ class LivePlans:
         options = planned(InferenceOptions(plan=plan))
         assert options.plan is not None
         check_plan_of(self._system.bundle, options.plan, self._sound)
-        yield from self._messages(plan, plain, options, _Asked(
+        parts = self._messages(plan, plain, options, _Asked(
             have, _view(request), abandoned, lambda made: self.on_edit(request, made)))
+        # What is wrong with a plan may be found after parts of the answer were sent.
+        begun = False
+        try:
+            for part in parts:
+                yield part
+                begun = True
+        except InputError as error:
+            if not begun:
+                raise
+            yield message({"kind": "failed", "ranges": [], "error": one_line(error)})
 
     def _messages(self, plan: GesturePlan, plain: Mapping[str, Any], options: InferenceOptions, asked: _Asked
                   ) -> Iterator[bytes]:
         sent = dict[int, int]()
         if self._in_pieces(options):
-            maker = self._maker(options)
+            maker = self._maker(options, lambda done, total: asked.check())
             assert options.plan is not None
             yield from self._drafted(maker, options, asked)
             played = maker.renderer.played(options.plan, lambda done, total: asked.check())
@@ -229,12 +242,12 @@ class LivePlans:
         posed = maker.shaped.blocks(played, cut, self._shaping(options, cut.edges))
         order = list(range(len(cut)))
         frames = self._frames(maker, options)
-        lacking = [at for at, known in enumerate(frames.known(times, posed, duration)) if not known]
+        lacking = [at for at, known in enumerate(frames.known(times, posed, duration, options.plan)) if not known]
         first = int(np.searchsorted(cut.edges[1:], asked.view[0]))
         seen = [at for at in lacking if cut.edges[at + 1] > asked.view[0] and cut.edges[at] < asked.view[1]]
         found = {}
         if len(lacking) - len(seen) >= FIRST_SHOWN and seen:
-            for at, piece in frames.pieces(times, posed, duration, seen):
+            for at, piece in frames.pieces(times, posed, duration, seen, options.plan):
                 found[at] = piece
                 asked.check()
             pieces = [found[at] for at in seen]
@@ -243,7 +256,7 @@ class LivePlans:
             sent |= {at: found[at].number for at in seen}
             yield message({"kind": "frames", "ranges": ranges}, data)
             order = order[first:] + order[:first]
-        for at, piece in frames.pieces(times, posed, duration, order):
+        for at, piece in frames.pieces(times, posed, duration, order, options.plan):
             found[at] = piece
             if at % 8 == 0:
                 asked.check()
@@ -279,20 +292,22 @@ class LivePlans:
             self._renderings.popitem(last=False)
         return made
 
-    def _maker(self, options: InferenceOptions) -> _Maker:
+    def _maker(self, options: InferenceOptions, on_block: OnBlock | None = None) -> _Maker:
+        """What renders the plan of the options. on_block: see `Driver.run`; called where its first generation is not
+        known, as with other curves of the hands."""
         plan = options.plan
         assert plan is not None
         key = _identity(plan)
         at = next((at for at, (known, _) in enumerate(self._makers) if known == key), None)
-        entry = (key, self._new_maker(options)) if at is None else self._makers.pop(at)
+        entry = (key, self._new_maker(options, on_block)) if at is None else self._makers.pop(at)
         self._makers = [*self._makers, entry][-MOST_DRAWINGS:]
         return entry[1]
 
-    def _new_maker(self, options: InferenceOptions) -> _Maker:
+    def _new_maker(self, options: InferenceOptions, on_block: OnBlock | None) -> _Maker:
         plan, bundle = options.plan, self._system.bundle
         assert plan is not None
         drawing = next((drawing for known, drawing in self._drawings if known == _identity(plan)), None)
-        renderer = self._system.plan_renderer(self._speech, options, drawing=drawing)
+        renderer = self._system.plan_renderer(self._speech, options, on_block, drawing)
         speaker, count = self._system.speaker_index(options.speaker), len(plan.drawn.lexemes)
         return _Maker(renderer, ShapedBlocks(bundle.statistics, speaker, count), {})
 
@@ -306,10 +321,18 @@ class LivePlans:
         return maker.pieces[key]
 
 
+def levels_of(bundle: Bundle) -> dict[str, list[float]] | None:
+    """Feature of the hands -> its low, middle and high value, in its unit; None if they cannot be controlled."""
+    levels = bundle.levels
+    return None if levels is None else {name: [round(float(value), 3) for value in row]
+                                        for name, row in zip(FEATURES, levels.table, strict=True)}
+
+
 def _identity(plan: GesturePlan) -> tuple[Any, ...]:
     """Everything that identifies a first generation. Equal parts of the plans that a page sends are the same objects,
     so comparing the tuples is fast."""
-    return plan.made_by, plan.seed, plan.variation, plan.speaker, plan.interpreter, plan.drawn, plan.words
+    controls = tuple([curve for curve in plan.curves if curve.knob in FEATURES])
+    return plan.made_by, plan.seed, plan.variation, plan.speaker, plan.interpreter, plan.drawn, plan.words, controls
 
 
 def _view(request: Mapping[str, Any]) -> tuple[float, float]:

@@ -5,9 +5,14 @@ streams and of one more, each speaking without a pause, fits into `share` of the
 refuses before anybody's latency moves. The first stream is always admitted.
 
 **Downgrading.** Admitted streams may still be late: the machine became slower, or does something else. Then streams are
-downgraded one at a time, the lowest priority first: all to hurried blocks before the first one to idle motion. One
-number, `depth`, says how far: step k of the first N is "the k-th lowest of N streams is hurried", and of the next N
-"it idles". Restoring is the same number going down, so streams come back in reverse order.
+downgraded one at a time, the lowest priority first: all that have full look-ahead to low look-ahead, then all to
+hurried blocks, before the first one to idle motion. One number, `depth`, says how far: with M streams of full
+look-ahead among N, step k of the first M is "the k-th lowest of them has low look-ahead", of the next N "the k-th
+lowest is hurried", and of the last N "it idles". Restoring is the same number going down, so streams come back in
+reverse order.
+
+Low look-ahead saves no computing. Its poses come so much earlier (`Governed.saving`) that a stream may be late by as
+much and still keep what its client was promised, so a short shortage costs nothing but the view of the next block.
 """
 
 from __future__ import annotations
@@ -45,6 +50,10 @@ class Governed(Protocol):
     @property
     def lateness(self) -> float | None:
         """Seconds of sound that should have been answered; None for a stream that may not be downgraded."""
+
+    @property
+    def saving(self) -> float:
+        """Seconds by which low look-ahead brings poses earlier; 0 for a stream that has it anyway."""
 
 
 @dataclass
@@ -103,18 +112,22 @@ class Governor:
     def review(self, streams: Sequence[Governed]) -> None:
         """Take a step down or up; called every `REVIEW_SECONDS`."""
         able = self.ranked(streams)
-        self.depth = min(self.depth, 2 * len(able))
+        before_idling = len(able) + len(_long(able))
+        most = before_idling + len(able)
+        self.depth = min(self.depth, most)
         now = self._clock()
-        late = max((stream.lateness or 0.0 for stream in able if self.effort(stream, able) != Effort.NONE), default=0.0)
+        efforts = [(stream, self.effort(stream, able)) for stream in able]
+        if any((stream.lateness or 0.0) > CALM for stream, effort in efforts if effort != Effort.NONE):
+            self._calm_since = now
+        late = max(((stream.lateness or 0.0) - (0.0 if effort == Effort.FULL else stream.saving)
+                    for stream, effort in efforts if effort != Effort.NONE), default=0.0)
         worse = late > self._late - _SETTLING
         self._late = late
-        if late > CALM:
-            self._calm_since = now
-        if late > (HURRIES if self.depth < len(able) else PASSES) and worse:
+        if late > (HURRIES if self.depth < before_idling else PASSES) and worse:
             if now - self._restored < self._patience:
                 self._patience = min(2 * self._patience, LONGEST_RESTORE)
             # A tenth of the streams in one review: a sweep over all takes a second, however many there are.
-            self.depth = min(self.depth + math.ceil(len(able) / 10), 2 * len(able))
+            self.depth = min(self.depth + math.ceil(len(able) / 10), most)
         elif self.depth and now - self._calm_since >= self._patience:
             self.depth -= 1
             self._calm_since = self._restored = now
@@ -131,7 +144,15 @@ class Governor:
         """How a stream of a ranking is served."""
         if not self.depth or stream not in ranked:
             return Effort.FULL
-        rank, count = ranked.index(stream), len(ranked)
-        if rank < self.depth - count:
+        rank, count, long = ranked.index(stream), len(ranked), _long(ranked)
+        hurried = self.depth - len(long)
+        if rank < hurried - count:
             return Effort.NONE
-        return Effort.LESS if rank < self.depth else Effort.FULL
+        if rank < hurried:
+            return Effort.LESS
+        return Effort.LOW if stream in long[:self.depth] else Effort.FULL
+
+
+def _long(ranked: Sequence[Governed]) -> list[Governed]:
+    """Those of a ranking that asked for full look-ahead."""
+    return [stream for stream in ranked if stream.saving > 0]

@@ -25,6 +25,7 @@ from gesticulator.serve.settings import ServerLimits
 if TYPE_CHECKING:
     from gesticulator.pipeline import Gesticulator
     from gesticulator.serve.server import ServerAddress
+    from gesticulator.serve.vmc import VmcOutput
 
 LOG = logging.getLogger("gesticulator.serve")
 SAMPLE_RATE = 16000
@@ -47,8 +48,9 @@ _MOST_SHORT_LIVES = 5
 
 @dataclass(frozen=True)
 class Launch:
-    """The configuration of a server, picklable for workers. address: where to listen, and who may connect; vmc:
-    "HOST:PORT" or None; live: serve the page of `gesticulator live`; browser: open it when ready."""
+    """The configuration of a server, picklable for workers. address: where to listen, and who may connect; vmc, osc:
+    "HOST:PORT" or None; osc_axes: see `gesticulator.serve.osc`; live: serve the page of `gesticulator live`; browser:
+    open it when ready."""
 
     address: ServerAddress
     limits: ServerLimits
@@ -58,6 +60,21 @@ class Launch:
     threads: int = 1
     live: bool = False
     browser: bool = False
+    osc: str | None = None
+    osc_axes: str = "y-up"
+
+    def outputs(self) -> list[VmcOutput]:
+        """What also receives the motion, not started; `InputError` for an invalid target."""
+        found: list[VmcOutput] = []
+        if self.vmc is not None:
+            from gesticulator.serve.vmc import VmcOutput
+
+            found.append(VmcOutput(self.vmc))
+        if self.osc is not None:
+            from gesticulator.serve.osc import OscOutput
+
+            found.append(OscOutput(self.osc, self.osc_axes))
+        return found
 
 
 def launch(config: Launch) -> int:
@@ -69,12 +86,10 @@ def launch(config: Launch) -> int:
     if not 1 <= config.workers <= _MOST_WORKERS:
         raise InputError(f"--workers {config.workers}", "is out of range", f"choose 1 to {_MOST_WORKERS}")
     RANGES["threads"].check("--threads", config.threads)
-    if config.vmc is not None:
-        from gesticulator.serve.vmc import read_target
-
-        read_target(config.vmc)
+    for output in config.outputs():
+        output.close()
         if config.workers > 1:
-            raise InputError("--vmc", "works with one worker only", "leave --workers out")
+            raise InputError(output.option, "works with one worker only", "leave --workers out")
     if not bundle_folder(config.bundle).is_dir():
         raise InputError(config.bundle or "--bundle", "is not a folder", "give default, paper, or a trained bundle")
     log_to_stderr()
@@ -126,23 +141,23 @@ def serve_here(config: Launch, sockets: Sockets, worker: int = 0, folder: Path |
     listening = sockets.listening
 
     async def serve() -> None:
-        output = None
-        if config.vmc is not None:
-            from gesticulator.serve.vmc import VmcOutput
+        outputs, output = config.outputs(), None
+        if outputs:
+            from gesticulator.serve.vmc import SeveralOutputs
 
-            output = VmcOutput(config.vmc)
+            output = SeveralOutputs(outputs)
         if config.live:
             from gesticulator.serve.page import pages
         server = LiveServer(
             config.address, config.limits, session_opener(system, config.limits), output,
             pages() if config.live else {}, folder, worker, cost)
-        if output is not None:
-            output.start()
+        for one in outputs:
+            one.start()
         _end_with_parent(server.stop)
         LOG.info("worker %d has room for %d streams", worker, server.room.capacity)
         await server.run(listening, lambda: _tell_ready(config, listening, worker), sockets.figures)
-        if output is not None:
-            output.stop()
+        for one in outputs:
+            one.stop()
 
     asyncio.run(serve())
 

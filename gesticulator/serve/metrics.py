@@ -21,6 +21,7 @@ _KINDS = {
     "sound_seconds_total": ("counter", "Seconds of audio received."),
     "frames_total": ("counter", "Frames of motion generated."),
     "sent_bytes_total": ("counter", "Bytes of poses and events sent."),
+    "shortened_seconds_total": ("counter", "Seconds of late audio processed with low look-ahead in place of full."),
     "hurried_seconds_total": ("counter", "Seconds of late audio processed at lower cost."),
     "passed_seconds_total": ("counter", "Seconds of audio skipped because it came too late."),
     "waiting_seconds": ("gauge", "Seconds of audio waiting to be processed."),

@@ -28,9 +28,11 @@ _MEMORY = 1.0
 
 
 class Effort(StrEnum):
-    """How audio is processed: at full quality, at lower cost, or not at all."""
+    """How audio is processed: as the client asked, with low look-ahead, at lower cost (and with low look-ahead), or not
+    at all."""
 
     FULL = "full"
+    LOW = "low"
     LESS = "less"
     NONE = "none"
 

@@ -38,7 +38,7 @@ from gesticulator.serve.settings import OPENS_AT_ONCE, SOCKET_BYTES, ServerLimit
 
 if TYPE_CHECKING:
     from gesticulator.serve.session import Session
-    from gesticulator.serve.vmc import VmcOutput
+    from gesticulator.serve.vmc import PoseOutput
 
 LOG = logging.getLogger("gesticulator.serve")
 ANSWER_SECONDS = 10.0
@@ -140,7 +140,7 @@ class LiveServer:
     address: ServerAddress
     limits: ServerLimits
     open_session: Callable[[str, StreamRequest], Session]
-    output: VmcOutput | None = None
+    output: PoseOutput | None = None
     pages: Mapping[str, Page] = field(default_factory=dict)
     folder: Path | None = None
     worker: int = 0

@@ -57,6 +57,9 @@ class Session:
         self._received = 0.0
         self._state = "idle"
         self._effort, self._skipped = Effort.FULL, 0.0
+        self._latency = stream.latency
+        self.saving = max(0.0, stream.look_ahead - stream.look_ahead_at("low"))
+        """Seconds by which low look-ahead brings poses earlier than the one that was asked for."""
         self._lift: float | None = None
         """Offset of the root above the floor, metres."""
         self._words: list[Word] = []
@@ -103,6 +106,7 @@ class Session:
             yield from self._pass_over(seconds)
         else:
             self._stream.hurried = effort == Effort.LESS
+            self._stream.latency = self._latency if effort == Effort.FULL else "low"
             yield from map(self._answer, self._stream.steps("feed", samples))
         if effort != self._effort or effort == Effort.NONE:
             self._effort = effort

@@ -14,8 +14,9 @@ import struct
 import threading
 import time
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -45,16 +46,16 @@ _THUMB = {"Metacarpal": "Proximal", "Proximal": "Intermediate", "Distal": "Dista
 """Thumb bones of VRM 1.0 -> Unity, which names them like those of a finger."""
 
 
-def read_target(text: str) -> tuple[str, int]:
-    """Host and port of "HOST:PORT"; `InputError` for anything else."""
+def read_target(text: str, option: str = "--vmc", usual: int = PORT) -> tuple[str, int]:
+    """Host and port of "HOST:PORT"; `InputError` for anything else. usual: a port for the message."""
     host, _, port = text.rpartition(":")
     number = whole_number(port, 65535)
     if not host or not number:
-        raise InputError(f"--vmc {text[:80]}", "is not HOST:PORT", f"such as 127.0.0.1:{PORT}")
+        raise InputError(f"{option} {text[:80]}", "is not HOST:PORT", f"such as 127.0.0.1:{usual}")
     try:
         import pythonosc  # noqa: F401
     except ImportError:
-        raise InputError("--vmc", "needs the package python-osc", "pip install 'gesticulator[live]'") from None
+        raise InputError(option, "needs the package python-osc", "pip install 'gesticulator[live]'") from None
     return host.strip("[]"), number
 
 
@@ -104,16 +105,7 @@ class VmcFrames:
         messages = [*_available(1, seconds), _ROOT + struct.pack(">7f", 0, 0, 0, 0, 0, 0, 1)]
         numbers = self._numbers[frame].astype(">f4").tobytes()
         messages += [head + numbers[28 * bone:28 * bone + 28] for bone, head in enumerate(self._heads)]
-        messages += self._faces[frame] if self._faces else []
-        parts: list[list[bytes]] = [[]]
-        size = len(_BUNDLE)
-        for message in messages:
-            if size + 4 + len(message) > DATAGRAM:
-                parts.append([])
-                size = len(_BUNDLE)
-            parts[-1].append(message)
-            size += 4 + len(message)
-        return [_bundled(part) for part in parts]
+        return packed([*messages, *(self._faces[frame] if self._faces else ())])
 
 
 _BLENDS = {"aa": "A", "ih": "I", "ou": "U", "ee": "E", "oh": "O", "blink": "Blink", "happy": "Joy", "sad": "Sorrow"}
@@ -173,6 +165,19 @@ def _available(loaded: int, seconds: float) -> list[bytes]:
     return [_message("/VMC/Ext/OK", "i", loaded), _message("/VMC/Ext/T", "f", seconds)]
 
 
+def packed(messages: list[bytes]) -> list[bytes]:
+    """OSC messages as bundles of at most `DATAGRAM` bytes, in their order."""
+    parts: list[list[bytes]] = [[]]
+    size = len(_BUNDLE)
+    for message in messages:
+        if size + 4 + len(message) > DATAGRAM:
+            parts.append([])
+            size = len(_BUNDLE)
+        parts[-1].append(message)
+        size += 4 + len(message)
+    return [_bundled(part) for part in parts]
+
+
 def _bundled(messages: list[bytes]) -> bytes:
     return b"".join((_BUNDLE, *(part for message in messages for part in (struct.pack(">i", len(message)), message))))
 
@@ -181,10 +186,49 @@ _ROOT = b"/VMC/Ext/Root/Pos\0\0\0,sfffffff\0\0\0root\0\0\0\0"
 """The start of the root's message, up to its floats; a test compares it with python-osc."""
 
 
+class FrameBundles(Protocol):
+    """Frames as OSC bundles, such as `VmcFrames`."""
+
+    fps: float
+
+    def __len__(self) -> int:
+        """Count of frames."""
+
+    def bundles(self, frame: int, seconds: float) -> list[bytes]:
+        """A frame as bundles of at most `DATAGRAM` bytes; seconds: the sender's time."""
+
+
 @dataclass
 class _Played:
     first: int
-    frames: VmcFrames
+    frames: FrameBundles
+
+
+class PoseOutput(Protocol):
+    """What also receives the motion of streams."""
+
+    def take(self, stream: str, frames: StreamFrames) -> None:
+        """Add at least one frame of a stream."""
+
+    def leave(self, stream: str) -> None:
+        """End a stream."""
+
+
+@dataclass
+class SeveralOutputs:
+    """Outputs that receive the same motion."""
+
+    outputs: Sequence[VmcOutput]
+
+    def take(self, stream: str, frames: StreamFrames) -> None:
+        """See `PoseOutput`."""
+        for output in self.outputs:
+            output.take(stream, frames)
+
+    def leave(self, stream: str) -> None:
+        """See `PoseOutput`."""
+        for output in self.outputs:
+            output.leave(stream)
 
 
 class VmcOutput:
@@ -193,8 +237,10 @@ class VmcOutput:
     The first stream with frames has the output until it ends. A frame that is sent again replaces the earlier one.
     """
 
+    option, usual_port = "--vmc", PORT
+
     def __init__(self, target: str) -> None:
-        self.host, self.port = read_target(target)
+        self.host, self.port = read_target(target, self.option, self.usual_port)
         self.stream: str | None = None
         self._parts: list[_Played] = []
         self._lock = threading.Lock()
@@ -206,17 +252,26 @@ class VmcOutput:
         try:
             family, _, _, _, address = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)[0]
         except OSError as error:
-            raise InputError(f"--vmc {target}", f"cannot be resolved ({error.strerror})", "name an address") from None
+            raise InputError(f"{self.option} {target}", f"cannot be resolved ({error.strerror})",
+                             "name an address") from None
         self._address = address
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+
+    def bundles_of(self, frames: StreamFrames) -> FrameBundles:
+        """Frames as they are sent."""
+        return VmcFrames(frames.motion(), frames.face)
+
+    def without_frames(self, seconds: float) -> list[bytes]:
+        """What is sent once a second while there are none; seconds: the sender's time."""
+        return [_bundled(_available(0, seconds))]
 
     def take(self, stream: str, frames: StreamFrames) -> None:
         """Add at least one frame of a stream."""
         first, fps = frames.first, frames.fps
         if self.stream not in (None, stream):
             return
-        made = VmcFrames(frames.motion(), frames.face)
+        made = self.bundles_of(frames)
         with self._lock:
             now = time.monotonic()
             if self.stream is None or now > self._zero + first / fps + LATEST:
@@ -247,8 +302,12 @@ class VmcOutput:
 
     def start(self) -> None:
         """Send the bundles of each frame from a thread, until `stop`."""
-        self._thread = threading.Thread(target=self._run, name="vmc", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=self.option.strip("-"), daemon=True)
         self._thread.start()
+
+    def close(self) -> None:
+        """Let go of the socket, of an output that was not started."""
+        self._socket.close()
 
     def stop(self) -> None:
         """End the thread."""
@@ -271,7 +330,7 @@ class VmcOutput:
                 now = time.monotonic()
                 bundles = self.due(now)
                 if bundles is None and now - told >= 1.0:  # no model yet: said once a second
-                    bundles, told = [_bundled(_available(0, now - self._begin))], now
+                    bundles, told = self.without_frames(now - self._begin), now
                 for bundle in bundles or ():
                     # A missing receiver or a congested network must not end anything.
                     with contextlib.suppress(OSError):

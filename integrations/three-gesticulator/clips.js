@@ -1,6 +1,6 @@
 // Clips: played in step with their sound, taken from a VRM animation, or made a layer over another clip.
 
-import { AdditiveAnimationBlendMode, AnimationClip, AnimationMixer, LoopOnce, LoopRepeat, NormalAnimationBlendMode,
+import { AdditiveAnimationBlendMode, AnimationClip, AnimationMixer, LoopOnce, LoopRepeat, NormalAnimationBlendMode, NumberKeyframeTrack,
   PropertyBinding, Quaternion, QuaternionKeyframeTrack, Vector3, VectorKeyframeTrack } from "three";
 
 /** Plays a clip; where it has a sound, the sound is the clock, so that the two cannot drift apart. */
@@ -68,8 +68,8 @@ export function additiveClip(clip, root) {
 }
 
 /**
- * The clip of a VRM animation (a .vrma file, loaded by a plain GLTFLoader) for one VRM, of version 0.x or 1.0. Bones that
- * the VRM lacks are left out.
+ * The clip of a VRM animation (a .vrma file, loaded by a plain GLTFLoader) for one VRM, of version 0.x or 1.0. Bones and
+ * expressions that the VRM lacks are left out.
  */
 export async function vrmClip(gltf, vrm, index = 0) {
   const bones = gltf.parser.json.extensions?.VRMC_vrm_animation?.humanoid?.humanBones;
@@ -101,6 +101,12 @@ export async function vrmClip(gltf, vrm, index = 0) {
       const values = path.values.map((value, k) => value * scale * (k % 3 === 1 ? 1 : faces));
       tracks.push(new VectorKeyframeTrack(`${target.name}.position`, path.times.slice(), values));
     }
+  }
+  for (const [name, { node: number }] of Object.entries(gltf.parser.json.extensions.VRMC_vrm_animation.expressions?.preset ?? {})) {
+    const node = await gltf.parser.getDependency("node", number), target = vrm.expressionManager?.getExpressionTrackName(name);
+    const weight = source.tracks.find((track) => track.name === `${node.name || node.uuid}.position`);
+    // The weight of an expression is how far its node is shifted along X.
+    if (target && weight) tracks.push(new NumberKeyframeTrack(target, weight.times.slice(), weight.values.filter((_, k) => k % 3 === 0)));
   }
   return new AnimationClip(source.name, source.duration, tracks, NormalAnimationBlendMode);
 }

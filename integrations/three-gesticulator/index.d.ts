@@ -8,6 +8,8 @@ export interface VrmLike {
     getNormalizedBoneNode(bone: string): Object3D | null;
     normalizedRestPose: { hips?: { position?: number[] | [number, number, number] } };
   };
+  expressionManager?: { setValue(name: string, weight: number): void; getExpressionTrackName(name: string): string | null };
+  lookAt?: { yaw: number; pitch: number } | null;
 }
 
 /** What is used of a file that `GLTFLoader` loaded. */
@@ -60,6 +62,8 @@ export interface Frame {
   turns: Float32Array;
   /** Place of the hips, metres. */
   root: Float32Array;
+  /** 20 numbers of the face, with the option `face`. */
+  face?: Float32Array;
 }
 
 export class GestureStream {

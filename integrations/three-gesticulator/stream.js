@@ -2,6 +2,7 @@
 
 import { Quaternion } from "three";
 
+import { showFace } from "./face.js";
 import { BONES } from "./humanoid.js";
 
 /** A connection to the server. Poses are kept by their number until they were shown. */
@@ -49,9 +50,10 @@ export class GestureStream {
     const size = new DataView(packet).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(packet, 4, size)));
     const numbers = new Float32Array(packet, 4 + size), joints = head.joints * 4, roots = head.count * joints;
+    const faces = roots + head.count * 3, wide = head.face ?? 0;
     for (let k = head.first; k < this.end; k++) this.frames.delete(k);
     for (let k = 0; k < head.count; k++) {
-      this.frames.set(head.first + k, { turns: numbers.subarray(k * joints, (k + 1) * joints), root: numbers.subarray(roots + 3 * k, roots + 3 * k + 3) });
+      this.frames.set(head.first + k, { turns: numbers.subarray(k * joints, (k + 1) * joints), root: numbers.subarray(roots + 3 * k, roots + 3 * k + 3), ...(wide ? { face: numbers.subarray(faces + k * wide, faces + (k + 1) * wide) } : {}) });
     }
     this.end = head.first + head.count;
     this.onEvent({ type: "poses", end: this.end / head.fps, state: head.state });
@@ -88,6 +90,7 @@ export class GestureStream {
       if (above) local.invert().multiply(turn);
       node.quaternion.set(faces * local.x, local.y, faces * local.z, local.w);
     }
+    if (frame.face) showFace(vrm, frame.face);
     return true;
   }
 

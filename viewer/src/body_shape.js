@@ -4,6 +4,7 @@ import {
   BufferGeometry, Float32BufferAttribute, Group, Matrix4, Skeleton, SkinnedMesh, SphereGeometry, Uint16BufferAttribute, Vector3,
 } from "three";
 
+import { carved } from "./face.js";
 import { fingeredHand, relaxedHand } from "./hand_shape.js";
 import { clamp } from "./numbers.js";
 
@@ -70,30 +71,19 @@ export function buildHead(figure) {
   const head = figure.bone("Head");
   const tall = new Vector3().fromArray(figure.tree.tips.Head ?? [0, 0.17, 0.02]).length();
   const s = tall / 0.171, centre = [0, 0.092 * s, 0.016 * s], radii = [0.077 * s, 0.118 * s, 0.094 * s];
-  const skull = figure.ball(head, centre, radii, "skin");
-  carved(skull.geometry);
+  figure.skull = figure.ball(head, centre, radii, "skin");
+  figure.headSize = s;
+  carved(figure.skull.geometry);
   figure.ball(head, [0, 0.078 * s, 0.108 * s], [0.0105 * s, 0.019 * s, 0.014 * s], "skin");
-  for (const x of [-1, 1]) {
+  figure.dots = [-1, 1].map((x) => {
     figure.ball(head, [x * 0.074 * s, 0.085 * s, 0.008], [0.010, 0.025, 0.017], "skin");
-    figure.ball(head, [x * 0.028 * s, 0.100 * s, 0.0985 * s], [0.0075, 0.0095, 0.006], "shoe");
-  }
+    return figure.ball(head, [x * 0.028 * s, 0.100 * s, 0.0985 * s], [0.0075, 0.0095, 0.006], "shoe"); // an eye of a figure without a face
+  });
   // Hair: a cap a little larger than the skull, its edge higher in front than behind.
   const cap = new SphereGeometry(1, 40, 24, 0, Math.PI * 2, 0, Math.PI * 0.5).rotateX(-0.5);
   const hair = figure.mesh(head, carved(cap), "hair");
   hair.position.set(...centre);
   hair.scale.set(...radii.map((r) => r * 1.055));
-}
-
-/** A unit sphere made into the shape of a head: narrow at the chin, the face flatter than the back. */
-function carved(geometry) {
-  const place = geometry.attributes.position;
-  for (let i = 0; i < place.count; i++) {
-    const y = place.getY(i), low = Math.max(-y, 0);
-    place.setX(i, place.getX(i) * (1 - 0.19 * low ** 1.5));
-    place.setZ(i, place.getZ(i) * (1 - 0.16 * low ** 1.4) + 0.10 * low ** 1.3);
-  }
-  geometry.computeVertexNormals();
-  return geometry;
 }
 
 export function buildArm(figure, side) {

@@ -4,6 +4,7 @@ import { Group, LoadingManager, Quaternion, Vector3 } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { VRMLoaderPlugin, VRMUtils } from "@pixiv/three-vrm";
 
+import { showFace } from "../../integrations/gesticulator-client/src/face.js";
 import { chains, jointsByName } from "./bone_names.js";
 import { Contacts } from "./contacts.js";
 import { BONES, bonesOf, humanoidPose } from "./humanoid.js";
@@ -67,10 +68,17 @@ class VrmCharacter extends Character {
     }
     this.group.updateWorldMatrix(true, true);
     this.contacts = new Contacts(vrm.scene, bones, trunk.map(raw).filter(Boolean),
-      Object.keys(vrm.humanoid.humanBones).filter((bone) => !trunk.includes(bone)).map(raw).filter(Boolean));
+      Object.keys(vrm.humanoid.humanBones).filter((bone) => !trunk.includes(bone)).map(raw).filter(Boolean),
+      ["leftUpperLeg", "rightUpperLeg"].map(raw).filter(Boolean));
   }
 
   get root() { return this.vrm.humanoid.getRawBoneNode("hips"); }
+
+  /** The node of one of our joints. */
+  node(joint) {
+    const bone = { LeftArm: "leftUpperArm", LeftForeArm: "leftLowerArm", LeftHand: "leftHand", RightHand: "rightHand", Head: "head" }[joint];
+    return bone && this.vrm.humanoid.getRawBoneNode(bone);
+  }
 
   moving() {
     return Object.keys(this.vrm.humanoid.humanBones).map((bone) => this.vrm.humanoid.getRawBoneNode(bone)).filter(Boolean);
@@ -93,6 +101,7 @@ class VrmCharacter extends Character {
     this.hips.position.set(this.rest.x + way * root[0] * size, this.rest.y + (root[1] - take.skeleton.height) * size, this.rest.z + way * root[2] * size);
     if (!take.has("LeftUpLeg")) this.keepLegs(poser);
     this.contacts.repair(poser);
+    if (poser.face) showFace(this.vrm, poser.face);
     const now = performance.now();
     // Hair and cloth swing on after what they hang on.
     this.vrm.update(this.before === null ? 0 : Math.min((now - this.before) / 1000, 0.1));
@@ -135,6 +144,8 @@ class NamedCharacter extends Character {
 
   get kind() { return "GLB"; }
 
+  node(joint) { return this.byJoint.get(joint); }
+
   prepare(nodes) {
     const { scene } = this.gltf;
     scene.updateMatrixWorld(true);
@@ -158,7 +169,8 @@ class NamedCharacter extends Character {
     this.size = this.restHips.y - low > 0.05 ? this.restHips.y : null;
     this.group.updateWorldMatrix(true, true);
     const trunk = this.nodes.filter((node) => /^(Hips|Spine\d?)$/.test(this.joints.get(node) ?? ""));
-    this.contacts = new Contacts(scene, this.byJoint, trunk, this.moving().filter((node) => !trunk.includes(node)));
+    this.contacts = new Contacts(scene, this.byJoint, trunk, this.moving().filter((node) => !trunk.includes(node)),
+      this.nodes.filter((node) => /UpLeg$/.test(this.joints.get(node) ?? "")));
   }
 
   get root() { return this.hips; }

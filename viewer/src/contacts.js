@@ -1,6 +1,5 @@
-// Hands kept out of a trunk that is wider than ours, as gesticulator/characters/contacts.py does it: where a hand of the
-// character would be nearer to the trunk than ours is to ours, the arm is bent until it is as far outside (and no farther
-// than MARGIN).
+// Hands kept out of the trunk of a character, as gesticulator/characters/trunk.py does it: our hand says on which side of
+// the trunk the character's belongs, and the arm is bent until it is as far outside (and no farther than MARGIN).
 
 import { Quaternion, Vector3 } from "three";
 
@@ -10,11 +9,22 @@ import { clamp } from "./numbers.js";
 const MARGIN = 0.03, ARM = 0.53;
 /** Of our own trunk: half the width, half the depth, from shoulder to shoulder, from hips to head. Metres. */
 const OURS = { width: 0.145, depth: 0.115, shoulders: 0.36, height: 0.62 };
-const SLICES = 12, OUTER = 0.98, FEWEST = 8, STEPS = 5, MOST_POINTS = 20000;
+/** Directions and slices in which a trunk is measured; slices below 0 are pelvis and thighs. */
+const ANGLES = 36, LOWEST = -6, SLICES = 12, OUTER = 0.98, FEWEST = 8, MOST_POINTS = 20000;
+/** Metres: of slowing, and how the surface recedes beyond the ends. */
+const SOFT = 0.05, CAP = 0.2, RECEDES = 0.5;
+const ROUNDS = 12, REACH = 0.999, LEAST = 1e-5, STANDS = 0.85;
 /** Share of an arm's length beyond which it is not stretched. */
 const STRETCHED = 0.9995;
 
-const plain = (width, depth) => ({ steps: [0, 1], width: [width, width], depth: [depth, depth], ahead: [0, 0] });
+const directions = [...Array(ANGLES).keys()].map((k) => [Math.cos((k * 2 * Math.PI) / ANGLES), Math.sin((k * 2 * Math.PI) / ANGLES)]);
+
+/** The outline of a column of constant half width and half depth: per height, metres from the line of the bones to the
+ *  tangents with normals from left by ahead. */
+export function ellipse(width, depth) {
+  const row = directions.map(([x, z]) => Math.hypot(width * x, depth * z));
+  return { steps: [0, 1], reach: [row, row] };
+}
 
 /** The value of rows `values` at rising `steps`, on the straight line; constant beyond the ends. */
 function between(x, steps, values) {
@@ -24,7 +34,14 @@ function between(x, steps, values) {
   return values[k] + ((x - steps[k]) / (steps[k + 1] - steps[k])) * (values[k + 1] - values[k]);
 }
 
-/** Along the spine, to her left and ahead, of length 1; and how long the spine is. */
+/** Metres from the line of the bones to the tangent with a normal [left, ahead], at a height. */
+export function support({ steps, reach }, share, [x, z]) {
+  const turn = Math.atan2(z, x) / (2 * Math.PI), column = (turn - Math.floor(turn)) * ANGLES;
+  const first = Math.floor(column) % ANGLES, on = column - Math.floor(column);
+  return between(share, steps, reach.map((row) => (1 - on) * row[first] + on * row[(first + 1) % ANGLES]));
+}
+
+/** Along the spine, to the left and ahead, of length 1; and how long the spine is. */
 function frame(hips, neck, left) {
   const up = neck.clone().sub(hips), long = Math.max(up.length(), 1e-9);
   up.divideScalar(long);
@@ -32,40 +49,38 @@ function frame(hips, neck, left) {
   return { up, long, side, ahead: new Vector3().crossVectors(side, up) };
 }
 
-/** Metres of a point from an elliptic column (negative inside) and the way out. */
-export function outside(trunk, point, hips, neck, left) {
-  const { up, long, side, ahead } = frame(hips, neck, left), own = point.clone().sub(hips);
-  const along = own.dot(up), nearest = clamp(along, 0, long), share = nearest / long;
-  const [wide, deep, before] = [trunk.width, trunk.depth, trunk.ahead].map((row) => between(share, trunk.steps, row));
-  // Exactly 0 between the ends: a remainder of rounding would take a point deep inside for one on the end's surface.
-  const x = own.dot(side), z = own.dot(ahead) - before, beyond = Math.abs(along - nearest);
-  const radius = Math.hypot(x, z), angle = Math.atan2(z, x);
-  const surface = (wide * deep) / Math.hypot(deep * Math.cos(angle), wide * Math.sin(angle));
-  return {
-    gap: beyond > 0 ? Math.hypot(Math.max(radius - surface, 0), beyond) : radius - surface,
-    way: side.multiplyScalar(Math.cos(angle)).addScaledVector(ahead, Math.sin(angle)),
-  };
+const local = (point, hips, { side, up, ahead }) => {
+  const own = point.clone().sub(hips);
+  return [own.dot(side), own.dot(up), own.dot(ahead)];
+};
+
+/** The normal [left, ahead] of the tangent beyond which a point of the hand belongs, and the metres that it lacks,
+ *  softened. our, their: places of our point and of the character's, left, up and ahead of the hips. */
+export function limit(our, their, outline, long, size) {
+  const { width, depth } = OURS, n = [our[0] / width ** 2, our[2] / depth ** 2], norm = Math.max(Math.hypot(...n), 1e-9);
+  const [x, z] = n.map((value) => value / norm), slim = Math.hypot(width * x, depth * z);
+  const gap = clamp(x * our[0] + z * our[2] - slim, 0, 2 * MARGIN), reach = support(outline, their[1] / long, [x, z]);
+  const beyond = Math.max(outline.steps[0] * long - their[1], their[1] - long, 0) / (CAP * size);
+  const near = gap - gap ** 2 / (4 * MARGIN), soft = clamp(reach - size * slim, 1e-6, SOFT * size);
+  const lack = reach - size * RECEDES * beyond ** 2 + size * near - (x * their[0] + z * their[2]);
+  return { x, z, lack: lack > soft ? lack : clamp(lack + soft, 0, 2 * soft) ** 2 / (4 * soft) };
 }
 
-/** The column around the points of a skin, or null where there are too few. */
+/** The outline of the points of a skin, or null where there are too few. */
 function measured(points, hips, neck) {
-  const { up, long, side, ahead } = frame(hips, neck, new Vector3(1, 0, 0));
-  const rows = points.map((point) => point.sub(hips)).map((own) => [own.dot(up) / long, own.dot(side), own.dot(ahead)]);
+  const axes = frame(hips, neck, new Vector3(1, 0, 0)), rows = points.map((point) => local(point, hips, axes));
   const rank = (values, share) => {
-    const sorted = values.sort((a, b) => a - b);
-    return between(share * (sorted.length - 1), [...sorted.keys()], sorted);
+    const sorted = values.sort((a, b) => a - b), at = share * (sorted.length - 1), low = Math.floor(at);
+    return sorted[low] + (at - low) * (sorted[Math.min(low + 1, sorted.length - 1)] - sorted[low]);
   };
-  const trunk = { steps: [], width: [], depth: [], ahead: [] };
-  for (let k = 0; k < SLICES; k++) {
-    const step = (k + 0.5) / SLICES, near = rows.filter(([share]) => Math.abs(share - step) < 1 / SLICES);
+  const outline = { steps: [], reach: [] };
+  for (let k = LOWEST; k < SLICES; k++) {
+    const step = (k + 0.5) / SLICES, near = rows.filter(([, y]) => Math.abs(y / axes.long - step) < 1 / SLICES);
     if (near.length < FEWEST) continue;
-    const depths = near.map(([, , z]) => z), back = rank(depths, 1 - OUTER), front = rank(depths, OUTER);
-    trunk.steps.push(step);
-    trunk.width.push(Math.max(rank(near.map(([, x]) => Math.abs(x)), OUTER), 0.02));
-    trunk.depth.push(Math.max((front - back) / 2, 0.02));
-    trunk.ahead.push((front + back) / 2);
+    outline.steps.push(step);
+    outline.reach.push(directions.map(([a, b]) => rank(near.map(([x, , z]) => a * x + b * z), OUTER)));
   }
-  return trunk.steps.length ? trunk : null;
+  return outline.steps.length ? outline : null;
 }
 
 /** Places of a skin's points that move most with one of the nodes `own`, in the pose that it has now. */
@@ -98,17 +113,26 @@ function ourPlaces({ take, world }, names) {
 }
 
 export class Contacts {
-  /** bones: our joint -> the node that is posed, at rest and facing +Z; trunk: the nodes of hips and spine that her skin
-   *  hangs on; limbs: those of all other joints. */
-  constructor(scene, bones, trunk, limbs) {
+  /** bones: our joint -> the node that is posed, at rest and facing +Z; trunk: the nodes of hips and spine that the skin
+   *  hangs on, thighs: those of the thighs; limbs: those of all other joints. */
+  constructor(scene, bones, trunk, limbs, thighs) {
     this.bones = bones;
-    const own = new Set(trunk), other = new Set(limbs);
+    const own = new Set(this.stands() ? [...trunk, ...thighs] : trunk), other = new Set(limbs);
     // What hangs on the trunk and is no limb moves with it.
     scene.traverse((node) => { if (!other.has(node) && own.has(node.parent)) own.add(node); });
     const hips = this.place("Hips"), neck = this.place(this.top), points = skin(scene, own);
     this.arm = this.length("Left");
     const size = Math.sqrt((this.place("LeftArm").distanceTo(this.place("RightArm")) / OURS.shoulders) * (hips.distanceTo(this.place("Head")) / OURS.height));
-    this.trunk = (points.length >= 30 && measured(points, hips, neck)) || plain(OURS.width * size, OURS.depth * size);
+    this.outline = (points.length >= 30 && measured(points, hips, neck)) || ellipse(OURS.width * size, OURS.depth * size);
+  }
+
+  /** Whether the thighs hang down, and so continue the column of the trunk. */
+  stands() {
+    return ["Left", "Right"].every((side) => {
+      if (!this.bones.has(`${side}UpLeg`) || !this.bones.has(`${side}Leg`)) return false;
+      const thigh = this.place(`${side}Leg`).sub(this.place(`${side}UpLeg`));
+      return -thigh.y > STANDS * thigh.length();
+    });
   }
 
   get top() { return this.bones.has("Neck") ? "Neck" : "Head"; }
@@ -120,30 +144,32 @@ export class Contacts {
     return arm.distanceTo(fore) + fore.distanceTo(hand);
   }
 
-  /** Bend the arms where a hand is nearer than ours, in the pose that she has now. */
+  /** Bend the arms where a hand is nearer than ours, in the pose that the character has now. */
   repair(poser) {
     const { take } = poser;
     if (!["Neck", "Spine3", "LeftHand", "RightHand"].every((joint) => take.has(joint))) return;
-    const ours = plain(OURS.width, OURS.depth), [ourNeck] = ourPlaces(poser, ["Neck"]);
+    const origin = new Vector3(), [ourNeck] = ourPlaces(poser, ["Neck"]);
     const left = new Vector3(1, 0, 0).applyQuaternion(poser.turn("Spine3", new Quaternion()));
-    const hips = this.place("Hips"), neck = this.place(this.top), size = this.arm / ARM;
+    const hips = this.place("Hips"), ours = frame(origin, ourNeck, left), theirs = frame(hips, this.place(this.top), left);
     for (const side of ["Left", "Right"]) {
-      const tips = [`${side}Hand`, `${side}HandMiddle1`], origin = new Vector3();
-      const near = Math.min(...ourPlaces(poser, tips).map((point) => outside(ours, point, origin, ourNeck, left).gap));
-      const wanted = Math.min(near, MARGIN) * size;
-      for (let step = 0; step < STEPS; step++) {
-        let most = 1e-5, push = null;
-        for (const tip of tips.filter((joint) => this.bones.has(joint))) {
-          const { gap, way } = outside(this.trunk, this.place(tip), hips, neck, left);
-          if (wanted - gap > most) {
-            most = wanted - gap;
-            push = way.multiplyScalar(most);
-          }
-        }
-        if (!push) break;
-        this.bend(side, push.add(this.place(`${side}Hand`)));
-      }
+      const limits = [`${side}Hand`, `${side}HandMiddle1`].filter((joint) => this.bones.has(joint) && take.has(joint)).map((joint) => {
+        const [our] = ourPlaces(poser, [joint]);
+        const { x, z, lack } = limit(local(our, origin, ours), local(this.place(joint), hips, theirs), this.outline, theirs.long, this.arm / ARM);
+        return { normal: theirs.side.clone().multiplyScalar(x).addScaledVector(theirs.ahead, z), lack };
+      });
+      const wrist = this.place(`${side}Hand`), push = this.displacement(limits, wrist.clone().sub(this.place(`${side}Arm`)));
+      if (push.length() > LEAST) this.bend(side, push.add(wrist));
     }
+  }
+
+  /** What brings a hand, `reached` from the shoulder, within all limits and the reach of the arm. */
+  displacement(limits, reached) {
+    const push = new Vector3(), longest = Math.max(reached.length(), REACH * this.arm);
+    for (let round = 0; round < ROUNDS; round++) {
+      for (const { normal, lack } of limits) push.addScaledVector(normal, Math.max(lack - push.dot(normal), 0));
+      push.add(reached).clampLength(0, longest).sub(reached);
+    }
+    return push;
   }
 
   /** Two bones: the hand comes to a place, the elbow stays in its plane, the hand keeps its turn of the world. */

@@ -3,6 +3,7 @@
 import { Bone, Group, LatheGeometry, Mesh, MeshStandardMaterial, SphereGeometry, Vector2, Vector3 } from "three";
 
 import { buildArm, buildHead, buildLegs, buildTorso } from "./body_shape.js";
+import { Face } from "./face.js";
 import { colours } from "./theme.js";
 
 const CLOTHES = ["shirt", "trousers", "skin", "shoe", "hair"];
@@ -82,7 +83,8 @@ export class Figure {
 
   /** poser: at the time that is to be shown. */
   show(poser) {
-    const { local, root } = poser;
+    const { local, root, face = null } = poser;
+    this.express(face);
     this.bones.forEach((bone, j) => bone.quaternion.set(local[j * 4 + 1], local[j * 4 + 2], local[j * 4 + 3], local[j * 4]));
     this.bones[0].position.fromArray(root);
     // Legs that the motion lacks turn with the hips' yaw and stand under them.
@@ -91,8 +93,18 @@ export class Figure {
     this.legs.scale.y = root[1] / this.tree.height;
   }
 
+  /** face: the 20 numbers of one, or null for a take without a face. */
+  express(face) {
+    if (!face && !this.face) return;
+    this.face ??= new Face(this, this.skull, this.headSize);
+    this.face.visible = Boolean(face);
+    for (const dot of this.dots) dot.visible = !face;
+    if (face) this.face.show(face);
+  }
+
   dispose() {
     this.group.traverse((node) => node.geometry?.dispose());
+    this.face?.dispose();
     for (const material of Object.values(this.materials)) material.dispose();
   }
 }

@@ -16,7 +16,11 @@ export class Kept {
       clearTimeout(this.waiting);
       this.waiting = setTimeout(() => this.keep(), AFTER);
     });
-    addEventListener("storage", ({ key, newValue }) => { if (key === this.place && newValue) this.take(newValue, false); });
+    addEventListener("storage", ({ key, newValue }) => {
+      if (key !== this.place) return;
+      if (newValue) this.take(newValue, false);
+      else this.back();
+    });
     addEventListener("pagehide", () => { if (this.waiting) this.keep(); });
   }
 
@@ -32,6 +36,17 @@ export class Kept {
       if (plan === this.lane.history.original) localStorage.removeItem(this.place);
       else localStorage.setItem(this.place, planText(plan));
     } catch { /* a page without storage, or a full one: the plan can still be saved as a file */ }
+  }
+
+  /** Another page is back at the beginning. */
+  back() {
+    const { original, present } = this.lane.history;
+    if (this.session.lane !== this.lane || present === original) return;
+    clearTimeout(this.waiting);
+    this.waiting = 0;
+    this.taking = true;
+    this.session.edit(original, "elsewhere");
+    this.taking = false;
   }
 
   /** Take over what another page, or this one before it was loaded again, has kept. */

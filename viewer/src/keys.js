@@ -7,9 +7,9 @@ const SHEET = [
   ["Play", [["Space", "play, pause"], ["← →", "one frame"], ["Shift ← →", "one block"], ["Home End", "start, end"], ["I O", "in point, out point"],
     ["X", "no in and out point"], ["L", "loop"], ["V", "sound off, on"]]],
   ["Edit", [["Click", "select a block; Shift click: up to it"], ["1 to 5", "the lexeme of that rank"], ["H", "silence, or speech again"], ["M", "mirror"], ["K", "lock"],
-    ["[ ]", "smaller, larger"], ["N", "draw again"], ["B", "add a beat here"], ["Delete", "delete the beat"], ["Ctrl Z", "undo"], ["Ctrl Shift Z", "redo"],
+    ["[ ]", "smaller, larger"], ["N", "draw again"], ["B", "add a beat here"], [", .", "squeeze, stretch the selected blocks"], ["Delete", "delete the beat"], ["Ctrl Z", "undo"], ["Ctrl Shift Z", "redo"],
     ["Ctrl C Ctrl V", "copy gestures, put them here"], ["Ctrl A", "select all"], ["Ctrl S", "save the plan"], ["Esc", "select nothing"]]],
-  ["Look", [["F S C R", "front, side, close, reset"], ["T", "paths of the hands"], ["P", "palette"], ["D", "side by side"], ["A", "the other take"], ["+ −", "zoom the timeline"], ["?", "this sheet"]]],
+  ["Look", [["F S C R", "front, side, close, reset"], ["T", "paths of the hands"], ["P", "palette"], ["G", "pose: pin hands and head"], ["D", "side by side"], ["Y", "the other take as a ghost"], ["A", "the other take"], ["+ −", "zoom the timeline"], ["?", "this sheet"]]],
 ];
 
 export function fillSheet() {
@@ -26,7 +26,7 @@ export function bindKeys(actions) {
     // A focused button keeps its space, a list its letters and arrows, a slider its arrows.
     if (!ctrl && target.matches?.("button, summary") && (key === " " || key === "Enter")) return;
     if (!ctrl && target.matches?.("select, input[type=range]") && key !== "Escape") return;
-    if (target.matches?.("input[type=search]") && key !== "Escape") return;
+    if (target.matches?.("input[type=search], input[type=number]") && key !== "Escape") return;
     const name = `${ctrl ? "ctrl+" : ""}${event.shiftKey && (ctrl || key.length > 1) ? "shift+" : ""}${key}`;
     if (!actions[name]) return;
     event.preventDefault();

@@ -128,6 +128,7 @@ export class Live {
       if (asking.signal.aborted) return;
       lane.rendered = asked; // not asked again before the next edit
       this.say("bad", error instanceof TypeError ? "gesticulator view does not answer: is it still running?" : error.message);
+      if (!(error instanceof TypeError) && lane.history.present === asked) this.session.tell("unrendered");
     } finally {
       if (this.asking === asking) this.asking = null;
     }

@@ -2,6 +2,8 @@
 
 import { readCharacter } from "./character.js";
 import { Clock } from "./clock.js";
+import { bindCurves } from "./curve_knobs.js";
+import { curveOf } from "./curves.js";
 import { $, element, notice } from "./dom.js";
 import { characterGlb, figureGlb, vrmaOf } from "./exports.js";
 import { bindFiles, fileName, save } from "./files.js";
@@ -14,6 +16,7 @@ import * as edits from "./plan.js";
 import { readJson } from "./plan.js";
 import { Palette } from "./palette.js";
 import { Performer } from "./performer.js";
+import { Pins } from "./pins.js";
 import { Session } from "./session.js";
 import { silencePicture, signPicture, TITLES } from "./signs.js";
 import { Stage } from "./stage.js";
@@ -32,7 +35,7 @@ const changed = () => { dirty = true; };
 const clock = new Clock($("sound"), data.duration, changed);
 const timeline = new Timeline($("timeline"), $("overview"), session, new Waveform(peaks, data.peaksPerSecond, data.duration), clock);
 const inspector = new Inspector(session, clock);
-let stage = null, together = false, trails = true, worn = null;
+let stage = null, together = false, over = false, trails = true, worn = null;
 
 // ---------------------------------------------------------------- who stands on the stage
 
@@ -45,7 +48,8 @@ function performers() {
     if (performer.place !== place || performer.worn !== worn) dress(performer, place);
     return performer;
   });
-  stage.cast(next);
+  stage.cast(next, over);
+  for (const performer of next) performer.ghost(over && performer.second);
   writeLabels();
   changed();
 }
@@ -56,7 +60,7 @@ async function dress(performer, place) {
   const asked = worn;
   if (!asked) { performer.wear(null); return; }
   const character = performer.lane === session.lanes[0] ? asked.first : asked.second ??= await readCharacter(asked.bytes, asked.told);
-  if (worn === asked) { performer.wear(character); changed(); }
+  if (worn === asked) { performer.wear(character); performer.ghost(over && performer.second); changed(); }
 }
 
 async function wear(bytes, told) {
@@ -83,29 +87,36 @@ function writeLabels() {
   const takes = session.lanes.map((lane) => lane.take.name);
   $("takes").hidden = takes.length < 2;
   $("take").replaceChildren(...takes.map((name, k) => new Option(name, k, false, k === session.active)));
-  $("together").setAttribute("aria-pressed", String(together));
+  $("together").setAttribute("aria-pressed", String(together && !over));
+  $("ghost").setAttribute("aria-pressed", String(together && over));
   // With one take there is nothing beside it yet; with the renderer behind the page it can be kept for comparison.
-  $("together").hidden = takes.length < 2 && !data.live;
+  $("together").hidden = $("ghost").hidden = takes.length < 2 && !data.live;
 }
 
 function placeLabels() {
   [...$("labels").children].forEach((label, k) => {
     const [x, y] = stage.feetOf(stage.performers[k]);
-    label.style.left = `${x}px`;
+    // Over each other, the names stand beside each other.
+    label.style.left = `${over ? x + (k ? 90 : -90) : x}px`;
     label.style.top = `${Math.min(y + 14, stage.canvas.clientHeight - 30)}px`;
   });
 }
 
-function toggleTogether() {
-  if (session.lanes.length < 2) {
+/** Show one take alone, two beside each other, or two over each other, the second one as a ghost. */
+function arrange(way) {
+  if (way !== "alone" && session.lanes.length < 2) {
     if (!data.live) return;
     session.pin("before");
   }
-  together = !together;
+  together = way !== "alone";
+  over = way === "over";
   performers();
   // From aside, one of two is nearer and hides part of the other.
-  if (together) look("front");
+  if (way === "beside") look("front");
 }
+
+const toggleTogether = () => arrange(together && !over ? "alone" : "beside");
+const toggleGhost = () => arrange(over ? "alone" : "over");
 
 // ---------------------------------------------------------------- what is written on the page
 
@@ -261,6 +272,12 @@ function paste() {
   session.select(first, first + gestures.length - 1);
 }
 
+/** Stretch the selected blocks by seconds; the block after them gives way. */
+function stretch(by) {
+  const [first, last] = inspector.stretch;
+  session.edit(edits.stretched(session.plan, first, last, session.plan.blocks[last].end + by), "stretch");
+}
+
 function toggleCurve() {
   timeline.curved = !timeline.curved;
   $("curve").setAttribute("aria-pressed", String(timeline.curved));
@@ -276,10 +293,11 @@ const actions = {
   "h": () => toggleOf("silence"), "m": () => toggleOf("mirror"), "k": () => toggleOf("lock"), "[": () => inspector.nudge(-edits.INTENSITY.step),
   "]": () => inspector.nudge(edits.INTENSITY.step), "n": () => toggleOf("draw-again"), "b": () => inspector.addBeat(), "Delete": () => inspector.deleteBeat(),
   "Backspace": () => inspector.deleteBeat(), "ctrl+z": () => session.undo(), "ctrl+shift+z": () => session.redo(), "ctrl+y": () => session.redo(),
+  ",": () => stretch(-0.02), ".": () => stretch(0.02),
   "ctrl+c": copy, "ctrl+v": paste,
   "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": () => { session.select(null); $("file-menu").open = false; document.activeElement?.blur(); },
-  "f": () => look("front"), "s": () => look("side"), "c": () => look("close"), "r": () => look("reset"), "t": toggleTrails, "d": toggleTogether,
-  "p": () => palette?.toggle(),
+  "f": () => look("front"), "s": () => look("side"), "c": () => look("close"), "r": () => look("reset"), "t": toggleTrails, "d": toggleTogether, "y": toggleGhost,
+  "p": () => palette?.toggle(), "g": () => { if (data.live) pins.toggle(); },
   "a": () => session.activate(1 - session.active), "+": () => zoom(1.3), "=": () => zoom(1.3), "-": () => zoom(1 / 1.3), "?": () => $("sheet").showModal(),
   ...Object.fromEntries([1, 2, 3, 4, 5].map((rank) => [String(rank), () => inspector.chooseRank(rank)])),
 };
@@ -308,7 +326,9 @@ function bindDesk() {
   click("export-go", exportAny);
   click("trails", toggleTrails);
   click("curve", toggleCurve);
+  click("pose", () => pins.toggle());
   click("together", toggleTogether);
+  click("ghost", toggleGhost);
   click("help", () => $("sheet").showModal());
   click("notice", () => notice(""));
   $("volume").addEventListener("input", (event) => setVolume(Number(event.target.value)));
@@ -343,7 +363,7 @@ function tick(now) {
     if (panelFor !== block) { panelFor = block; inspector.update(); palette?.mark(); }
     writeClock(time);
     timeline.draw(time);
-    stage?.draw(time);
+    stage?.draw(time, () => pins.show());
     if (together) placeLabels();
   }
   requestAnimationFrame(tick);
@@ -393,6 +413,8 @@ const palette = data.live ? new Palette(session, clock, live, async () => {
   if (!answer.ok) throw new Error(answer.statusText);
   return answer.json();
 }, timeline) : null;
+const pins = new Pins(session, clock, () => stage, changed);
+$("pose").hidden = !data.live;
 $("palette-open").hidden = !palette;
 $("export-any").hidden = !data.live?.formats;
 $("export-format").replaceChildren(...(data.live?.formats ?? []).map(([format, about]) => element("option", { value: format }, `${format}: ${about}`)));
@@ -403,7 +425,8 @@ $("variations").replaceChildren(...[1, 2, 3].map((number) => {
   return element("button", { "type": "button", "title": `Variation ${number} of these blocks: hover to see it, click to take it`, "aria-label": `Variation ${number}`,
     "onpointerenter": see, "onpointerleave": leave, "onfocus": see, "onblur": leave, "onclick": () => { leave(); session.edit(plan()); } }, `V${number}`);
 }));
-if (edits.curveOf(session.plan).length) toggleCurve();
+bindCurves(session, timeline, refresh);
+if (curveOf(session.plan).length) toggleCurve();
 clock.load(data.sound, data.soundType, () => notice("This browser cannot play the sound (Ogg Vorbis).", true));
 refresh();
 resized();
@@ -421,6 +444,6 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
 if (data.notice) notice(data.notice);
 if (data.character) await wear(bytesOf(data.character.data), data.character);
 // For the console: what is open, and the pose as the figure has it.
-window.preview = { clock, timeline, session, inspector, takeFile, exports: { vrmaOf, characterGlb, figureGlb }, get stage() { return stage; }, get worn() { return worn; } };
+window.preview = { clock, pins, timeline, session, inspector, takeFile, exports: { vrmaOf, characterGlb, figureGlb }, get stage() { return stage; }, get worn() { return worn; } };
 requestAnimationFrame(tick);
 document.body.dataset.ready = "true";

@@ -6,6 +6,9 @@ import { Figure } from "./figure.js";
 import { Poser } from "./take.js";
 import { Trails } from "./trails.js";
 
+/** The materials of a ghost; where it is in the same place as the other one, it is behind. */
+const GHOST = { transparent: true, opacity: 0.38, depthWrite: false, polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 8 };
+
 export class Performer {
   constructor(take, second, trails) {
     this.group = new Group();
@@ -40,6 +43,21 @@ export class Performer {
     this.character = character;
     if (character) this.group.add(character.group);
     this.figure.group.visible = !character;
+  }
+
+  /** Let it be seen through, or not any more. */
+  ghost(on) {
+    this.ghosted = on;
+    this.body.group.traverse((node) => {
+      for (const material of [node.material ?? []].flat()) {
+        const { userData } = material;
+        if (!on && !userData.solid) continue;
+        userData.solid ??= Object.fromEntries(Object.keys(GHOST).map((name) => [name, material[name]]));
+        Object.assign(material, on ? GHOST : userData.solid);
+        material.needsUpdate = true;
+      }
+      if (node.isMesh) node.castShadow = !on;
+    });
   }
 
   paint() {

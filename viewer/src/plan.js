@@ -85,6 +85,29 @@ export function addBeat(plan, time) {
   return withBlocks(plan, [...plan.blocks.slice(0, k), { ...block, end: at, flag: "edited" }, second, ...plan.blocks.slice(k + 1)]);
 }
 
+/** How far the end of blocks may go when they are stretched alike: [low, high]; no way where low is above high. */
+export function stretchRange(plan, first, last) {
+  const after = plan.blocks[last + 1], { start } = plan.blocks[first], span = plan.blocks[last].end - start;
+  if (!after) return [0, -1];
+  const lengths = plan.blocks.slice(first, last + 1).map((block) => block.end - block.start);
+  return [Math.max(start + (span * SHORTEST) / Math.min(...lengths), after.end - LONGEST), Math.min(start + (span * LONGEST) / Math.max(...lengths), after.end - SHORTEST)];
+}
+
+/** Blocks stretched or squeezed alike, so that they end at a time, as far as blocks may; the block after them gives way. */
+export function stretched(plan, first, last, end) {
+  const [low, high] = stretchRange(plan, first, last), { start } = plan.blocks[first], before = plan.blocks[last].end;
+  // A millisecond of room, since times are rounded to it.
+  if (low + 1e-3 > high - 1e-3) return plan;
+  const at = clamp(end, low + 1e-3, high - 1e-3), share = (at - start) / (before - start);
+  if (rounded(at) === rounded(before)) return plan;
+  const moved = (time) => rounded(start + (time - start) * share);
+  return withBlocks(plan, plan.blocks.map((block, k) => {
+    if (k < first || k > last + 1) return block;
+    if (k > last) return { ...block, start: moved(before) };
+    return { ...block, start: k === first ? start : moved(block.start), end: moved(block.end), flag: "edited" };
+  }));
+}
+
 const drawnAnew = (block) => (block.draw ? { ...block, draw: { ...block.draw, variation: (block.draw.variation + 1) % 2 ** 32 } } : block);
 
 /** The same lexemes in another manner. */
@@ -105,21 +128,6 @@ export const copied = (plan, first, last) => plan.blocks.slice(first, last + 1)
 
 /** Put the gestures of copied blocks on as many blocks from one on. */
 export const pasted = (plan, at, gestures) => changed(plan, at, at + gestures.length - 1, (block, k) => ({ ...block, ...gestures[k - at] }));
-
-/** The points of the intensity curve: [[seconds, factor]], in order. */
-export function curveOf(plan) {
-  const curve = (plan.curves ?? []).find(({ knob }) => knob === "intensity");
-  return curve ? curve.times.map((time, k) => [time, curve.values[k]]) : [];
-}
-
-/** A plan with these points of the intensity curve; without points, without the curve. */
-export function withCurve(plan, points) {
-  const others = (plan.curves ?? []).filter(({ knob }) => knob !== "intensity");
-  const sorted = [...points].sort((a, b) => a[0] - b[0]).filter(([time], k, all) => k === 0 || time > all[k - 1][0]);
-  const curves = sorted.length ? [...others, { knob: "intensity", times: sorted.map(([time]) => time), values: sorted.map(([, value]) => value) }] : others;
-  const { curves: _, ...rest } = plan;
-  return curves.length ? { ...rest, curves } : rest;
-}
 
 /** Blocks drawn with another variation: the same lexemes in a manner of its own for each number from 1. */
 export const varied = (plan, first, last, number) => changed(plan, first, last, (block) => (
@@ -148,7 +156,7 @@ export function countChanges(plan, original) {
   if (plan === original) return 0;
   const here = plan.blocks.filter((block) => differs(block, original)).length || Math.abs(plan.blocks.length - original.blocks.length);
   const plain = (part) => JSON.stringify(part && Object.keys(part).length ? part : null);
-  const parts = ["knobs", "cues", "meanings"].filter((name) => plain(plan[name]) !== plain(original[name]));
+  const parts = ["knobs", "cues", "meanings", "pins", "curves"].filter((name) => plain(plan[name]) !== plain(original[name]));
   return here + parts.length;
 }
 

@@ -20,7 +20,7 @@ export class Session {
   get original() { return this.lane.history.original; }
 
   /** kinds: "edited" (a plan), "selected", "takes" (a motion, or which one is active),
-   *  "refused" (an edit of a motion that has no plan). */
+   *  "refused" (an edit of a motion that has no plan), "unrendered" (the plan, which the renderer refused). */
   on(kind, listener) { this.listeners.set(kind, [...(this.listeners.get(kind) ?? []), listener]); }
   tell(kind) { for (const listener of this.listeners.get(kind) ?? []) listener(); }
 

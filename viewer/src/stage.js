@@ -98,14 +98,15 @@ export class Stage {
     this.sun.intensity = 2.1 * Number(colours.light);
   }
 
-  /** Put performers on the stage, from left to right. */
-  cast(performers) {
+  /** Put performers on the stage, from left to right; over: all in one place. */
+  cast(performers, over = false) {
+    this.over = over;
     for (const performer of this.performers) this.scene.remove(performer.group);
     this.performers = performers;
     performers.forEach((performer, place) => {
       const [x, z] = performer.take.middle();
       // Seen from the front, the first stands on the left.
-      performer.group.position.set((place - (performers.length - 1) / 2) * APART - x, 0, -z);
+      performer.group.position.set((place - (performers.length - 1) / 2) * (over ? 0 : APART) - x, 0, -z);
       this.scene.add(performer.group);
     });
   }
@@ -153,14 +154,17 @@ export class Stage {
     this.camera.updateProjectionMatrix();
   }
 
-  draw(time) {
+  /** posed(): called when all are in their pose, before the picture is drawn. */
+  draw(time, posed = () => {}) {
     const { yaw, pitch, distance, x, y, z } = this.view;
     // A narrow window needs more room for the arms, and two need more than one.
-    const [wide, least] = this.performers.length > 1 ? [1.9, 1.2] : [0.8, 1];
+    const [wide, least] = this.performers.length > 1 && !this.over ? [1.9, 1.2] : [0.8, 1];
     const far = distance * Math.max(least, wide / this.camera.aspect);
     this.camera.position.set(x + far * Math.sin(yaw) * Math.cos(pitch), y + far * Math.sin(pitch), z + far * Math.cos(yaw) * Math.cos(pitch));
     this.camera.lookAt(x, y, z);
+    this.camera.updateMatrixWorld();
     for (const performer of this.performers) performer.show(time, this.camera);
+    posed();
     this.renderer.render(this.scene, this.camera);
   }
 

@@ -1,5 +1,6 @@
 // A take: the motion of one performance, frame by frame. Metres, seconds; quaternions are w first.
 
+import { NUMBERS } from "./mouth.js";
 import { bytesOf, clamp } from "./numbers.js";
 
 /** Steps of a unit in which quaternions are told. */
@@ -10,15 +11,16 @@ export class Take {
   constructor(told) {
     const steps = new Int16Array(bytesOf(told.rotations).buffer), rotations = new Float32Array(steps.length);
     for (let i = 0; i < steps.length; i++) rotations[i] = steps[i] / told.steps;
-    this.fill({ ...told, rotations, roots: new Float32Array(bytesOf(told.root).buffer) });
+    const face = told.face && Float32Array.from(new Int16Array(bytesOf(told.face).buffer), (step) => step / told.steps);
+    this.fill({ ...told, rotations, roots: new Float32Array(bytesOf(told.root).buffer), face });
   }
 
   /** A take of numbers that are there already. */
   static of(parts) { return Object.create(Take.prototype).fill(parts); }
 
-  /** rotations: [T * J * 4]; roots: [T * 3], or [3] where she stays. */
-  fill({ name, fps, frames, duration, skeleton, rotations, roots }) {
-    Object.assign(this, { name, fps, frames, duration, skeleton, rotations, roots });
+  /** rotations: [T * J * 4]; roots: [T * 3], or [3] for a still root; face: [T * 20] of `mouth.js`, or null. */
+  fill({ name, fps, frames, duration, skeleton, rotations, roots, face = null }) {
+    Object.assign(this, { name, fps, frames, duration, skeleton, rotations, roots, face });
     this.joints = skeleton.names.length;
     this.rows = new Map(skeleton.names.map((joint, row) => [joint, row]));
     return this;
@@ -76,6 +78,15 @@ export class Take {
     return out;
   }
 
+  /** The numbers of the face at a time; null for a take without one. */
+  faceAt(time, out) {
+    const { face } = this;
+    if (!face) return null;
+    const [a, b, share] = this.around(time, face.length / NUMBERS);
+    for (let k = 0; k < NUMBERS; k++) out[k] = face[a * NUMBERS + k] * (1 - share) + face[b * NUMBERS + k] * share;
+    return out;
+  }
+
   /** Where she stands on the whole: the median of x and z. */
   middle() {
     return [0, 2].map((c) => {
@@ -107,12 +118,15 @@ export class Poser {
     this.local = new Float32Array(take.joints * 4);
     this.world = new Float32Array(take.joints * 4);
     this.root = new Float32Array(3);
+    this.numbers = new Float32Array(NUMBERS);
+    this.face = null;
   }
 
   set(time) {
     this.take.poseAt(time, this.local);
     worldRotations(this.take.skeleton.parents, this.local, this.world);
     this.take.rootAt(time, this.root);
+    this.face = this.take.faceAt(time, this.numbers);
     return this;
   }
 

@@ -1,8 +1,10 @@
 // The timeline: ruler, words, gestures asked for, beats, waveform, blocks and an overview of the whole.
 
+import { curveOf, knobsOf } from "./curves.js";
 import { cuesOf, cueTime } from "./cues.js";
 import { clamp, minutes } from "./numbers.js";
-import { beatFlag, blockAt, curveOf, differs, INTENSITY } from "./plan.js";
+import { PLACED, pinsOf } from "./pins.js";
+import { beatFlag, blockAt, differs } from "./plan.js";
 import { drawSign, flagColour } from "./signs.js";
 import { colours, lexemeColour, sizes } from "./theme.js";
 
@@ -26,6 +28,9 @@ export class Timeline {
   constructor(canvas, overview, session, wave, clock) {
     Object.assign(this, { canvas, overview, session, wave, clock, scale: 0, left: 0, held: false });
     this.duration = clock.duration;
+    this.knobs = knobsOf(session.data.live?.levels);
+    /** The knob whose curve is shown in the row of curves. */
+    this.knob = "intensity";
   }
 
   get width() { return this.canvas.clientWidth; }
@@ -48,6 +53,7 @@ export class Timeline {
     row("wave", low ? 26 : 52);
     row("gap", 4);
     row("curve", this.curved ? 44 : 0);
+    row("pins", pinsOf(plan).length ? 17 : 0);
     row("units", plan.units?.length ? 15 : 0);
     row("blocks", 30);
     rows.height = y;
@@ -94,6 +100,7 @@ export class Timeline {
     this.wave.draw(pen, this.left, this.scale, { width, ...rows.wave }, time);
     this.drawBeats(pen);
     this.drawCurve(pen, width);
+    this.drawPins(pen);
     this.drawUnits(pen);
     this.drawBlocks(pen, blockAt(plan, time));
     this.drawRange(pen, width);
@@ -197,18 +204,19 @@ export class Timeline {
     }
   }
 
-  /** Where a factor of the intensity curve stands in its row. */
+  /** Where a value of the knob stands in its row. */
   curveY(value) {
-    const { top, tall } = this.rows.curve;
-    return top + 4 * sizes.unit + (1 - value / INTENSITY.high) * (tall - 8 * sizes.unit);
+    const { top, tall } = this.rows.curve, { low, high } = this.knobs[this.knob];
+    return top + 4 * sizes.unit + (1 - (value - low) / (high - low)) * (tall - 8 * sizes.unit);
   }
 
   curveValue(y) {
-    const { top, tall } = this.rows.curve;
-    return clamp((1 - (y - top - 4 * sizes.unit) / (tall - 8 * sizes.unit)) * INTENSITY.high, INTENSITY.low, INTENSITY.high);
+    const { top, tall } = this.rows.curve, { low, high, step } = this.knobs[this.knob];
+    const value = low + (1 - (y - top - 4 * sizes.unit) / (tall - 8 * sizes.unit)) * (high - low);
+    return clamp(Number((Math.round(value / step) * step).toFixed(3)), low, high);
   }
 
-  /** The size of the gestures over time: a factor on their intensity. */
+  /** A knob over time. */
   drawCurve(pen, width) {
     const { top, tall } = this.rows.curve, u = sizes.unit;
     if (!tall) return;
@@ -216,18 +224,38 @@ export class Timeline {
     pen.fillRect(0, top + 2 * u, width, tall - 4 * u);
     pen.strokeStyle = colours.line;
     pen.lineWidth = u;
-    pen.beginPath(); pen.moveTo(0, this.curveY(1)); pen.lineTo(width, this.curveY(1)); pen.stroke();
-    const points = curveOf(this.session.plan), first = points[0] ?? [0, 1], last = points.at(-1) ?? [0, 1];
+    if (neutral !== null) { pen.beginPath(); pen.moveTo(0, this.curveY(neutral)); pen.lineTo(width, this.curveY(neutral)); pen.stroke(); }
+    const points = curveOf(this.session.plan, this.knob), { name, unit, neutral } = this.knobs[this.knob];
+    const first = points[0] ?? [0, neutral], last = points.at(-1) ?? [0, neutral];
     pen.strokeStyle = pen.fillStyle = colours.accent;
     pen.lineWidth = 2 * u;
-    pen.beginPath();
-    pen.moveTo(0, this.curveY(first[1]));
-    for (const [time, value] of points) pen.lineTo(this.x(time), this.curveY(value));
-    pen.lineTo(width, this.curveY(last[1]));
-    pen.stroke();
+    if (first[1] !== null) {
+      pen.beginPath();
+      pen.moveTo(0, this.curveY(first[1]));
+      for (const [time, value] of points) pen.lineTo(this.x(time), this.curveY(value));
+      pen.lineTo(width, this.curveY(last[1]));
+      pen.stroke();
+    }
     for (const [time, value] of points) { pen.beginPath(); pen.arc(this.x(time), this.curveY(value), 4.5 * u, 0, Math.PI * 2); pen.fill(); }
     pen.fillStyle = colours.soft;
-    pen.fillText(points.length ? "size" : "size: click to set points, click a point twice to remove it", 6 * u, top + 11 * u);
+    const range = unit ? `, ${this.knobs[this.knob].low} to ${this.knobs[this.knob].high} ${unit}` : "";
+    pen.fillText(points.length ? `${name}${range}` : `${name}${range}: click to set points, click a point twice to remove it`, 6 * u, top + 11 * u);
+  }
+
+  /** Pinned poses: a diamond at the moment, a bar while it holds. */
+  drawPins(pen) {
+    const { top, tall } = this.rows.pins, u = sizes.unit, middle = top + tall / 2;
+    if (!tall) return;
+    for (const { time, joint, hold = 0 } of pinsOf(this.session.plan)) {
+      const x = this.x(time);
+      pen.fillStyle = colours[joint.startsWith("Left") ? "left" : joint.startsWith("Right") ? "right" : "accent"];
+      pen.fillRect(x, middle - 1.5 * u, hold * this.scale, 3 * u);
+      pen.beginPath();
+      for (const [dx, dy] of [[-5, 0], [0, -5], [5, 0], [0, 5]]) pen.lineTo(x + dx * u, middle + dy * u);
+      pen.fill();
+      pen.fillStyle = colours.soft;
+      pen.fillText(PLACED[joint] ?? joint, x + Math.max(hold * this.scale, 5 * u) + 4 * u, middle + 0.5);
+    }
   }
 
   /** Gesture units and their phases: from the moment that the hands leave rest until they are back. */

@@ -1,15 +1,17 @@
 // What a pointer does on the timeline: scrub, select blocks, move beats, drag the range, pinch and wheel to zoom.
 
 import { cuesOf, cueTime, moveCue } from "./cues.js";
+import { curveOf, withCurve } from "./curves.js";
 import { clamp } from "./numbers.js";
-import { blockAt, blocksOfUnit, curveOf, moveBeat, withCurve } from "./plan.js";
+import { movePin, pinsOf } from "./pins.js";
+import { blockAt, blocksOfUnit, moveBeat, stretched } from "./plan.js";
 import { sizes } from "./theme.js";
 
 /** CSS pixels around a handle in which it is taken, for a mouse and for a finger. */
 const NEAR = { mouse: 6, pen: 8, touch: 16 };
 
-/** A point of the intensity curve at a place: [seconds, factor]. */
-const pointAt = (timeline, x, y) => [Math.round(clamp(timeline.timeAt(x), 0, timeline.duration) * 1000) / 1000, Math.round(timeline.curveValue(y) * 20) / 20];
+/** A point of the curve at a place: [seconds, value]. */
+const pointAt = (timeline, x, y) => [Math.round(clamp(timeline.timeAt(x), 0, timeline.duration) * 1000) / 1000, timeline.curveValue(y)];
 
 export class TimelineHands {
   constructor(timeline, session, clock, changed) {
@@ -51,12 +53,22 @@ export class TimelineHands {
       if (beat && Math.abs(timeline.x(blocks[beat].start) - x) < near) return { kind: "beat", beat };
     }
     if (rows.curve.tall && within(rows.curve)) {
-      const points = curveOf(session.plan);
+      const points = curveOf(session.plan, timeline.knob);
       return { kind: "point", point: points.findIndex(([time, value]) => Math.hypot(timeline.x(time) - x, timeline.curveY(value) - y) < near + 3) };
+    }
+    if (rows.pins.tall && within(rows.pins)) {
+      // Signs before bars: a pin may lie within the time that another one holds.
+      const pins = pinsOf(session.plan), sign = pins.findIndex(({ time }) => Math.abs(timeline.x(time) - x) < near);
+      const pin = sign >= 0 ? sign : pins.findIndex(({ time, hold = 0 }) => x > timeline.x(time) && x < timeline.x(time + hold));
+      if (pin >= 0) return { kind: "pin", pin };
     }
     if (within(rows.units)) {
       const time = timeline.timeAt(x), unit = session.plan.units.find(({ start, end }) => time >= start && time < end);
       if (unit) return { kind: "unit", unit };
+    }
+    if (session.selection && within(rows.blocks)) {
+      const [first, last] = session.selection;
+      if (last + 1 < session.plan.blocks.length && Math.abs(timeline.x(session.plan.blocks[last].end) - x) < near) return { kind: "stretch", first, last };
     }
     if (y >= rows.gap.top) return { kind: "block", block: blockAt(session.plan, timeline.timeAt(x)) };
     return { kind: "time" };
@@ -69,12 +81,13 @@ export class TimelineHands {
     this.pointers.set(event.pointerId, x);
     if (this.pointers.size > 1) { this.drag = { kind: "pinch", spread: this.spread(), resume: false }; return; }
     const hit = this.hit(x, y, event.pointerType);
-    this.drag = { ...hit, begun: x, resume: hit.kind === "time" && clock.playing };
+    this.drag = { ...hit, plan: session.plan, begun: x, resume: hit.kind === "time" && clock.playing };
     if (this.drag.resume) clock.pause();
     timeline.held = true;
     if (hit.kind === "block") this.pick(hit.block, event.shiftKey);
     else if (hit.kind === "beat") session.selectBeat(hit.beat);
     else if (hit.kind === "cue") clock.seek(cueTime(session.plan, cuesOf(session.plan)[hit.cue]));
+    else if (hit.kind === "pin") this.takePin(hit.pin);
     else if (hit.kind === "point") this.takePoint(hit.point, x, y);
     else if (hit.kind === "unit") this.pickUnit(hit.unit, event.shiftKey);
     else if (hit.kind === "time") this.scrub(x);
@@ -83,18 +96,24 @@ export class TimelineHands {
 
   /** Take a point of the curve, or set one; a second click on a point removes it. */
   takePoint(point, x, y) {
-    const { session, timeline } = this, points = curveOf(session.plan), now = performance.now();
+    const { session, timeline } = this, points = curveOf(session.plan, timeline.knob), now = performance.now();
     if (point >= 0) {
       if (now - (this.clicked ?? 0) < 350) {
-        session.edit(withCurve(session.plan, points.filter((_, k) => k !== point)));
+        session.edit(withCurve(session.plan, points.filter((_, k) => k !== point), timeline.knob));
         this.drag.kind = "none";
       }
       this.clicked = now;
       return;
     }
     const made = pointAt(timeline, x, y);
-    session.edit(withCurve(session.plan, [...points, made]), "curve");
-    this.drag.point = curveOf(session.plan).findIndex(([time]) => time === made[0]);
+    session.edit(withCurve(session.plan, [...points, made], timeline.knob), "curve");
+    this.drag.point = curveOf(session.plan, timeline.knob).findIndex(([time]) => time === made[0]);
+  }
+
+  /** Go to a pin, and take it along. */
+  takePin(pin) {
+    this.drag.one = pinsOf(this.session.plan)[pin];
+    this.clock.seek(this.drag.one.time + 0.02 / this.session.take.fps);
   }
 
   /** Select the blocks of a gesture unit, or with shift all up to its end. */
@@ -121,8 +140,8 @@ export class TimelineHands {
     const { timeline, session, clock } = this, [x, y] = this.place(event);
     if (!this.pointers.has(event.pointerId)) {
       const { kind, block } = this.hit(x, y, event.pointerType);
-      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
-      timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", unit: "pointer", cue: "grab", point: "crosshair" }[kind] ?? "text";
+      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks" : kind === "stretch" ? "drag to stretch or squeeze the selected blocks" : kind === "pin" ? "a pinned pose: click to go there, drag to another moment" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
+      timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", unit: "pointer", cue: "grab", pin: "grab", stretch: "ew-resize", point: "crosshair" }[kind] ?? "text";
       return;
     }
     this.pointers.set(event.pointerId, x);
@@ -133,10 +152,19 @@ export class TimelineHands {
       session.edit(moveBeat(session.plan, drag.beat, time), `beat ${drag.beat}`);
       session.beat = drag.beat;
     } else if (drag.kind === "point" && drag.point >= 0) {
-      const points = curveOf(session.plan), [low, high] = [points[drag.point - 1]?.[0] ?? -0.01, points[drag.point + 1]?.[0] ?? clock.duration + 0.01];
+      const points = curveOf(session.plan, timeline.knob), [low, high] = [points[drag.point - 1]?.[0] ?? -0.01, points[drag.point + 1]?.[0] ?? clock.duration + 0.01];
       const [at, value] = pointAt(timeline, x, y);
       points[drag.point] = [clamp(at, low + 0.01, high - 0.01), value];
-      session.edit(withCurve(session.plan, points), "curve");
+      session.edit(withCurve(session.plan, points, timeline.knob), "curve");
+    } else if (drag.kind === "stretch") {
+      session.edit(stretched(drag.plan, drag.first, drag.last, time), "stretch");
+    } else if (drag.kind === "pin") {
+      if (Math.abs(x - drag.begun) > 4 || drag.moved) {
+        drag.moved = true;
+        const [plan, one] = movePin(session.plan, drag.one, clamp(time, 0, clock.duration));
+        session.edit(plan, "pin moved");
+        drag.one = one;
+      }
     } else if (drag.kind === "cue") {
       if (Math.abs(x - drag.begun) > 4 || drag.moved) {
         drag.moved = true;

@@ -2,8 +2,10 @@
 
 A control is in order when what it asks for rises from low to mid and from mid to high by 2 cm (height, radius) or
 2 cm/s (speed), on the same voices with the same seed. Other words, in the times of the right ones, must change more
-than a tenth of the lexemes. Speed is measured properly, warm and cold, by `benchmarks/realtime.py`; what is told here
-is what the renderings of this probe took, whatever else the machine was doing.
+than a tenth of the lexemes; the control is the same sound 0.1 dB fainter with its own words, which must change nearly
+none: an interpreter that any trifle throws off its course "follows" the words as well. Speed is measured properly, warm
+and cold, by `benchmarks/realtime.py`; what is told here is what the renderings of this probe took, whatever else the
+machine was doing.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ STEP = 0.02
 CLIPS, SECONDS = 6, 20.0
 OTHER_WORDS = 0.10
 """Share of blocks that other words must change."""
+FAINTER, BY_CHANCE = 0.1, 0.02
+"""Decibels of the control, and the share of blocks that it may change."""
 NEEDED = ("lstm", "cql", "statistical")
 MEGABYTES, FACTOR = 20.0, 0.05
 _EPS = 1e-6
@@ -91,13 +95,19 @@ def words_clause(changed: Sequence[float]) -> Verdict:
                   Bound(low=math.nextafter(OTHER_WORDS, 1.0)), reason="same sound, times and seed")
 
 
+def fainter_clause(changed: Sequence[float]) -> Verdict:
+    """Shares of blocks with another lexeme, of each voice 0.1 dB fainter."""
+    return judged(f"the same with the right words, the sound {FAINTER} dB fainter", stats.mean_interval(changed),
+                  at_most(BY_CHANCE), reason="the control: other words must change more")
+
+
 # ------------------------------------------------------------------------------------------------------------- group
 
 def run(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[list[Verdict], list[Table]]:
     """Everything of this group."""
     short = [AcceptanceVoice(f"{voice.name} short", replace(heard_of(voice, SECONDS), words=None), "made", None,
                              voice.performer, voice.group) for voice in spread_out(voices, CLIPS)]
-    clauses = [*_controls(ours, short), _words(ours, voices)]
+    clauses = [*_controls(ours, short), *_words(ours, voices)]
     clauses += [_interpreter(ours, short[0], name) for name in sorted({*NEEDED, *ours.gesticulator.interpreters})]
     made, _ = ours.perform(short[0], 0)
     faults = plan_faults(made.explain(), made.duration)
@@ -119,22 +129,25 @@ def _controls(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Ver
     return order_clauses(found)
 
 
-def _words(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Verdict:
-    """Voices of the test split with another's words."""
+def _words(ours: BundleSystem, voices: Sequence[AcceptanceVoice]) -> list[Verdict]:
+    """Voices of the test split with another's words, and a little fainter."""
     name = "blocks with another lexeme under other words, share"
     if not ours.gesticulator.reads_text:
-        return judged(name, 0.0, at_least(OTHER_WORDS), reason="the bundle does not read words")
+        return [judged(name, 0.0, at_least(OTHER_WORDS), reason="the bundle does not read words")]
     spoken = [voice for voice in voices if any(word.text.strip() for word in voice.speech.words or ())]
     if len(spoken) < 2:
-        return skipped(name, "fewer than two voices have words")
+        return [skipped(name, "fewer than two voices have words")]
     spoken = spread_out(spoken, CLIPS)
-    changed = []
+    changed, fainter = [], []
     for voice, other in zip(spoken, [*spoken[1:], spoken[0]], strict=True):
         swapped = replace(voice, name=f"{voice.name} reworded",
                           speech=other_words(voice.speech, other.speech.words or ()))
-        right, wrong = (ours.render(one, 0).lexemes for one in (voice, swapped))
+        quiet = replace(voice, name=f"{voice.name} fainter", speech=replace(
+            voice.speech, samples=np.float32(10.0 ** (-FAINTER / 20.0)) * voice.speech.samples))
+        right, wrong, again = (ours.render(one, 0).lexemes for one in (voice, swapped, quiet))
         changed.append(float((right != wrong).mean()))
-    return words_clause(changed)
+        fainter.append(float((right != again).mean()) if len(right) == len(again) else 1.0)
+    return [words_clause(changed), fainter_clause(fainter)]
 
 
 def _interpreter(ours: BundleSystem, voice: AcceptanceVoice, name: str) -> Verdict:

@@ -9,10 +9,13 @@ of sum q q^T) is the root mean square of the rotation vectors from the mean, deg
   under 2 cm/s; of both hands, under 5 cm/s.
 - hand, elbow in the torso: percentage of frames of the worse side in which a wrist lies within 11.5 cm, an elbow within
   13 cm, of the line from hips to chest.
+- elbow behind the trunk: percentage of frames in which, on the worse side, the elbow lies more than 8 cm behind the
+  line from hips to chest and less than 20 cm beside it, so that the trunk hides it, while the hand is ahead of that
+  line by more than 5 cm, or more than 6 cm above the hips. The hand of an arm that swings while walking is neither.
 - fingers: percentage of time that some finger joint turns faster than 5 degrees a second; undefined without fingers.
 
 Good: near a speaker's own (16 and 9 degrees for the head, 9 and 4 for the chest, yaw under 25 degrees, no freeze over a
-second, 1 % or less in the torso).
+second, 1 % or less in the torso, and no elbow behind it).
 
 What fools them: a trunk that sways at random has a spread, so it says nothing of nods that go with the voice. A motion
 played backwards has all of them to the digit, and arms that mirror each other have the same trunk. Jitter ends every
@@ -41,6 +44,8 @@ SMOOTHING = 3.0
 """Frames at 60 Hz: the standard deviation of the Gaussian before speeds are taken (50 ms)."""
 _HAND_RADIUS, _ELBOW_RADIUS = 0.115, 0.13
 """Metres from the trunk's line: half a chest's depth."""
+_BEHIND, _HIDDEN, _AHEAD, _RAISED = 0.08, 0.20, 0.05, 0.06
+"""Metres: of an elbow behind the trunk's line and beside it, and of the hand ahead of that line or above the hips."""
 _FINGER_MOVES = 5.0
 """Degrees a second."""
 
@@ -71,6 +76,18 @@ def inside(points: Array, low: Array, high: Array, radius: float) -> float:
     return 100.0 * float((np.linalg.norm(points - low - share[:, None] * axis, axis=-1) < radius).mean())
 
 
+def elbow_behind(body: CommonBody, side: str) -> float:
+    """Percentage of frames in which the elbow of a side is behind the trunk while the hand gestures."""
+    up = body.points["Chest"] / np.maximum(np.linalg.norm(body.points["Chest"], axis=1, keepdims=True), 1e-9)
+    left = rotation.rotate(body.chest, np.array([1.0, 0.0, 0.0]))
+    left = left - (left * up).sum(axis=1, keepdims=True) * up
+    left = left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-9)
+    ahead, sign = np.cross(left, up), 1.0 if side == "Left" else -1.0
+    elbow, hand = body.points[side + "ForeArm"], body.points[side + "Hand"]
+    hidden = ((elbow * ahead).sum(axis=1) < -_BEHIND) & (sign * (elbow * left).sum(axis=1) < _HIDDEN)
+    return 100.0 * float((hidden & (((hand * ahead).sum(axis=1) > _AHEAD) | (hand[:, 1] > _RAISED))).mean())
+
+
 def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
     face = rotation.rotate(body.head, np.array([0.0, 0.0, 1.0]))
@@ -87,5 +104,6 @@ def figures(body: CommonBody) -> dict[str, float]:
         "eye_freeze_hands": longest((speed[:, :2] < HANDS_STILL).all(axis=1)),
         "eye_hand_in_torso": max(inside(body.points[side + "Hand"], hips, chest, _HAND_RADIUS) for side in SIDES),
         "eye_elbow_in_torso": max(inside(body.points[side + "ForeArm"], hips, chest, _ELBOW_RADIUS) for side in SIDES),
+        "eye_elbow_behind": max(elbow_behind(body, side) for side in SIDES),
         "eye_fingers": math.nan if moving is None else 100.0 * float((moving > _FINGER_MOVES).mean()),
     }

@@ -1,7 +1,7 @@
 export interface Joint { name: string; parent: number; offset: [number, number, number]; tip?: [number, number, number] }
 export interface Welcome { type: "hello"; stream: string; fps: number; look_ahead: number; joints: Joint[]; limits: Record<string, number>; session?: string; resumed?: boolean }
-/** turns: 4 numbers a joint (w, x, y, z), local to the parent; root: metres. */
-export interface Pose { turns: Float32Array; root: ArrayLike<number> }
+/** turns: 4 numbers a joint (w, x, y, z), local to the parent; root: metres; face: 20 numbers, of a stream with the option `face`. */
+export interface Pose { turns: Float32Array; root: ArrayLike<number>; face?: Float32Array }
 export interface Frame extends Pose { source: number }
 export type GestureEvent =
   | Welcome
@@ -10,7 +10,7 @@ export type GestureEvent =
   | { type: "beat"; time: number }
   | { type: "lexeme"; start: number; end: number; lexeme: number; silent: boolean }
   | { type: "word"; text: string; start: number; end: number }
-  | { type: "pace"; effort: "full" | "less" | "none"; passed: number }
+  | { type: "pace"; effort: "full" | "low" | "less" | "none"; passed: number }
   | { type: "done"; frames: number }
   | { type: "error"; code: number; message: string; retry_after?: number }
   | { type: "lost"; code: number; reason: string }
@@ -64,8 +64,16 @@ export class SteadyPlayer {
 export function feedTrack(stream: GestureStream, track: MediaStreamTrack, context: AudioContext, capture: string | URL): Promise<() => void>;
 export function feedMicrophone(stream: GestureStream, context: AudioContext, capture: string | URL): Promise<() => void>;
 export const BONES: Record<string, [string | null, string]>;
+/** What a face needs of a VRM of @pixiv/three-vrm. */
+export interface VrmFace {
+  expressionManager?: { setValue(name: string, weight: number): void };
+  lookAt?: { yaw: number; pitch: number } | null;
+}
+export function expressionsOf(face: ArrayLike<number>): Record<string, number>;
+/** Call vrm.update() afterwards. lipsOnly: leave lids, emotions and gaze to others. */
+export function showFace(vrm: VrmFace, face: ArrayLike<number>, lipsOnly?: boolean): void;
 /** vrm: of @pixiv/three-vrm. */
 export class VrmDriver {
-  constructor(joints: Joint[], vrm: { humanoid: { getNormalizedBoneNode(name: string): unknown } });
+  constructor(joints: Joint[], vrm: VrmFace & { humanoid: { getNormalizedBoneNode(name: string): unknown } }, options?: { lipsOnly?: boolean });
   show(pose: Pose): void;
 }

@@ -2,6 +2,7 @@
 
 const TO_REST = 3, TO_STREAM = 6; // 1/s at which a difference from idling, or from the stream, goes away
 const BREATH_SECONDS = 4, BREATH = 0.012; // of a breath while idling: its time, and radians that it turns the spine
+const LIPS = 12; // 1/s at which a difference between two faces goes away
 const SPEEDS = 0.1; // longest step, seconds, over which the speed of what was shown is measured
 
 /**
@@ -15,17 +16,21 @@ export class SteadyPlayer {
     this.shown = []; // the last two poses, with their times
     this.source = null;
     this.idleSince = 0;
+    this.face = null; // what was shown last, and how far it was from the source's own
+    this.away = null;
   }
 
   get idling() { return this.source === "idle"; }
 
-  /** { turns, root } to show at a media time, seconds: 4 numbers a joint (w, x, y, z), 3 metres; null before the first pose. */
+  /** { turns, root } to show at a media time, seconds: 4 numbers a joint (w, x, y, z), 3 metres; with face where the stream has one; null
+   *  before the first pose. */
   poseAt(time) {
     const { stream } = this;
     this.rest ??= stream.frames.values().next().value ?? null;
     if (!this.rest) return null;
     let [source, target, speed] = this.target(time);
-    if (source !== this.source) {
+    const fresh = source !== this.source, step = this.shown.length ? Math.max(0, time - this.shown.at(-1)[0]) : 0;
+    if (fresh) {
       if (source === "idle") { this.idleSince = time; [source, target, speed] = this.target(time); }
       this.carryOver(time, target, speed);
       this.source = source;
@@ -33,9 +38,21 @@ export class SteadyPlayer {
     this.decay(time, source === "idle" ? TO_REST : TO_STREAM);
     const joints = target.turns.length / 4, turns = new Float32Array(4 * joints), root = [0, 1, 2].map((c) => target.root[c] + this.x[3 * joints + c]);
     for (let j = 0; j < joints; j++) turns.set(multiply(exp(this.x.subarray(3 * j, 3 * j + 3)), target.turns.subarray(4 * j, 4 * j + 4)), 4 * j);
-    const pose = { turns, root };
+    const pose = { turns, root }, face = this.faceOf(target.face, fresh, step);
+    if (face) pose.face = face;
     this.shown = [...this.shown.slice(-1), [time, pose]];
     return pose;
+  }
+
+  /** The face to show; the difference from the last one of another source goes away. Idling, the mouth is shut. */
+  faceOf(face, fresh, step) {
+    if (!face && !this.face) return null;
+    face ??= Float32Array.from(this.face, (_, k) => (k ? 0 : 1));
+    if (fresh && this.face) this.away = this.face.map((value, k) => value - face[k]);
+    const left = Math.exp(-LIPS * step);
+    this.away = this.away?.map((value) => value * left) ?? null;
+    this.face = face.map((value, k) => value + (this.away?.[k] ?? 0));
+    return this.face;
   }
 
   target(time) {

@@ -194,12 +194,13 @@ export class GestureStream {
     const size = new DataView(packet).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(packet, 4, size)));
     const numbers = new Float32Array(packet, 4 + size);
-    const roots = head.count * head.joints * 4, first = head.first + this.offset;
+    const roots = head.count * head.joints * 4, faces = roots + head.count * 3, wide = head.face ?? 0, first = head.first + this.offset;
     for (let k = first; k < this.end; k++) this.frames.delete(k); // taken back by an interruption
     for (let k = 0; k < head.count; k++) {
       this.frames.set(first + k, {
         turns: numbers.subarray(k * head.joints * 4, (k + 1) * head.joints * 4),
         root: numbers.subarray(roots + k * 3, roots + k * 3 + 3), source: this.source,
+        ...(wide ? { face: numbers.subarray(faces + k * wide, faces + (k + 1) * wide) } : {}),
       });
     }
     this.end = first + head.count;

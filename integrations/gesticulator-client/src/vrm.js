@@ -1,5 +1,7 @@
 // Poses on a VRM character of @pixiv/three-vrm. Both rest in a T-pose, facing +Z.
 
+import { showFace } from "./face.js";
+
 /** Bone of the humanoid -> the bone above it, and our joint whose world rotation it takes. */
 export const BONES = { hips: [null, "Hips"], spine: ["hips", "Spine1"], chest: ["spine", "Spine3"], neck: ["chest", "Neck"], head: ["neck", "Head"] };
 const PARTS = [["Shoulder", "Shoulder", "chest"], ["UpperArm", "Arm", "Shoulder"], ["LowerArm", "ForeArm", "UpperArm"], ["Hand", "Hand", "LowerArm"],
@@ -18,8 +20,10 @@ for (const [side, ours] of [["left", "Left"], ["right", "Right"]]) {
 }
 
 export class VrmDriver {
-  /** joints: of the stream's welcome. vrm: as three-vrm loads it. */
-  constructor(joints, vrm) {
+  /** joints: of the stream's welcome. vrm: as three-vrm loads it. lipsOnly: of a face, show the lips alone. */
+  constructor(joints, vrm, { lipsOnly = false } = {}) {
+    this.vrm = vrm;
+    this.lipsOnly = lipsOnly;
     this.parents = joints.map(({ parent }) => parent);
     this.world = joints.map(() => [1, 0, 0, 0]);
     const names = new Map(joints.map(({ name }, number) => [name, number])), found = new Map();
@@ -37,8 +41,9 @@ export class VrmDriver {
     this.stands = null; // metres that the stream's hips stand high
   }
 
-  /** Take a pose, { turns, root }; call vrm.update() afterwards. */
-  show({ turns, root }) {
+  /** Take a pose, { turns, root, face }; call vrm.update() afterwards. */
+  show({ turns, root, face }) {
+    if (face) showFace(this.vrm, face, this.lipsOnly);
     for (const [j, parent] of this.parents.entries()) {
       const own = turns.subarray(4 * j, 4 * j + 4);
       this.world[j] = parent < 0 ? own : multiply(this.world[parent], own);

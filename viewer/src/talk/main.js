@@ -19,6 +19,7 @@ let voice = null;
 let stream = null;
 let last = performance.now();
 let calm = 0;
+let face = false;
 
 function say(text) {
   $("message").textContent = text;
@@ -49,7 +50,7 @@ function heard(of, message) {
 function pace({ effort, passed }) {
   const lost = passed > 0 ? `${passed.toFixed(1)} s were passed over` : "";
   clearTimeout(calm);
-  if (effort === "full") {
+  if (effort === "full" || effort === "low") { // with low look-ahead the poses are as late as was promised
     // One that is always too slow has time for a moment after each part that it passed over.
     calm = setTimeout(() => { $("pace").textContent = `This machine keeps up again${lost && `; ${lost}`}.`; }, CALM);
     return;
@@ -62,7 +63,7 @@ function pace({ effort, passed }) {
 async function change(next) {
   voice?.end();
   stream?.close();
-  const own = new Stream(context.sampleRate, next.options, (message) => heard(own, message));
+  const own = new Stream(context.sampleRate, { ...next.options, ...(face ? { face: "full" } : {}) }, (message) => heard(own, message));
   voice = next;
   stream = own;
   $("level").value = 0;
@@ -136,6 +137,11 @@ function bind() {
     change(voice instanceof Microphone ? new Idle() : new Microphone(context, level));
   });
   $("stop").addEventListener("click", () => change(new Idle()));
+  $("face").addEventListener("click", () => {
+    face = !face;
+    $("face").setAttribute("aria-pressed", String(face));
+    change(voice instanceof Microphone ? new Microphone(context, level) : new Idle());
+  });
   $("undress").addEventListener("click", () => {
     character = null;
     performer.wear(null);

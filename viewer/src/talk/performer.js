@@ -3,6 +3,7 @@
 import { Group } from "three";
 
 import { Figure } from "../figure.js";
+import { NUMBERS } from "../mouth.js";
 import { Poser, Take, worldRotations } from "../take.js";
 
 const BLEND = 0.35; // seconds from the pose that was shown to those of a new stream
@@ -23,8 +24,13 @@ class LivePoser extends Poser {
   }
 
   /** Go a share of the way to a frame. */
-  towards({ turns, root }, share) {
+  towards({ turns, root, face }, share) {
     const { local } = this;
+    if (!face) this.face = null;
+    else {
+      this.face ??= Float32Array.from({ length: NUMBERS }, (_, k) => (k ? 0 : 1)); // a shut mouth
+      for (let k = 0; k < NUMBERS; k++) this.face[k] += share * (face[k] - this.face[k]);
+    }
     for (let p = 0; p < turns.length; p += 4) {
       let dot = 0, length = 0;
       for (let c = 0; c < 4; c++) dot += local[p + c] * turns[p + c];

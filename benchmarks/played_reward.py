@@ -1,0 +1,138 @@
+"""Does a reward know a person from a shuffle? `python benchmarks/played_reward.py STORE [--bundle DIR] [--steps 300]`.
+
+Recordings of the training split are played with the performer's lexemes and with others (`eval.runner.played`). Two
+ensembles that share neither recordings, seeds nor sizes are trained in each of the forms
+
+- published: the contrast of windows (RACER Eq. 6 and 7), poses read linearly, captured and played motion;
+- speeds: the same, and the motion encoder also reads speeds;
+- played: the same, and what other policies play to the same sound are negatives of the performer's lexemes.
+
+Then the test split: the reward of the performer's lexemes as played, less that of each policy, paired over recordings;
+what of it is common to any sound; how often the window of a sound is found among those of its recording; and whether a
+member prefers the sound of the moment to that of another.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from eval import stats
+from eval.metrics.played_reward import PlayedWindows, Scores, found, margins, scored, train
+from eval.runner.context import opened
+from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, PlayedVoice, VoicePlayer
+from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
+from eval.stats import Interval
+from eval.table import Cell, Column, Provenance, Table, publish
+from gesticulator.bundle.config import FitSettings
+from gesticulator.bundle.files import INDEX, bundle_folder
+from interpreters.reward import RewardEnsemble
+from interpreters.settings import RewardConfig
+
+RIVALS = (RANDOM, MAJORITY, "statistical", "lstm")
+OTHERS = ("cql", "advantage")
+"""Played on the test split alone: no reward was trained against them."""
+SIZES = (RewardConfig(width=64, projection=48, rivals=3, members=2, shortest=4),
+         RewardConfig(width=80, projection=32, kernel=2, dilations=(1, 2, 3), rivals=3, members=2, shortest=4))
+"""Of the two ensembles."""
+ENSEMBLES = ("first", "second")
+FORMS = ("published", "speeds", "played")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What one ensemble of one form says of the test split."""
+
+    scores: Scores
+    retrieval: Mapping[str, Interval]
+    captured: Mapping[str, Interval]
+
+
+def trained(form: str, number: int, learn: Sequence[PlayedVoice], steps: int, progress: bool) -> RewardEnsemble:
+    """The ensemble of this number on its half of the recordings."""
+    config = replace(SIZES[number], speeds=form != "published", rivals=SIZES[number].rivals if form == "played" else 0)
+    windows = PlayedWindows(learn[number::2], config, (PERFORMER, REPLAYED), RIVALS if form == "played" else ())
+    settings = FitSettings(steps=steps * config.members, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05)
+    return train(windows, settings, 1 + number, progress)
+
+
+def kinds_of(test: Sequence[PlayedVoice]) -> list[str]:
+    """The kinds of motion that all voices have."""
+    return [kind for kind in test[0].motions if all(kind in voice.motions for voice in test)]
+
+
+def judge(model: RewardEnsemble, test: Sequence[PlayedVoice]) -> Judged:
+    """Everything that an ensemble says of the test voices."""
+    return Judged(scored(model, test, kinds_of(test)), found(model, test, REPLAYED), found(model, test, PERFORMER))
+
+
+# ------------------------------------------------------------------------------------------------------------- tables
+
+_FOUND = {"motion_r1": "sound found for a motion, %", "audio_r1": "motion found for a sound, %",
+          "chance_r1": "chance, %", "times": "times chance"}
+
+
+def tables(said: Mapping[tuple[str, str], Judged], test: Sequence[PlayedVoice], notes: Sequence[str]) -> list[Table]:
+    """Rewards, margins and retrieval of all ensembles."""
+    kinds, group = kinds_of(test), [voice.group for voice in test]
+    columns = {f"{form}, {name}": Column(f"{form}, {name}", digits=3) for form, name in said}
+    named = {f"{form}, {name}": own for (form, name), own in said.items()}
+
+    def rows(cell: Mapping[str, Mapping[str, Cell]]) -> dict[str, dict[str, Cell]]:
+        return {row: {name: own[row] for name, own in cell.items()} for row in next(iter(cell.values()))}
+
+    apart = [kind for kind in kinds if kind not in (REPLAYED, PERFORMER)]
+    less = {name: dict(margins(own.scores, apart, group)) for name, own in named.items()}
+    sound = {name: {kind: stats.paired(own.scores.own(REPLAYED), own.scores.own(kind), groups=group)
+                    for kind in apart} for name, own in named.items()}
+    means = {name: {kind: stats.mean_interval(own.scores.whole[kind], groups=group) for kind in kinds}
+             for name, own in named.items()}
+    hits = {name: {f"{label}{title}": (own.captured if label else own.retrieval)[key]
+                   for label in ("", "captured: ") for key, title in _FOUND.items()} for name, own in named.items()}
+    return [Table("Mean reward of motion as played", columns, rows(means), "motion", list(notes)),
+            Table("The performer's lexemes less others, paired over recordings", columns, rows(less), "less",
+                  ["An interval above 0: the ensemble prefers what the performer's lexemes give."]),
+            Table("The same, of what only the sound of the moment gives", columns, rows(sound), "less",
+                  ["m . (u - mean u): what any sound would give is left out."]),
+            Table("Retrieval within a recording, windows one window apart", columns, rows(hits), "figure")]
+
+
+def main() -> None:
+    """Entry point."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("store", help="a store built by `gesticulator build`")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
+    p.add_argument("--learn", type=int, default=60, help="recordings of the training split (default 60)")
+    p.add_argument("--limit", type=int, default=60, help="recordings of the test split (default 60)")
+    p.add_argument("--seconds", type=float, default=25.0, help="of each recording (default 25)")
+    p.add_argument("--steps", type=int, default=300, help="training steps of each model (default 300)")
+    p.add_argument("--forms", nargs="+", default=list(FORMS), choices=FORMS)
+    p.add_argument("--others", nargs="*", default=list(OTHERS), help="more interpreters on the test split")
+    p.add_argument("--work", metavar="DIR", help="work folder, in which motion is kept (default: STORE.work)")
+    p.add_argument("--quiet", action="store_true")
+    p.add_argument("--out")
+    a = p.parse_args()
+    store, work = opened(a.store, a.work)
+    folder = bundle_folder(a.bundle)
+    ours = BundleSystem("ours", folder, KeptRenderings(None))
+    player, joints = VoicePlayer(ours, work / "played"), ours.bundle.config.motion.joints
+    learn, test = (player.voices(held_out_voices(store, limit, joints, split, a.seconds, spread=True),
+                                 (REPLAYED, *RIVALS, *more), progress=not a.quiet)
+                   for split, limit, more in (("train", a.learn, ()), ("test", a.limit, a.others)))
+    torch.manual_seed(0)
+    said = {(form, name): judge(trained(form, number, learn, a.steps, not a.quiet), test)
+            for form in a.forms for number, name in enumerate(ENSEMBLES)}
+    note = (f"{len(learn)} training and {len(test)} test recordings, evenly spread, {a.seconds:g} s of each, one seed; "
+            f"{a.steps} steps of each of {SIZES[0].members} models an ensemble. Cosines, -1 to 1. {PERFORMER}: the "
+            f"captured motion; {REPLAYED}: what the generator makes of the lexemes that the motion is read as.")
+    publish(tables(said, test, [note]), a.out, Provenance.now(
+        shlex.join(["python", "benchmarks/played_reward.py", *sys.argv[1:]]), folder / INDEX))
+
+
+if __name__ == "__main__":
+    main()

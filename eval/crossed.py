@@ -1,0 +1,183 @@
+"""Means over seeds and clips: variance components, and intervals that hold with few seeds.
+
+One value per seed and clip is a sum of four parts: y_ij = mean + a_i (seed) + b_j (clip) + e_ij (what is left, which is
+also what one seed makes of one clip: the rendering). The mean is weighted, c_ij, and its variance is
+
+    var = s_a sum_i (sum_j c_ij)^2 + s_b sum_j (sum_i c_ij)^2 + s_e sum_ij c_ij^2.
+
+The three components are found by the method of moments (Henderson's first method: the sums of squares between seeds,
+between clips and in all are set equal to what is expected of them), so values may be missing and clips may be weighted;
+without either it is the classical (MS_seeds + MS_clips - MS_rest) / (I J). A component that comes out negative is
+dropped, as restricted maximum likelihood would, except that of two seeds. The interval is Student's with
+Satterthwaite's degrees of freedom (1946): an estimate y'Qy of the variance has tr(QV)^2 / tr(QVQV) of them. Three seeds
+have two, so that t is 4.3 and not 1.96: where seeds decide, three are few.
+
+In simulations the 95 % intervals hold the true mean 93 to 97 times in a hundred: where seeds decide, where clips do,
+where both do, with few seeds, with heavy tails and with missing values (tests/test_crossed.py). The bootstrap that
+draws both anew does so 74 times where three seeds decide, and 99 times where clips do.
+
+What fools it: with two seeds the degrees of freedom approach one, and the interval says little. A mean over clips of
+which one is a hundred times the others is the figure of that clip: `robust` then takes the mean of the middle three
+fifths of the clips instead (Yuen 1974), which is another figure, and says so. Blocks of a clip are no units here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats as distributions
+
+from data_module.types import Array
+from eval.stats import Interval
+
+__all__ = ["Components", "components", "crossed", "robust", "satterthwaite"]
+
+TRIMMED = 0.2
+"""Share of the clips that a trimmed mean leaves out at either end."""
+DECISIVE = 0.6
+"""Share of the squares between clips at which one clip decides the mean: of 15 normal values one has it in 1 %."""
+LEAST_CLIPS = 10
+"""Fewer clips are never trimmed: among few, one has most of the squares as a matter of course."""
+FEW_SEEDS = 3
+"""With fewer the component of seeds is never dropped: one squared difference is too little to say that it is zero."""
+
+
+@dataclass(frozen=True)
+class Components:
+    """A mean over seeds and clips. seed, clip, rest: variances of the three parts, 0 where there is but one of it;
+    error: standard error of the mean, NaN for a single value; freedom: its degrees of freedom; seeds, clips: how many;
+    trimmed: whether the mean is that of the middle clips."""
+
+    mean: float
+    seed: float
+    clip: float
+    rest: float
+    error: float
+    freedom: float
+    seeds: int
+    clips: int
+    trimmed: bool = False
+
+    def interval(self, level: float = 0.95) -> Interval:
+        """The two-sided interval of that level; `n` counts the clips."""
+        if not math.isfinite(self.error):
+            return Interval.exact(self.mean, self.clips)
+        half = float(distributions.t.ppf((1 + level) / 2, self.freedom)) * self.error if self.error else 0.0
+        return Interval(self.mean, self.mean - half, self.mean + half, self.clips)
+
+
+NOTHING = Components(math.nan, 0.0, 0.0, 0.0, math.nan, math.nan, 0, 0)
+
+
+def crossed(values: ArrayLike, weights: ArrayLike | None = None) -> Interval:
+    """Mean and 95 % interval of values [seeds, clips], for other seeds and other clips; NaN left out.
+
+    weights: [clips]. With one seed it is Student's interval over clips; a single value has no bounds.
+    """
+    return components(values, weights).interval()
+
+
+def components(values: ArrayLike, weights: ArrayLike | None = None) -> Components:
+    """Variance components and weighted mean of values [seeds, clips]; see `crossed`."""
+    value = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    weight = np.isfinite(value) * (np.ones(value.shape[1]) if weights is None else np.asarray(weights, np.float64))
+    places = np.nonzero(weight > 0)
+    y, c = value[places], weight[places]
+    if not len(y):
+        return NOTHING
+    c = c / c.sum()
+    seed, clip = (np.unique(part, return_inverse=True)[1] for part in places)
+    seeds, clips = int(seed.max()) + 1, int(clip.max()) + 1
+    if len(y) == 1:
+        return Components(float(y[0]), 0.0, 0.0, 0.0, math.nan, math.nan, 1, 1)
+    parts = {name: same.astype(np.float64) for name, same, count in (
+        ("seed", seed[:, None] == seed, seeds), ("clip", clip[:, None] == clip, clips)) if count > 1}
+    if len(parts) == 2 and len(y) > seeds + clips - 1:  # else what is left is one with a seed or a clip
+        parts["rest"] = np.eye(len(y))
+    shares, squares, expected = _moments(y, parts, ("rest",) if seeds >= FEW_SEEDS else ("rest", "seed"))
+    kept = [parts[name] for name in shares]
+    toward = _solved(expected.T, np.array([c @ part @ c for part in kept]))
+    held = [max(share, 0.0) for share in shares.values()]
+    variance = sum(share * float(c @ part @ c) for share, part in zip(held, kept, strict=True))
+    spread = np.einsum("k,kij->ij", toward, squares) @ np.einsum("k,kij->ij", held, np.stack(kept))
+    freedom = max(float(np.trace(spread) ** 2 / np.sum(spread * spread.T)), 1.0) if variance > 0 else math.inf
+    found = dict(zip(shares, held, strict=True))
+    return Components(float(c @ y), found.get("seed", 0.0), found.get("clip", 0.0), found.get("rest", 0.0),
+                      math.sqrt(variance), freedom, seeds, clips)
+
+
+def _moments(y: Array, parts: dict[str, Array], stay: tuple[str, ...]) -> tuple[dict[str, float], Array, Array]:
+    """The variance of each part by the method of moments, without those that come out negative, but for `stay`.
+
+    parts: [N, N] which values share a member. Gives the variances, the squares [P, N, N] between the members of each
+    part that is left, and what is expected of them [P, P] for a unit of each variance.
+    """
+    names = list(parts)
+    while True:
+        squares = np.stack([parts[name] / parts[name].sum(axis=1, keepdims=True) - 1.0 / len(y) for name in names])
+        expected = np.array([[np.sum(square * parts[name]) for name in names] for square in squares])
+        found = _solved(expected, np.einsum("i,kij,j->k", y, squares, y))
+        negative = [(float(share), name) for share, name in zip(found, names, strict=True)
+                    if share < 0 and name not in stay]
+        if not negative or len(names) == 1:
+            return dict(zip(names, map(float, found), strict=True)), squares, expected
+        names.remove(min(negative)[1])
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    """The least solution: where no clip has two seeds, what seeds differ by cannot be told from what clips do."""
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
+
+
+def satterthwaite(seed: float, clip: float, rest: float, seeds: Array, clips: Array) -> tuple[Array, Array]:
+    """Standard error and degrees of freedom of a mean over as many seeds and clips (two at least; arrays of one shape),
+    for these variances."""
+    squares = (rest + clips * seed, rest + seeds * clip, np.full_like(seeds, rest))
+    total = squares[0] + squares[1] - squares[2]
+    over = squares[0] ** 2 / (seeds - 1) + squares[1] ** 2 / (clips - 1) + squares[2] ** 2 / (seeds - 1) / (clips - 1)
+    return np.sqrt(total / (seeds * clips)), np.divide(total ** 2, over, out=np.full_like(seeds, np.inf),
+                                                       where=over > 0)
+
+
+# ----------------------------------------------------------------------------------------------- where one clip decides
+
+def robust(values: ArrayLike, weights: ArrayLike | None = None) -> Components:
+    """`components`, or those of the mean over the middle clips where one clip decides the mean of all."""
+    value = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    value = value[:, np.isfinite(value).any(axis=0)]
+    if value.shape[1] < LEAST_CLIPS or decisive(value) < DECISIVE:
+        return components(values, weights)
+    return trimmed(value)
+
+
+def decisive(values: Array) -> float:
+    """The greatest share that one clip has in the squares about the median clip, of values [seeds, clips]."""
+    means = np.nanmean(values, axis=0)
+    squares = (means - np.median(means)) ** 2
+    return float(squares.max() / squares.sum()) if squares.sum() > 0 else 0.0
+
+
+def trimmed(values: Array) -> Components:
+    """Components of the trimmed mean over clips of values [seeds, clips]; every clip has some value.
+
+    The clips whose means over seeds are lowest and highest are left out. What seeds differ by is found among the clips
+    that stay; what clips differ by, among all, with those at the ends drawn in to the last that stays (Yuen). "clip"
+    and "rest" are given for a mean over all clips, so that seed / I + clip / J + rest / (I J) is the squared error.
+    """
+    means = np.nanmean(values, axis=0)
+    count = len(means)
+    cut = int(TRIMMED * count)
+    kept = np.sort(np.argsort(means, kind="stable")[cut:count - cut])
+    middle, stay = components(values[:, kept]), len(kept)
+    drawn = np.clip(means, means[kept].min(), means[kept].max())
+    # The variance of a clip's mean over seeds holds its share of the rest already.
+    between = float(drawn.var(ddof=1)) * (count - 1) / (stay - 1) / stay
+    within = middle.seed / middle.seeds
+    error = math.sqrt(between + within)
+    over = between ** 2 / (stay - 1) + within ** 2 / max(middle.seeds - 1, 1)
+    rest = min(middle.rest * count / stay, between * count * middle.seeds)
+    return Components(middle.mean, middle.seed, between * count - rest / middle.seeds, rest, error,
+                      (between + within) ** 2 / over if over else math.inf, middle.seeds, count, trimmed=True)

@@ -1,0 +1,278 @@
+"""The face of our own figure in pages, in the live page and in films."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import OpenedPage, chromium
+from face_samples import FPS, PAUSE, posed, spoken, still
+from live_double import served
+from performances import perform, write
+
+from data_module.face import FaceMotion
+from data_module.types import Array
+from data_module.visemes import OPENINGS, VISEMES, VisemeSpan
+from gesticulator.characters.face_shapes import vrm
+from gesticulator.export import film
+from gesticulator.export.figure import figure_points
+from gesticulator.export.figure_face import face_points, lip_curves
+from gesticulator.performance import Performance
+from gesticulator.serve.page import pages
+from gesticulator.serve.settings import ServerLimits
+
+ROOT = Path(__file__).resolve().parents[1]
+@pytest.fixture(scope="module")
+def talk() -> tuple[Performance, list[VisemeSpan]]:
+    return spoken()
+
+
+# ------------------------------------------------------------------------------------------------- one mouth everywhere
+
+def _faces(count: int) -> Array:
+    """[count, 20] faces at random, the visemes summing to 1."""
+    rng = np.random.default_rng(3)
+    visemes = rng.dirichlet(np.full(15, 0.2), count)
+    rest = rng.uniform([0, -1, -1, -0.5, -0.3], [1, 1, 1, 0.5, 0.3], (count, 5))
+    return np.concatenate([visemes, rest], axis=1)
+
+
+def node(script: str, *arguments: Any) -> Any:
+    """What a module prints as JSON; it has `given`, the arguments."""
+    program = shutil.which("node")
+    if program is None:
+        pytest.skip("node is not installed")
+    done = subprocess.run([program, "--input-type=module", "-e", f"const given = {json.dumps(arguments)};\n{script}"],
+                          cwd=ROOT, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def test_pages_and_films_draw_the_same_mouth() -> None:
+    faces = np.concatenate([_faces(20), np.eye(15, 20)])
+    got = node("""import { lipCurves, mouthOf } from "./viewer/src/mouth.js";
+        console.log(JSON.stringify(given[0].map((face) => lipCurves(mouthOf(face), 9))));""", faces.tolist())
+    np.testing.assert_allclose(got, lip_curves(faces, 9), atol=1e-12)
+
+
+def test_the_mouth_has_the_width_and_the_opening_of_each_sound() -> None:
+    curves = lip_curves(np.eye(15, 20), 21)
+    gaps, half = (curves[..., 2] - curves[..., 4]).max(axis=1), curves[:, -1, 0]
+    assert np.corrcoef(gaps, OPENINGS)[0, 1] > 0.99 and gaps[VISEMES.index("PP")] < 0.001
+    assert half[VISEMES.index("ou")] < half[VISEMES.index("oh")] < half[0] < half[VISEMES.index("ih")]
+    assert (np.diff(curves[..., 1:], axis=-1)[..., :2] <= 1e-9).all(), "the upper lip lies over the teeth"
+    smile = lip_curves(np.array([[1.0, *[0.0] * 16, 1.0, 0.0, 0.0]]), 21)[0]
+    assert smile[0, 1] > smile[10, 1] + 0.002 - 0.0046, "its corners are up"
+    assert smile[0, 2] > smile[10, 2] + 0.003
+
+
+def test_browser_packages_have_the_expressions_of_files() -> None:
+    client, three = (ROOT / "integrations" / name / "face.js" for name in ("gesticulator-client/src",
+                                                                          "three-gesticulator"))
+    assert client.read_bytes() == three.read_bytes()
+    values = _faces(30)
+    face = FaceMotion(values[:, :15], values[:, 15], values[:, 16], values[:, 17], values[:, 18:], FPS)
+    got = node("""import { expressionsOf } from "./integrations/three-gesticulator/face.js";
+        console.log(JSON.stringify(given[0].map(expressionsOf)));""", values.tolist())
+    for name, curve in vrm(face).items():
+        if not name.startswith("look"):
+            np.testing.assert_allclose([one[name] for one in got], curve, atol=1e-9, err_msg=name)
+
+
+def test_a_stream_and_its_player_hand_on_the_face() -> None:
+    """Faces come with their frames; where the stream ends, the mouth shuts without a jump."""
+    got = node("""import { GestureStream, SteadyPlayer } from "./integrations/gesticulator-client/src/index.js";
+        const stream = Object.create(GestureStream.prototype);
+        const welcome = { joints: [{ name: "Hips", parent: -1, offset: [0, 0, 0] }] };
+        const empty = { frames: new Map(), fps: 60, end: 0, offset: 0, total: 0, source: 0 };
+        Object.assign(stream, { ...empty, welcome, onEvent() {} });
+        const text = JSON.stringify({ type: "poses", first: 0, count: 30, joints: 1, state: "speaking", face: 20 });
+        const head = text.padEnd(Math.ceil(text.length / 4) * 4);
+        const numbers = Float32Array.from({ length: 30 * (4 + 3 + 20) });
+        for (let k = 0; k < 30; k++) {
+          numbers[4 * k] = 1;
+          numbers[30 * 7 + 20 * k + 10] = k / 30; // aa
+        }
+        const packet = new Uint8Array(4 + head.length + numbers.byteLength);
+        new DataView(packet.buffer).setUint32(0, head.length, true);
+        packet.set(new TextEncoder().encode(head), 4);
+        packet.set(new Uint8Array(numbers.buffer), 4 + head.length);
+        stream.take(packet.buffer);
+        const player = new SteadyPlayer(stream), shown = [];
+        for (let k = 0; k < 90; k++) shown.push(player.poseAt(k / 60 + 1e-4).face[10]);
+        console.log(JSON.stringify(shown));""")
+    np.testing.assert_allclose(got[:30], np.arange(30) / 30, atol=1e-6)
+    assert np.abs(np.diff(got)).max() < 0.2 and got[29] > 0.9 and got[-1] < 1e-3
+
+
+# ---------------------------------------------------------------------------------------------------------------- films
+
+def _drawn(face: FaceMotion) -> Array:
+    """[T, H, W, 3] the pictures of a still character with a face."""
+    motion = still(len(face) / face.fps, face.fps)
+    points = figure_points(motion, face.times)
+    return np.stack([np.asarray(picture) for picture in
+                     film.pictures(points | face_points(face, motion, face.times))]).astype(int)
+
+
+def _near(pictures: Array, colour: str, far: int = 30) -> Array:
+    """[T] how many pixels have a colour, about."""
+    return np.asarray((np.abs(pictures - film.rgb(colour)).max(-1) < far).sum((1, 2)))
+
+
+def test_a_films_mouth_opens_and_its_eyes_shut_and_turn() -> None:
+    from gesticulator.export.figure_face import MOUTH
+
+    pytest.importorskip("PIL")
+    shut, wide, blink, left = (_drawn(posed(**parts)) for parts in (
+        {}, {"aa": 1.0}, {"blink": 1.0}, {"left": 0.4}))  # type: ignore[arg-type]
+    assert _near(wide, MOUTH)[0] > 3 * _near(shut, MOUTH)[0] > 0, "a shut one is a line"
+    nose = film.Camera().project(figure_points(still(0.1), np.zeros(1))["Nose"], film.SIZE)[0][0]
+    column, row = np.rint(nose).astype(int)
+
+    def eyes(pictures: Array) -> Array:
+        """Rows and columns of the dark pixels between the brows and the nose."""
+        return np.argwhere(pictures[0, row - 9:row - 2, column - 18:column + 18].sum(-1) < 400)
+
+    assert len(eyes(shut)) > len(eyes(blink)) + 10
+    assert eyes(left)[:, 1].mean() > eyes(shut)[:, 1].mean() + 0.5, "the character's left is on the right"
+
+
+def test_without_a_face_a_film_is_drawn_as_before() -> None:
+    pytest.importorskip("PIL")
+    points = figure_points(still(0.1), np.zeros(1))
+    plain = np.asarray(next(iter(film.pictures(points)))).astype(int)[None]
+    from gesticulator.export.figure_face import IRIS, LIP
+
+    assert not _near(plain, LIP, 12)[0] and not _near(plain, IRIS, 6)[0]
+
+
+# ---------------------------------------------------------------------------------------------------------------- pages
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as window:
+        yield window
+
+
+_LOOK = """(time) => {
+    const { clock, stage } = preview, [performer] = stage.performers;
+    clock.seek(time);
+    performer.show(time, stage.camera);
+    const body = performer.body.group;
+    body.updateWorldMatrix(true, true);
+    const [x, y, z] = performer.figure.bone("Head").matrixWorld.elements.slice(12, 15);
+    Object.assign(stage.view, { x, y: y + 0.08, z, yaw: 0.12, pitch: 0, distance: 0.62 });
+    Object.assign(stage.goal, stage.view);
+    stage.draw(time);
+    return stage.canvas.toDataURL("image/png");
+}"""
+
+
+def look(page: OpenedPage, time: float) -> Array:
+    """[H, W, 4] the head at a time."""
+    image = pytest.importorskip("PIL.Image")
+    data = page.page.evaluate(_LOOK, time)
+    return np.asarray(image.open(io.BytesIO(base64.b64decode(data.split(",")[1]))).convert("RGBA")).astype(int)
+
+
+def inside_of_mouth(picture: Array) -> int:
+    """How many pixels are dark red: the inside of an open mouth."""
+    r, g, b, a = np.moveaxis(picture, -1, 0)
+    return int(((r < 130) & (r > 2.0 * g) & (r > 1.7 * b) & (a > 250)).sum())
+
+
+@pytest.fixture(scope="module")
+def shown(browser: Any, talk: tuple[Performance, list[VisemeSpan]], tmp_path_factory: pytest.TempPathFactory
+          ) -> Iterator[OpenedPage]:
+    path = write(tmp_path_factory.mktemp("face") / "talk.html", talk[0])
+    page = OpenedPage(browser, path.as_uri(), 420, 560)
+    yield page
+    page.check_quiet()
+    page.page.close()
+
+
+def test_the_page_shuts_the_mouth_on_m_and_f_and_opens_it_on_vowels(
+        shown: OpenedPage, talk: tuple[Performance, list[VisemeSpan]]) -> None:
+    """From the sound to the pixels: *mama*, *oh no*, *fish*, and the silence between them."""
+    wide = {VISEMES.index(name) for name in ("aa", "oh")}
+    track = talk[1]
+    moments = {kind: [(one.start + one.end) / 2 for one in track if one.viseme in names]
+               for kind, names in (("shut", {VISEMES.index("PP")}), ("open", wide), ("bite", {VISEMES.index("FF")}))}
+    assert len(moments["shut"]) == 2 and len(moments["open"]) >= 3 and len(moments["bite"]) == 1
+    closed = [min(inside_of_mouth(look(shown, at + shift)) for shift in (-0.03, 0.0, 0.03)) for at in moments["shut"]]
+    opened = [max(inside_of_mouth(look(shown, at + shift)) for shift in (-0.03, 0.0, 0.03)) for at in moments["open"]]
+    silent = inside_of_mouth(look(shown, PAUSE / 2))
+    bitten = inside_of_mouth(look(shown, moments["bite"][0]))
+    assert min(opened) > 20 and max(*closed, silent, bitten) < 5
+    if os.environ.get("SCREENSHOT"):
+        _save(shown, [PAUSE / 2, moments["shut"][0], moments["open"][0], moments["open"][-1], moments["bite"][0]])
+
+
+def _save(page: OpenedPage, moments: list[float]) -> None:
+    from PIL import Image
+
+    page.page.set_viewport_size({"width": 900, "height": 900})
+    page.page.wait_for_timeout(500)
+    pictures = [Image.fromarray(look(page, at).astype(np.uint8)) for at in moments]
+    side = min(pictures[0].size)
+    sheet = Image.new("RGB", (side * len(pictures), side), "#ece6db")
+    for place, one in enumerate(pictures):
+        left, top = (one.width - side) // 2, (one.height - side) // 2
+        part = one.crop((left, top, left + side, top + side))
+        sheet.paste(part, (side * place, 0), part)
+    sheet.save(os.environ["SCREENSHOT"])
+
+
+def test_a_figure_without_a_face_stays_as_it_was(browser: Any, tmp_path: Path, shown: OpenedPage) -> None:
+    page = OpenedPage(browser, write(tmp_path / "plain.html", perform(1.0)).as_uri(), 420, 560)
+    look(page, 0.5)
+    state = ("() => { const { face, dots } = preview.stage.performers[0].figure; "
+             "return [!face, dots.every((dot) => dot.visible)]; }")
+    assert page.page.evaluate(state) == [True, True]
+    look(shown, 0.5)
+    assert shown.page.evaluate(state) == [False, False]
+    page.check_quiet()
+    page.page.close()
+
+
+def test_lids_eyes_and_brows_move_as_the_numbers_say(shown: OpenedPage) -> None:
+    values = posed(blink=1.0, brows=1.0, left=0.3, up=0.2).values()[0].tolist()
+    got = shown.page.evaluate("""(values) => {
+        const { figure } = preview.stage.performers[0], { eyes, brows } = figure.face;
+        const state = () => [eyes[0].lid.rotation.x, brows[0].bar.position.y];
+        figure.express(new Float32Array([1, ...Array(19).fill(0)]));
+        const rest = state();
+        figure.express(new Float32Array(values));
+        const { x, y, z, w } = eyes[0].ball.quaternion;
+        return { rest, moved: state(), ahead: [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)] };
+    }""", values)
+    assert got["moved"][0] > got["rest"][0] + 0.5 and got["moved"][1] > got["rest"][1] + 0.004
+    assert np.arctan2(got["ahead"][0], got["ahead"][2]) == pytest.approx(0.3, abs=1e-6)
+    assert np.arcsin(got["ahead"][1]) == pytest.approx(0.2, abs=1e-6)
+
+
+def test_the_live_page_shows_a_face_where_it_is_asked_for(browser: Any) -> None:
+    with served(ServerLimits(core_share=100.0), pages()) as (_, port):
+        page = browser.new_page(viewport={"width": 640, "height": 480})
+        page.set_default_timeout(240_000)
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector("body[data-ready=true]")
+        page.wait_for_function("() => live.stream.total > 20")
+        assert page.evaluate("() => !live.performer.figure.face")
+        page.click("#face")
+        page.wait_for_function("() => live.performer.figure.face && live.performer.poser.face?.[10] > 0.2")
+        assert page.get_attribute("#face", "aria-pressed") == "true"
+        page.click("#face")
+        page.wait_for_function("() => live.performer.poser.face === null")
+        assert page.evaluate("() => live.performer.figure.dots[0].visible || live.performer.show() || "
+                             "live.performer.figure.dots[0].visible")
+        page.close()

@@ -1,0 +1,267 @@
+"""Agents that speak by OpenAI's Realtime API, and synthesisers that stream over HTTP: each is played by a server that
+speaks the documented format, beside our server with its models."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import importlib.util
+import json
+import sys
+import threading
+import wave
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from pipecat_gesticulator.realtime import RATE, RealtimeGestures
+from websockets.asyncio.server import ServerConnection, serve
+
+from data_module.speech.audio import load_speech, resample
+from gesticulator.pipeline import Gesticulator
+from gesticulator.serve.server import LiveServer, ServerAddress
+from gesticulator.serve.session import session_opener
+from gesticulator.serve.settings import ServerLimits
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = ROOT / "integrations" / "pipecat-gesticulator" / "examples"
+
+
+def example(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, name, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+def speech(seconds: float) -> bytes:
+    samples = resample(load_speech(ROOT / "examples" / "speech.flac"), RATE).samples[:round(seconds * RATE)]
+    return bytes((samples * 32767).astype("<i2").tobytes())
+
+
+@asynccontextmanager
+async def gestures() -> AsyncIterator[str]:
+    """The URL of our server, with its models."""
+    address, limits = ServerAddress(port=0), ServerLimits(drain_seconds=0.5, core_share=100.0)
+    listening = address.listen()
+    server = LiveServer(address, limits, session_opener(Gesticulator.from_pretrained(), limits))
+    running = asyncio.create_task(server.run(listening))
+    try:
+        yield f"ws://127.0.0.1:{listening.getsockname()[1]}/stream"
+    finally:
+        server.stop()
+        await running
+
+
+class Agent:
+    """The server's side of the Realtime API, as its reference describes the events: voice activity is found in the
+    sound that is sent, and each question gets an answer, faster than it is heard."""
+
+    def __init__(self, answer: bytes, barges_in: bool = False) -> None:
+        self.answer, self.barges_in = answer, barges_in
+        self.got: list[dict[str, Any]] = []
+        self.heard = bytearray()
+
+    async def __call__(self, ws: ServerConnection) -> None:
+        await self.say(ws, "session.created", session={"type": "realtime"})
+        speaks = answered = False
+        async for text in ws:
+            event = json.loads(text)
+            self.got.append(event)
+            if event["type"] == "session.update":
+                audio = event["session"]["audio"]
+                if audio["output"]["format"] != {"type": "audio/pcm", "rate": 24000}:
+                    await self.say(ws, "error", error={"type": "invalid_request_error", "message": "no such format"})
+                await self.say(ws, "session.updated", session=event["session"])
+            elif event["type"] == "input_audio_buffer.append":
+                sound = base64.b64decode(event["audio"])
+                self.heard += sound
+                loud = np.abs(np.frombuffer(sound, "<i2")).max(initial=0) > 500
+                if loud and not speaks and not answered:
+                    speaks = True
+                    await self.say(ws, "input_audio_buffer.speech_started", audio_start_ms=0, item_id="item_user")
+                elif speaks and not loud:
+                    speaks, answered = False, True
+                    await self.say(ws, "input_audio_buffer.speech_stopped", audio_end_ms=1, item_id="item_user")
+                    await self.say(ws, "input_audio_buffer.committed", item_id="item_user")
+                    await self.reply(ws, 1, whole=not self.barges_in)
+            elif event["type"] == "conversation.item.truncate":
+                await self.say(ws, "response.output_audio.delta", response_id="resp_1", item_id="item_1",
+                               output_index=0, content_index=0, delta=base64.b64encode(bytes(9600)).decode())
+                await self.say(ws, "response.done", response={"id": "resp_1", "status": "cancelled"})
+                await self.say(ws, "input_audio_buffer.speech_stopped", audio_end_ms=1, item_id="item_user2")
+                await self.reply(ws, 2, whole=True)
+
+    async def reply(self, ws: ServerConnection, number: int, whole: bool) -> None:
+        names = {"response_id": f"resp_{number}", "item_id": f"item_{number}", "output_index": 0, "content_index": 0}
+        await self.say(ws, "response.created", response={"id": f"resp_{number}", "status": "in_progress"})
+        for at in range(0, len(self.answer), 9600):
+            delta = base64.b64encode(self.answer[at:at + 9600]).decode()
+            await self.say(ws, "response.output_audio.delta", delta=delta, **names)
+        if whole:
+            await self.say(ws, "response.output_audio.done", **names)
+            await self.say(ws, "response.done", response={"id": f"resp_{number}", "status": "completed"})
+        else:
+            await asyncio.sleep(0.6)
+            await self.say(ws, "input_audio_buffer.speech_started", audio_start_ms=1, item_id="item_user2")
+
+    async def say(self, ws: ServerConnection, kind: str, **values: Any) -> None:
+        await ws.send(json.dumps({"event_id": "event_1", "type": kind, **values}))
+
+
+def read_wav(path: Path) -> np.ndarray:
+    with wave.open(str(path), "rb") as file:
+        return np.frombuffer(file.readframes(file.getnframes()), "<i2")
+
+
+@pytest.mark.parametrize("barges_in", [False, True])
+def test_an_agents_answer_gets_gestures_and_an_interruption_is_told_to_both(
+        barges_in: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = example("realtime_agent", monkeypatch)
+    question, answer = tmp_path / "question.wav", speech(2.5)
+    with wave.open(str(question), "wb") as file:
+        file.setparams((1, 2, RATE, 0, "NONE", ""))
+        file.writeframes(speech(0.6))
+    agent, recorder = Agent(answer, barges_in), program.Recorder()
+
+    async def talk() -> float:
+        async with asyncio.timeout(120), gestures() as url, serve(agent, "127.0.0.1", 0) as server:
+            port = server.sockets[0].getsockname()[1]
+            return float(await program.converse(f"ws://127.0.0.1:{port}/v1/realtime?model=x", url,
+                                                program.read_question(question), recorder))
+
+    fps = asyncio.run(talk())
+    recorder.write(tmp_path / "a.wav", tmp_path / "a.npz", fps)
+    sound, poses = read_wav(tmp_path / "a.wav"), np.load(tmp_path / "a.npz")
+    assert bytes(agent.heard).startswith(speech(0.6)), "the question went to the agent"
+    numbers = sorted(recorder.poses)
+    assert numbers == list(range(len(numbers))), "no frame is missing"
+    assert len(numbers) == pytest.approx(len(sound) / RATE * fps, abs=2), "sound and poses are on one time line"
+    np.testing.assert_allclose(np.linalg.norm(poses["rotations"], axis=-1), 1.0, atol=1e-5)
+    np.testing.assert_array_equal(sound[-len(answer) // 2:], np.frombuffer(answer, "<i2"), "the whole answer, last")
+    speaking = poses["rotations"][-round(2.5 * fps):]
+    assert np.abs(np.diff(speaking, axis=0)).max() > 1e-3, "it gestures"
+    cut = [event for event in agent.got if event["type"] == "conversation.item.truncate"]
+    assert len(cut) == barges_in
+    if barges_in:
+        assert (cut[0]["item_id"], cut[0]["content_index"]) == ("item_1", 0)
+        heard = cut[0]["audio_end_ms"]
+        assert 300 <= heard < 2500
+        begin = len(sound) - len(answer) // 2
+        # What was heard of the first answer stands before the second one, and nothing of it after.
+        first = np.frombuffer(answer, "<i2")[:round(heard * RATE / 1000) - 48]
+        places = [at for at in np.flatnonzero(sound[:begin] == first[1000]) - 1000
+                  if at >= 0 and np.array_equal(sound[at:at + len(first)], first)]
+        assert len(places) == 1
+
+
+class Told:
+    """A stream that writes down what it is asked for."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[Any, ...]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        async def note(*values: Any) -> None:
+            self.said.append((name, *(len(one) if isinstance(one, bytes) else round(one, 6) for one in values)))
+
+        return note
+
+
+def test_times_are_those_of_a_clock_that_the_test_moves() -> None:
+    """Silence, 2 s of sound at once, an interruption after 0.5 s of it, the user's sound, a thought, another answer."""
+    now = [100.0]
+    told = Told()
+    bridge = RealtimeGestures(told, clock=lambda: now[0])  # type: ignore[arg-type]
+
+    def sound(response: str, seconds: float, kind: str = "response.output_audio.delta") -> dict[str, Any]:
+        return {"type": kind, "response_id": response, "item_id": f"of {response}", "content_index": 1,
+                "delta": base64.b64encode(bytes(round(2 * RATE * seconds))).decode()}
+
+    async def play() -> list[dict[str, Any]]:
+        now[0] += 1.0
+        await bridge.take({"type": "response.created", "response": {"id": "a"}})
+        for _ in range(4):
+            await bridge.take(sound("a", 0.5, "response.audio.delta"))
+        await bridge.tick()
+        now[0] += 0.5
+        assert bridge.time == pytest.approx(1.5)
+        answers = await bridge.take({"type": "input_audio_buffer.speech_started"})
+        await bridge.take(sound("a", 0.5))
+        await bridge.take({"type": "response.output_audio.done", "response_id": "a"})
+        now[0] += 0.4
+        await bridge.user_sound(bytes(round(2 * RATE * 0.4)))
+        await bridge.take({"type": "input_audio_buffer.speech_stopped"})
+        now[0] += 0.3
+        await bridge.tick()
+        await bridge.take({"type": "response.created", "response": {"id": "b"}})
+        await bridge.take(sound("b", 0.5))
+        assert bridge.time == pytest.approx(1.5 + 0.4 + 0.3)
+        assert await bridge.take({"type": "input_audio_buffer.speech_started"})
+        return answers
+
+    assert asyncio.run(play()) == [{"type": "conversation.item.truncate", "item_id": "of a", "content_index": 1,
+                                    "audio_end_ms": 500}]
+    half = round(2 * RATE * 0.5)
+    assert told.said == [("idle", 1.0), *[("send", half)] * 4, ("interrupt", 1.5), ("listen",),
+                         ("send", round(2 * RATE * 0.4)), ("speak",), ("think", 0.3), ("send", half),
+                         ("interrupt", 2.2), ("listen",)]
+
+
+@contextmanager
+def synthesiser(sound: bytes) -> Iterator[str]:
+    """HTTP as documented: JSON in, raw sound out, chunked; chunks of an odd length end within a sample."""
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_POST(self) -> None:
+            asked = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+            known = asked["response_format"] == "pcm" and asked["input"] and asked["model"] and asked["voice"]
+            self.send_response(200 if known else 400)
+            self.send_header("Content-Type", "audio/pcm")
+            self.send_header("Transfer-Encoding", "chunked")
+            self.end_headers()
+            for at in range(0, len(sound), 3001):
+                piece = sound[at:at + 3001]
+                self.wfile.write(f"{len(piece):x}\r\n".encode() + piece + b"\r\n")
+            self.wfile.write(b"0\r\n\r\n")
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/v1/audio/speech"
+    finally:
+        server.shutdown()
+        thread.join()
+
+
+def test_a_streamed_voice_gets_the_gestures_of_the_whole_recording(monkeypatch: pytest.MonkeyPatch) -> None:
+    sound = speech(3.0)
+    example("realtime_agent", monkeypatch)
+    program = example("streaming_tts", monkeypatch)
+    recorder = program.Recorder()
+
+    async def talk(url: str) -> float:
+        async with asyncio.timeout(120), gestures() as server:
+            return float(await program.speak(url, server, "It was this big.", recorder))
+
+    with synthesiser(sound) as url:
+        fps = asyncio.run(talk(url))
+    np.testing.assert_array_equal(recorder.sound, np.frombuffer(sound, "<i2"))
+    numbers = sorted(recorder.poses)
+    assert numbers == list(range(round(3.0 * fps)))
+    truth = Gesticulator.from_pretrained().stream(RATE)
+    made = np.concatenate([truth.feed(np.frombuffer(sound, "<i2")).rotations, truth.finish().rotations])
+    np.testing.assert_allclose(np.array([recorder.poses[number][0] for number in numbers]), made, atol=1e-6)

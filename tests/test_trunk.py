@@ -1,0 +1,133 @@
+"""Hands outside the trunk of a character of any shape: known answers, no jump on the way, the same on the page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_module.motion import rotation
+from data_module.motion.skeletons import WHOLE_BODY
+from data_module.types import Array, Motion
+from gesticulator.body.clearance import cleared
+from gesticulator.characters.contacts import MARGIN, OURS, our_distances, pose_of
+from gesticulator.characters.retarget import Retargeter
+from gesticulator.characters.trunk import Column, HandLimit, Outline, displacement, ellipse, outline_of
+from tests.rig_errors import inside, places_of
+from tests.rigs import draw
+
+STOUT = (0.24, 0.25)
+LENGTH, FPS = 0.5, 60.0
+VIEWER = Path(__file__).parent.parent / "viewer"
+LIMITS = """import { limit } from "./src/contacts.js";
+import { readFileSync } from "node:fs";
+const { outline, size, cases } = JSON.parse(readFileSync(0, "utf8"));
+console.log(JSON.stringify(cases.map(([our, their, long]) => {
+  const { x, z, lack } = limit(our, their, outline, long, size);
+  return [x, z, lack];
+})));"""
+
+
+def limited(our: Array, their: Array, outline: Outline, size: float = 1.0, length: Array | float = LENGTH) -> HandLimit:
+    """The limit of points [3, T] left, up and ahead of the hips, of an upright body."""
+    frames = our.shape[1]
+    upright = Column(np.tile(np.eye(3), (frames, 1, 1)), np.broadcast_to(length, (frames,)))
+    return HandLimit.of(our, their, (upright, outline), size)
+
+
+def beside(places: Array, width: float, depth: float) -> Array:
+    """[T] of points [3, T]: 1 on the surface of an elliptic column, less inside."""
+    return np.asarray(np.hypot(places[0] / width, places[2] / depth))
+
+
+def test_how_much_a_hand_lacks_by_hand() -> None:
+    our = np.array([[0.0, 0.2, OURS[1] + 0.05], [OURS[0] + 0.1, 0.2, 0.0], [0.0, 0.2, OURS[1]]]).T
+    their = np.array([[0.0, 0.2, 0.15], [0.2, 0.2, 0.0], [0.0, 0.2, 0.1]]).T
+    limit = limited(our, their, ellipse(*STOUT))
+    np.testing.assert_allclose(limit.normal, [[0, 0, 1], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+    near = 0.05 - 0.05 ** 2 / (4 * MARGIN)  # less than the margin by little
+    np.testing.assert_allclose(limit.lack, [0.25 + near - 0.15, 0.24 + MARGIN - 0.2, 0.25 - 0.1], atol=1e-9)
+
+
+def test_a_hand_that_is_clear_is_left_and_so_is_that_of_the_default_trunk() -> None:
+    angles = np.linspace(0, 2 * np.pi, 200)
+    for far in (0.0, 0.01, 0.1, 0.4):
+        our = np.stack([(OURS[0] + far) * np.cos(angles), np.full(200, 0.2), (OURS[1] + far) * np.sin(angles)])
+        # Between two of the 36 directions the tangents of an ellipse are off by a quarter of a millimetre.
+        assert limited(our, our, ellipse(*OURS)).lack.max() < 3e-4
+    assert limited(our, our, ellipse(*STOUT)).lack.max() == 0.0, "a hand's length away from the stout one"
+
+
+def test_a_hand_whose_way_leads_through_a_stout_trunk_is_led_around_without_a_jump() -> None:
+    """Ours passes in front of our trunk; with the same steps theirs would pass through the middle of its own."""
+    across = np.linspace(0.35, -0.2, 400)
+    our = np.stack([across, np.full(400, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125
+                                                         - 0.5 * (np.abs(across) - OURS[0]))])
+    their = our * np.array([[0.9], [1.0], [0.0]])
+    limit = limited(our, their, ellipse(*STOUT))
+    moved = their + limit.lack * limit.normal.T
+    assert beside(their, *STOUT).min() < 0.01 and beside(moved, *STOUT).min() > 0.99
+    steps = np.linalg.norm(np.diff(moved, axis=1), axis=0)
+    assert steps.max() < 4.0 * np.linalg.norm(np.diff(our, axis=1), axis=0).max()
+
+
+def test_an_arm_that_is_too_short_for_a_goal_reaches_another_outside() -> None:
+    reached, arm = np.array([[0.1, -0.3, 0.1]]), 0.4
+    ahead = HandLimit(np.array([[0.0, 0.0, 1.0]]), np.array([0.2]))
+    aside = HandLimit(np.array([[0.8, 0.0, 0.6]]), np.array([0.05]))
+    push = displacement([ahead, aside], reached, arm)
+    assert np.linalg.norm(reached + push) <= arm + 1e-9
+    assert push[0, 2] > 0.199 and push[0] @ [0.8, 0.0, 0.6] >= 0.05
+
+
+def test_the_outline_of_a_mesh_is_that_of_the_column_it_was_made_of() -> None:
+    drawn = (draw(seed, "mixamo", "A", True, 1.0) for seed in range(9))
+    rig = next(rig for rig in drawn if rig.character.kind == "glb")
+    outline = outline_of(Retargeter(rig.character).body)
+    assert ((outline.steps > -0.1) & (outline.steps < 1.0)).all()
+    column = np.tile(ellipse(*rig.torso).reach[0], (len(outline.steps), 1))
+    np.testing.assert_allclose(outline.reach, column, atol=0.012)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_an_arm_swung_across_a_stout_body_stays_outside_and_does_not_jump(seed: int) -> None:
+    time = np.arange(120) / FPS
+    turns = np.zeros((len(time), len(WHOLE_BODY), 4))
+    turns[..., 0] = 1.0
+    down = rotation.from_exponential_map(np.tile([0.0, 0.0, -1.1], (len(time), 1)))
+    swing = rotation.from_exponential_map((1.2 + 0.9 * np.sin(2 * np.pi * time))[:, None] * [0.0, -1.0, 0.0])
+    turns[:, WHOLE_BODY.index("LeftArm")] = rotation.multiply(swing, down)
+    turns[:, WHOLE_BODY.index("LeftForeArm")] = rotation.from_exponential_map(np.tile([0.0, -1.9, 0.0], (120, 1)))
+    turns[:, WHOLE_BODY.index("RightArm")] = rotation.from_exponential_map(np.tile([0.0, 0.0, 0.8], (120, 1)))
+    motion = cleared(Motion(WHOLE_BODY, turns, np.zeros((len(time), 3)), FPS))
+    assert our_distances(pose_of(motion))["Left"].min() > -1e-3
+    rig = draw(seed, "mixamo", "A", True)
+    through = inside(rig, Retargeter(rig.character, contacts=False)(motion), rig.torso)
+    moved = Retargeter(rig.character)(motion)
+    assert through.max() > 0.3 and inside(rig, moved, rig.torso).max() == 0.0
+    bare = places_of(rig, Retargeter(rig.character, contacts=False)(motion))[:, rig.truth["LeftHand"]]
+    kept = places_of(rig, moved)[:, rig.truth["LeftHand"]]
+    speeds = [np.linalg.norm(np.diff(places, axis=0), axis=1).max() for places in (bare, kept)]
+    assert speeds[1] < 2.5 * speeds[0]
+
+
+def test_the_page_limits_hands_as_python_does() -> None:
+    node = shutil.which("node")
+    if node is None or not (VIEWER / "node_modules").is_dir():
+        pytest.skip("node is not installed, or npm ci --prefix viewer has not been run")
+    rng = np.random.default_rng(7)
+    outline = Outline(np.array([-0.3, 0.1, 0.5, 0.8]), rng.uniform(0.1, 0.3, (4, 36)))
+    our, their = rng.uniform(-0.4, 0.4, (2, 3, 500)) + np.array([[0.0], [0.2], [0.0]])
+    length, size = rng.uniform(0.3, 0.7, 500), 0.8
+    cases = [[*map(list, case)] for case in zip(our.T.tolist(), their.T.tolist(), strict=True)]
+    asked = {"outline": {"steps": outline.steps.tolist(), "reach": outline.reach.tolist()}, "size": size,
+             "cases": [[*case, long] for case, long in zip(cases, length.tolist(), strict=True)]}
+    done = subprocess.run([node, "--input-type=module", "-e", LIMITS], cwd=VIEWER, check=True, capture_output=True,
+                          input=json.dumps(asked), text=True)
+    limit = limited(our, their, outline, size, length)
+    expected = np.stack([limit.normal[:, 0], limit.normal[:, 2], limit.lack], axis=1)
+    np.testing.assert_allclose(json.loads(done.stdout), expected, atol=1e-9)
