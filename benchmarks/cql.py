@@ -42,9 +42,8 @@ from eval.metrics.eye import ReferenceSpace, common_body
 from eval.runner.context import opened
 from eval.runner.renderings import AcceptanceVoice, BundleSystem, KeptRenderings, held_out_voices
 from eval.table import Cell, Column, Provenance, Table, publish
-from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.features import SpeechBlock
-from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.drawing.drawer import FlowDrawer
 from gesticulator.pipeline import Gesticulator
 
@@ -193,7 +192,7 @@ def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("store", help="a store built by `gesticulator build`")
-    p.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     p.add_argument("--seconds", type=float, default=40.0, help="of each recording (default 40)")
     p.add_argument("--limit", type=int, default=10, help="recordings of a split (default 10)")
     p.add_argument("--splits", nargs="*", default=["val", "test"], choices=("val", "test"))
@@ -204,7 +203,7 @@ def main() -> None:
     p.add_argument("--work", metavar="DIR", help="work folder, in which renderings are kept (default: STORE.work)")
     p.add_argument("--out")
     a = p.parse_args()
-    folder = Path(a.bundle) if a.bundle else bundles.SHIPPED
+    folder = bundle_folder(a.bundle)
     store, work = opened(a.store, a.work)
     ours = BundleSystem("ours", folder, KeptRenderings(work / "choices"))
     rows = {name: asked for name, asked in ROWS.items() if a.only is None or name in ("lstm", *a.only)}

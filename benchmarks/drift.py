@@ -15,7 +15,6 @@ import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from eval.runner.context import opened
 from eval.runner.renderings import AcceptanceVoice, held_out_voices
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.pipeline import Gesticulator
 
 RATE, WINDOW = 20.0, 30.0
@@ -76,13 +75,13 @@ def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("store", help="a store built by `gesticulator build`")
-    p.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     p.add_argument("--minutes", type=float, default=5.0)
     p.add_argument("--limit", type=int, default=3, help="recordings, at most")
     p.add_argument("--out")
     a = p.parse_args()
     store, _ = opened(a.store, None)
-    folder = Path(a.bundle) if a.bundle else bundles.SHIPPED
+    folder = bundle_folder(a.bundle)
     system = Gesticulator(bundles.load(folder))
     voices = held_out_voices(store, None, system.bundle.config.motion.joints, seconds=60.0)
     found = []

@@ -19,7 +19,6 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import torch
 
@@ -30,9 +29,8 @@ from eval.runner.played_reward import PlayedWindows, Scores, found, margins, sco
 from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
 from eval.stats import Interval
 from eval.table import Cell, Column, Provenance, Table, publish
-from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import FitSettings
-from gesticulator.bundle.files import INDEX
+from gesticulator.bundle.files import INDEX, bundle_folder
 from interpreters.reward import RewardEnsemble
 from interpreters.settings import RewardConfig
 
@@ -108,7 +106,7 @@ def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("store", help="a store built by `gesticulator build`")
-    p.add_argument("--bundle", metavar="DIR", help="bundle (default: the shipped one)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     p.add_argument("--learn", type=int, default=60, help="recordings of the training split (default 60)")
     p.add_argument("--limit", type=int, default=60, help="recordings of the test split (default 60)")
     p.add_argument("--seconds", type=float, default=25.0, help="of each recording (default 25)")
@@ -120,7 +118,7 @@ def main() -> None:
     p.add_argument("--out")
     a = p.parse_args()
     store, work = opened(a.store, a.work)
-    folder = Path(a.bundle) if a.bundle else bundles.SHIPPED
+    folder = bundle_folder(a.bundle)
     ours = BundleSystem("ours", folder, KeptRenderings(None))
     player, joints = VoicePlayer(ours, work / "played"), ours.bundle.config.motion.joints
     learn, test = (player.voices(held_out_voices(store, limit, joints, split, a.seconds, spread=True),

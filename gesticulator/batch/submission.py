@@ -38,7 +38,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--only", metavar="FILE", help="names of the recordings, one a line, or BEAT2's "
                    "train_test_split.csv, of which those listed as test are taken (default: every sound in --speech)")
     p.add_argument("--check", action="store_true", help="check the files in --out, made by any system, and make none")
-    p.add_argument("--bundle", metavar="DIR", help="folder of trained weights (default: the shipped ones)")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper, or a folder")
     p.add_argument("--text", metavar="DIR", help="transcripts with the names of the recordings")
     p.add_argument("--speaker", metavar="NAME", help="performer whose gesture style to use")
     p.add_argument("--interpreter", metavar="NAME", help="the model that chooses the lexemes")
