@@ -8,11 +8,14 @@ import numpy as np
 import published_bvh
 import pytest
 
-from benchmarks.drift import RATE, WINDOW, apart, long_readings, slope, windows
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.types import Speech
 from eval.runner.renderings import AcceptanceVoice
+from tests.benchmark_files import benchmark
 
+DRIFT = benchmark("drift")
+RATE, WINDOW, apart, long_readings, slope, windows = (
+    DRIFT.RATE, DRIFT.WINDOW, DRIFT.apart, DRIFT.long_readings, DRIFT.slope, DRIFT.windows)
 FRAMES = round(RATE * WINDOW)
 
 
