@@ -41,7 +41,7 @@ class OpenedPage:
         self.page.on("console", self._said)
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(address)
+        self.page.goto(address, timeout=60_000)  # a browser that has just begun, on a core that many share
         self.page.wait_for_selector("body[data-ready=true]", timeout=60_000)
         self.page.wait_for_function("() => preview.clock.audible")
 
