@@ -17,7 +17,8 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("data_module", "lexicon", "interpreters", "generator", "gesticulator", "eval")
 MAINS = {"gesticulator/__main__.py", "gesticulator/infer.py", "data_module/build.py"}
 """The one door, and the old doors that stay."""
-MAINS |= {"gesticulator/characters/fbx_child.py", "gesticulator/export/fbx_child.py"}  # run by Blender's own Python
+MAINS |= {"gesticulator/characters/blender_jobs.py", "gesticulator/characters/fbx_child.py",
+          "gesticulator/export/fbx_child.py"}  # run by Blender's own Python
 MOST_PARAMETERS = 7
 VAGUE = {"utils", "util", "helpers", "helper", "common", "misc"}
 

@@ -16,7 +16,7 @@ from data_module.types import Array, Motion
 from gesticulator.body.clearance import cleared
 from gesticulator.characters.contacts import MARGIN, OURS, our_distances, pose_of
 from gesticulator.characters.retarget import Retargeter
-from gesticulator.characters.trunk import Column, HandLimit, Outline, displacement, ellipse, outline_of
+from gesticulator.characters.trunk import HandLimit, Outline, TrunkAxes, displacement, ellipse, outline_of
 from tests.rig_errors import inside, places_of
 from tests.rigs import draw
 
@@ -35,7 +35,7 @@ console.log(JSON.stringify(cases.map(([our, their, long]) => {
 def limited(our: Array, their: Array, outline: Outline, size: float = 1.0, length: Array | float = LENGTH) -> HandLimit:
     """The limit of points [3, T] left, up and ahead of the hips, of an upright body."""
     frames = our.shape[1]
-    upright = Column(np.tile(np.eye(3), (frames, 1, 1)), np.broadcast_to(length, (frames,)))
+    upright = TrunkAxes(np.tile(np.eye(3), (frames, 1, 1)), np.broadcast_to(length, (frames,)))
     return HandLimit.of(our, their, (upright, outline), size)
 
 

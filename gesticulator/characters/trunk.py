@@ -159,7 +159,7 @@ def _bind_ends(body: Body) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Column:
+class TrunkAxes:
     """The line from hips to neck over T frames: axes [T, 3, 3], rows left, up and ahead; length [T], metres."""
 
     axes: Array
@@ -170,13 +170,13 @@ class Column:
         return np.einsum("tij,tj->it", self.axes, points)
 
 
-def column_of(neck: Array, chest: Array) -> Column:
+def trunk_axes(neck: Array, chest: Array) -> TrunkAxes:
     """neck: [T, 3] relative to the hips; chest: [T, 3, 3] the character's axes there (columns left, up, ahead)."""
     length = np.maximum(np.linalg.norm(neck, axis=-1), 1e-9)
     up = neck / length[:, None]
     left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
     left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
-    return Column(np.stack([left, up, np.cross(left, up)], axis=-2), length)
+    return TrunkAxes(np.stack([left, up, np.cross(left, up)], axis=-2), length)
 
 
 def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose) -> None:
@@ -184,7 +184,7 @@ def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose) -> None:
     joints = body.mapping.joints
     outline, chest, origin = outline_of(body), ours.turns["Spine3"], ours.places["Hips"]
     neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
-    theirs, own = column_of(neck, chest), column_of(ours.places["Neck"] - origin, chest)
+    theirs, own = trunk_axes(neck, chest), trunk_axes(ours.places["Neck"] - origin, chest)
     for side in SIDES:
         chain = (joints[side + "Arm"], joints[side + "ForeArm"], joints[side + "Hand"])
         arm = float(sum(np.linalg.norm(body.place({}, below) - body.place({}, above))
@@ -221,7 +221,7 @@ class HandLimit:
     lack: Array
 
     @staticmethod
-    def of(our: Array, their: Array, trunk: tuple[Column, Outline], size: float) -> HandLimit:
+    def of(our: Array, their: Array, trunk: tuple[TrunkAxes, Outline], size: float) -> HandLimit:
         """our, their: [3, T] left, up, ahead of the hips: the point of the default character's hand, and of the
         character's; trunk: of the character; size: its arm's length relative to ours."""
         column, outline = trunk
