@@ -321,7 +321,8 @@ def test_racers_table_pairs_seeds_and_names_what_is_the_same() -> None:
     assert first.rows["racer-cql"]["return, paper"] == "9.34"
     apart = tables.racer_differences(cells)[0]
     assert list(apart.rows) == ["racer-cql - racer-supervised"], "not with itself, nor under another name"
-    assert apart.rows["racer-cql - racer-supervised"]["cosine"].text(1) == "2.0 [2.0, 2.0]"
+    cosine: Any = apart.rows["racer-cql - racer-supervised"]["cosine"]
+    assert cosine.text(1) == "2.0 [2.0, 2.0]"
 
 
 def test_a_control_beats_a_column_by_its_direction() -> None:
