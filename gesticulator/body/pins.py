@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -235,7 +236,7 @@ def _limited(far: Array, length: float) -> Array:
     return np.minimum(far, free) + room * np.tanh(over / room) + soft(NEAREST - far, NEAR_SOFT)
 
 
-def _write(motion: Motion, near: Array, joint: int, local: Array) -> None:
+def _write(motion: Motion, near: NDArray[np.intp], joint: int, local: Array) -> None:
     """Put local rotations [n, 3, 3] of a joint into the frames `near` [n], on the side of the quaternions there."""
     new, old = Rotation.from_matrix(local).as_quat(scalar_first=True), motion.rotations[near, joint]
     motion.rotations[near, joint] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
@@ -258,11 +259,11 @@ def _clear(made: Motion, before: Motion, share: Array, group: PinGroup) -> None:
             raise group.error(("pins", pin.number, "position"), f"is inside the body at {pin.pin.time:.2f} s",
                               "give a place farther ahead")
     keep = (1.0 - (1.0 - share) ** 4)[near, None]
-    for joint in changed:
-        old, new = made.rotations[near, joint], free.rotations[near, joint]
+    for node in changed:
+        old, new = made.rotations[near, node], free.rotations[near, node]
         new = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
         mixed = rotation.normalise(old + keep * (new - old))
-        made.rotations[near, joint] = np.where((new == old).all(axis=-1, keepdims=True), old, mixed)
+        made.rotations[near, node] = np.where((new == old).all(axis=-1, keepdims=True), old, mixed)
 
 
 # ------------------------------------------------------------------------------------------------- head and rotations
