@@ -25,7 +25,7 @@ import torch
 from eval import stats
 from eval.runner.context import opened
 from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, PlayedVoice, VoicePlayer
-from eval.runner.played_reward import PlayedWindows, Scores, found, margins, scored, train
+from eval.runner.played_reward import PlayedScores, PlayedWindows, found, margins, scored, train
 from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
 from eval.stats import Interval
 from eval.table import Cell, Column, Provenance, Table, publish
@@ -48,7 +48,7 @@ FORMS = ("published", "speeds", "played")
 class Judged:
     """What one ensemble of one form says of the test split."""
 
-    scores: Scores
+    scores: PlayedScores
     retrieval: Mapping[str, Interval]
     captured: Mapping[str, Interval]
 

@@ -13,8 +13,8 @@ from data_module.speech.audio import as_speech
 from eval.baselines.interpreters import ReplayInterpreter
 from eval.runner.played import PERFORMER, REPLAYED, PlayedVoice
 from eval.runner.played_reward import (
+    PlayedScores,
     PlayedWindows,
-    Scores,
     found,
     margins,
     scored,
@@ -52,7 +52,7 @@ def planted(number: int, strength: float) -> PlayedVoice:
                        {PERFORMER: own, REPLAYED: own, RIVAL: moved(other, rng)})
 
 
-def taught(strength: float) -> tuple[Scores, dict[str, float]]:
+def taught(strength: float) -> tuple[PlayedScores, dict[str, float]]:
     """What a reward that was trained on twenty voices says of twenty others."""
     learn, test = ([planted(k, strength) for k in span] for span in (range(20), range(20, 40)))
     model = train(PlayedWindows(learn, CONFIG, (REPLAYED,), (RIVAL,)),
@@ -81,7 +81,7 @@ def test_the_parts_of_a_score_add_up_and_silent_windows_are_left_out() -> None:
     voice.silent[:10] = True
     assert len(whole_windows(voice, 4)) == BLOCKS - 3 - 7
     assert len(whole_windows(voice, BLOCKS + 1)) == 0
-    scores = Scores({PERFORMER: np.array([0.7, 0.5])}, {PERFORMER: np.array([0.6, 0.5])})
+    scores = PlayedScores({PERFORMER: np.array([0.7, 0.5])}, {PERFORMER: np.array([0.6, 0.5])})
     np.testing.assert_allclose(scores.own(PERFORMER), [0.1, 0.0])
 
 

@@ -120,7 +120,7 @@ def vectors(model: RewardEnsemble, voice: PlayedVoice, kind: str, at: NDArray[np
 
 
 @dataclass(frozen=True)
-class Scores:
+class PlayedScores:
     """Mean reward of each voice [voices] by kind of motion. whole: the cosine; common: the part that any sound of the
     corpus would give, m . mean u; own: the rest, which only the sound of the moment gives."""
 
@@ -132,7 +132,7 @@ class Scores:
         return self.whole[kind] - self.common[kind]
 
 
-def scored(model: RewardEnsemble, voices: Sequence[PlayedVoice], kinds: Sequence[str]) -> Scores:
+def scored(model: RewardEnsemble, voices: Sequence[PlayedVoice], kinds: Sequence[str]) -> PlayedScores:
     """Every kind of motion on every voice."""
     length = model.config.window
     each = [whole_windows(voice, length) for voice in voices]
@@ -144,7 +144,7 @@ def scored(model: RewardEnsemble, voices: Sequence[PlayedVoice], kinds: Sequence
         return float(value.sum(-1).double().mean())
 
     nan = float("nan")
-    return Scores({kind: np.array([mean(own[kind][0] * own[kind][1]) if own else nan for own in embedded])
+    return PlayedScores({kind: np.array([mean(own[kind][0] * own[kind][1]) if own else nan for own in embedded])
                    for kind in kinds},
                   {kind: np.array([mean(own[kind][0] * centre) if own else nan for own in embedded]) for kind in kinds})
 
@@ -169,6 +169,7 @@ def found(model: RewardEnsemble, voices: Sequence[PlayedVoice], kind: str) -> di
     return {name: stats.mean_interval(values) for name, values in rows.items()}
 
 
-def margins(scores: Scores, kinds: Sequence[str], group: Sequence[str], first: str = REPLAYED) -> dict[str, Interval]:
+def margins(scores: PlayedScores, kinds: Sequence[str], group: Sequence[str], first: str = REPLAYED
+            ) -> dict[str, Interval]:
     """The performer's reward less that of each kind, paired over voices."""
     return {kind: stats.paired(scores.whole[first], scores.whole[kind], groups=list(group)) for kind in kinds}

@@ -188,7 +188,7 @@ def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
     if "Face" in now:
         from gesticulator.export.figure_face import features
 
-        patches = features(now, look, face, 0.1)
+        patches = features(now, look, (face, 0.1), HAIR)
     return [BodyPart((hair,), 0.05, shown=~ahead), BodyPart((hair, *front), 0.05, shown=ahead, patches=patches)]
 
 

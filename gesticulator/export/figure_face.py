@@ -87,8 +87,11 @@ def mouth_outline(open_: Array, wide: Array, press: Array, bite: Array, smile: A
     return np.stack([t * half, upper, top, np.maximum(bottom, top - _TEETH), bottom, lower], axis=-1)
 
 
-def features(now: Mapping[str, Array], look: Look, centre: Array, radius: float) -> tuple[Patch, ...]:
-    """The features on a ball with the face (centre [T, 3]), from back to front; those beyond its edge lie on it."""
+def features(now: Mapping[str, Array], look: Look, ball: tuple[Array, float], hair: str) -> tuple[Patch, ...]:
+    """The features on a ball with the face, from back to front; those beyond its edge lie on it.
+
+    ball: its centre [T, 3] and radius; hair: colour of the brows."""
+    centre, radius = ball
     numbers, left, ahead = now[NUMBERS], now[LEFT], now[AHEAD]
     view = np.stack([look(centre + axis)[2] - look(centre)[2] for axis in np.eye(3)], axis=-1)
     view /= np.linalg.norm(view, axis=-1, keepdims=True)
@@ -105,7 +108,7 @@ def features(now: Mapping[str, Array], look: Look, centre: Array, radius: float)
         return Patch(centre[:, None] + np.where(near[..., None] < 0.0, edge, away), colour)
 
     return (*(patch(outline, colour) for outline, colour in _mouth(numbers)),
-            *(patch(outline, colour) for side in (1.0, -1.0) for outline, colour in _eye(numbers, side)))
+            *(patch(outline, colour) for side in (1.0, -1.0) for outline, colour in _eye(numbers, side, hair)))
 
 
 def _mouth(numbers: Array) -> list[tuple[Array, str]]:
@@ -123,7 +126,7 @@ def _mouth(numbers: Array) -> list[tuple[Array, str]]:
             (between(upper, top), LIP), (between(bottom, lower), LIP)]
 
 
-def _eye(numbers: Array, side: float) -> list[tuple[Array, str]]:
+def _eye(numbers: Array, side: float, hair: str) -> list[tuple[Array, str]]:
     """White, iris, the edge of the lid, and brow. side: 1 left, -1 right."""
     t = np.linspace(-1.0, 1.0, _COLUMNS)
     blink, brows = numbers[:, _BLINK, None], numbers[:, _BROWS, None]
@@ -152,6 +155,4 @@ def _eye(numbers: Array, side: float) -> list[tuple[Array, str]]:
     thick = 0.0038 * (1.0 - 0.6 * t ** 6)
     across = 0.021 * still - side * 0.004 * drawn
     brow = np.concatenate([placed(across, height - thick), placed(across, height + thick)[:, ::-1]], axis=1)
-    from gesticulator.export.figure import HAIR
-
-    return [(white, WHITE), (iris, IRIS), (lash, LASH), (brow, HAIR)]
+    return [(white, WHITE), (iris, IRIS), (lash, LASH), (brow, hair)]
