@@ -12,7 +12,8 @@ export class Kept {
     this.lane = session.lanes[0];
     this.take(this.read(), true);
     session.on("edited", () => {
-      if (this.taking || session.lane !== this.lane) return;
+      // What the renderer adds is not kept: it may come after an edit in another page, and would undo that.
+      if (this.taking || session.refining || session.lane !== this.lane) return;
       clearTimeout(this.waiting);
       this.waiting = setTimeout(() => this.keep(), AFTER);
     });

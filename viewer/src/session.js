@@ -91,7 +91,9 @@ export class Session {
     if (lane.history.present === asked) lane.history.refine(plan);
     lane.rendered = lane.history.present === plan ? plan : asked;
     this.keepSelection();
+    this.refining = true;
     this.tell("edited");
+    this.refining = false;
   }
 
   /** Keep the active motion beside the one that is edited on. */
