@@ -114,7 +114,7 @@ NO_CASE = {
         eval/rows/cells.py:CellStore._append eval/rows/cells.py:CellStore.gather eval/rows/cells.py:CellStore.lines
         eval/runner/figures.py:_key_of eval/runner/context.py:_reward_model eval/runner/racer.py:_trained
         eval/runner/renderings.py:KeptRenderings.get eval/runner/renderings.py:Rendering.unpacked
-        eval/runner/judge.py:PlayedStore.read""",
+        eval/runner/judge.py:PlayedStore.read eval/runner/played.py:VoicePlayer._kept""",
     "calls a reader that has a case": """
         data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._reading
         data_module/corpora/ted.py:Ted.read eval/runner/ablate.py:ablate eval/runner/ablate.py:redraw
@@ -133,10 +133,11 @@ NO_CASE = {
         gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:_frame
         gesticulator/export/film.py:encode_pictures
         gesticulator/export/own_fbx.py:write_animated gesticulator/export/usd.py:write_usd
-        gesticulator/serve/metrics.py:read_figures eval/probes/stability.py:_as_mp3""",
+        gesticulator/serve/metrics.py:read_figures eval/probes/stability.py:_as_mp3
+        gesticulator/characters/blender.py:_Worker.run gesticulator/characters/blender.py:_Worker._last_line""",
     "runs in a child process, whose parent has a case": """
         data_module/performer/espeak_child.py:main data_module/speech/mp3_child.py:main
-        gesticulator/export/fbx_child.py:animate""",
+        gesticulator/export/fbx_child.py:animate gesticulator/characters/blender_jobs.py:main""",
     "Gesticulator.read, whose transcripts have a case": """
         eval/probes/stability.py:_words_changed""",
     "a file of the installation": """

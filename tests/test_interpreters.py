@@ -24,7 +24,7 @@ from interpreters.base import (
     as_interpreter,
     select,
 )
-from interpreters.cql import QConfig, QNetwork
+from interpreters.cql import LiteralQNetwork, QConfig, QNetwork
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
 from interpreters.settings import CriticConfig
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
@@ -52,10 +52,10 @@ def style(**changes: object) -> StyleInterpreter:
     return StyleInterpreter(config, FRAMES, AUDIO, torch.randn(SIZE, 7), CODE, 2, TEXT).eval()
 
 
-def q_network() -> QNetwork:
+def q_network(kind: type[QNetwork] = QNetwork) -> QNetwork:
     torch.manual_seed(0)
     config = QConfig(width=8, heads=2, layers=1, decisions=3, audio_features=4, audio_bottleneck=0)
-    return QNetwork(config, FRAMES, AUDIO, SIZE, 2, [1]).eval()
+    return kind(config, FRAMES, AUDIO, SIZE, 2, [1]).eval()
 
 
 def critics() -> Critics:
@@ -82,7 +82,8 @@ class Outsider:
         return scores - np.logaddexp.reduce(scores), state + 1
 
 
-MAKERS = {"lstm": lambda: lstm().eval(), "cql": q_network, "advantage": advantage, "statistical": statistical}
+MAKERS = {"lstm": lambda: lstm().eval(), "cql": q_network, "cql-literal": lambda: q_network(LiteralQNetwork),
+          "advantage": advantage, "statistical": statistical}
 
 
 def hear(seed: int = 0, **also: torch.Tensor) -> BlockFeatures:

@@ -175,8 +175,7 @@ class ResumingStream:
         if isinstance(message, bytes):
             poses = Poses.unpack(message)
             poses = replace(poses, first=poses.first + self._offset, source=self._source)
-            if poses.first <= self._end:  # one beyond was on its way when an interruption took its frames back
-                self._end = poses.first + len(poses)
+            self._end = poses.first + len(poses)
             return poses
         event: dict[str, Any] = json.loads(message)
         for name in ("time", "start", "end"):
