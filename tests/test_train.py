@@ -129,7 +129,7 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
 
 
 HEARD = {"contrast", "interpreter", "interpreter_text", "gate", "planner", "generator", "style", "style_text", "reward",
-         "reward_judge", "q_network", "advantage"}
+         "reward_judge", "q_network", "q_network_literal", "advantage"}
 """What follows the first stage of the speech encoder."""
 MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_text"}
 
@@ -147,11 +147,13 @@ def keys(store: Store, work: Path, *settings: str, speech: tuple[Path, ...] = ()
     ("control.asked=0.6", {*MADE, *READ, "q_network", "advantage"}),  # the interpreter acts in the Q-network's data set
     ("interpreter.width=49", {*READ, "q_network", "advantage"}),
     ("statistical.gain=2.0", {"q_network", "advantage"}),
-    ("reward.width=17", {"reward", "q_network", "advantage"}), ("judge.width=17", {"reward_judge"}),
+    ("reward.width=17", {"reward", "q_network", "q_network_literal", "advantage"}),
+    ("judge.width=17", {"reward_judge"}),
     ("advantage.width=17", {"advantage"}), ("schedules.advantage.steps=31", {"advantage"}),
     ("selection.beta=2.0", set()),
     ("episodes.replace=0.3", {"q_network", "advantage"}),
     ("cql.width=18", {"q_network"}), ("schedules.cql.steps=31", {"q_network"}), ("selection.q_temperature=1.0", set()),
+    ("cql_literal.width=18", {"q_network_literal"}), ("schedules.cql_literal.steps=31", {"q_network_literal"}),
     ("gate.width=17", {"gate"}), ("planner.width=17", {"planner"}),
     ("interpreter.text_features=9", {"interpreter_text"}),
     ("style.text_features=9", {"style_text"}),
@@ -177,7 +179,7 @@ def test_only_what_a_setting_shapes_is_trained_again(setting: str, stages: set[s
 def test_the_hint_shapes_what_is_taught_with_it(tiny_store: Path, work: Path) -> None:
     on, off = (keys(Store.open(tiny_store), work, f"silence.hint={hint}") for hint in ("true", "false"))
     changed = {stage for stage in on if on[stage] != off[stage]}
-    assert changed == {*READ, "reward", "reward_judge", "q_network", "advantage"}
+    assert changed == {*READ, "reward", "reward_judge", "q_network", "q_network_literal", "advantage"}
 
 
 def test_with_mel_bands_the_words_shape_only_what_reads_them(tiny_store: Path, work: Path) -> None:
@@ -202,7 +204,7 @@ def test_a_stage_more_changes_no_seed_of_another(tiny_store: Path, work: Path) -
 @pytest.mark.parametrize("name", STAGES)
 def test_every_entry_of_the_table_is_whole(name: str, tiny_store: Path, work: Path) -> None:
     stage = STAGES[name]
-    preset = presets.preset("racer-native" if name == "codec" else "tiny")
+    preset = presets.preset({"codec": "racer-native", "q_network_literal": "paper"}.get(name, "tiny"))
     assert stage.name == name and stage.wanted(preset) and stage.build is not None and stage.train is not None
     run = Run(preset, Store.open(tiny_store), work)
     assert run.schedule(stage).steps > 0
