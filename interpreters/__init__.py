@@ -33,7 +33,7 @@ class InterpreterEntry(RegistryEntry):
     and `Settings`, the class of its settings, if those are among `others`. file: names of the files of the part and the
     text part without suffix, by default the names of the parts. tied: the weights fit one codebook only. stage: module
     and name of the stage that trains it, if the table of stages lacks it. temperature: its default temperature, if it
-    is not that of the bundle. doubt: a warning for whoever plays it; empty for none.
+    is not that of the bundle. doubt: the warning with which it plays; empty for none.
     """
 
     part: str = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mimetypes
 import os
 import shutil
 from collections.abc import Iterator
@@ -28,6 +29,33 @@ def chromium(*flags: str) -> Iterator[Any]:
         window = driver.chromium.launch(executable_path=program, args=[*FLAGS, *flags])
         yield window
         window.close()
+
+
+SITE = "http://tests.invalid/"
+
+
+@contextmanager
+def package_page(name: str, package: Path, *folders: Path) -> Iterator[Any]:
+    """A page that says when it is ready, of the first of the folders that has it; a package lies at `package/`."""
+
+    def serve(route: Any) -> None:
+        asked = route.request.url.removeprefix(SITE)
+        paths = [package / asked.removeprefix("package/")] if asked.startswith("package/") else [
+            folder / asked for folder in folders]
+        path = next(filter(Path.is_file, paths), None)
+        if path is None:
+            route.fulfill(status=404)
+            return
+        kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
+        route.fulfill(body=path.read_bytes(), content_type="text/javascript" if path.suffix == ".js" else kind)
+
+    with chromium() as browser:
+        window = browser.new_page()
+        window.set_default_timeout(120_000)
+        window.route("**/*", serve)
+        window.goto(SITE + name)
+        window.wait_for_function("window.ready === true")
+        yield window
 
 
 class OpenedPage:

@@ -69,7 +69,7 @@ def worst(rig: Rig, motion: Motion, moved: CharacterMotion) -> dict[str, float]:
 
 
 def inside(rig: Rig, moved: CharacterMotion, torso: tuple[float, float]) -> np.ndarray:
-    """[T] how deep her wrists and knuckles are in an elliptic column from hips to neck: 1 at its axis, 0 outside."""
+    """[T] how deep the wrists and knuckles are in an elliptic column from hips to neck: 1 at its axis, 0 outside."""
     places, turns = places_of(rig, moved), moved.world_matrices()[:, rig.spine[-1], :3, :3]
     rest = rig.character.world_matrices()[rig.spine[-1], :3, :3]
     left = turns @ np.linalg.inv(rest) @ rig.axes[0] @ rig.axes.T

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import io
-import mimetypes
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import chromium
+from browser import package_page
 from face_samples import spoken
 from performances import write
 from small_characters import write_character
@@ -31,7 +30,6 @@ from tests.zoo import CACHE, Unavailable
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE, JS = ROOT / "integrations" / "three-gesticulator", Path(__file__).resolve().parent / "js"
-SITE = "http://tests.invalid/"
 PRESETS = {"aa": 0, "ih": 1, "ou": 2, "ee": 3, "oh": 4, "blink": 5, "happy": 6, "sad": 7}
 PLAYERS = ("three-vrm", "three-gesticulator")
 
@@ -57,22 +55,7 @@ def page(talk: tuple[Path, FaceMotion, list[VisemeSpan]]) -> Iterator[Any]:
     if not (JS / "node_modules" / "@pixiv" / "three-vrm-animation").is_dir():
         pytest.skip("three-vrm is not installed: npm ci --prefix tests/js")
 
-    def serve(route: Any) -> None:
-        name = route.request.url.removeprefix(SITE)
-        path = (PACKAGE / name.removeprefix("package/") if name.startswith("package/")
-                else talk[0] / name if (talk[0] / name).is_file() else JS / name)
-        if not path.is_file():
-            route.fulfill(status=404)
-            return
-        kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
-        route.fulfill(body=path.read_bytes(), content_type="text/javascript" if path.suffix == ".js" else kind)
-
-    with chromium() as browser:
-        window = browser.new_page()
-        window.set_default_timeout(120_000)
-        window.route("**/*", serve)
-        window.goto(SITE + "face_page.html")
-        window.wait_for_function("window.ready === true")
+    with package_page("face_page.html", PACKAGE, talk[0], JS) as window:
         yield window
 
 

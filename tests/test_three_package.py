@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import mimetypes
 import os
 import re
 import shutil
@@ -15,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import chromium
+from browser import package_page
 from performances import perform, write
 from small_characters import write_character
 
@@ -30,7 +29,6 @@ from gesticulator.stream import StreamFrames
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER, JS = ROOT / "integrations" / "three-gesticulator", Path(__file__).resolve().parent / "js"
-SITE = "http://tests.invalid/"
 FPS, FRAMES = 25.0, (0, 10, 21)
 TIMES = [frame / FPS for frame in FRAMES]
 VRMS = {"vrm0": "0.x", "vrm1": "1.0"}
@@ -87,19 +85,7 @@ def page(made: tuple[Path, Performance, Performance]) -> Iterator[Any]:
     if not (JS / "node_modules" / "three").is_dir():
         pytest.skip("three.js is not installed: npm ci --prefix tests/js")
 
-    def serve(route: Any) -> None:
-        name = route.request.url.removeprefix(SITE)
-        path = (FOLDER / name.removeprefix("package/") if name.startswith("package/")
-                else made[0] / name if (made[0] / name).is_file() else JS / name)
-        kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
-        route.fulfill(body=path.read_bytes(), content_type="text/javascript" if path.suffix == ".js" else kind)
-
-    with chromium() as browser:
-        window = browser.new_page()
-        window.set_default_timeout(120_000)
-        window.route("**/*", serve)
-        window.goto(SITE + "package_page.html")
-        window.wait_for_function("window.ready === true")
+    with package_page("package_page.html", FOLDER, made[0], JS) as window:
         yield window
 
 

@@ -381,7 +381,7 @@ def test_hands_are_kept_out_of_a_wide_trunk_as_the_command_does(browser: Any, tm
     page.set_input_files("#pick-character", str(rig))
     page.wait_for_function("() => preview.stage.performers[0].character !== null")
     moved = {}
-    for torso in (None, (0.6, 0.55)):  # her own, and one that reaches to her wrists
+    for torso in (None, (0.6, 0.55)):  # the figure's, and one that reaches to its wrists
         page.evaluate("""(torso) => {
             const row = [...Array(36).keys()].map((k) => k * Math.PI / 18).map(
                 (turn) => Math.hypot(torso?.[0] * Math.cos(turn), torso?.[1] * Math.sin(turn)));
