@@ -210,17 +210,21 @@ def main() -> None:
     rows |= {f"cql, T = {t:g}": {"interpreter": "cql", "temperature": t} for t in a.temperatures}
     bundle, space = ours.bundle, ReferenceSpace.found()
     settings = bundle.config.selection
-    about = (f"{a.limit} recordings, evenly spread over the split, {a.seconds:g} s of each, one seed; lstm, "
-             "statistical and advantage at a "
-             f"temperature of {settings.temperature:g}, cql at {settings.q_temperature:g} unless a row says otherwise.")
+    several = f"{a.limit} recordings, evenly spread over the split, {a.seconds:g} s of each, one seed"
+    temperatures = (f"lstm, statistical and advantage at a temperature of {settings.temperature:g}, cql at "
+                    f"{settings.q_temperature:g} unless a row says otherwise.")
     joints = bundle.config.motion.joints
-    sets = {f"{split} split": held_out_voices(store, a.limit, joints, split, a.seconds, spread=True)
+    sets = {f"{split} split": (several, held_out_voices(store, a.limit, joints, split, a.seconds, spread=True))
             for split in a.splits}
     if a.speech:
-        sets[Path(a.speech).name] = [AcceptanceVoice(Path(a.speech).stem, audio.load_speech(a.speech), "made")]
-    publish([table(title, chosen(ours, voices, rows) if a.choices_only else measured(ours, voices, rows, space),
-                   len(bundle.vectors), [about]) for title, voices in sets.items()], a.out, Provenance.now(
-        shlex.join(["python", "benchmarks/cql.py", *sys.argv[1:]]), folder / INDEX))
+        sets[Path(a.speech).name] = ("One recording, whole, one seed", [
+            AcceptanceVoice(Path(a.speech).stem, audio.load_speech(a.speech), "made")])
+    tables = []
+    for title, (which, voices) in sets.items():
+        values = chosen(ours, voices, rows) if a.choices_only else measured(ours, voices, rows, space)
+        tables.append(table(title, values, len(bundle.vectors), [f"{which}; {temperatures}"]))
+    publish(tables, a.out, Provenance.now(shlex.join(["python", "benchmarks/cql.py", *sys.argv[1:]]), folder / INDEX))
+
 
 
 if __name__ == "__main__":
