@@ -81,9 +81,9 @@ async def running(limits: ServerLimits = LIMITS, work: float = 0.0, share: float
 
 
 def run(test: Callable[[], Awaitable[None]]) -> None:
-    """Run a test's coroutine, 30 s at most."""
+    """Run a test's coroutine, two minutes at most."""
     async def bounded() -> None:
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(120):
             await test()
 
     asyncio.run(bounded())
@@ -641,7 +641,7 @@ def test_no_more_streams_than_the_limit() -> None:
                 assert told["code"] == CloseCode.TOO_MANY_STREAMS and "2 streams" in told["message"]
                 assert 0 < told["retry_after"] < 60
                 assert (await at.get("/readyz"))[0] == 503 and await at.get("/healthz") == (200, "ok\n")
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(60):
                 while at.server.connections:
                     await asyncio.sleep(0.01)
             assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
@@ -674,7 +674,7 @@ def test_a_stalled_client_costs_its_bound_and_other_clients_nothing() -> None:
             assert served == 8
             # One piece of work may go over the line: half a second at 240 frames per second.
             assert 2**17 <= highest <= 2**17 + 120 * (16 * 4 + 3) * 4 + 10_000
-            async with asyncio.timeout(8):
+            async with asyncio.timeout(60):
                 while at.server.connections:
                     await asyncio.sleep(0.05)
             assert at.server.metrics.coded["closed_total"][str(int(CloseCode.UNREAD))] == 1
@@ -762,7 +762,7 @@ def test_no_message_ends_the_server() -> None:
 
             async def attack(messages: list[str | bytes], greet: bool) -> None:
                 try:
-                    async with asyncio.timeout(5):
+                    async with asyncio.timeout(60):
                         code, _ = await closed_with(at.url, *([Hello(RATE).text()] if greet else []), *messages)
                     assert str(code) in published()["close_codes"]
                 except UnicodeEncodeError:
