@@ -321,6 +321,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="performer: strength of the links between speech and motion that it plants by rule "
                         "(stroke size and trunk by vocal effort, chest by pitch, gestures by meaning, styles), from 0 "
                         "to 1 (default 1)")
+    parser.add_argument("--carriage", type=float, default=0.0, metavar="SHARE",
+                        help="performer: strength of a further link, by which the hands are carried higher and farther "
+                        "out with vocal effort and pitch range, from 0 to 1, times --links (default 0)")
+    parser.add_argument("--repertoire", type=Path, metavar="DIR",
+                        help="performer: takes of named gestures (gesticulator gestures --takes DIR), which it plays "
+                        "at words that call for them; gesticulator build draws them if DIR does not exist")
     parser.add_argument("--preset", choices=("default", "tiny"), default="default",
                         help="performer: tiny is three minutes, which need no data and no other program")
     parser.add_argument("--languages", default="", metavar="de,es",
@@ -364,8 +370,9 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
         value = getattr(arguments, name)
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"--{name}", f"is {value:g}", "give a number above 0")
-    if not 0 <= arguments.links <= 1:
-        raise InputError("--links", f"is {arguments.links:g}", "give a number from 0 to 1")
+    for name in ("links", "carriage"):
+        if not 0 <= getattr(arguments, name) <= 1:
+            raise InputError(f"--{name}", f"is {getattr(arguments, name):g}", "give a number from 0 to 1")
     if arguments.seed < 0:
         raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
     source = arguments.source
@@ -379,7 +386,7 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
         _check_histogram(arguments.histogram)
     languages = tuple(filter(None, arguments.languages.split(",")))
     options = Options(arguments.seed, arguments.hours, arguments.preset, arguments.fps, arguments.unit, languages,
-                      arguments.split, arguments.speaker, arguments.links)
+                      arguments.split, arguments.speaker, arguments.links, arguments.carriage, arguments.repertoire)
     return BuildRequest(arguments.corpus, source, arguments.out, options, not arguments.no_dataset)
 
 
