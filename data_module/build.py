@@ -30,6 +30,7 @@ from data_module.files import lock, remove_unfinished, write_text
 
 if TYPE_CHECKING:
     from data_module.corpora.base import Item, Options
+    from data_module.truth import Truth
 
 DATASET = "dataset"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -104,7 +105,20 @@ class Workshop:
         messages = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
         self.writer.add(recording, character)
         return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
-                       words, warnings=messages)
+                       words, warnings=messages, meanings=_meanings(recording.truth))
+
+
+def _meanings(truth: Truth | None) -> dict[str, tuple[int, int]]:
+    """Label of each gesture with a meaning -> how many come from clips and from scripts."""
+    from data_module.truth import SCRIPTED
+
+    out: dict[str, tuple[int, int]] = {}
+    for stroke in truth.strokes if truth else ():
+        if stroke.meaning:
+            clips, scripts = out.get(stroke.meaning, (0, 0))
+            drawn = stroke.clip.startswith(SCRIPTED)
+            out[stroke.meaning] = (clips + (not drawn), scripts + drawn)
+    return out
 
 
 Making: TypeAlias = "Callable[[Workshop, Sequence[Item]], Iterator[Outcome]]"

@@ -136,7 +136,7 @@ class Performer:
                 raise InputError("--languages", "is not for the tiny preset, which speaks English letters only",
                                  "take --preset default")
             if options.repertoire is not None or options.carriage:
-                raise InputError("--repertoire and --carriage", "are not for the tiny preset, which performs by formula",
+                raise InputError("--repertoire and --carriage", "are not for the tiny preset, which plays formulas",
                                  "take --preset default")
             self._source = None
             self.licence = "free of rights: procedural strokes and a numpy voice"

@@ -18,9 +18,9 @@ from data_module.performer.strokes import SIDES, PerformerBody
 from data_module.truth import Phrase, Syllable
 from data_module.types import Array
 
-_HIGHER, _FARTHER = 0.11, 0.08
+_HIGHER, _FARTHER = 0.11, 0.11
 """Metres by which a hand is carried higher and farther out at full drive. Over phrases a drive has a deviation of about
-a half, so units differ by 5 and 4 cm where people's differ by 6 to 12."""
+a half. Reach is averaged over both hands and the whole unit, and so needs as much as height."""
 _DRIVES = np.array([[0.55, 0.45], [0.8, 0.2]])
 """Shares of effort and of pitch range in the drives of height and reach."""
 _RANGE = 1.2

@@ -59,8 +59,8 @@ class Asked:
 
 @dataclass(frozen=True)
 class Cues:
-    """Cues of the labels that have clips or were asked for. phrases: by language, words in the spelling of `plain` -> labels with their
-    chances; clips: by file stem; wanted: all labels; apart, again: see `strokes.StrokeCues`."""
+    """Cues of the labels that have clips or were asked for. phrases: by language, words in the spelling of `plain` ->
+    labels with their chances; clips: by file stem; wanted: all labels; apart, again: see `strokes.StrokeCues`."""
 
     phrases: Mapping[str, Mapping[tuple[str, ...], Mapping[str, float]]]
     clips: Mapping[str, MeantClip]
@@ -111,8 +111,8 @@ def mirrored(label: str) -> str:
 
 def read_cues(folder: str | Path, labels: Set[str] = frozenset()) -> Cues:
     """Read both tables. Labels that are offensive, do not suit a standing speaker or have neither a clip nor a place in
-    `labels` are left out. InputError names the line of a row that is short or holds no time, of an unknown label and of a label that comes
-    twice."""
+    `labels` are left out. InputError names the line of a row that is short or holds no time, of an unknown label and of
+    a label that comes twice."""
     folder = Path(folder)
     rows = _meanings(folder / MEANINGS)
     allowed = {label for label, row in rows.items() if row["offensive"] == "no" and row["talk"] == "yes"}

@@ -214,8 +214,9 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Gene
     if casting is None:
         return joined
     lags, gains = unevenness(rng, len(joined))
-    uneven = [replace(p, lag=tuple(lag), uneven=tuple(gain)) if len(p.stroke.sides) == 2 and not p.stroke.scripted else p
-              for p, lag, gain in zip(joined, lags.tolist(), gains.tolist(), strict=True)]
+    alike = [len(p.stroke.sides) < 2 or p.stroke.scripted for p in joined]
+    uneven = [p if same else replace(p, lag=tuple(lag), uneven=tuple(gain))
+              for p, same, lag, gain in zip(joined, alike, lags.tolist(), gains.tolist(), strict=True)]
     return _held_through(uneven, spoken.phrases)
 
 

@@ -340,7 +340,8 @@ def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, 
     drift *= calm[..., None]
     least = manner.small_beats if manner else _LEAST_SMALL
     vigour = planning.drives(spoken, habits.links)
-    micro = size * calm * np.stack([_micro(side, spoken, planned, (least, vigour), frames, rng) for side in (LEFT, RIGHT)])
+    micro = size * calm * np.stack([_micro(side, spoken, planned, (least, vigour), frames, rng)
+                                    for side in (LEFT, RIGHT)])
     if manner and segments:
         trunk = _living_trunk(figure, planned, spoken, segments, (speaking, manner.trunk, habits), rng)
     else:

@@ -1,7 +1,7 @@
 """Takes of named gestures that were drawn from scripts, as strokes of the performer.
 
-A folder holds `takes.csv` and the clips beside it (BVH in metres, joints of the character). A row gives the label of the
-gesture ("thumbs_up"), its size, the acting hands, whether they touch the body or each other, the licence, and the
+A folder holds `takes.csv` and the clips beside it (BVH in metres, joints of the character). A row gives the label of
+the gesture ("thumbs_up"), its size, the acting hands, whether they touch the body or each other, the licence, and the
 seconds of its phases. Unlike a stroke that was captured, a take keeps its size and its tempo, and its phases are marked
 rather than measured. A performer takes them for the gestures of which there are few captured strokes.
 """
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from data_module.errors import InputError, shown
+from data_module.gesture_takes import COLUMNS, SIZES, TAKES
 from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import joint_positions
 from data_module.performer.clips import check_file, check_time, complete_rows
@@ -32,11 +33,7 @@ from data_module.performer.strokes import (
 )
 from data_module.truth import SCRIPTED
 
-TAKES = "takes.csv"
-COLUMNS = ("file", "label", "size", "hand", "touches", "licence", "start", "stroke", "apex", "hold_end", "end")
-SIZES: Mapping[str, float] = {"small": 0.65, "medium": 1.0, "large": 1.4}
-"""The sizes of takes, as factors on the medium one."""
-ENOUGH = 5
+ENOUGH = 3
 """Captured strokes of a label, mirror images apart, from which on its scripted takes are not played."""
 _PHASES = ("start", "stroke", "apex", "hold_end", "end")
 _ADVICE = "draw the takes again: gesticulator gestures --takes FOLDER"

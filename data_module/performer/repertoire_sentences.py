@@ -1,7 +1,8 @@
 """Sentences whose words call for the named gestures without captured strokes, by the label of the gesture.
 
 The form is that of `grammar`: slots in braces, `|` ends a phrase, and a line that starts with "=" is held out for test.
-The first part holds the core gestures, which talk often calls for.
+The first part holds the core gestures, which talk often calls for; the last one adds to the sentences of gestures with
+captured strokes (`meaning_sentences`), for cue phrases that the detector knows.
 """
 
 CORE_SENTENCES = """
@@ -380,4 +381,41 @@ zip_lips
  my lips are sealed | about the {thing}.
  the {thing} is confidential, | not a word.
  = not a word | about the {thing}.
+"""
+FURTHER_SENTENCES = """
+receive
+ we received {athing} | from the {person}.
+ I received the {thing} | in the {place}.
+ = we received {things} | from the {place}.
+clap
+ a round of applause | for the {person}.
+ give it up for the {thing} | of the {place}.
+ = let's hear it for the {person} | of the {place}.
+cheer_arms
+ we did it, | the {thing} is {adj}.
+ at long last | we have {athing}.
+ = we made it, | with the {person} and the {thing}.
+point_there
+ the {thing} is over there.
+ right there | stood the {person}.
+ across the street | is the {place}.
+ = out there | is {athing} for the {person}.
+point_you
+ some of you | know the {thing}.
+ do you have {athing} | in the {place}?
+ what about you, | have you got the {thing}?
+ = all of you | saw the {thing}.
+usher
+ please welcome | the {person}.
+ this way, | the {thing} is here.
+ = let me introduce you | to the {person}.
+chop_point
+ make no mistake, | the {thing} is {adj}.
+ let me be clear, | the {thing} stays in the {place}.
+ = the fact is, | nobody {did} the {thing}.
+box_frame
+ this part of the {place} | is {adj}.
+ the category of the {thing} | is not the {other}.
+ that section of the {place} | is {adj}.
+ = there is a category | for every {thing}.
 """

@@ -151,10 +151,13 @@ class Stroke:
 class StrokeCues(Protocol):
     """What calls for strokes with a meaning."""
 
-    apart: float
-    """Least seconds between two of them; 0 leaves it to the strokes."""
-    again: float
-    """Seconds in which a label does not come again."""
+    @property
+    def apart(self) -> float:
+        """Least seconds between two of them; 0 leaves it to the strokes."""
+
+    @property
+    def again(self) -> float:
+        """Seconds in which a label does not come again."""
 
     def asked(self, words: Sequence[str], language: str = "en", pauses: Sequence[float] = ()) -> Mapping[int, Asked]:
         """What the words of a speech ask for, by index. pauses: seconds of silence after each word, if known."""

@@ -89,11 +89,12 @@ class _English:
         self.templates = grammar.TRAIN_TEMPLATES if train else grammar.TEST_TEMPLATES
         self.meanings = dict(grammar.TRAIN_MEANINGS if train else grammar.TEST_MEANINGS)
         self.kinds: Sequence[str] = grammar.MEANING_KINDS
+        self.share = MEANING_SHARE
         if repertoire:
             from data_module.performer import repertoire_grammar as more
 
             self.meanings |= more.TRAIN_REPERTOIRE if train else more.TEST_REPERTOIRE
-            self.kinds = more.REPERTOIRE_KINDS
+            self.kinds, self.share = more.REPERTOIRE_KINDS, more.REPERTOIRE_SHARE
         self.openers: Sequence[str] = grammar.OPENERS if train else grammar.TEST_OPENERS
         self._topic, self._left = self.topics[0], 0
 
@@ -101,7 +102,7 @@ class _English:
         if self._left == 0:
             self._topic, self._left = _one(rng, self.topics), int(rng.integers(3, 9))
         self._left -= 1
-        if rng.random() < MEANING_SHARE:
+        if rng.random() < self.share:
             kind = _one(rng, self.kinds)
             return kind, _fill(rng, self._topic, _one(rng, self.meanings[kind]))
         kind = _one(rng, tuple(self.templates))

@@ -9,17 +9,17 @@ from __future__ import annotations
 import csv
 import io
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from data_module.errors import InputError
 from data_module.files import lock, rename, write_text
+from data_module.gesture_takes import COLUMNS, SIZES, TAKES
 from data_module.motion import rotation
 from data_module.motion.bvh import bvh_text
 from data_module.motion.skeletons import FINGERED
-from data_module.performer.repertoire import COLUMNS, SIZES, TAKES
 from data_module.types import Array, Motion
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture
 from gesticulator.directing.named_gestures import laid_over
@@ -39,9 +39,10 @@ _ARMS_DOWN = 1.3
 """Radians from a level arm to a hanging one."""
 
 
-def write_takes(out: Path, seed: int = 1) -> int:
+def write_takes(out: Path, seed: int = 1, names: Collection[str] = REPERTOIRE) -> int:
     """Write OUT/LABEL_SIZE_NUMBER.bvh (metres) and OUT/takes.csv, whole or not at all; the number of takes. The same
-    seed gives the same bytes. InputError if OUT exists and is not empty."""
+    seed gives the same bytes. names: of the gestures; those that offend are left out. InputError if OUT exists and is
+    not empty."""
     with lock(out, "a drawing of takes", beside=True):
         if out.exists() and not (out.is_dir() and not any(out.iterdir())):
             raise InputError(out, "is already there", "delete it or choose another folder")
@@ -49,7 +50,7 @@ def write_takes(out: Path, seed: int = 1) -> int:
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         try:
-            rows = [row for gesture in REPERTOIRE.values() if not gesture.offensive
+            rows = [row for gesture in REPERTOIRE.values() if gesture.name in names and not gesture.offensive
                     for row in _drawn(gesture, partial, seed)]
             table = io.StringIO()
             writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")

@@ -16,7 +16,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--json", action="store_true", help="as JSON, with the seconds of the phases")
     p.add_argument("--core", action="store_true", help="only those that talk often calls for")
     p.add_argument("--takes", type=Path, metavar="DIR",
-                   help="draw takes of them (BVH with marked phases) into this folder, for gesticulator build performer")
+                   help="draw takes of them as BVH with marked phases into this folder, for gesticulator build")
     p.add_argument("--seed", type=int, default=1, help="with --takes: another seed gives other takes (default 1)")
 
 
