@@ -30,6 +30,7 @@ from data_module.files import lock, remove_unfinished, write_text
 
 if TYPE_CHECKING:
     from data_module.corpora.base import Item, Options
+    from data_module.truth import Truth
 
 DATASET = "dataset"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -104,7 +105,20 @@ class Workshop:
         messages = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
         self.writer.add(recording, character)
         return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
-                       words, warnings=messages)
+                       words, warnings=messages, meanings=_meanings(recording.truth))
+
+
+def _meanings(truth: Truth | None) -> dict[str, tuple[int, int]]:
+    """Label of each gesture with a meaning -> how many come from clips and from scripts."""
+    from data_module.truth import SCRIPTED
+
+    out: dict[str, tuple[int, int]] = {}
+    for stroke in truth.strokes if truth else ():
+        if stroke.meaning:
+            clips, scripts = out.get(stroke.meaning, (0, 0))
+            drawn = stroke.clip.startswith(SCRIPTED)
+            out[stroke.meaning] = (clips + (not drawn), scripts + drawn)
+    return out
 
 
 Making: TypeAlias = "Callable[[Workshop, Sequence[Item]], Iterator[Outcome]]"
@@ -321,6 +335,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="performer: strength of the links between speech and motion that it plants by rule "
                         "(stroke size and trunk by vocal effort, chest by pitch, gestures by meaning, styles), from 0 "
                         "to 1 (default 1)")
+    parser.add_argument("--carriage", type=float, default=0.0, metavar="SHARE",
+                        help="performer: strength of a further link, by which the hands are carried higher and farther "
+                        "out with vocal effort and pitch range, from 0 to 1, times --links (default 0)")
+    parser.add_argument("--repertoire", type=Path, metavar="DIR",
+                        help="performer: takes of named gestures (gesticulator gestures --takes DIR), which it plays "
+                        "at words that call for them; gesticulator build draws them if DIR does not exist")
     parser.add_argument("--preset", choices=("default", "tiny"), default="default",
                         help="performer: tiny is three minutes, which need no data and no other program")
     parser.add_argument("--languages", default="", metavar="de,es",
@@ -364,8 +384,9 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
         value = getattr(arguments, name)
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"--{name}", f"is {value:g}", "give a number above 0")
-    if not 0 <= arguments.links <= 1:
-        raise InputError("--links", f"is {arguments.links:g}", "give a number from 0 to 1")
+    for name in ("links", "carriage"):
+        if not 0 <= getattr(arguments, name) <= 1:
+            raise InputError(f"--{name}", f"is {getattr(arguments, name):g}", "give a number from 0 to 1")
     if arguments.seed < 0:
         raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
     source = arguments.source
@@ -379,7 +400,7 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
         _check_histogram(arguments.histogram)
     languages = tuple(filter(None, arguments.languages.split(",")))
     options = Options(arguments.seed, arguments.hours, arguments.preset, arguments.fps, arguments.unit, languages,
-                      arguments.split, arguments.speaker, arguments.links)
+                      arguments.split, arguments.speaker, arguments.links, arguments.carriage, arguments.repertoire)
     return BuildRequest(arguments.corpus, source, arguments.out, options, not arguments.no_dataset)
 
 

@@ -27,7 +27,7 @@ FILE = "report.json"
 class Outcome:
     """The result of building one recording: what was written, or why it was dropped, and the warnings. absent: joints
     that the source lacks. blocks: with the default settings. intervals: `Intervals.as_json`. unit, words: see
-    `corpora.Imported`."""
+    `corpora.Imported`. meanings: label of each gesture with a meaning -> how many come from clips and from scripts."""
 
     name: str
     seconds: float = 0.0
@@ -38,6 +38,7 @@ class Outcome:
     words: str = ""
     dropped: str = ""
     warnings: tuple[str, ...] = ()
+    meanings: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     def as_json(self) -> str:
         return json.dumps(asdict(self))
@@ -86,6 +87,8 @@ class Report:
         if content["intervals"]:
             intervals = self.intervals()
             yield from (f"  {line}" for line in (intervals.lines() if verbose else [intervals.line()]))
+        if content.get("meanings"):
+            yield from (f"  {line}" for line in _meanings(content["meanings"]))
         for name, why in content["dropped"].items():
             yield f"  dropped {name}: {why}"
         for name, lines in content["warnings"].items():
@@ -126,6 +129,11 @@ def summary(infos: Sequence[RecordingInfo], outcomes: Sequence[Outcome], notes: 
     splits = {split: _part([info for info in infos if info.split == split], used) for split in ("train", "val", "test")}
     measured = (Intervals.from_json(outcome.intervals) for outcome in used.values() if outcome.intervals)
     intervals = sum(measured, Intervals())
+    meanings: dict[str, list[int]] = {}
+    for outcome in used.values():
+        for label, (clips, scripts) in outcome.meanings.items():
+            before = meanings.get(label, [0, 0])
+            meanings[label] = [before[0] + clips, before[1] + scripts]
     return {
         "recordings": len(infos), "minutes": _minutes(infos), "blocks": sum(o.blocks for o in used.values()),
         "splits": splits,
@@ -136,7 +144,24 @@ def summary(infos: Sequence[RecordingInfo], outcomes: Sequence[Outcome], notes: 
         "dropped": {outcome.name: outcome.dropped for outcome in outcomes if outcome.dropped},
         "warnings": {outcome.name: list(outcome.warnings) for outcome in outcomes if outcome.warnings},
         "notes": list(notes),
+        # Only where there are some: reports of other corpora, and of older builds, lack it.
+        **({"meanings": dict(sorted(meanings.items()))} if meanings else {}),
     }
+
+
+def _meanings(counts: Mapping[str, Sequence[int]]) -> Iterator[str]:
+    """Lines on gestures with a meaning. counts: label -> from clips, from scripts."""
+    clips, scripts = (sum(row[source] for row in counts.values()) for source in (0, 1))
+    yield (f"gestures with a meaning: {clips + scripts} of {len(counts)} labels, {clips} from clips and {scripts} from "
+           "scripts:")
+    line = ""
+    for label, row in counts.items():
+        entry = f"{label} {row[0]}+{row[1]}"
+        if len(line) + len(entry) > 110:
+            yield f"  {line}"
+            line = ""
+        line += f", {entry}" if line else entry
+    yield f"  {line}"
 
 
 def _part(infos: Sequence[RecordingInfo], used: Mapping[str, Outcome]) -> dict[str, Any]:

@@ -43,7 +43,8 @@ class Phrase:
 class PlayedStroke:
     """The plan of one stroke and its clip. Seconds from the start.
 
-    lexeme: the clip's lexeme name ("BeatMid"); clip: the clip's file stem; hand: "left", "right" or "both".
+    lexeme: the clip's lexeme name ("BeatMid"); clip: the clip's file stem; hand: "left", "right", "both", or "none" if
+    head and trunk alone move.
     beat: the planned motion beat (the syllable plus a random deviation); syllable: its vowel onset. start, hold_end,
     end: start of the movement, end of the hold, end of the retraction as played. gain: factor on the clip's excursion.
     held_out: the clip is one of the strokes for test. meaning: label of the gesture that a word asked for and the clip
@@ -65,6 +66,8 @@ class PlayedStroke:
     word: int = -1
 
 
+SCRIPTED = "script_"
+"""Beginning of the name of a clip that was drawn from a script; all others were captured from people."""
 JOIN, REST = "join", "rest"
 
 

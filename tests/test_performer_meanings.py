@@ -277,8 +277,9 @@ def test_meanings_are_counted_by_split_and_word(strokes: StrokeSet) -> None:
                    PlayedStroke("Me", "c", "left", *times, False, "shrug", -1)))
     motion = from_vector(np.zeros((30, 48)), 20.0)
     recording = Recording(RecordingInfo("a", "test", "x", "y", "en"), spoken.speech, motion, truth)
-    assert meanings.played(recording) == (("point_there", "there"), ("shrug", ""))
-    counted = [("test", meanings.played(recording)), ("train", [("shrug", "know"), ("shrug", "know")])]
+    assert meanings.played(recording) == (("point_there", "there", "clip"), ("shrug", "", "clip"))
+    further = [("shrug", "know", "clip"), ("shrug", "know", "script")]
+    counted = [("test", meanings.played(recording)), ("train", further)]
     rows = meanings.table(counted).rows
-    assert rows["shrug"] == {"train": 2, "val": 0, "test": 1, "words": 2, "new": 1}
+    assert rows["shrug"] == {"train": 2, "val": 0, "test": 1, "script": 1, "words": 2, "new": 1}
     assert rows["point_there"]["test"] == rows["point_there"]["new"] == 1

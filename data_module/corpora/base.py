@@ -27,7 +27,9 @@ class Options:
     seed, hours, preset, languages (empty: the default of the reader): for synthetic corpora. fps: frames per second of
     the motion files, if their header is wrong. unit: metres per unit of the motion files, if it cannot be guessed.
     split, speaker: of a folder's recordings, see `data_module.corpora.folder`; empty for the default. links:
-    strength of the links between speech and motion that the performer plants by rule, 0 to 1.
+    strength of the links between speech and motion that the performer plants by rule, 0 to 1; carriage: of a further
+    one, from effort and pitch range to the height and reach of the hands; repertoire: folder of takes of named gestures
+    (`data_module.performer.repertoire`), or None.
     """
 
     seed: int = 1
@@ -39,6 +41,8 @@ class Options:
     split: str = ""
     speaker: str = ""
     links: float = 1.0
+    carriage: float = 0.0
+    repertoire: Path | None = None
 
 
 @dataclass(frozen=True)

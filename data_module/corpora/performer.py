@@ -31,6 +31,7 @@ from data_module.motion.phases import truth_of_phases
 from data_module.performer import text, voices
 from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split
+from data_module.text import meaning
 from data_module.truth import JOIN, Mark, StyleKnot, Truth
 from data_module.types import Speech
 
@@ -67,6 +68,8 @@ _TINY_SPLITS: tuple[Split, ...] = ("train", "train", "train", "train", "val", "t
 _TINY_VOICES: dict[Split, tuple[str, ...]] = {"train": ("numpy_low",), "val": ("numpy_low",), "test": ("numpy_high",)}
 _FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
 """The index of the first recording of each part."""
+_DETECTOR = ("meaning.py", "cue_patterns.py", "meaning_cues.json")
+"""Files of `data_module.text` on which the words that call for named gestures depend."""
 _ADDED = 10_000
 """Five and six times this is added to that index for the recordings of `ADDED`."""
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
@@ -127,9 +130,13 @@ class Performer:
         self._tiny = options.preset == "tiny"
         self._trunks: dict[str, tuple[Any, ...]] = {}
         self._pools: dict[tuple[str, Split], Any] = {}
+        self._repertoire: Any = None
         if self._tiny:
             if options.languages:
                 raise InputError("--languages", "is not for the tiny preset, which speaks English letters only",
+                                 "take --preset default")
+            if options.repertoire is not None or options.carriage:
+                raise InputError("--repertoire and --carriage", "are not for the tiny preset, which plays formulas",
                                  "take --preset default")
             self._source = None
             self.licence = "free of rights: procedural strokes and a numpy voice"
@@ -149,7 +156,12 @@ class Performer:
         used = {"speech": True, "readings": bool(self._stems), "strokes": True,
                 "free_motion": self._moved or (self._meant and (source / "free_motion" / "manifest.csv").is_file()),
                 "austen": any(stem.startswith("en_austen") for stem in self._stems)}
-        self.licence = "; ".join(line for name, line in CREDITS.items() if used[name])
+        if options.repertoire is not None:
+            from data_module.performer.repertoire import read_repertoire
+
+            self._repertoire = read_repertoire(options.repertoire)
+        licences = [f"named gestures: {licence}" for licence in self._repertoire.licences] if self._repertoire else []
+        self.licence = "; ".join([*(line for name, line in CREDITS.items() if used[name]), *licences])
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
             raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",
                              "pip install 'gesticulator[align]'")
@@ -164,6 +176,12 @@ class Performer:
             settings |= {"hours": self._options.hours, "source": _hash_of(files, self._source)}
             if self._options.links != 1.0:
                 settings["links"] = self._options.links
+            if self._options.carriage:
+                settings["carriage"] = self._options.carriage
+            if self._options.repertoire is not None:
+                detector = [Path(meaning.__file__).with_name(name) for name in _DETECTOR]
+                settings["repertoire"] = _hash_of(sorted(self._options.repertoire.iterdir()), self._options.repertoire)
+                settings["detector"] = _hash_of(detector, detector[0].parent)
         if self._options.languages:
             settings["languages"] = sorted(set(self._options.languages))
         return settings
@@ -196,7 +214,8 @@ class Performer:
         manner = STEADY if item.info.part == "style" else draw_manner(rng)
         staging = None
         if not self._tiny:
-            staging = play.Staging(manner, self._segments(item.info.split), style, self._options.links)
+            staging = play.Staging(manner, self._segments(item.info.split), style, self._options.links,
+                                   self._options.carriage)
         played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
                               staging)
         knots = zip(style.times.tolist(), style.values.tolist(), strict=True) if style is not styles.NEUTRAL else ()
@@ -213,7 +232,8 @@ class Performer:
         script: MotionScript = item.content
         takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
         pool = self._pool(item.info.voice, item.info.split)
-        request = TalkRequest(item.info.name, script.group, script.seconds, self._options.links)
+        request = TalkRequest(item.info.name, script.group, script.seconds, self._options.links,
+                              self._options.carriage)
         talk = talk_for_motion(request, self._library, takes, pool, self._rng(item.index, _PLAY))
         spoken = talk.fitted.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
@@ -229,6 +249,10 @@ class Performer:
             clips = {Path(row["file"]).stem for row in self._manifest}
             lines.append(f"clips without a usable stroke: {len(clips - {stroke.base for stroke in strokes})} of "
                          f"{len(clips)} (postures, fidgets, and clips with the wrong hand, posture or order)")
+        if self._repertoire is not None:
+            takes = self._repertoire.outlines
+            lines.append(f"named gestures: {len(takes)} takes of {len(self._repertoire.labels)} gestures from scripts, "
+                         "including mirror images")
         if self._moved:
             minutes = dict.fromkeys(POOL, 0.0)
             for take in self._library.talks():
@@ -265,7 +289,12 @@ class Performer:
         strokes = load_strokes(self._source / "strokes")
         if self._moved:
             strokes = with_borrowed(strokes, *load_borrowed(self._source / "free_motion"))
-        return with_meanings(strokes, self._source) if self._meant else strokes
+        strokes = with_meanings(strokes, self._source) if self._meant else strokes
+        if self._repertoire is None:
+            return strokes
+        from data_module.performer.meant_strokes import with_repertoire
+
+        return with_repertoire(strokes, self._repertoire, self._source if self._meant else None)
 
     @functools.cached_property
     def _library(self) -> Any:
@@ -392,7 +421,8 @@ class Performer:
             seconds = _TINY_SECONDS if self._tiny else float(rng.uniform(*lengths))
             source = "test" if split == "test" else "train"
             language = voices.VOICES[voice].language
-            script = Script(tuple(text.compose(rng, seconds, source, used[source], language)), part == "style")
+            written = text.compose(rng, seconds, source, used[source], language, self._repertoire is not None)
+            script = Script(tuple(written), part == "style")
             name = f"{part}_{place:04d}_{performer}"
             info = RecordingInfo(name, split, performer, voice, language, group=name, part=part)
             items.append(Item(info, index, script, seconds))

@@ -7,7 +7,7 @@ Spanish; `licensed_clips.csv` lists clips of strokes and of free motion with the
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,19 +59,22 @@ class Asked:
 
 @dataclass(frozen=True)
 class Cues:
-    """Cues of the labels that have clips. phrases: by language, words in the spelling of `plain` -> labels with their
-    chances; clips: by file stem."""
+    """Cues of the labels that have clips or were asked for. phrases: by language, words in the spelling of `plain` ->
+    labels with their chances; clips: by file stem; wanted: all labels; apart, again: see `strokes.StrokeCues`."""
 
     phrases: Mapping[str, Mapping[tuple[str, ...], Mapping[str, float]]]
     clips: Mapping[str, MeantClip]
+    wanted: frozenset[str] = frozenset()
+    apart: float = 0.0
+    again: float = 0.0
 
     @property
     def labels(self) -> tuple[str, ...]:
         return tuple(sorted({clip.label for clip in self.clips.values()}))
 
-    def asked(self, words: Sequence[str], language: str = "en") -> dict[int, Asked]:
+    def asked(self, words: Sequence[str], language: str = "en", pauses: Sequence[float] = ()) -> dict[int, Asked]:
         """What the words of a speech ask for, by index. At each place the longest phrase counts; its last content word
-        carries the stroke."""
+        carries the stroke. pauses: of no use here."""
         out: dict[int, Asked] = {}
         for first, last, labels in self.found(words, language):
             carrier = next((k for k in range(last, first, -1) if not is_function_word(words[k], language)), first)
@@ -106,17 +109,17 @@ def mirrored(label: str) -> str:
     return "_".join(swap.get(part, part) for part in label.split("_"))
 
 
-def read_cues(folder: str | Path) -> Cues:
-    """Read both tables. Labels that are offensive, do not suit a standing speaker or have no clip are left out.
-    InputError names the line of a row that is short or holds no time, of an unknown label and of a label that comes
-    twice."""
+def read_cues(folder: str | Path, labels: Set[str] = frozenset()) -> Cues:
+    """Read both tables. Labels that are offensive, do not suit a standing speaker or have neither a clip nor a place in
+    `labels` are left out. InputError names the line of a row that is short or holds no time, of an unknown label and of
+    a label that comes twice."""
     folder = Path(folder)
     rows = _meanings(folder / MEANINGS)
     allowed = {label for label, row in rows.items() if row["offensive"] == "no" and row["talk"] == "yes"}
     clips = [clip for clip in _clips(folder / CLIPS, set(rows)) if clip.label in allowed]
-    used = {clip.label for clip in clips}
+    used = {clip.label for clip in clips} | (allowed & labels)
     return Cues({language: _phrases({label: row for label, row in rows.items() if label in used}, language)
-                 for language in LANGUAGES}, {clip.stem: clip for clip in clips})
+                 for language in LANGUAGES}, {clip.stem: clip for clip in clips}, frozenset(used))
 
 
 def _meanings(file: Path) -> dict[str, dict[str, str]]:

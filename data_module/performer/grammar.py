@@ -358,7 +358,8 @@ OPENERS = ("well,", "um ...", "so,", "now,", "you know,", "well ...", "and", "um
 TEST_OPENERS = ("hm ...", "right,", "see,", "er ...", "then,")
 
 
-def _templates(lines: str, held_out: bool) -> dict[str, tuple[str, ...]]:
+def templates(lines: str, held_out: bool) -> dict[str, tuple[str, ...]]:
+    """Templates by kind: those that are held out for test, or the others."""
     kinds: dict[str, list[str]] = {}
     kind = ""
     for line in lines.strip().splitlines():
@@ -370,10 +371,10 @@ def _templates(lines: str, held_out: bool) -> dict[str, tuple[str, ...]]:
     return {kind: tuple(lines) for kind, lines in kinds.items()}
 
 
-TRAIN_TEMPLATES = _templates(_KINDS, held_out=False)
-TEST_TEMPLATES = _templates(_KINDS, held_out=True)
-TRAIN_MEANINGS = _templates(MEANING_SENTENCES, held_out=False)
-TEST_MEANINGS = _templates(MEANING_SENTENCES, held_out=True)
+TRAIN_TEMPLATES = templates(_KINDS, held_out=False)
+TEST_TEMPLATES = templates(_KINDS, held_out=True)
+TRAIN_MEANINGS = templates(MEANING_SENTENCES, held_out=False)
+TEST_MEANINGS = templates(MEANING_SENTENCES, held_out=True)
 """Templates whose words call for a gesture with a meaning, by its label."""
 _COMMON = frozenset({"point_self", "point_you", "we_all", "point_there"})
 """Labels whose cues occur in the other sentences, too."""

@@ -19,7 +19,7 @@ from data_module.performer import voices
 from data_module.performer.sentence_pool import Pool, say, stretched
 from data_module.performer.sound import RATE, Sounded, decibels, recorded, with_tilt
 from data_module.performer.syllables import Nucleus, listen
-from data_module.performer.takes import FPS, arms_speed
+from data_module.performer.takes import FPS, WRISTS, arms_speed
 from data_module.performer.text import Part
 from data_module.performer.types import Spoken
 from data_module.truth import Phrase
@@ -55,6 +55,8 @@ which they are moved."""
 _EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.3, 0.6
 """Effort = .3 links tanh(.55 (local + global energy)) + .6 noise; energy is the z-score of the phrase's mean log speed.
 Size goes with effort mildly: two of three real speakers show no correlation of loudness with hand speed."""
+_EFFORT_OF_CARRIAGE = 0.5
+"""Effort that hands carried a standard deviation and more above the talk's mean add, at full strength of that link."""
 _BESIDE = 0.25
 """dB of loudness per unit of local log speed, at full strength of the links."""
 
@@ -113,11 +115,12 @@ class FittedSpeech:
 @dataclass(frozen=True)
 class Energy:
     """Mean and standard deviation of mean log speed over the takes, for the global part of effort; links: how strongly
-    energy is heard in the voice (0 not at all, 1 fully)."""
+    energy is heard in the voice (0 not at all, 1 fully); carriage: the same of the height and reach of the hands."""
 
     mean: float
     spread: float
     links: float = 1.0
+    carriage: float = 0.0
 
 
 def log_speed(speed: Array) -> Array:
@@ -135,7 +138,7 @@ def speech_for(name: str, places: Array, pool: Pool, energy: Energy, movements: 
     beats = beats_of_speed(speed, FPS)
     strength = _strengths(speed, beats)
     targets = beats + np.clip(rng.normal(_LEAD, _LOOSENESS, len(beats)), _LEAD - _LOOSEST, _LEAD + _LOOSEST)
-    efforts = _efforts(log_speed(speed), windows, energy, rng)
+    efforts = _efforts(log_speed(speed), windows, energy, rng, _carried(places) if energy.carriage > 0.0 else None)
     features = movements[np.minimum((beats * FPS).astype(int) + 6, len(movements) - 1)]
     free = np.ones(len(pool), dtype=bool)
     laid: list[tuple[Match, Sounded, float]] = []
@@ -211,16 +214,33 @@ def _strengths(speed: Array, beats: Array) -> Array:
     return np.clip(at / max(0.5 * float(slope.std()), 1e-6), 0.4, 2.0)
 
 
-def _efforts(level: Array, windows: Sequence[Window], energy: Energy, rng: np.random.Generator) -> list[float]:
-    """The effort of each window, -1 to 1, from the energy of its motion."""
+def _carried(places: Array) -> Array:
+    """[T] z-score of how high and how far out the higher hand is, from joint positions [T, 16, 3]."""
+    hands = places[:, list(WRISTS)] - places[:, :1]
+    at = hands[..., 1].argmax(axis=1)
+    higher = hands[np.arange(len(hands)), at]
+    both = np.stack([higher[:, 1], np.linalg.norm(higher[:, [0, 2]], axis=-1)], axis=1)
+    return ((both - both.mean(axis=0)) / (both.std(axis=0) + 1e-6)).mean(axis=1)
+
+
+def _means(track: Array, windows: Sequence[Window]) -> Array:
+    """[windows] the mean of a track [T] in each."""
+    return np.array([track[round(w.start * FPS):max(round(w.start * FPS) + 1, round(w.end * FPS))].mean()
+                     for w in windows])
+
+
+def _efforts(level: Array, windows: Sequence[Window], energy: Energy, rng: np.random.Generator,
+             carried: Array | None = None) -> list[float]:
+    """The effort of each window, -1 to 1, from the energy of its motion, and from how its hands are `carried` [T]."""
     if not windows:
         return []
-    means = np.array([level[round(w.start * FPS):max(round(w.start * FPS) + 1, round(w.end * FPS))].mean()
-                      for w in windows])
+    means = _means(level, windows)
     local = (means - means.mean()) / (means.std() + 1e-6)
     whole = (means - energy.mean) / energy.spread
     effort = energy.links * _EFFORT_OF_ENERGY * np.tanh(0.55 * (local + whole))
     effort = effort + rng.normal(0.0, _EFFORT_NOISE, len(means))
+    if carried is not None:
+        effort = effort + energy.carriage * _EFFORT_OF_CARRIAGE * np.tanh(_means(carried, windows))
     return np.clip(effort, -1.0, 1.0).tolist()
 
 

@@ -18,17 +18,19 @@ from data_module.types import Array, Skeleton
 _NONE = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-def lent(stroke: Stroke, lender: PerformerBody, borrower: PerformerBody, head: bool = False) -> Stroke:
+def lent(stroke: Stroke, lender: PerformerBody, borrower: PerformerBody, head: bool = False, trunk: bool = False
+         ) -> Stroke:
     """The stroke of a lender for a borrower: the arms' joints of the same name point where the lender's do. Joints that
-    the lender lacks and the trunk stay at rest; with `head` the neck and the head move as the lender's."""
+    the lender lacks and the trunk stay at rest; with `head` the neck and the head move as the lender's, with `trunk`
+    the spine, too."""
     arms = np.stack([_arm(stroke.arms[side], side, lender, borrower) for side in (0, 1)])
-    trunk = np.zeros((stroke.trunk.shape[0], len(borrower.trunk), 3))
+    turns = np.zeros((stroke.trunk.shape[0], len(borrower.trunk), 3))
     theirs = [lender.skeleton.names[j] for j in lender.trunk]
     for place, joint in enumerate(borrower.trunk):
         name = borrower.skeleton.names[joint]
-        if head and name in theirs and name.startswith(("Neck", "Head")):
-            trunk[:, place] = stroke.trunk[:, theirs.index(name)]
-    return replace(stroke, speaker=borrower.name, arms=arms, trunk=trunk, _splines={})
+        if name in theirs and (trunk or (head and name.startswith(("Neck", "Head")))):
+            turns[:, place] = stroke.trunk[:, theirs.index(name)]
+    return replace(stroke, speaker=borrower.name, arms=arms, trunk=turns, _splines={})
 
 
 def _arm(logs: Array, side: int, lender: PerformerBody, borrower: PerformerBody) -> Array:

@@ -16,8 +16,10 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
+from data_module.performer.called_cues import CalledCues
 from data_module.performer.cues import CLIPS, Cues, MeantClip, read_cues
 from data_module.performer.lending import lent
+from data_module.performer.repertoire import Repertoire
 from data_module.performer.strokes import (
     PerformerBody,
     Stroke,
@@ -59,6 +61,16 @@ def with_meanings(strokes: StrokeSet, source: Path) -> StrokeSet:
         out += [lent(stroke, bodies[stroke.speaker], bodies[performer], stroke.meaning in _HEAD)
                 for stroke in (*further, *foreign) if stroke.meaning not in known]
     return replace(strokes, strokes=_playable(out), cues=cues)
+
+
+def with_repertoire(strokes: StrokeSet, takes: Repertoire, source: Path | None) -> StrokeSet:
+    """The strokes with takes of named gestures, which come at the words that the detector finds. source: with the
+    folder `meaning`, whose table tells which labels suit a standing speaker; None without it."""
+    captured = {stroke.meaning for stroke in strokes.strokes} - {""}
+    if source is None:
+        return replace(strokes, repertoire=takes, cues=CalledCues(takes.labels | captured))
+    allowed = read_cues(source / FOLDER, takes.labels)
+    return replace(strokes, repertoire=takes, cues=CalledCues(allowed.wanted, allowed))
 
 
 def _labelled(stroke: Stroke, cues: Cues) -> Stroke:

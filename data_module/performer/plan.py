@@ -44,6 +44,14 @@ _SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.2
 """Slopes: log gain by vigour, log gain by amplitude, log speed by tempo, eagerness by tempo."""
 _LARGEST = 1.75
 """Largest gain: beyond it elbows fold and hands come near the face."""
+_SIZE_OF_TAKES, _SPREAD_OF_TAKES = np.array([0.35, 0.3]), 0.3
+"""Log of the wished size of a take from a script, by vigour and amplitude, and the standard deviation about it."""
+_APEX = (-0.16, 0.02)
+"""Earliest and latest apex of a gesture under a budget, seconds from the stressed vowel."""
+_HURRIED = 0.6
+"""Least share of its preparation and stroke that a take from a script is given."""
+_READIED = 0.75
+"""Seconds before such a gesture in which no beat is placed, so that its preparation has room."""
 
 
 @dataclass(frozen=True)
@@ -99,14 +107,15 @@ class Planned:
 
 @dataclass(frozen=True)
 class _Wish:
-    """A syllable that should have a stroke: its candidate lexemes, the time of the beat, the vigour, and the label of
-    the meaning that its word asks for ("" for none)."""
+    """A syllable that should have a stroke: its candidate lexemes, the time of the beat, the vigour, the label of the
+    meaning that its word asks for ("" for none), and the log of the size that a take from a script should have."""
 
     at: Syllable
     beat: float
     lexemes: tuple[str, ...]
     drive: float
     label: str = ""
+    size: float = 0.0
 
 
 def habits_of(performer: str) -> Habits:
@@ -147,13 +156,14 @@ def drives(spoken: Spoken, links: float = 1.0) -> Array:
 
 @dataclass(frozen=True)
 class Casting:
-    """The manner of a talk, the hands that play each of its phrases, its style, and the strength of its links to the
-    sound (`Habits.links`)."""
+    """The manner of a talk, the hands that play each of its phrases, its style, the strength of its links to the sound
+    (`Habits.links`), and that of `carriage.carriage`."""
 
     manner: Manner
     hands: tuple[PhraseHands, ...]
     style: StyleTrack = NEUTRAL
     links: float = 1.0
+    carriage: float = 0.0
 
     def habits_of(self, performer: str) -> Habits:
         habits = habits_of(performer)
@@ -177,9 +187,11 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Gene
     habits = casting.habits_of(performer) if casting else habits_of(performer)
     style = casting.style if casting else NEUTRAL
     known = {stroke.lexeme for stroke in usable}
-    asked = strokes.cues.asked(_texts(spoken), spoken.language) if strokes.cues else {}
-    labels = _labels(spoken, habits, asked, {stroke.meaning for stroke in usable}, rng)
-    wishes = _wishes(spoken, habits, known, (style, labels, set(asked)), rng)
+    cues = strokes.cues
+    asked = cues.asked(_texts(spoken), spoken.language, _pauses(spoken)) if cues else {}
+    apart, again = (cues.apart, cues.again) if cues else (0.0, 0.0)
+    labels = _labels(spoken, habits, asked, ({stroke.meaning for stroke in usable}, apart, again), rng)
+    wishes = _wishes(spoken, habits, known, (style, labels, set(asked), apart > 0.0), rng)
     chosen: list[Planned] = []
     recent: list[str] = []
     last_hand = ""
@@ -188,6 +200,7 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Gene
         if casting is not None:
             habits, last_hand = replace(habits, hands=weights_at(casting.hands, wish.at.vowel)), ""
         stroke = _choose(wish, usable, habits, recent, last_hand, rng)
+        stroke = strokes.played(stroke, performer) if stroke else None
         placed = _place(stroke, wish, habits, busy, casting, rng) if stroke else None
         if stroke is None or placed is None:
             continue
@@ -196,20 +209,22 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Gene
         recent = [*recent, stroke.base][-_RECENT:]
         last_hand = stroke.hand
         for side in stroke.sides:
-            busy[side] = placed.beat + _AFTER_BEAT
+            busy[side] = placed.hold_end if stroke.scripted else placed.beat + _AFTER_BEAT
     joined = _join(chosen, runs_of(spoken.phrases))
     if casting is None:
         return joined
     lags, gains = unevenness(rng, len(joined))
-    uneven = [replace(p, lag=tuple(lag), uneven=tuple(gain)) if len(p.stroke.sides) == 2 else p
-              for p, lag, gain in zip(joined, lags.tolist(), gains.tolist(), strict=True)]
+    alike = [len(p.stroke.sides) < 2 or p.stroke.scripted for p in joined]
+    uneven = [p if same else replace(p, lag=tuple(lag), uneven=tuple(gain))
+              for p, same, lag, gain in zip(joined, alike, lags.tolist(), gains.tolist(), strict=True)]
     return _held_through(uneven, spoken.phrases)
 
 
 def _wishes(spoken: Spoken, habits: Habits, known: set[str],
-            given: tuple[StyleTrack, Mapping[int, str], set[int]], rng: np.random.Generator) -> list[_Wish]:
-    """The syllables with strokes. given: the style, the labels of meanings by syllable, and the words with a cue."""
-    style, labels, cued = given
+            given: tuple[StyleTrack, Mapping[int, str], set[int], bool], rng: np.random.Generator) -> list[_Wish]:
+    """The syllables with strokes. given: the style, the labels of meanings by syllable, the words with a cue, and
+    whether meanings have a budget: beats then leave room before them."""
+    style, labels, cued, budgeted = given
     syllables = spoken.syllables
     if not syllables:
         return []
@@ -226,18 +241,34 @@ def _wishes(spoken: Spoken, habits: Habits, known: set[str],
     gaps = np.maximum(_MIN_GAP, rng.uniform(_MIN_GAP, _MIN_GAP + 0.35, len(syllables)) * np.exp(-0.3 * tempo))
     for i, syllable in enumerate(syllables):
         near = min((abs(times[i] - times[j]) for j in taken), default=np.inf)
+        if budgeted and any(0.0 <= times[j] - times[i] < _READIED for j in labels):
+            continue
         if i not in taken and near >= gaps[i] and draws[i] < chance[i]:
             level = meaning.beat_level(syllable.prominence + 0.5 * strength[i] + moods[i])
             taken[i] = tuple(name for name in meaning.BEATS[level] if name in known) or tuple(
                 name for names in meaning.BEATS.values() for name in names if name in known)
-    wishes = [_Wish(syllables[i], float(times[i] + loose[i]), taken[i], float(strength[i]), labels.get(i, ""))
-              for i in sorted(taken)]
+    if budgeted:
+        loose[list(labels)] = np.clip(loose[list(labels)], *_APEX)
+    sizes = np.column_stack([strength, style.at(times)[:, 0]]) @ _SIZE_OF_TAKES
+    wishes = [_Wish(syllables[i], float(times[i] + loose[i]), taken[i], float(strength[i]), labels.get(i, ""),
+                    float(sizes[i])) for i in sorted(taken)]
+    if budgeted:
+        # The gesture with a meaning goes first: beats near it give way.
+        meant = [wish.at.vowel for wish in wishes if wish.label]
+        wishes = [wish for wish in wishes if wish.label or not any(
+            -_MIN_GAP < wish.at.vowel - time < _MIN_GAP or 0.0 <= time - wish.at.vowel < _READIED for time in meant)]
     return [wish for before, wish in zip([None, *wishes], wishes, strict=False)
             if before is None or wish.at.vowel - before.at.vowel >= _MIN_GAP - 1e-9]
 
 
 def _texts(spoken: Spoken) -> list[str]:
     return [word.text for word in spoken.speech.words or ()]
+
+
+def _pauses(spoken: Spoken) -> list[float]:
+    """Seconds of silence after each word but the last."""
+    words = spoken.speech.words or ()
+    return [max(after.start - word.end, 0.0) for word, after in zip(words, words[1:], strict=False)]
 
 
 def _strongest(spoken: Spoken) -> dict[int, int]:
@@ -251,16 +282,21 @@ def _strongest(spoken: Spoken) -> dict[int, int]:
     return strongest
 
 
-def _labels(spoken: Spoken, habits: Habits, asked: Mapping[int, Asked], known: set[str],
+def _labels(spoken: Spoken, habits: Habits, asked: Mapping[int, Asked], limits: tuple[set[str], float, float],
             rng: np.random.Generator) -> dict[int, str]:
-    """The syllables that play a meaning, with its label. Of cues too near to each other the weightiest is played."""
+    """The syllables that play a meaning, with its label. Of cues too near to each other the weightiest is played.
+    limits: the labels that have strokes, the least seconds between two meanings, and those until a label comes again.
+    """
+    known, apart, again = limits
     strongest = _strongest(spoken)
     out: dict[int, str] = {}
     for word in sorted(set(asked) & set(strongest), key=lambda word: (-asked[word].weight, word)):
-        chances = {label: chance for label, chance in asked[word].labels.items() if label in known}
         i = strongest[word]
-        near = min((abs(spoken.syllables[i].vowel - spoken.syllables[j].vowel) for j in out), default=np.inf)
-        if chances and rng.random() < habits.meaning * asked[word].weight and near >= _MIN_GAP + 0.1:
+        gaps = [(abs(spoken.syllables[i].vowel - spoken.syllables[j].vowel), label) for j, label in out.items()]
+        soon = {label for gap, label in gaps if gap < again}
+        chances = {label: chance for label, chance in asked[word].labels.items() if label in known - soon}
+        near = min((gap for gap, _ in gaps), default=np.inf)
+        if chances and rng.random() < habits.meaning * asked[word].weight and near >= max(_MIN_GAP + 0.1, apart):
             weights = np.array(list(chances.values()))
             out[i] = list(chances)[int(rng.choice(len(chances), p=weights / weights.sum()))]
     return out
@@ -295,10 +331,21 @@ def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Seque
         candidates = [s for s in usable if s.lexeme.startswith("Beat") and s.base not in recent[-1:]]
     if not candidates:
         return None
-    hands = dict(zip(("left", "right", "both"), habits.hands, strict=True))
+    hands = dict(zip(("left", "right", "both"), habits.hands, strict=True)) | {"none": 1.0}
     weights = np.array([order.get(s.lexeme, 1.0) * hands[s.hand] * (0.6 if s.hand == last_hand else 1.0)
                         * (_RECENT_WEIGHT if s.base in recent else 1.0) for s in candidates])
+    scripted = np.array([s.scripted for s in candidates])
+    if scripted.any():
+        weights = weights * [_fit(s.size, wish.size) if s.scripted else 1.0 for s in candidates]
+        if not scripted.all():
+            # Captured strokes and takes from scripts are played equally often.
+            weights[scripted] *= weights[~scripted].sum() / weights[scripted].sum()
     return candidates[int(rng.choice(len(candidates), p=weights / weights.sum()))]
+
+
+def _fit(size: float, wished: float) -> float:
+    """How well a take's size fits the log of the one that is wished for."""
+    return float(np.exp(-0.5 * ((np.log(size) - wished) / _SPREAD_OF_TAKES) ** 2))
 
 
 def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], casting: Casting | None,
@@ -314,14 +361,25 @@ def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], 
     speed = float(np.clip(habits.speed * np.exp(pace + 0.05 * rng.normal()), 0.7, 1.15))
     if stroke.steady:
         speed = min(speed, 1.0)
-    free = max(0.0, *(busy[side] for side in stroke.sides))
+    free = max([0.0, *(busy[side] for side in stroke.sides)])
     if wish.beat - free < _MIN_PREPARATION:
         return None
+    if stroke.scripted:
+        return _placed_as_drawn(stroke, wish, free)
     preparation = max(_MIN_PREPARATION, (stroke.beat - stroke.start) / speed)
     hold = holding * float(np.clip((stroke.hold_end - stroke.beat) / speed, 0.12, _LONGEST_HOLD / _STRETCH))
     back = float(np.clip((stroke.end - stroke.hold_end) / speed, 0.5, 1.0))
     start = max(free, wish.beat - preparation)
     return Planned(stroke, start, wish.beat, wish.beat + hold, wish.beat + hold + back, wish.at.vowel, gain)
+
+
+def _placed_as_drawn(stroke: Stroke, wish: _Wish, free: float) -> Planned | None:
+    """A take from a script with its apex at the wish, in its tempo; None if the arms are free too late for that."""
+    start = max(free, wish.beat - (stroke.beat - stroke.start))
+    if wish.beat - start < _HURRIED * (stroke.beat - stroke.start):
+        return None
+    return Planned(stroke, start, wish.beat, wish.beat + stroke.hold_end - stroke.beat,
+                   wish.beat + stroke.end - stroke.beat, wish.at.vowel, 1.0)
 
 
 def _held_through(planned: Sequence[Planned], phrases: Sequence[Phrase]) -> tuple[Planned, ...]:

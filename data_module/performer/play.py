@@ -20,6 +20,7 @@ from data_module.motion import rotation
 from data_module.motion.inertialisation import minimum_jerk, quintic_offset
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.performer import plan as planning
+from data_module.performer.carriage import carriage
 from data_module.performer.hands import Levels, Manner, PhraseHands, waiting_levels
 from data_module.performer.living_fingers import living_fingers
 from data_module.performer.plan import BRAKE, Casting, Habits, Planned
@@ -103,6 +104,11 @@ _QUIETER = 0.35
 """Factor on the drift of raised arms in pauses."""
 _WRISTS = 0.58
 """Factor on the wrists' bends of the clips, which are larger than those of people who talk."""
+_SCRIPTED_DRIFT, _CALMED = 0.25, 0.3
+"""Factor on drift and small beats of an arm in a take from a script, whose shape tells what it means; seconds in which
+that ends after the hold."""
+_FROZEN = 0.02
+"""Seconds of a take's clip that pass while its last pose is held for longer."""
 _NOD_GAIN = 1.3
 """Factor on the nods over a real person's trunk, whose own head motion is not tied to this speech."""
 
@@ -180,13 +186,14 @@ class _Score:
 
 @dataclass(frozen=True)
 class Staging:
-    """The manner of a talk, the trunks of real people to perform it with, its style, and the strength of its links to
-    the sound (`plan.Habits.links`)."""
+    """The manner of a talk, the trunks of real people to perform it with, its style, the strength of its links to
+    the sound (`plan.Habits.links`), and that of `carriage.carriage`."""
 
     manner: Manner
     segments: tuple[Segment, ...]
     style: StyleTrack = NEUTRAL
     links: float = 1.0
+    carriage: float = 0.0
 
 
 def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator,
@@ -200,6 +207,7 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.G
     casting = None
     if staging:
         casting = planning.cast(spoken, performer, staging.manner, staging.style, rng, staging.links)
+        casting = replace(casting, carriage=staging.links * staging.carriage)
     habits = casting.habits_of(performer) if casting else planning.habits_of(performer)
     planned = planning.plan(spoken, performer, strokes, rng, split, casting)
     segments = staging.segments if staging else ()
@@ -324,10 +332,16 @@ def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, 
         fidgets = idle_arms(segments, frames, rng)
         drift[..., :joints] += (1.0 - lively)[..., None] * fidgets[..., :joints]
     size = _style_of(casting, frames)
+    calm = _calm(planned, frames)
     drift *= size[:, None]
+    if casting is not None and casting.carriage > 0.0:
+        carried = carriage(figure, spoken.phrases, spoken.syllables, frames, FPS)
+        drift += (casting.carriage * lively)[..., None] * carried.reshape(drift.shape)
+    drift *= calm[..., None]
     least = manner.small_beats if manner else _LEAST_SMALL
     vigour = planning.drives(spoken, habits.links)
-    micro = size * np.stack([_micro(side, spoken, planned, (least, vigour), frames, rng) for side in (LEFT, RIGHT)])
+    micro = size * calm * np.stack([_micro(side, spoken, planned, (least, vigour), frames, rng)
+                                    for side in (LEFT, RIGHT)])
     if manner and segments:
         trunk = _living_trunk(figure, planned, spoken, segments, (speaking, manner.trunk, habits), rng)
     else:
@@ -336,6 +350,20 @@ def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, 
     hanging = sympathy * np.stack([_active(arm, frames, _is_hanging, 0.2) for arm in events])
     return _Score(figure, planned, events, micro, drift, trunk, hanging, np.zeros((2, frames)),
                   _carried(figure, trunk), runs, levels, drop, habits.damping, frames)
+
+
+def _calm(planned: tuple[Planned, ...], frames: int) -> Array:
+    """[2, T] factor on drift and small beats of each arm: less than 1 in takes from scripts."""
+    out = np.ones((2, frames))
+    for p in planned:
+        if p.stroke.scripted:
+            first, last = _frame(p.start), min(frames, _frame(p.hold_end + _CALMED))
+            times = np.arange(first, last) / FPS
+            ready = p.start + _FADE_SHARE * (p.beat - p.start)
+            inside = _pulse(times, p.start, ready) * (1.0 - _pulse(times, p.hold_end, p.hold_end + _CALMED))
+            for side in p.stroke.sides:
+                out[side, first:last] *= 1.0 - (1.0 - _SCRIPTED_DRIFT) * inside
+    return out
 
 
 def _in_speech(spoken: Spoken, frames: int) -> Array:
@@ -606,8 +634,23 @@ def _clip_time(p: Planned, beat: float, times: Array) -> Array:
     s = p.stroke
     hold_end = max(p.hold_end, beat + 0.05)
     end = max(p.end, hold_end + (s.end - s.hold_end) / 1.4)
+    if s.scripted:
+        return _drawn_time(p, beat, (hold_end, end), times)
     return monotone_cubic(np.array([p.start, beat, hold_end, end]), np.array([s.start, s.beat, s.hold_end, s.end]),
                           times)
+
+
+def _drawn_time(p: Planned, beat: float, ends: tuple[float, float], times: Array) -> Array:
+    """The same of a take from a script: what is repeated in its hold keeps its tempo, and a longer hold stands still.
+    ends: of the hold and of the retraction."""
+    s, (hold_end, end) = p.stroke, ends
+    held = beat + s.hold_end - s.beat
+    if hold_end < held + 0.05:
+        x, y = [p.start, beat, hold_end, end], [s.start, s.beat, min(s.hold_end, s.beat + hold_end - beat), s.end]
+    else:
+        x = [p.start, beat, held, hold_end, end]
+        y = [s.start, s.beat, s.hold_end - _FROZEN, s.hold_end, s.end]
+    return monotone_cubic(np.array(x), np.array(y), times)
 
 
 def monotone_cubic(x: Array, y: Array, at: Array) -> Array:
@@ -678,6 +721,8 @@ def _followed(p: Planned, side: int, beat: float, accent: float, times: Array, h
     """[M, A * 3] log rotations of an arm that follows a stroke with its beat at `beat`."""
     times = times - p.lag[side]
     path = p.stroke.arm_at(side, _clip_time(p, beat, times), home.size // 3)
+    if p.stroke.scripted:
+        return path
     # A low beat would fall from the home pose to the thigh: it is lifted into gesture space.
     held = p.stroke.arm_at(side, np.array([p.stroke.beat]), _REACHING)[0]
     reach = home[:held.size]
@@ -730,7 +775,8 @@ def _misses(score: _Score, arms: Array) -> tuple[Array, NDArray[np.bool_]]:
     moving = [np.stack([chain["Hand"], chain["ForeArm"]], axis=1) for chain in chains]
     acting = {"left": moving[0], "right": moving[1], "both": np.concatenate(moving, axis=1)}
     brakes = {name: _brakes(positions) for name, positions in acting.items()}
-    near = [_nearest(p.beat, *brakes[p.stroke.hand]) for p in score.planned]
+    # The apex of a take from a script is where its marks say, and nothing has to be found.
+    near = [(0.0, np.inf) if p.stroke.scripted else _nearest(p.beat, *brakes[p.stroke.hand]) for p in score.planned]
     return np.array([miss for miss, _ in near]), np.array([depth < _CLEARLY for _, depth in near], dtype=bool)
 
 

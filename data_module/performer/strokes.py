@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -21,13 +22,13 @@ from data_module.errors import InputError, shown
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.performer.clips import read_clips
-from data_module.performer.cues import Cues, mirrored
+from data_module.performer.cues import Asked, mirrored
 from data_module.performer.shoulders import with_rhythm
 from data_module.types import Array, Motion, Skeleton
 
 LEFT, RIGHT = 0, 1
 SIDES = ("Left", "Right")
-ACTING_SIDES: dict[str, tuple[int, ...]] = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT)}
+ACTING_SIDES: dict[str, tuple[int, ...]] = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT), "none": ()}
 HELD_OUT_SHARE = 0.15
 """Share of each person's clips that are held out for test."""
 
@@ -95,7 +96,9 @@ class Stroke:
     the left and the right arm against the rest pose; trunk: [T, B, 3] likewise, B joints of `PerformerBody.trunk`.
     start, beat, hold_end, end: seconds in the clip. reach: metres that the acting hand travels. held_out: for the test
     split only. steady: must not be played faster than recorded. meaning: label of the gesture ("point_there"), "" for
-    none. faithful: a hand touches the head or the other hand, so the stroke is played at its recorded size.
+    none. faithful: a hand touches the head or the other hand, so the stroke is played at its recorded size. size: of a
+    take that was drawn from a script, which keeps its shape and tempo, 1 for medium; 0 for a captured stroke. touches:
+    a hand of such a take touches the body or the other hand.
     """
 
     clip: str
@@ -116,11 +119,18 @@ class Stroke:
     steady: bool = False
     meaning: str = ""
     faithful: bool = False
+    size: float = 0.0
+    touches: bool = False
     _splines: dict[tuple[int, int | None], CubicSpline] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def sides(self) -> tuple[int, ...]:
         return ACTING_SIDES[self.hand]
+
+    @property
+    def scripted(self) -> bool:
+        """Whether it was drawn from a script."""
+        return self.size > 0.0
 
     def arm_at(self, side: int, seconds: Array, joints: int | None = None) -> Array:
         """Log rotations [M, joints * 3] of an arm, from the shoulder on, at times in the clip; constant beyond its
@@ -138,13 +148,40 @@ class Stroke:
         return self._splines[key](np.clip(seconds, 0.0, (len(track) - 1) / self.fps))
 
 
+class StrokeCues(Protocol):
+    """What calls for strokes with a meaning."""
+
+    @property
+    def apart(self) -> float:
+        """Least seconds between two of them; 0 leaves it to the strokes."""
+
+    @property
+    def again(self) -> float:
+        """Seconds in which a label does not come again."""
+
+    def asked(self, words: Sequence[str], language: str = "en", pauses: Sequence[float] = ()) -> Mapping[int, Asked]:
+        """What the words of a speech ask for, by index. pauses: seconds of silence after each word, if known."""
+
+
+class ScriptedTakes(Protocol):
+    """Takes that were drawn from scripts; see `repertoire.Repertoire`."""
+
+    def usable(self, strokes: Sequence[Stroke], split: str) -> tuple[Stroke, ...]:
+        """Strokes without their motion that add to the captured strokes of a performer."""
+
+    def played(self, outline: Stroke, body: PerformerBody) -> Stroke:
+        """One of them with its motion on a body."""
+
+
 @dataclass(frozen=True)
 class StrokeSet:
-    """Strokes, the bodies of the performers by name, and the cues that call for the strokes that have a meaning."""
+    """Strokes, the bodies of the performers by name, the cues that call for the strokes that have a meaning, and takes
+    of gestures that were drawn from scripts."""
 
     strokes: tuple[Stroke, ...]
     figures: Mapping[str, PerformerBody]
-    cues: Cues | None = None
+    cues: StrokeCues | None = None
+    repertoire: ScriptedTakes | None = None
 
     @property
     def performers(self) -> tuple[str, ...]:
@@ -154,7 +191,14 @@ class StrokeSet:
         if performer not in self.figures:
             raise InputError(performer, "is not a performer of these strokes",
                              f"take one of {', '.join(self.performers)}")
-        return tuple(s for s in self.strokes if s.speaker == performer and (split == "test" or not s.held_out))
+        captured = tuple(s for s in self.strokes if s.speaker == performer and (split == "test" or not s.held_out))
+        return (*captured, *self.repertoire.usable(captured, split)) if self.repertoire else captured
+
+    def played(self, stroke: Stroke, performer: str) -> Stroke:
+        """A stroke of `of` with its motion, which takes from scripts get when they are played."""
+        if self.repertoire is None or not stroke.scripted:
+            return stroke
+        return self.repertoire.played(stroke, self.figures[performer])
 
 
 def arrivals(speed: Array, fps: float, depth: float = 0.0) -> tuple[Array, Array]:
@@ -255,7 +299,7 @@ def mirror(stroke: Stroke) -> Stroke:
     """The mirror image of a stroke: left and right are swapped, in its hand, its meaning and the name of its lexeme
     too. A reflection in x = 0 keeps the x of a log rotation and negates y and z."""
     flip = np.array([1.0, -1.0, -1.0])
-    other = {"left": "right", "right": "left", "both": "both"}
+    other = {"left": "right", "right": "left", "both": "both", "none": "none"}
     lexeme = stroke.lexeme
     for a, b in (("Left", "Right"), ("Right", "Left")):
         if a in stroke.lexeme:

@@ -73,12 +73,14 @@ class MadeTalk:
 @dataclass(frozen=True)
 class TalkRequest:
     """What a talk should be. group: its manner, a key of `takes.GROUPS`; seconds: its length; links: strength of what
-    ties the sound to the motion beyond the times of beats and phrases (0 none, 1 full)."""
+    ties the sound to the motion beyond the times of beats and phrases (0 none, 1 full); carriage: how strongly effort
+    tells the height and the reach of the hands, besides."""
 
     name: str
     group: str
     seconds: float
     links: float = 1.0
+    carriage: float = 0.0
 
 
 def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[RealTake], pool: Pool,
@@ -94,7 +96,8 @@ def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[Real
         turned = bool(rng.random() < 0.5) if mixed else flip
         pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
     joined, places = _smoothest(library, pieces, seconds, rng)
-    synthesis = inverse.speech_for(request.name, places, pool, replace(ENERGY, links=links),
+    synthesis = inverse.speech_for(request.name, places, pool,
+                                   replace(ENERGY, links=links, carriage=links * request.carriage),
                                    movements.features_of(places), rng)
     logs = with_life(joined.logs, synthesis.spoken, rng, links)
     rotations = library.rotations(logs)

@@ -50,17 +50,18 @@ class Utterance:
 
 
 def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str] | None = None,
-            language: str = "en") -> list[Utterance]:
+            language: str = "en", repertoire: bool = False) -> list[Utterance]:
     """Write about `seconds` of speech, pauses included, without repeating a sentence.
 
     split: "train" or "test"; the two share neither topics nor templates. used: sentences not to be repeated; the new
-    ones are added, so that one set over many calls gives hours without repetition. Effort drifts from sentence to
+    ones are added, so that one set over many calls gives hours without repetition. repertoire: English sentences for
+    all named gestures, not only for those with captured strokes. Effort drifts from sentence to
     sentence (AR(1), 0.7) and varies from phrase to phrase. Same generator state, same text.
     """
     if split not in SPLITS:
         raise InputError(f"split {split!r}", "is not known", f"choose one of {', '.join(SPLITS)}")
     used = set() if used is None else used
-    source = _English(split) if language == "en" else _phrasebook(split, language)
+    source = _English(split, repertoire) if language == "en" else _phrasebook(split, language)
     pace = CHARACTERS_PER_SECOND.get(language, _LETTERS_PER_SECOND)
     utterances: list[Utterance] = []
     mood = float(rng.normal(0, 0.5))
@@ -82,11 +83,18 @@ def sentence_key(utterance: Utterance) -> str:
 class _English:
     """Draws English sentences; consecutive ones share a topic."""
 
-    def __init__(self, split: str) -> None:
+    def __init__(self, split: str, repertoire: bool = False) -> None:
         train = split == "train"
         self.topics = grammar.TRAIN_TOPICS if train else grammar.TEST_TOPICS
         self.templates = grammar.TRAIN_TEMPLATES if train else grammar.TEST_TEMPLATES
-        self.meanings = grammar.TRAIN_MEANINGS if train else grammar.TEST_MEANINGS
+        self.meanings = dict(grammar.TRAIN_MEANINGS if train else grammar.TEST_MEANINGS)
+        self.kinds: Sequence[str] = grammar.MEANING_KINDS
+        self.share = MEANING_SHARE
+        if repertoire:
+            from data_module.performer import repertoire_grammar as more
+
+            self.meanings |= more.TRAIN_REPERTOIRE if train else more.TEST_REPERTOIRE
+            self.kinds, self.share = more.REPERTOIRE_KINDS, more.REPERTOIRE_SHARE
         self.openers: Sequence[str] = grammar.OPENERS if train else grammar.TEST_OPENERS
         self._topic, self._left = self.topics[0], 0
 
@@ -94,8 +102,8 @@ class _English:
         if self._left == 0:
             self._topic, self._left = _one(rng, self.topics), int(rng.integers(3, 9))
         self._left -= 1
-        if rng.random() < MEANING_SHARE:
-            kind = _one(rng, grammar.MEANING_KINDS)
+        if rng.random() < self.share:
+            kind = _one(rng, self.kinds)
             return kind, _fill(rng, self._topic, _one(rng, self.meanings[kind]))
         kind = _one(rng, tuple(self.templates))
         return kind, _fill(rng, self._topic, _one(rng, self.templates[kind]))

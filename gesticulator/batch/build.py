@@ -41,7 +41,19 @@ def _arguments(p: argparse.ArgumentParser) -> None:
                       "--shard: STORE.manifest.parquet")
 
 
+def _draw_takes(args: argparse.Namespace) -> None:
+    """Draw the takes of named gestures that the performer is to play, unless they are there."""
+    folder: Path | None = args.repertoire
+    if folder is None or folder.exists() or args.corpus != "performer":
+        return
+    build.asked_for(args)
+    from gesticulator.directing.gesture_takes import write_takes
+
+    print(f"{folder}: {write_takes(folder, args.seed)} takes of named gestures were drawn", flush=True)
+
+
 def _run(args: argparse.Namespace) -> int:
+    _draw_takes(args)
     if not (args.ray or args.shard or args.manifest):
         return build.run(args)
     from gesticulator.batch import ray_pool

@@ -20,7 +20,7 @@ from tqdm import tqdm
 from data_module.errors import InputError
 from data_module.motion.skeletons import FINGERED
 from data_module.store import Recording, RecordingInfo, Store
-from data_module.truth import REST
+from data_module.truth import REST, SCRIPTED
 from data_module.types import Array
 from eval.acceptance.corpus import bounds as corpus_bounds
 from eval.acceptance.corpus import by_source, meanings, planned_strokes, style_from_sound
@@ -50,7 +50,7 @@ class PlayedPlan:
     gains: Array
     features: Array
     clips: tuple[str, ...]
-    meanings: tuple[tuple[str, str], ...] = ()
+    meanings: tuple[tuple[str, str, str], ...] = ()
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -111,7 +111,8 @@ def _measured(store: Store, talks: int | None) -> tuple[list[MeasuredTalk], list
 def plan_of(recording: Recording) -> PlayedPlan:
     """What became of the strokes of a recording that has some."""
     assert recording.truth is not None
-    strokes = recording.truth.strokes
+    # Takes from scripts are placed by their marks, not by the beat that is found in their motion.
+    strokes = tuple(stroke for stroke in recording.truth.strokes if not stroke.clip.startswith(SCRIPTED))
     times = np.array([stroke.syllable for stroke in strokes])
     return PlayedPlan(recording.info.split, planned_strokes.stroke_misses(recording.motion, strokes),
                       planned_strokes.stroke_misses(recording.motion, strokes, _SHIFT),
