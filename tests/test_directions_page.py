@@ -121,6 +121,11 @@ def test_a_telephone_on_its_side_shows_the_figure_the_timeline_and_the_panel(
         page.screenshot(path=(PICTURES or folder) / "sideways.png")
         stage, desk = page.locator("#figure").bounding_box(), page.locator("#timeline").bounding_box()
         assert stage["height"] > 120 and stage["width"] > 300, "the figure has room"
+        buttons = page.evaluate("""() => [...document.querySelectorAll(".views button")].filter(
+            (one) => one.getClientRects().length).map((one) => one.getBoundingClientRect().toJSON())""")
+        middle = stage["x"] + stage["width"] / 2
+        assert all(box["right"] < middle - 40 for box in buttons), "no head is hidden"
+        assert all(box["bottom"] <= stage["y"] + stage["height"] for box in buttons)
         assert desk["width"] > 400 and desk["y"] + 60 < 390, "so has the timeline"
         assert page.evaluate("() => document.documentElement.scrollWidth") <= 844
         # It plays by a tap, and a block is silenced in the panel.

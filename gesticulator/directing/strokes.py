@@ -100,7 +100,8 @@ class StrokeMemory:
         """[M] the mean of a value of the arm's poses over the `span` seconds before each of the rising times [M], which
         counts the middle of the span most; the value itself at the first knot. value: [K, D] poses -> [K]."""
         rows = self._rows
-        first = int(np.searchsorted(rows.times, times[0] - span))
+        # One more, from which the width of the first that counts is measured.
+        first = max(int(np.searchsorted(rows.times, times[0] - span)) - 1, 0)
         knots, values = rows.times[first:], value(self._poses[first:])
         widths = np.diff(knots, prepend=knots[:1])
         out = np.empty(len(times))
