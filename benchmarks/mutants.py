@@ -159,8 +159,7 @@ MUTANTS = (
     Mutant("velocity before a block not scaled to its duration", "data_module/motion/movement.py",
            "velocity = (last - before) * ratio", "velocity = last - before", "tests/test_movement.py"),
     Mutant("BVH angles written in radians", "data_module/motion/bvh.py",
-           "np.degrees(self._unwrap(rotation.to_euler(motion.rotations, _WRITTEN_ORDER)))",
-           "self._unwrap(rotation.to_euler(motion.rotations, _WRITTEN_ORDER))", "tests/test_bvh.py"),
+           "np.degrees(self._unwrap(euler))", "self._unwrap(euler)", "tests/test_bvh.py"),
     # gesticulator
     Mutant("inverse of the normaliser forgets the mean", "gesticulator/bundle/features.py",
            "values * self.spread + self.mean", "values * self.spread", "tests/test_features.py"),

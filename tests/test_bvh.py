@@ -288,3 +288,36 @@ def test_angles_are_written_without_jumps(tmp_path: Path) -> None:
     motion = Motion(CHARACTER, rotation.from_exponential_map(vectors), np.zeros((50, 3)), 30.0)
     rows = np.loadtxt(bvh_text(motion).split("Frame Time:")[1].splitlines()[1:])
     assert np.abs(np.diff(rows, axis=0)).max() < 10.0
+
+
+def test_a_palm_that_turns_past_90_degrees_comes_back_to_the_same_angles(tmp_path: Path) -> None:
+    # A hand turns over by 120 degrees and back; on its way it nods a little, up in one take and down in the other.
+    # About the middle axis of an order, the two would go round the pole on either side, and end 360 degrees apart.
+    phase = np.linspace(0.0, 2.0 * np.pi, 120)
+    ends = []
+    for way in (1.0, -1.0):
+        vectors = np.zeros((120, len(CHARACTER), 3))
+        for joint in ("LeftHand", "RightForeArm", "Head"):
+            vectors[:, CHARACTER.index(joint), 0] = np.radians(60.0) * (1.0 - np.cos(phase))
+            vectors[:, CHARACTER.index(joint), 1] = way * np.radians(25.0) * np.sin(phase)
+        motion = Motion(CHARACTER, rotation.from_exponential_map(vectors), np.zeros((120, 3)), 60.0)
+        write_bvh(tmp_path / "turn.bvh", motion)
+        assert rotation.angle_between(read_bvh(tmp_path / "turn.bvh").rotations, motion.rotations).max() < 1e-7
+        rows = np.loadtxt(bvh_text(motion).split("Frame Time:")[1].splitlines()[1:])
+        ends.append(dict(zip(_channels_of(bvh_text(motion)), (rows[-1] - rows[0]).round(3), strict=True)))
+    for joint in ("LeftHand", "RightForeArm"):
+        assert all(abs(end[joint, axis]) < 1e-3 for end in ends for axis in "XYZ")
+    # The control: a head that did the same, in the order that suits heads.
+    assert max(abs(end["Head", axis]) for end in ends for axis in "XYZ") == 360.0
+
+
+def _channels_of(text: str) -> list[tuple[str, str]]:
+    """The joint and axis of each column of a file, with small letters for translations."""
+    columns, joint = [], ""
+    for line in text.splitlines():
+        words = line.split()
+        if words[:1] in (["ROOT"], ["JOINT"]):
+            joint = words[1]
+        elif words[:1] == ["CHANNELS"]:
+            columns += [(joint, word[0] if word.endswith("rotation") else word[0].lower()) for word in words[2:]]
+    return columns

@@ -270,7 +270,7 @@ def test_the_visible_stretch_comes_first_and_a_new_wish_ends_the_old(system: Ges
     louder = edited(page.plan, "intensity", 0, 2)
     request = {"have": page.have, "view": [2.0, 3.0], "changes": {"blocks": [], "parts": {"knobs": louder["knobs"]}}}
     got = messages(page.plans.answer(request))
-    assert [header["kind"] for header, _ in got] == ["frames", "done"]
+    assert [header["kind"] for header, _ in got] == ["frames"] * 3 + ["done"]
     seen = got[0][0]["ranges"]
     assert seen[0][0] <= 2.0 * 60 and seen[-1][1] >= 3.0 * 60 and seen[-1][1] - seen[0][0] < 2.2 * 60
     page.edit(louder)
@@ -288,7 +288,7 @@ def test_the_visible_stretch_comes_first_and_a_new_wish_ends_the_old(system: Ges
     shown = np.frombuffer(numbers, "<i2").reshape(-1, *page.frames.shape[1:])[:at.stop - at.start]
     assert np.abs(shown.astype(int) - page.frames[at]).max() < 32767, "from the pose that is there"
     rest = [header for header, _ in messages(parts)]
-    assert [one["kind"] for one in rest] == ["progress"] * 3 + ["frames", "done"]
+    assert [one["kind"] for one in rest] == ["progress"] * 3 + ["frames"] * 3 + ["done"]
     assert [one["share"] for one in rest[:3]] == sorted(one["share"] for one in rest[:3])
     with pytest.raises(AbandonedError):
         list(page.plans.answer({**request, "changes": {"blocks": [], "parts": {"knobs": {
@@ -298,6 +298,121 @@ def test_the_visible_stretch_comes_first_and_a_new_wish_ends_the_old(system: Ges
     for wrong in ({"blocks": [[0, 999, []]]}, {"blocks": 3}, {"blocks": [[0, 1]]}, {"parts": [3]}):
         with pytest.raises(InputError):
             list(page.plans.answer({**request, "changes": wrong}))
+
+
+def test_the_rest_of_a_take_is_sent_as_it_is_made_the_nearest_stretch_first(
+        system: Gesticulator, first: Performance, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gesticulator.serve.edits.FIRST_SHOWN", 2)
+    monkeypatch.setattr("gesticulator.serve.edits.STRETCH", 3)
+    page = Page(system, first)
+    louder = edited(page.plan, "intensity", 0, 2)
+    request = {"have": page.have, "view": [2.0, 3.0], "changes": {"blocks": [], "parts": {"knobs": louder["knobs"]}}}
+    parts = page.plans.answer(request)
+    frames, shown, shares, begins = page.frames.copy(), np.zeros(len(page.frames), int), [], []
+    for header, data in messages(parts):
+        numbers, at = np.frombuffer(data, "<i2").reshape(-1, *frames.shape[1:]), 0
+        for begin, end in header["ranges"]:
+            frames[begin:end] = numbers[at:at + end - begin]
+            shown[begin:end] += 1
+            at += end - begin
+        if header["kind"] == "frames":
+            shares.append(header["share"])
+            begins.append((header["ranges"][0][0], header["ranges"][-1][1]))
+            assert len(header["ranges"]) == 1, "neighbours"
+        else:
+            assert header["kind"] == "done"
+    assert len(begins) >= 5 and shares == sorted(shares) and shares[-1] == 1.0
+    low, high = begins[0]
+    far = [begin - high if begin >= high else 2 * (low - end) for begin, end in begins[1:]]
+    # They are ordered by blocks, which are up to half a second long.
+    assert np.diff(far).min() > -30 and min(begin for begin, _ in begins) < low, "to both sides, the nearest first"
+    assert (shown >= 1).all() and np.mean(shown > 1) < 0.2, "frames are sent twice where only a sign differs"
+    made = page.plans.render(parse_plan(json.dumps(louder)))
+    np.testing.assert_array_equal(frames, frames_of_take(made))
+    # The next wish ends it between two stretches.
+    calls = iter([False] * 4)
+    page = Page(system, first)
+    answer, got = page.plans.answer({**request, "have": page.have}, lambda: next(calls, True)), list[bytes]()
+    with pytest.raises(AbandonedError):
+        got.extend(answer)
+    assert 0 < len(got) < len(begins)
+
+
+def test_performer_variation_interpreter_and_legs_are_edits(system: Gesticulator, speech: Speech, first: Performance
+                                                            ) -> None:
+    page = Page(system, first)
+    original, before = page.plan, page.frames.copy()
+    lexemes = [block["lexeme"] for block in original["blocks"]]
+    other = next(name for name in system.speakers if name != original["speaker"])
+
+    def is_the_plan_rendered_anew() -> Performance:
+        made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(page.plan)))
+        np.testing.assert_array_equal(page.frames, frames_of_take(made))
+        return made
+
+    page.edit({**page.plan, "speaker": other})
+    assert (page.frames != before).any()
+    assert [block["lexeme"] for block in page.plan["blocks"]] == lexemes
+    is_the_plan_rendered_anew()
+    page.edit(original)
+    np.testing.assert_array_equal(page.frames, before)
+    # Another manner: what the page sends, and what the plan of that variation gives.
+    varied = copy.deepcopy(original)
+    varied["variation"] = 2
+    for block in varied["blocks"]:
+        block["draw"]["variation"] = 2
+    page.edit(varied)
+    assert (page.frames != before).any() and [block["lexeme"] for block in page.plan["blocks"]] == lexemes
+    is_the_plan_rendered_anew()
+    # Another interpreter chooses all lexemes but the locked ones; size and side of the others stay.
+    page.edit(original)
+    asked = copy.deepcopy(original)
+    asked["blocks"][3].update(locked=True)
+    asked["blocks"][5].update(intensity=0.6)
+    page.edit(asked)
+    page.edit({**page.plan, "interpreter": "statistical"})
+    chosen = page.plan
+    anew = system(speech, seed=SEED, interpreter="statistical").plan().to_dict()
+    assert [block["lexeme"] for at, block in enumerate(chosen["blocks"]) if at != 3] == [
+        block["lexeme"] for at, block in enumerate(anew["blocks"]) if at != 3]
+    assert chosen["blocks"][3]["lexeme"] == lexemes[3] != anew["blocks"][3]["lexeme"]
+    assert chosen["blocks"][5]["intensity"] == 0.6 and chosen["drawn"] == anew["drawn"]
+    is_the_plan_rendered_anew()
+    page.edit(original)
+    np.testing.assert_array_equal(page.frames, before)
+    assert page.plan["interpreter"] == original["interpreter"], "undo chooses nothing"
+    page.edit(chosen)
+    assert page.plan["drawn"] == anew["drawn"]
+    with pytest.raises(InputError, match="nobody"):
+        page.edit({**page.plan, "interpreter": "nobody"})
+    with pytest.raises(InputError, match="nobody"):
+        page.edit({**page.plan, "speaker": "nobody"})
+
+
+def test_legs_are_an_edit_and_draw_nothing(system: Gesticulator, first: Performance, monkeypatch: pytest.MonkeyPatch
+                                           ) -> None:
+    page = Page(system, first)
+    original, before = page.plan, page.frames.copy()
+    drawn, shape = _counted(monkeypatch), {}
+    for legs in ("standing", "seated"):
+        made_by = {**original["made_by"], "settings": {**original["made_by"]["settings"], "legs": legs}}
+        have, plan = page.have, {**original, "made_by": made_by}
+        got = messages(page.plans.answer({"have": have, "view": [2.0, 3.0], "changes": {
+            "blocks": [], "parts": {"made_by": made_by}}}))
+        (header, data), = got
+        shape = header["shape"] or shape  # the same body sits down
+        assert {"LeftFoot", "RightUpLeg"} <= set(shape["skeleton"]["names"])
+        numbers = np.frombuffer(data[:len(data) - header["root"]], "<i2").reshape(-1, 54, 4)
+        made = page.plans.render(parse_plan(json.dumps(plan)))
+        np.testing.assert_array_equal(numbers, frames_of_take(made))
+        page.have, page.plan = header["rendering"], plan_with(plan, header["changes"])
+        page.frames = numbers.copy()
+    back = messages(page.plans.answer({"have": page.have, "view": [2.0, 3.0], "changes": {
+        "blocks": [], "parts": {"made_by": original["made_by"]}}}))
+    (header, data), = back
+    frames = np.frombuffer(data[:len(data) - header["root"]], "<i2").reshape(-1, *before.shape[1:])
+    np.testing.assert_array_equal(frames, before)
+    assert drawn == [0]
 
 
 def test_moved_beats_are_encoded_as_if_all_were(system: Gesticulator, speech: Speech) -> None:

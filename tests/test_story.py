@@ -22,7 +22,7 @@ from gesticulator.directing.moving_figures import moving_figures
 from gesticulator.export import html
 from gesticulator.performance import Performance
 from gesticulator.plan.plan_file import parse_plan, read_plan
-from gesticulator.serve.edits import LivePlans, levels_of
+from gesticulator.serve.edits import LivePlans, directions_of, levels_of
 from gesticulator.serve.page_server import PageServer
 from gesticulator.serve.saved_edits import SavedEdits
 
@@ -45,7 +45,8 @@ def served(first: tuple[Gesticulator, Performance], tmp_path: Path) -> Iterator[
     server, plans = PageServer(), LivePlans(system, performance)
     scene = performance.scene()
     number = plans.opened(performance, html.describe(scene)["plan"])
-    live = {"token": server.token, "renderings": [number], "levels": levels_of(system.bundle)}
+    live = {"token": server.token, "renderings": [number], "levels": levels_of(system.bundle),
+            "directions": directions_of(system)}
     server.page = html.page({"lstm": scene}, "talk", more={"live": live}).encode()
     saved = server.saved = SavedEdits(tmp_path / "talk.edits.plan.json", after=0.1)
     plans.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(lambda: plan)

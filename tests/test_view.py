@@ -54,9 +54,10 @@ def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, re
     assert stop.value.code == 2 and error.count("\n") == 1 and said in error
 
 
-def test_it_lists_what_the_bundle_contains(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("what", ["interpreters", "speakers"])
+def test_it_lists_what_the_bundle_contains(what: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
-        sys.exit(COMMAND.main("gesticulator view", ["--list", "interpreters"]))
+        sys.exit(COMMAND.main("gesticulator view", ["--list", what]))
     assert not stop.value.code and "(default)" in capsys.readouterr().out
 
 

@@ -6,6 +6,7 @@ import json
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,60 @@ def test_buttons_and_keys(opened: OpenedPage) -> None:
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 70, steps=3)
     page.mouse.up()
     opened.settle(SECONDS / 2)
+
+
+def test_a_beat_is_added_anywhere_or_the_page_says_why_not(opened: OpenedPage) -> None:
+    tried = opened.page.evaluate("""() => {
+        const { session, inspector } = preview, note = document.getElementById("notice"), out = [];
+        const { blocks } = session.plan;
+        for (const { start, end } of blocks) {
+            for (const time of [start + 0.004, (start + end) / 2, end - 0.004]) {
+                note.textContent = "";
+                inspector.addBeat.call({ session, clock: { time } });
+                const after = session.plan.blocks, told = note.textContent;
+                const least = Math.min(...after.filter((one) => one.start >= start && one.end <= end)
+                    .map((one) => one.end - one.start));
+                out.push({ long: end - start, added: after.length - blocks.length, told, least });
+                if (after !== blocks) session.undo();
+            }
+        }
+        document.getElementById("notice").click();
+        return out;
+    }""")
+    assert len(tried) > 20
+    for one in tried:
+        assert one["added"] == (one["long"] > 0.202) or 0.2 <= one["long"] <= 0.202, one
+        assert ("too short" in one["told"]) == (one["added"] == 0), one
+        assert one["least"] >= 0.1 - 1e-9 or one["long"] < 0.1 + 1e-9, one
+
+
+def test_every_word_is_written_at_the_first_zoom_and_none_over_another(opened: OpenedPage) -> None:
+    # Fast speech, 200 words a minute, in which some words last 60 ms.
+    text = "and so I said to him that it is as good as a thing like this can ever be to all of us in a way"
+    said = text.split()
+    lasts = [0.06 + 0.045 * len(word) for word in said]
+    starts = [round(0.2 + sum(lasts[:at]) + 0.02 * at, 3) for at in range(len(said))]
+    assert len(said) / starts[-1] * 60 > 200
+    words = [{"text": word, "start": start, "end": start + last}
+             for word, start, last in zip(said, starts, lasts, strict=True)]
+    written = opened.page.evaluate("""(words) => {
+        const { timeline } = preview, real = timeline.canvas.getContext("2d"), out = [];
+        const rows = { ...timeline.rows, words: { top: 0, tall: 28 } };
+        const there = Object.create(timeline);
+        Object.assign(there, { rows, left: 0, scale: 95, session: { plan: { words } } });
+        Object.defineProperty(there, "span", { value: 60 });
+        there.drawWords({
+            measureText: (text) => real.measureText(text),
+            fillText: (text, x, y) => out.push({ text, x, y, wide: real.measureText(text).width }),
+        }, -1);
+        return out;
+    }""", words)
+    assert [one["text"] for one in written] == said
+    for line in {one["y"] for one in written}:
+        row = [one for one in written if one["y"] == line]
+        assert all(one["x"] + one["wide"] <= after["x"] for one, after in pairwise(row))
+    late = [one["x"] - 95 * start for one, start in zip(written, starts, strict=True)]
+    assert max(late) <= 30.0, "pixels, beside the sound"
 
 
 def test_a_plan_is_edited_saved_and_opened(opened: OpenedPage, tmp_path: Path) -> None:

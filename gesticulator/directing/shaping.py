@@ -11,7 +11,9 @@ by large strokes, and F that by small movements (`gesticulator.directing.strokes
                                          a = 1 - 0.5 (1 - i), b = 1 - 0.8 (1 - i)       for 0.5 <= i < 1
 
 h falls from 1 to 0 as the arm is lowered, so that a hanging arm is not moved: with r the resting pose and m the mean
-pose, the lift of the arm is s = <x - r, m - r> / |m - r|^2, and h is a smooth step of s from 0.1 to 0.7. Below i = 0.5,
+pose, the lift of the arm is s = <x - r, m - r> / |m - r|^2, and h is a smooth step of s from 0.1 to 0.7. For i < 1, its
+mean over the last `CALM` seconds is taken: while h changed within a stroke, it added (a - 1) S dh/dt to the speed, and
+smaller gestures had faster moments than those they were made of. Below i = 0.5,
 arms and fingers approach the resting pose, which they reach at 0: r + 2 i (x - r), with x as for i = 0.5.
 
 Movement towards the bounds of the training data (`Statistics.bounds`) is limited smoothly. Head and spine are scaled
@@ -55,6 +57,8 @@ _FLIP = np.array([1.0, -1.0, -1.0])
 """A reflection in x = 0 keeps the x component of an exponential map and negates y and z."""
 _HANGS, _LIFTED = 0.1, 0.7
 """Lift s (see the module) up to which an arm hangs, and from which on it is up."""
+CALM = 0.8
+"""Seconds over which h is averaged for smaller gestures: longer than a stroke."""
 
 
 def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: float,
@@ -136,6 +140,17 @@ class _ScaledArm:
         lift = (poses - self.rest) @ up / max(float(up @ up), 1e-9)
         return smooth_step((lift - _HANGS) / (_LIFTED - _HANGS))[:, None]
 
+    def calmly_lifted(self, times: Array) -> Array:
+        """[M, 1] the mean of h over `CALM` seconds before each of the times [M] of poses that were pushed."""
+        up = self.mean - self.rest
+
+        def lifted(poses: Array) -> Array:
+            # Sums along rows have the same bits for any number of rows, which products of matrices have not.
+            lift = ((poses - self.rest) * up).sum(axis=1) / max(float(up @ up), 1e-9)
+            return smooth_step((lift - _HANGS) / (_LIFTED - _HANGS))
+
+        return self.large.averaged(times, CALM, lifted)[:, None]
+
 
 class Shaper:
     """Applies the knobs for one speaker. Poses are exponential maps [M, 3 J], radians; all poses of a performance must
@@ -181,7 +196,10 @@ class Shaper:
             step = np.maximum(intensity[:, side, None], RESTING) - 1.0
             large = (stroke + echo) * step * np.where(step > 0.0, STRONGER, WEAKER)
             fine = arm.fine.at(times[at]) * np.minimum(step, 0.0) * FINER
-            changed = self._within(pose, echo + arm.lifted(pose) * (large + fine), arm.columns)
+            lifted = arm.lifted(pose)
+            if (step < 0.0).any():
+                lifted = np.where(step < 0.0, arm.calmly_lifted(times[at]), lifted)
+            changed = self._within(pose, echo + lifted * (large + fine), arm.columns)
             out[:, arm.columns] = _towards(arm.rest, changed, share)
             out[:, arm.fingers] = _towards(arm.resting_fingers, before[:, arm.fingers], share)
         most = intensity.max(axis=1, keepdims=True)

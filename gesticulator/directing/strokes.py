@@ -16,6 +16,7 @@ fraction of a stroke: the small movements on top.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,6 +95,22 @@ class StrokeMemory:
         # Where `left` is not among the knots, its weight is zero.
         early, late = (sums[np.minimum(np.searchsorted(knots, ends), len(knots) - 1)] for ends in (left, right))
         return np.where((share == 1.0)[:, None], late, early + share[:, None] * (late - early))
+
+    def averaged(self, times: Array, span: float, value: Callable[[Array], Array]) -> Array:
+        """[M] the mean of a value of the arm's poses over the `span` seconds before each of the rising times [M], which
+        counts the middle of the span most; the value itself at the first knot. value: [K, D] poses -> [K]."""
+        rows = self._rows
+        # One more, from which the width of the first that counts is measured.
+        first = max(int(np.searchsorted(rows.times, times[0] - span)) - 1, 0)
+        knots, values = rows.times[first:], value(self._poses[first:])
+        widths = np.diff(knots, prepend=knots[:1])
+        out = np.empty(len(times))
+        for at, now in enumerate(times):
+            inside = slice(int(np.searchsorted(knots, now - span)), int(np.searchsorted(knots, now, side="right")))
+            weights = widths[inside] * np.sin(np.pi * (now - knots[inside]) / span) ** 2
+            total = float(weights.sum())
+            out[at] = weights @ values[inside] / total if total > 0.0 else values[inside][-1]
+        return out
 
     def _sum(self, knot: int) -> Array:
         rows, now = self._rows, self._rows.times[knot]

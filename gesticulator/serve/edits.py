@@ -33,7 +33,7 @@ from gesticulator.export.html import LONG, LONG_FPS, QUATERNION_STEPS, describe_
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.exchange import PlanExchange
-from gesticulator.plan.plan import GesturePlan, sound_hash
+from gesticulator.plan.plan import Block, GesturePlan, sound_hash
 from gesticulator.plan.schema import to_plain, written_parts
 from gesticulator.serve.page_server import AbandonedError, UnknownRenderingError
 
@@ -55,6 +55,9 @@ REPORTS = 24
 """Blocks between two reports of progress: about a second."""
 FIRST_SHOWN = 24
 """Pieces outside of the visible stretch from which on that stretch is sent first: they take a tenth of a second."""
+STRETCH = 60
+"""Pieces of a stretch that is sent as soon as it is made, after the visible one: about 20 s of motion, which take a
+quarter of a second."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +83,12 @@ class _Maker:
 
 @dataclass(frozen=True)
 class _Asked:
-    """have: the rendering that the page has; view: the visible stretch, seconds; abandoned: whether the page has asked
-    for something else; done: takes the rendered plan."""
+    """plan, plain: the plan that the page asked for, and as plain values; have: the rendering that the page has; view:
+    the visible stretch, seconds; abandoned: whether the page has asked for something else; done: takes the rendered
+    plan."""
 
+    plan: GesturePlan
+    plain: Mapping[str, Any]
     have: KnownMotion | None
     view: tuple[float, float]
     abandoned: Callable[[], bool]
@@ -158,8 +164,11 @@ class LivePlans:
         options = planned(InferenceOptions(plan=plan))
         assert options.plan is not None
         check_plan_of(self._system.bundle, options.plan, self._sound)
-        parts = self._messages(plan, plain, options, _Asked(
-            have, _view(request), abandoned, lambda made: self.on_edit(request, made)))
+        asked = _Asked(plan, plain, have, _view(request), abandoned, lambda made: self.on_edit(request, made))
+        if have is not None and _another_interpreter(plain, have.plain):
+            plan = self._chosen_anew(options, asked)
+            options = planned(InferenceOptions(plan=plan))
+        parts = self._messages(plan, options, asked)
         # What is wrong with a plan may be found after parts of the answer were sent.
         begun = False
         try:
@@ -171,8 +180,33 @@ class LivePlans:
                 raise
             yield message({"kind": "failed", "ranges": [], "error": one_line(error)})
 
-    def _messages(self, plan: GesturePlan, plain: Mapping[str, Any], options: InferenceOptions, asked: _Asked
-                  ) -> Iterator[bytes]:
+    def _chosen_anew(self, options: InferenceOptions, asked: _Asked) -> GesturePlan:
+        """The plan of the options with the lexemes that its interpreter chooses. Locked blocks, and the size and side
+        of the others, stay where the beats are those that were found."""
+        plan, interpreter = asked.plan, asked.plan.interpreter
+        performance = self._system.perform(self._speech, replace(
+            options, plan=None, cues=(), interpreter=interpreter, variation=plan.variation, temperature=None, beta=None,
+            gain=0.0, legs=False, seated=False), on_block=lambda done, total: asked.check())
+        chosen, before = performance.plan(), {(block.start, block.end): block for block in plan.blocks}
+        settings = {**plan.made_by["settings"], **{
+            name: value for name, value in chosen.made_by["settings"].items() if name in ("temperature", "beta")}}
+        if "beta" not in chosen.made_by["settings"]:
+            settings.pop("beta", None)
+
+        def kept(block: Block) -> Block:
+            old = before.get((block.start, block.end))
+            if old is None or old.locked:
+                return old or block
+            return replace(block, intensity=old.intensity, mirror=old.mirror)
+
+        made = replace(chosen, made_by={**plan.made_by, "settings": settings}, sound=plan.sound, knobs=plan.knobs,
+                       blocks=tuple(kept(block) for block in chosen.blocks), cues=plan.cues, meanings=plan.meanings,
+                       pins=plan.pins, curves=plan.curves, notes=plan.notes, alignment=plan.alignment)
+        if performance.drawing is not None:
+            self._drawings = [*self._drawings, (_identity(made), performance.drawing)][-MOST_DRAWINGS:]
+        return made
+
+    def _messages(self, plan: GesturePlan, options: InferenceOptions, asked: _Asked) -> Iterator[bytes]:
         sent = dict[int, int]()
         if self._in_pieces(options):
             maker = self._maker(options, lambda done, total: asked.check())
@@ -188,8 +222,8 @@ class LivePlans:
             made, motion = performance.plan(), shown(scene)
             pieces, shape, root = whole_motion(motion), describe_shape(motion, scene.duration), root_path(motion)
         have = asked.have if asked.have is not None and asked.have.shape == shape else None
-        changes = changes_of(made, plan)
-        rendering = self._kept(plan_with(plain, changes), shape, pieces, root)
+        changes = changes_of(made, asked.plan)
+        rendering = self._kept(plan_with(asked.plain, changes), shape, pieces, root)
         left = [at for at in pieces.changed(None if have is None else have.pieces)
                 if sent.get(at) != pieces.pieces[at].number or (pieces.signs[at] < 0).any()]
         ranges, data = frames_of(pieces, left)
@@ -224,41 +258,42 @@ class LivePlans:
             plan, blocks=tuple(one.block.block for one in played))), cut.edges))
         frames = self._frames(maker, options)
         pieces = [piece for _, piece in frames.pieces(times, posed, float(cut.edges[-1]), seen)]
-        if pieces:
-            ranges, data = frames_of(SignedPieces(0, pieces, np.ones((len(pieces), pieces[0].ends.shape[1]), np.int16)),
-                                     range(len(pieces)))
-            yield message({"kind": "frames", "ranges": ranges}, data)
+        if pieces and self._streams(options, asked):
+            yield _unsigned(pieces, 0.0)
         for done in range(REPORTS, count, REPORTS):
             renderer.generation(plan.knobs, lambda at, total: asked.check(), done)
             yield message({"kind": "progress", "ranges": [], "share": done / count})
 
+    def _streams(self, options: InferenceOptions, asked: _Asked) -> bool:
+        """Whether frames may be sent before the end of the answer: not to a page that has another number of them or of
+        joints, as after legs."""
+        frames = max(1, round(self._speech.duration * float(options.fps)))
+        return asked.have is None or asked.have.shape == self._shape(options, frames)[0]
+
     def _pieces(self, maker: _Maker, options: InferenceOptions, played: Sequence[PlayedBlock], asked: _Asked,
                 sent: dict[int, int]) -> Generator[bytes, None, SignedPieces]:
-        """The pieces of a plan; yields those of the visible stretch first where the others take long. sent: receives
-        the numbers of blocks and of the pieces that were sent for them."""
+        """The pieces of a plan; where they take long, yields those of the visible stretch first, and then stretch by
+        stretch, the nearest to it first. sent: receives the numbers of blocks and of the pieces sent for them."""
         assert options.plan is not None
         cut = maker.renderer.cut(options.plan)
         times, duration = cut.knot_times.reshape(len(cut), -1), float(cut.edges[-1])
         posed = maker.shaped.blocks(played, cut, self._shaping(options, cut.edges))
-        order = list(range(len(cut)))
         frames = self._frames(maker, options)
         lacking = [at for at, known in enumerate(frames.known(times, posed, duration, options.plan)) if not known]
-        first = int(np.searchsorted(cut.edges[1:], asked.view[0]))
         seen = [at for at in lacking if cut.edges[at + 1] > asked.view[0] and cut.edges[at] < asked.view[1]]
+        stretches = [list(range(len(cut)))]
+        if len(lacking) - len(seen) >= FIRST_SHOWN and seen and self._streams(options, asked):
+            # The last stretch is sent with the end of the answer, which has what is left to say of all of them.
+            stretches = [seen, *_nearest_first(lacking, seen), stretches[0]]
         found = {}
-        if len(lacking) - len(seen) >= FIRST_SHOWN and seen:
-            for at, piece in frames.pieces(times, posed, duration, seen, options.plan):
+        for stretch in stretches:
+            for at, piece in frames.pieces(times, posed, duration, stretch, options.plan):
                 found[at] = piece
-                asked.check()
-            pieces = [found[at] for at in seen]
-            ranges, data = frames_of(SignedPieces(0, pieces, np.ones((len(pieces), pieces[0].ends.shape[1]), np.int16)),
-                                   range(len(pieces)))
-            sent |= {at: found[at].number for at in seen}
-            yield message({"kind": "frames", "ranges": ranges}, data)
-            order = order[first:] + order[:first]
-        for at, piece in frames.pieces(times, posed, duration, order, options.plan):
-            found[at] = piece
-            if at % 8 == 0:
+                if at % 8 == 0:
+                    asked.check()
+            if stretch is not stretches[-1]:
+                sent |= {at: found[at].number for at in stretch}
+                yield _unsigned([found[at] for at in stretch], len(sent) / len(lacking))
                 asked.check()
         return signed([found[at] for at in range(len(cut))])
 
@@ -332,7 +367,22 @@ def _identity(plan: GesturePlan) -> tuple[Any, ...]:
     """Everything that identifies a first generation. Equal parts of the plans that a page sends are the same objects,
     so comparing the tuples is fast."""
     controls = tuple([curve for curve in plan.curves if curve.knob in FEATURES])
+    settings = plan.made_by.get("settings")
+    if isinstance(settings, dict) and "legs" in settings:  # they are added to what was generated
+        made_by = {**plan.made_by, "settings": {name: value for name, value in settings.items() if name != "legs"}}
+        return made_by, *_identity(replace(plan, made_by=made_by))[1:]
     return plan.made_by, plan.seed, plan.variation, plan.speaker, plan.interpreter, plan.drawn, plan.words, controls
+
+
+def directions_of(system: Gesticulator) -> dict[str, list[str]]:
+    """What the page offers as directions of the whole take: the names of performers and interpreters."""
+    return {"speakers": list(system.speakers), "interpreters": list(system.interpreters)}
+
+
+def _another_interpreter(plain: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+    """Whether a plan wants another interpreter to choose the lexemes that were chosen in the plan before it; not where
+    it has been there already, as after undo."""
+    return plain.get("interpreter") != before.get("interpreter") and plain.get("drawn") == before.get("drawn")
 
 
 def _view(request: Mapping[str, Any]) -> tuple[float, float]:
@@ -360,6 +410,27 @@ def frames_of(pieces: SignedPieces, wanted: Sequence[int]) -> tuple[list[tuple[i
         else:
             ranges.append((piece.first, piece.last))
     return ranges, b"".join(pieces.rotations(at).astype("<i2").tobytes() for at in wanted)
+
+
+def _unsigned(pieces: Sequence[FramePiece], share: float) -> bytes:
+    """The message with frames of pieces whose signs are not known yet. share: of the frames to be sent, so far."""
+    ranges, data = frames_of(SignedPieces(0, pieces, np.ones((len(pieces), pieces[0].ends.shape[1]), np.int16)),
+                             range(len(pieces)))
+    return message({"kind": "frames", "ranges": ranges, "share": round(share, 3)}, data)
+
+
+def _nearest_first(lacking: Sequence[int], seen: Sequence[int]) -> list[list[int]]:
+    """The pieces that are lacking, but for those of the visible stretch, in stretches of neighbours, by their distance
+    from it. What comes next in time is as near as half of the distance before it: playing reaches it."""
+    after = [at for at in lacking if at > seen[-1]]
+    before = [at for at in lacking if at < seen[0]]
+    stretches = [after[at:at + STRETCH] for at in range(0, len(after), STRETCH)]
+    stretches += [before[max(at - STRETCH, 0):at] for at in range(len(before), 0, -STRETCH)]
+
+    def distance(stretch: list[int]) -> int:
+        return stretch[0] - seen[-1] if stretch[0] > seen[-1] else 2 * (seen[0] - stretch[-1])
+
+    return sorted(stretches, key=distance)
 
 
 def whole_motion(motion: Motion) -> SignedPieces:
@@ -391,11 +462,14 @@ def plan_with(plain: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str,
 
 
 def changes_of(made: GesturePlan, plan: GesturePlan) -> dict[str, Any]:
-    """The changes (`plan_with`) that lead from a plan to another one with as many blocks."""
+    """The changes (`plan_with`) that lead from a plan to another one."""
     rows: list[tuple[int, int, list[Any]]] = []
-    for at, (new, old) in enumerate(zip(made.blocks, plan.blocks, strict=True)):
-        if new is not old and new != old:
-            rows.append((at, at + 1, [to_plain(new)]))
+    if len(made.blocks) != len(plan.blocks):
+        rows.append((0, len(plan.blocks), [to_plain(block) for block in made.blocks]))
+    else:
+        for at, (new, old) in enumerate(zip(made.blocks, plan.blocks, strict=True)):
+            if new is not old and new != old:
+                rows.append((at, at + 1, [to_plain(new)]))
     before, after = dict(written_parts(plan)), dict(written_parts(made))
     parts = {name: to_plain(value) for name, value in after.items()
              if name != "blocks" and (name not in before or (before[name] is not value and before[name] != value))}

@@ -87,7 +87,7 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
     """Generate one or two performances, and give the server its page and the renderer of edited plans."""
     from gesticulator.export import html
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.serve.edits import LivePlans, levels_of
+    from gesticulator.serve.edits import LivePlans, directions_of, levels_of
 
     character, stands = _character(args)
     system = Gesticulator.from_pretrained(args.bundle)
@@ -99,7 +99,8 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
     described = [html.describe(scene) for scene in scenes.values()]
     numbers = [plans.opened(take, one["plan"]) for take, one in zip(takes.values(), described, strict=True)]
     assert job.source is not None
-    live = {"token": server.token, "renderings": numbers, "formats": formats(), "levels": levels_of(system.bundle)}
+    live = {"token": server.token, "renderings": numbers, "formats": formats(), "levels": levels_of(system.bundle),
+            "directions": directions_of(system)}
     more = {"live": live, **character}
     server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1, more=more).encode()
     if job.source is not None and args.beside is None:

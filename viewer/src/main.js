@@ -4,6 +4,7 @@ import { readCharacter } from "./character.js";
 import { Clock } from "./clock.js";
 import { bindCurves } from "./curve_knobs.js";
 import { curveOf } from "./curves.js";
+import { bindDirections } from "./directions.js";
 import { $, element, notice } from "./dom.js";
 import { characterGlb, figureGlb, vrmaOf } from "./exports.js";
 import { bindFiles, fileName, save } from "./files.js";
@@ -426,6 +427,7 @@ $("variations").replaceChildren(...[1, 2, 3].map((number) => {
     "onpointerenter": see, "onpointerleave": leave, "onfocus": see, "onblur": leave, "onclick": () => { leave(); session.edit(plan()); } }, `V${number}`);
 }));
 bindCurves(session, timeline, refresh);
+bindDirections(session, data.live?.directions);
 if (curveOf(session.plan).length) toggleCurve();
 clock.load(data.sound, data.soundType, () => notice("This browser cannot play the sound (Ogg Vorbis).", true));
 refresh();

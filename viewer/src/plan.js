@@ -156,7 +156,7 @@ export function countChanges(plan, original) {
   if (plan === original) return 0;
   const here = plan.blocks.filter((block) => differs(block, original)).length || Math.abs(plan.blocks.length - original.blocks.length);
   const plain = (part) => JSON.stringify(part && Object.keys(part).length ? part : null);
-  const parts = ["knobs", "cues", "meanings", "pins", "curves"].filter((name) => plain(plan[name]) !== plain(original[name]));
+  const parts = ["knobs", "cues", "meanings", "pins", "curves", "speaker", "interpreter", "variation", "made_by"].filter((name) => plain(plan[name]) !== plain(original[name]));
   return here + parts.length;
 }
 

@@ -1,0 +1,87 @@
+"""Smaller gestures are no faster at any moment than those they are made of, whoever performs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from data_module.types import Array, Speech
+from gesticulator import Gesticulator
+from gesticulator.directing import shaping
+from gesticulator.directing.strokes import LARGE, StrokeMemory
+from gesticulator.performance import Performance
+
+SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
+SEED = 2
+NO_FASTER = 1.05
+"""Joints are slowed, and a hand's speed depends on which of them move: up to a twentieth more is left at a peak."""
+
+
+@pytest.fixture(scope="module")
+def system() -> Gesticulator:
+    system = Gesticulator.from_pretrained()
+    system.keeps_drawings = True
+    return system
+
+
+@pytest.fixture(scope="module")
+def speech() -> Speech:
+    samples, rate = soundfile.read(SPEECH, dtype="float32")
+    return Speech(samples, rate)
+
+
+def peaks(performance: Performance) -> Array:
+    """[2] greatest speed of the left and the right hand, m/s."""
+    places = performance.positions()[:, [performance.joints.index(f"{side}Hand") for side in ("Left", "Right")]]
+    speeds: Array = np.linalg.norm(np.diff(places, axis=0), axis=-1) * 60.0
+    return speeds.max(axis=0)
+
+
+def halved(system: Gesticulator, first: Performance, intensity: float = 0.5) -> Performance:
+    plan = first.plan()
+    return system(first.speech, plan=replace(plan, knobs=replace(plan.knobs, intensity=intensity)))
+
+
+def test_no_hand_of_any_performer_is_faster_at_half_the_intensity(system: Gesticulator, speech: Speech) -> None:
+    for speaker in system.speakers:
+        first = system(speech, seed=SEED, speaker=speaker)
+        assert (peaks(halved(system, first)) <= NO_FASTER * peaks(first)).all(), speaker
+
+
+def test_with_a_lift_that_changes_within_a_stroke_one_is_half_as_fast_again(
+        system: Gesticulator, speech: Speech, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = system(speech, seed=SEED, speaker="garza")
+    monkeypatch.setattr(shaping, "CALM", 1e-6)
+    assert (peaks(halved(system, first)) / peaks(first)).max() > 1.4
+
+
+def test_the_mean_of_a_value_is_that_of_the_span_before_for_any_pieces() -> None:
+    rng = np.random.default_rng(3)
+    times, poses = np.cumsum(rng.uniform(0.03, 0.08, 200)), rng.normal(size=(200, 6))
+    whole, pieces = (StrokeMemory(np.arange(4), LARGE) for _ in range(2))
+    whole.push(times, poses)
+
+    def value(arm: Array) -> Array:
+        return arm.sum(axis=1)
+
+    at_once = whole.averaged(times, 0.8, value)
+    parts = []
+    for part in np.split(np.arange(200), [5, 6, 50, 120]):
+        pieces.push(times[part], poses[part])
+        parts.append(pieces.averaged(times[part], 0.8, value))
+    np.testing.assert_array_equal(np.concatenate(parts), at_once)
+    # What was before the span does not count, nor what comes after; a constant is its mean.
+    other = poses.copy()
+    other[times < times[100] - 0.8] += 5.0
+    other[times > times[100]] -= 5.0
+    anew = StrokeMemory(np.arange(4), LARGE)
+    anew.push(times, other)
+    assert anew.averaged(times[100:101], 0.8, value)[0] == at_once[100]
+    np.testing.assert_allclose(whole.averaged(times, 0.8, lambda arm: np.full(len(arm), 2.5)), 2.5, rtol=1e-12)
+    # Its greatest change is that of its window: a step by 1 takes the whole span.
+    step = whole.averaged(times, 0.8, lambda arm: (np.arange(len(arm)) >= len(arm) - 100).astype(float))
+    assert np.abs(np.diff(step) / np.diff(times)).max() < 2.6 / 0.8
