@@ -430,7 +430,7 @@ class Gesticulator:
             return None
         from gesticulator.body.face import FaceSettings, face_of
 
-        return face_of(FaceSettings.of(options), speech.samples, plan.blocks, motion)
+        return face_of(FaceSettings.of(options), speech.samples, plan.blocks, motion, speech.words or ())
 
     def _rest_pose(self, speaker: int) -> Motion:
         """The speaker's resting pose, a motion of one frame."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from data_module.controls import MOOD, Curve, read_curve
 from data_module.face import FaceMotion
 from data_module.motion import kinematics, rotation
-from data_module.types import Array, Motion, Samples
+from data_module.types import Array, Motion, Samples, Word
 from data_module.visemes import SILENT, VISEMES
 from gesticulator.body.face_life import RATE, FaceLife
 from gesticulator.body.face_lips import Lips, with_strength
@@ -86,10 +86,13 @@ class Face:
         """Take more of the character's speech at 16 kHz."""
         self._lips[-1].feed(samples)
 
-    def end(self) -> None:
-        """The speech that was fed is over."""
+    def end(self, words: Sequence[Word] = ()) -> None:
+        """The speech that was fed is over. words: what was spoken, with times from the start of its sound, if they are
+        known; the mouth follows their phones."""
         if self._lips:
             self._lips[-1].finish()
+            if words:
+                self._lips[-1].follow(words)
 
     def blocks(self, blocks: Iterable[Block]) -> None:
         """The next blocks of the body; brows rise on beats at which the hands gesture."""
@@ -179,12 +182,13 @@ def in_head(target: Array, motion: Motion) -> Array:
     return np.asarray(most * np.tanh((target - head) / most))
 
 
-def face_of(settings: FaceSettings, samples: Samples, blocks: Iterable[Block], motion: Motion) -> FaceMotion:
-    """The face of a whole recording at 16 kHz, for the body's `motion`."""
+def face_of(settings: FaceSettings, samples: Samples, blocks: Iterable[Block], motion: Motion,
+            words: Sequence[Word] = ()) -> FaceMotion:
+    """The face of a whole recording at 16 kHz, for the body's `motion`. words: with their times, if they are known."""
     face = Face(settings)
     face.state(0.0, "speaking")
     face.begin(0.0)
     face.hear(samples)
-    face.end()
+    face.end(words)
     face.blocks(blocks)
     return face.frames(0, motion)
