@@ -166,8 +166,9 @@ class InferenceOptions:
     """Ranges (from, to) in which the hands rest, seconds."""
     cues: tuple[GestureCue, ...] = _option(
         (), "a gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug, or with --face "
-        "full 2.5=smile; can be repeated (gesticulator gestures lists them)", "WORD=GESTURE", many=True, name="cue")
-    """Gestures to make at words or times."""
+        "full 2.5=smile; can be repeated (gesticulator gestures lists them)", "WORD=GESTURE",
+        many=True, name="cue")
+    """Gestures, or expressions of the face, to make at words or times."""
     meaning: str = _option("normal", "with --text: how many of the gestures that the words call for are shown: off, "
                            "few, normal (default) or rich", "LEVEL", choices=MEANING_LEVELS)
     """With words: how many of the gestures that they call for are shown, "off", "few", "normal" or "rich"."""

@@ -73,6 +73,13 @@ def test_any_words_leave_weights_and_what_is_far_from_words(seed: int, parts: li
     assert np.array_equal(found[int((at + SLACK) * RATE) + 2:], weights[int((at + SLACK) * RATE) + 2:])
 
 
+def test_speech_without_a_pause_is_cut_into_paths_that_follow_it() -> None:
+    heard = ([CLOSED] * 5 + [AA] * 10) * 200
+    words = [PhonedWord(0.3 * at, 0.3 * at + 0.3, ((CLOSED, AA),)) for at in range(200)]
+    found = with_phones(_weights(heard), words)
+    assert found is not None and (found.argmax(axis=1) == heard).mean() > 0.98
+
+
 def test_words_of_other_speech_are_left_to_the_sound() -> None:
     weights = _weights([SILENT] * 10 + [SS] * 40 + [SILENT] * 10, 0.9)
     assert with_phones(weights, [PhonedWord(0.2, 1.0, ((CLOSED, AA, CLOSED, AA),))]) is None

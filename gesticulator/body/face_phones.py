@@ -26,6 +26,8 @@ _FREE = 0.2
 """Probability of every frame in a word without a pronunciation."""
 _PAUSE = 0.6
 """Seconds without a word at which one path ends and the next begins."""
+_LONGEST = 15.0
+"""Longest path, seconds: its memory grows with the square. A longer one is cut at the widest gap of its second half."""
 _LEAST = -1.9
 """Mean logarithm of the probability of its visemes from which a word is heard where it should be."""
 _MOST_UNHEARD = 0.4
@@ -94,6 +96,10 @@ def _mixed(sound: Array, visemes: NDArray[np.int64]) -> Array:
 def spoken_weights(weights: Array, words: Sequence[Word]) -> Array:
     """`with_phones` for words as they are written. Where their pronunciations are not known, or they are not heard, the
     weights stay, and a `PhonesWarning` says so."""
+    words = sorted((word for word in words if word.text.strip() and word.end > word.start),
+                   key=lambda word: word.start)
+    if not words:
+        return weights
     spoken = phoned(words)
     if spoken is None:
         _warn("no pronunciations for these words (English needs pocketsphinx or espeak-ng, German and Spanish "
@@ -110,23 +116,28 @@ def _warn(reason: str) -> None:
 
 
 def phoned(words: Sequence[Word]) -> list[PhonedWord] | None:
-    """The words with their visemes; None if no source of pronunciations knows them."""
+    """The words with their visemes; None if no source of pronunciations knows their language."""
     from data_module.text.pronunciations import pronunciations
 
-    spoken = [word for word in words if word.text.strip() and word.end > word.start]
-    ways = pronunciations([word.text for word in spoken])
+    ways = pronunciations([word.text for word in words])
     if ways is None:
         return None
-    return [PhonedWord(word.start, word.end, way) for word, way in zip(spoken, ways, strict=True)]
+    return [PhonedWord(word.start, word.end, way) for word, way in zip(words, ways, strict=True)]
 
 
 def _runs(words: Sequence[PhonedWord]) -> Iterator[tuple[int, int]]:
-    """First and last (excluded) of the words between pauses."""
+    """First and last (excluded) of the words of each path."""
     first = 0
     for at in range(1, len(words) + 1):
         if at == len(words) or words[at].start - words[at - 1].end > _PAUSE:
             yield first, at
             first = at
+        elif words[at].end - words[first].start > _LONGEST:
+            half = words[first].start + _LONGEST / 2
+            later = [cut for cut in range(first + 1, at + 1) if words[cut].start >= half]
+            cut = max(later, key=lambda cut: words[cut].start - words[cut - 1].end)
+            yield first, cut
+            first = cut
 
 
 def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
