@@ -155,9 +155,12 @@ def check_cues(system: Gesticulator, args: argparse.Namespace) -> None:
     """`InputError` for a cue that names an unknown gesture, before any recording is processed."""
     if not args.cues:
         return
-    from gesticulator.plan.gestures import GESTURES, near_gestures
+    from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
 
-    unknown = [cue.gesture for cue in args.cues if cue.gesture not in GESTURES]
+    shown_by_face = [cue.gesture for cue in args.cues if cue.gesture in EXPRESSIONS]
+    if shown_by_face and args.face != "full":
+        raise InputError(f"--cue {shown_by_face[0]}", "is of the face", "add --face full, or leave it out")
+    unknown = [cue.gesture for cue in args.cues if cue.gesture not in (*GESTURES, *EXPRESSIONS)]
     if unknown:
         from gesticulator.directing.lexeme_names import lexeme_names
 

@@ -165,9 +165,10 @@ class InferenceOptions:
         (), "rest the hands during these seconds, such as 3.2-5.0; can be repeated", "FROM-TO", many=True)
     """Ranges (from, to) in which the hands rest, seconds."""
     cues: tuple[GestureCue, ...] = _option(
-        (), "a gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug; can be "
-        "repeated (gesticulator gestures lists them)", "WORD=GESTURE", many=True, name="cue")
-    """Gestures to make at words or times."""
+        (), "a gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug, or with --face "
+        "full 2.5=smile; can be repeated (gesticulator gestures lists them)", "WORD=GESTURE",
+        many=True, name="cue")
+    """Gestures, or expressions of the face, to make at words or times."""
     meaning: str = _option("normal", "with --text: how many of the gestures that the words call for are shown: off, "
                            "few, normal (default) or rich", "LEVEL", choices=MEANING_LEVELS)
     """With words: how many of the gestures that they call for are shown, "off", "few", "normal" or "rich"."""
@@ -251,15 +252,24 @@ class InferenceOptions:
         return ENERGIES[self.energy][1]
 
     @property
+    def _moves(self) -> bool:
+        """Whether a cue is of the body, not of the face."""
+        if not self.cues:
+            return False
+        from gesticulator.plan.gestures import EXPRESSIONS
+
+        return any(cue.gesture not in EXPRESSIONS for cue in self.cues)
+
+    @property
     def directed(self) -> bool:
         """Whether options influence the generation of blocks."""
-        return bool(self.hold_still or self.cues or self.handedness)
+        return bool(self.hold_still or self._moves or self.handedness)
 
     @property
     def shaped(self) -> bool:
         """Whether options change the generated poses."""
         resized = self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0
-        return bool(self.cues or self.handedness or resized
+        return bool(self._moves or self.handedness or resized
                     or (self.plan is not None and (shapes(self.plan) or shows_meanings(self.plan))))
 
     @property

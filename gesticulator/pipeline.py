@@ -430,7 +430,12 @@ class Gesticulator:
             return None
         from gesticulator.body.face import FaceSettings, face_of
 
-        return face_of(FaceSettings.of(options), speech.samples, plan.blocks, motion)
+        cues: list[tuple[float, str]] = []
+        if options.cues:
+            from gesticulator.directing.directions import expressions_at
+
+            cues = expressions_at(options.cues, speech.words or (), speech.duration)
+        return face_of(FaceSettings.of(options), speech.samples, plan.blocks, motion, speech.words or (), cues)
 
     def _rest_pose(self, speaker: int) -> Motion:
         """The speaker's resting pose, a motion of one frame."""

@@ -277,6 +277,7 @@ class Stream:
             raise InputError("words", "are not read by this stream", "open it with text=True")
         assert self._marks is not None
         words = self._marks.take(words, self._committed)
+        self._express(words)
         if self._meanings is not None:
             self._meanings.add(words)
         self._utterance().add_words([replace(word, start=word.start - self._begun, end=word.end - self._begun)
@@ -349,6 +350,16 @@ class Stream:
         if self._state != StreamState.SPEAKING:
             self._turns.release(self._committed)
             self._state = StreamState.SPEAKING
+
+    def _express(self, words: Sequence[Word]) -> None:
+        """Let the face show the marks of words that are for it; those that come late begin with the next frame."""
+        if self._face is not None:
+            from gesticulator.directing.directions import stroke_of_word
+            from gesticulator.directing.marks import expressions_of
+
+            for word in words:
+                for name in expressions_of(word):
+                    self._face.express(max(stroke_of_word(word), self.made / self.fps), name)
 
     def _hear(self, sound: Samples) -> None:
         """Let the face hear more of the utterance, at 16 kHz."""
@@ -536,8 +547,13 @@ def _face_of(options: InferenceOptions) -> Face | None:
         return None
     from gesticulator.body.face import Face, FaceSettings
 
-    settings = FaceSettings.of(options)
-    return Face(settings, LONGEST_HISTORY)
+    face = Face(FaceSettings.of(options), LONGEST_HISTORY)
+    if options.cues:
+        from gesticulator.directing.directions import expressions_at
+
+        for time, name in expressions_at(options.cues, (), math.inf):
+            face.express(time, name, lasting=True)
+    return face
 
 
 def _check_seconds(seconds: float) -> None:

@@ -145,7 +145,7 @@ def test_the_stepper_computes_what_the_network_was_trained_as() -> None:
 def test_dominance_shuts_lips_that_might_be_open() -> None:
     weights = np.zeros(15)
     weights[CLOSED], weights[VISEMES.index("aa")] = 0.5, 0.5
-    assert opening(with_dominance(weights)) < 0.1
+    assert opening(with_dominance(weights)) < 0.12
     assert with_dominance(np.eye(15)) == pytest.approx(np.eye(15))
 
 

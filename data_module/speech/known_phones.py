@@ -8,7 +8,7 @@ level and noise, all drawn from the generator. A reading is aligned with its tex
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,13 +53,15 @@ _SPEEDS = (0.88, 1.14)
 @dataclass(frozen=True)
 class PhonedSpeech:
     """Speech at 16 kHz with the visemes of its phones, which rise in time. language: ISO 639; voice: who speaks;
-    doubtful: (start, end) in seconds of sound that has no phone though it is loud."""
+    doubtful: (start, end) in seconds of sound that has no phone though it is loud; text: what is spoken, if it is
+    English."""
 
     samples: Samples
     track: tuple[VisemeSpan, ...]
     language: str
     voice: str
     doubtful: tuple[tuple[float, float], ...] = ()
+    text: str = ""
 
     @property
     def duration(self) -> float:
@@ -103,16 +105,17 @@ def _by_espeak(rng: np.random.Generator, language: str, voice: str, split: str, 
              for text in texts]
     parts = [(samples, [span for name, start, end in phones for span in spans(of_ipa(name), start, end)])
              for samples, phones in espeak.ipa_phrases(lines)]
-    return _recorded(parts, language, voice, rng)
+    made = _recorded(parts, language, voice, rng)
+    return replace(made, text=" ".join(texts)) if language == "en" else made
 
 
 def _by_flite(rng: np.random.Generator, voice: str, split: str, used: set[str]) -> PhonedSpeech:
-    parts = []
-    for text in _sentences(rng, "en", split, used):
+    parts, texts = [], _sentences(rng, "en", split, used)
+    for text in texts:
         samples, phones = flite.timed_phrase(voice, text, float(rng.uniform(95, 190)), float(rng.uniform(12, 40)),
                                              float(rng.uniform(0.85, 1.25)))
         parts.append((samples, [span for name, start, end in phones for span in spans(of_arpabet(name), start, end)]))
-    return _recorded(parts, "en", voice, rng)
+    return replace(_recorded(parts, "en", voice, rng), text=" ".join(texts))
 
 
 def _sentences(rng: np.random.Generator, language: str, split: str, used: set[str]) -> list[str]:
@@ -184,7 +187,7 @@ def aligned(speech: Speech, text: str, voice: str = "") -> PhonedSpeech:
     edges = [0.0, *(edge for span in track for edge in (span.start, span.end)), speech.duration]
     gaps = tuple((start, end) for start, end in zip(edges[::2], edges[1::2], strict=True) if end > start)
     return PhonedSpeech(speech.samples, tuple(track), "en", voice,
-                        tuple(part for gap in gaps for part in _loud_parts(speech, *gap)))
+                        tuple(part for gap in gaps for part in _loud_parts(speech, *gap)), text)
 
 
 def _loud_parts(speech: Speech, start: float, end: float) -> list[tuple[float, float]]:

@@ -206,6 +206,15 @@ def _know(decoder: Any, words: Sequence[str]) -> None:
             decoder.add_word(word, letters_to_sounds(word), True)
 
 
+def dictionary_phones(word: str) -> list[list[str]]:
+    """The pronunciations of a word, in the letters of `spoken_words`, by the aligner's dictionary: ARPABET phones each;
+    by its letters if the dictionary lacks it. `InputError` if the aligner is not installed."""
+    decoder = _loaded_decoder(False)
+    spelt = itertools.chain([word], (f"{word}({number})" for number in itertools.count(2)))
+    ways = itertools.takewhile(lambda phones: phones is not None, map(decoder.lookup_word, spelt))
+    return [way.split() for way in ways] or [letters_to_sounds(word).split()]
+
+
 def _loudness(samples: NDArray[np.int16]) -> NDArray[np.float64]:
     hop = int(FRAME * ALIGNER_RATE)
     count = max(1, len(samples) // hop)

@@ -7,23 +7,31 @@ vowels of aa and oh at which it does *not* shut, so that a mouth that is always 
 silence. `level` and `F1`: correlation of the opening with the level over frames with a phone, and with the first
 formant over vowels.
 The controls are the network on sound that is moved by 0.2 s, and on that of another clip: they must fail.
+
+For English the words are given, too: with times by pocketsphinx, and as a control with the words of another clip in
+their place. The phones of the readings are by pocketsphinx, too; those of the synthetic voices are not, so that their
+figures do not depend on it.
 """
 
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import read_text
 from data_module.speech.audio import load_speech
 from data_module.speech.known_phones import PhonedSpeech, aligned, synthetic
-from data_module.types import Array, Samples
+from data_module.speech.lip_features import LOOK_AHEAD
+from data_module.text.alignment import alignment
+from data_module.types import Array, Samples, Speech, Word
 from data_module.visemes import CLOSED, SILENT, VISEMES, VOWELS, opening
 from eval.baselines.mouths import RATE, by_formants, by_volume, formants, loudness
 from eval.stats import mean_interval, paired
@@ -44,6 +52,7 @@ COLUMNS = {
     "level": Column("r with level", "", good="high"), "f1": Column("r with F1", "", good="high")}
 Mouth = Callable[[Samples], tuple[Array, Array]]
 """Samples at 16 kHz -> [T, 15] weights of visemes as found, and as drawn."""
+WITH_WORDS, OTHER_WORDS = "network, with words", "network, words of another clip"
 
 
 @dataclass(frozen=True)
@@ -82,6 +91,36 @@ def network(folder: Path = SHIPPED) -> Mouth:
         count = len(samples) * RATE // 16000
         return lips.weights[:count], lips.rows(0, count)
     return mouth
+
+
+def with_words(samples: Samples, words: Sequence[Word], folder: Path = SHIPPED) -> tuple[Array, Array]:
+    """The lips network with the phones of words, as found and as drawn."""
+    lips = Lips(0.0, load_weights(folder))
+    lips.feed(samples)
+    lips.finish()
+    lips.follow(words)
+    count = len(samples) * RATE // 16000
+    return lips.weights[:count], lips.rows(0, count)
+
+
+def words_of(clip: PhonedSpeech) -> tuple[Word, ...]:
+    """The words of an English clip, with times by the aligner."""
+    return alignment(Speech(clip.samples, 16000), clip.text, warn=False).words
+
+
+def seconds_per_frame(samples: Samples) -> float:
+    """Processor seconds of one frame of the network on one core, its features and the smoothing included."""
+    lips, threads = Lips(), torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        lips.feed(samples[:16000])  # what is loaded on first use
+        begin = time.process_time()
+        for at in range(16000, len(samples), 320):
+            lips.feed(samples[at:at + 320])
+            lips.rows(max(len(lips.weights) - 1, 0), len(lips.weights))
+        return (time.process_time() - begin) / max((len(samples) - 16000) / 320, 1)
+    finally:
+        torch.set_num_threads(threads)
 
 
 def rule(weights: Callable[[Samples], Array]) -> Mouth:
@@ -135,8 +174,9 @@ def _r(one: Array, other: Array) -> float:
     return float(np.corrcoef(one, other)[0, 1])
 
 
-def table(title: str, clips: Sequence[PhonedSpeech], mouths: Mapping[str, Mouth]) -> Table:
-    """A row for each mouth, and the two controls of the first; facts: the network minus the formant rule, paired."""
+def table(title: str, clips: Sequence[PhonedSpeech], mouths: Mapping[str, Mouth], folder: Path | None = None) -> Table:
+    """A row for each mouth, and the two controls of the first; facts: the network minus the formant rule, paired, and
+    with words minus without. folder: weights to use with the words of the clips; None for no words."""
     sounds = [measured(clip) for clip in clips]
     drawn = {name: [mouth(one.clip.samples) for one in sounds] for name, mouth in mouths.items()}
     first = next(iter(drawn))
@@ -144,17 +184,30 @@ def table(title: str, clips: Sequence[PhonedSpeech], mouths: Mapping[str, Mouth]
     drawn[f"{first}, moved by {SHIFT} s"] = [(np.roll(found, shift, axis=0), np.roll(shown, shift, axis=0))
                                              for found, shown in drawn[first]]
     drawn[f"{first}, another clip"] = [drawn[first][(place + 1) % len(sounds)] for place in range(len(sounds))]
+    if folder is not None:
+        words = [words_of(clip) for clip in clips]
+        drawn[WITH_WORDS] = [with_words(clip.samples, some, folder) for clip, some in zip(clips, words, strict=True)]
+        drawn[OTHER_WORDS] = [with_words(clip.samples, _replaced(some, words[(place + 1) % len(words)]), folder)
+                              for place, (clip, some) in enumerate(zip(clips, words, strict=True))]
     known = {name: _joined([figures(mouth, one) for mouth, one in zip(rows, sounds, strict=True)])
              for name, rows in drawn.items()}
     rows = {name: {key: mean_interval(values) for key, values in found.items()} for name, found in known.items()}
     facts = {}
-    for key in COLUMNS if "formant rule" in known else ():
-        a, b = (known[name][key] for name in (first, "formant rule"))
-        both = np.isfinite(a) & np.isfinite(b)
-        facts[f"{first} minus formant rule, {key}"] = paired(a[both], b[both]).to_dict()
+    for one, other in ((first, "formant rule"), (WITH_WORDS, first)):
+        for key in COLUMNS if {one, other} <= known.keys() else ():
+            a, b = (known[name][key] for name in (one, other))
+            both = np.isfinite(a) & np.isfinite(b)
+            facts[f"{one} minus {other}, {key}"] = paired(a[both], b[both]).to_dict()
+    differences = [f"{name}: {fact['mean']:+.2f} [{fact['low']:+.2f}, {fact['high']:+.2f}]"
+                   for name, fact in facts.items() if name.rpartition(", ")[2] in ("frames", "closed", "f1")]
     seconds = sum(clip.duration for clip in clips)
     return Table(title, COLUMNS, rows, "mouth", [f"{seconds:.0f} s in {len(clips)} clips: "
-                 + ", ".join(sorted({f"{clip.language} {clip.voice}".strip() for clip in clips}))], facts)
+                 + ", ".join(sorted({f"{clip.language} {clip.voice}".strip() for clip in clips})), *differences], facts)
+
+
+def _replaced(words: Sequence[Word], others: Sequence[Word]) -> list[Word]:
+    """Other words at the times of these."""
+    return [replace(word, text=others[place % len(others)].text) for place, word in enumerate(words)]
 
 
 def _joined(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
@@ -182,10 +235,16 @@ def run(arguments: argparse.Namespace) -> list[Table]:
             if not text.exists():
                 raise InputError(path, f"has no {text.name} beside it", "write what is spoken there")
             clips.append(aligned(load_speech(path), read_text(text, "write what is spoken there"), path.stem))
-        tables.append(table("Human readings", clips, mouths))
+        made = table("Human readings", clips, mouths, arguments.weights)
+        spent = 1000 * seconds_per_frame(max((clip.samples for clip in clips), key=len))
+        tables.append(replace(made, notes=[*made.notes, f"{spent:.2f} ms of one core per frame of 20 ms; look-ahead of "
+                                           f"the network {1000 * LOOK_AHEAD:.0f} ms"]))
     if arguments.seconds > 0:
         clips = list(synthetic(np.random.default_rng(2), arguments.seconds, held_out=True))
         tables.append(table("Synthetic voices and languages that were held out", clips, mouths))
+        english = [clip for clip in clips if clip.text]
+        tables.append(table("The English ones among them, with their words", english,
+                            {"network": mouths["network"]}, arguments.weights))
     if not tables:
         raise InputError("--reading, --seconds", "leave no speech", "give one of them")
     return tables

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +17,9 @@ import numpy as np
 from data_module.controls import MOOD, Curve, read_curve
 from data_module.face import FaceMotion
 from data_module.motion import kinematics, rotation
-from data_module.types import Array, Motion, Samples
+from data_module.types import Array, Motion, Samples, Word
 from data_module.visemes import SILENT, VISEMES
+from gesticulator.body.face_cues import FaceCues
 from gesticulator.body.face_life import RATE, FaceLife
 from gesticulator.body.face_lips import Lips, with_strength
 from gesticulator.options import InferenceOptions
@@ -67,6 +68,7 @@ class Face:
         self._life = FaceLife(settings.seed)
         self._steps: deque[tuple[float, float, float, float]] = deque()
         self._first = 0
+        self._cues = FaceCues()
 
     # ------------------------------------------------------------------------------------------------------ input
 
@@ -86,16 +88,23 @@ class Face:
         """Take more of the character's speech at 16 kHz."""
         self._lips[-1].feed(samples)
 
-    def end(self) -> None:
-        """The speech that was fed is over."""
+    def end(self, words: Sequence[Word] = ()) -> None:
+        """The speech that was fed is over. words: what was spoken, with times from the start of its sound, if they are
+        known; the mouth follows their phones."""
         if self._lips:
             self._lips[-1].finish()
+            if words:
+                self._lips[-1].follow(words)
 
     def blocks(self, blocks: Iterable[Block]) -> None:
         """The next blocks of the body; brows rise on beats at which the hands gesture."""
         for block in blocks:
             if not block.silent:
                 self._life.accent(block.start, 1.0)
+
+    def express(self, time: float, name: str, lasting: bool = False) -> None:
+        """A cue of `plan.gestures.EXPRESSIONS` at media time `time`. lasting: an interruption leaves it."""
+        self._cues.add(time, name, lasting)
 
     def interrupt(self, at: float) -> None:
         """The speech stops at `at` seconds, which may be in the past: what was fed for later is forgotten."""
@@ -105,6 +114,7 @@ class Face:
             self._lips[-1].cut(at)
         while len(self._states) > 1 and self._states[-1][0] >= at:
             self._states.pop()
+        self._cues.interrupt(at)
 
     # ----------------------------------------------------------------------------------------------------- output
 
@@ -118,9 +128,9 @@ class Face:
         if lips or not count:
             return FaceMotion(visemes, none, none, none, np.zeros((count, 2)), motion.fps, lips)
         steps = self._stepped(times)
-        mood = self._settings.mood_at(times)
+        mood, lifted = self._cues(times, self._settings.mood_at(times))
         smile = mood * (1.0 - (1.0 - _MOUTH_SMILES) * (1.0 - visemes[:, SILENT]))
-        brows = np.clip(steps[:, 1] + 0.25 * np.minimum(mood, 0.0), -1.0, 1.0)
+        brows = np.clip(steps[:, 1] + lifted + 0.25 * np.minimum(mood, 0.0), -1.0, 1.0)
         face = FaceMotion(visemes, np.clip(steps[:, 0], 0.0, 1.0), brows, smile, in_head(steps[:, 2:], motion),
                           motion.fps)
         self._forget(float(times[-1]))
@@ -159,6 +169,7 @@ class Face:
 
     def _forget(self, now: float) -> None:
         oldest = now - self._history
+        self._cues.forget(oldest)
         while len(self._lips) > 1 and self._lips[1].start < oldest:
             self._lips.popleft()
         while len(self._states) > 1 and self._states[1][0] < oldest:
@@ -179,12 +190,16 @@ def in_head(target: Array, motion: Motion) -> Array:
     return np.asarray(most * np.tanh((target - head) / most))
 
 
-def face_of(settings: FaceSettings, samples: Samples, blocks: Iterable[Block], motion: Motion) -> FaceMotion:
-    """The face of a whole recording at 16 kHz, for the body's `motion`."""
+def face_of(settings: FaceSettings, samples: Samples, blocks: Iterable[Block], motion: Motion,
+            words: Sequence[Word] = (), cues: Iterable[tuple[float, str]] = ()) -> FaceMotion:
+    """The face of a whole recording at 16 kHz, for the body's `motion`. words: with their times, if they are known;
+    cues: time and name of expressions."""
     face = Face(settings)
     face.state(0.0, "speaking")
     face.begin(0.0)
     face.hear(samples)
-    face.end()
+    face.end(words)
     face.blocks(blocks)
+    for time, name in cues:
+        face.express(time, name)
     return face.frames(0, motion)

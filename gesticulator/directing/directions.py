@@ -32,7 +32,7 @@ from gesticulator.directing.shaping import (
 from gesticulator.drawing.drawer import Direction
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
 from gesticulator.plan.checks import plain_word as plain_word
-from gesticulator.plan.gestures import GESTURES, near_gestures
+from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
 from gesticulator.plan.plan import GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks
 
 MeantCues = Callable[[float], Sequence["MeantCue"]]
@@ -82,8 +82,8 @@ class MeantCue:
 
 def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
             names: Callable[[], Sequence[LexemeName]]) -> list[CueAt]:
-    """The cues with the times of their strokes. names: returns the lexicon's names; called only for gestures that are
-    not in `GESTURES`.
+    """The cues of the body with the times of their strokes. names: returns the lexicon's names; called only for
+    gestures that are not in `GESTURES`.
 
     `InputError` for a word that is not spoken, a time beyond the end and an unknown gesture.
     """
@@ -92,6 +92,8 @@ def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
     for word in words if cues else ():
         spoken.setdefault(plain_word(word.text), []).append(word)
     for cue in cues:
+        if cue.gesture in EXPRESSIONS:
+            continue
         lexeme = None
         if cue.gesture not in GESTURES:
             lexemes = {entry.name: entry.lexeme for entry in names()} if lexemes is None else lexemes
@@ -100,6 +102,14 @@ def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
                 raise InputError(f"gesture {shown(cue.gesture)}", "is unknown", near_gestures(cue.gesture, lexemes))
         out.append(CueAt(cue, _time_of(cue, words, spoken, duration), lexeme))
     return out
+
+
+def expressions_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float) -> list[tuple[float, str]]:
+    """(time, name) of the cues of the face, seconds; raises as `cues_at`."""
+    spoken = dict[str, list[Word]]()
+    for word in words:
+        spoken.setdefault(plain_word(word.text), []).append(word)
+    return [(_time_of(cue, words, spoken, duration), cue.gesture) for cue in cues if cue.gesture in EXPRESSIONS]
 
 
 def _time_of(cue: GestureCue, words: Sequence[Word], spoken: Mapping[str, Sequence[Word]], duration: float) -> float:
@@ -201,7 +211,8 @@ def planned(options: InferenceOptions) -> InferenceOptions:
             fps=options.fps if options.fps != FPS else settings.get("fps", FPS), gain=settings.get("gain", 0.0),
             controls=_controls(settings, plan), plan=_cued(plan), cues=plan.cues,
             legs=options.legs or settings.get("legs") == "standing",
-            seated=options.seated or settings.get("legs") == "seated", **combined)
+            seated=options.seated or settings.get("legs") == "seated", face=options.face, mouth=options.mouth,
+            mood=options.mood, **combined)
     except (TypeError, ValueError) as error:
         raise plan.error(("made_by", "settings"), f"cannot be used ({error})", "leave it as it was written") from None
 

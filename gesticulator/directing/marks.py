@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from data_module.text.marks import EMOJI, NONE, mark_name
-from gesticulator.plan.gestures import GESTURES, REPERTOIRE, mark_of
+from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, REPERTOIRE, mark_of
 from gesticulator.plan.plan import GestureCue
 
 if TYPE_CHECKING:
@@ -35,6 +35,14 @@ def gesture_of_mark(name: str) -> str | None:
     """The gesture of `plan.GESTURES` that a mark names, in any spelling (`mark_name`); None for an unknown one."""
     plain = mark_name(name)
     return plain if plain in GESTURES else next((one for one in GESTURES if mark_name(one) == plain), None)
+
+
+def expression_of_mark(name: str) -> str | None:
+    """The expression of `plan.gestures.EXPRESSIONS` that a mark names ("smile", "mood:happy", "raise brows"); None for
+    another."""
+    plain = mark_name(name)
+    plain = plain.removeprefix("mood ").removeprefix("face ")
+    return plain if plain in EXPRESSIONS else None
 
 
 def names_of_marks() -> dict[str, tuple[str, ...]]:
@@ -64,7 +72,7 @@ def with_mark_cues(options: InferenceOptions, words: Sequence[Word]) -> Inferenc
 
 
 def mark_cues(words: Sequence[Word]) -> tuple[GestureCue, ...]:
-    """A cue at each marked word. Marks that name no gesture are left out."""
+    """A cue at each marked word, of a gesture or of the face. Marks that name neither are left out."""
     from gesticulator.directing.directions import plain_word
 
     cues: list[GestureCue] = []
@@ -72,7 +80,7 @@ def mark_cues(words: Sequence[Word]) -> tuple[GestureCue, ...]:
     for word in words:
         plain = plain_word(word.text)
         spoken[plain] += 1
-        for gesture in gestures_of(word):
+        for gesture in (*gestures_of(word), *expressions_of(word)):
             place = GestureCue(gesture, word.text, spoken[plain]) if plain else GestureCue(gesture, time=word.start)
             cues.append(replace(place, source=SOURCE))
     return tuple(cues)
@@ -84,6 +92,12 @@ def gestures_of(word: Word) -> tuple[str, ...]:
     return tuple(gesture for gesture in found if gesture is not None)
 
 
+def expressions_of(word: Word) -> tuple[str, ...]:
+    """The expressions of a face that are marked at a word."""
+    found = (expression_of_mark(name) for name in word.marks)
+    return tuple(expression for expression in found if expression is not None)
+
+
 def is_kept_free(word: Word) -> bool:
     """Whether a word is marked with [none]: nothing but a cue places a gesture there."""
     return NONE in word.marks
@@ -93,11 +107,12 @@ def warn_of_unknown(names: Iterable[str], known: set[str] | None = None) -> None
     """Warn of marks that name no gesture, once for each name. known: names that were warned of; new ones are added."""
     known = set() if known is None else known
     unknown = [name for name in dict.fromkeys(map(mark_name, names))
-               if name not in known and name != NONE and gesture_of_mark(name) is None]
+               if name not in known and name != NONE and gesture_of_mark(name) is None
+               and expression_of_mark(name) is None]
     if not unknown:
         return
     known.update(unknown)
-    near = difflib.get_close_matches(unknown[0], GESTURES, 1)
+    near = difflib.get_close_matches(unknown[0], (*GESTURES, *EXPRESSIONS), 1)
     listed = ", ".join(f"[{name[:40]}]" for name in unknown[:8]) + (" ..." if len(unknown) > 8 else "")
     one = len(unknown) == 1
     warnings.warn(MarkWarning(f"{listed} {'names' if one else 'name'} no gesture and {'is' if one else 'are'} left out"

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from itertools import pairwise
 
 from data_module.errors import InputError, shown
-from gesticulator.plan.gestures import GESTURES, near_gestures
+from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
 from gesticulator.plan.json_lines import Path as Place
 from gesticulator.plan.plan import GesturePlan, GestureUnit, PlanMeaning, PosePin
 
@@ -94,7 +94,7 @@ def _is_fingerprint(text: str, duration: float) -> bool:
 
 def _check_gesture(plan: GesturePlan, at: int, name: str) -> None:
     lexemes = [entry.name for entry in plan.lexicon]
-    if name not in GESTURES and name not in lexemes and plan.lexicon:
+    if name not in GESTURES and name not in EXPRESSIONS and name not in lexemes and plan.lexicon:
         raise plan.error(("cues", at, "gesture"), f"is {shown(name)}, the name of no gesture",
                          near_gestures(name, lexemes))
 

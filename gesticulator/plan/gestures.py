@@ -14,7 +14,7 @@ from pathlib import Path
 
 from data_module.files import read_table
 
-__all__ = ["ALIASES", "GESTURES", "REPERTOIRE", "NamedGesture", "mark_of", "near_gestures"]
+__all__ = ["ALIASES", "EXPRESSIONS", "GESTURES", "REPERTOIRE", "NamedGesture", "mark_of", "near_gestures"]
 
 _TABLE = Path(__file__).with_name("gestures.csv")
 HANDS_OF_GESTURES = ("one", "two", "one or two", "head")
@@ -57,6 +57,13 @@ GESTURES: Mapping[str, str] = {
     **{alias: f"Another name of {name}: {REPERTOIRE[name].meaning}" for alias, name in ALIASES.items()}}
 """All names that cues can give besides the lexemes -> what they mean. The lexicon has movements without meanings, so
 these are scripts, blended over the generated motion."""
+
+
+EXPRESSIONS: Mapping[str, str] = {
+    "smile": "A smile of about two seconds.", "frown": "Brows drawn together for a second.",
+    "raise brows": "Brows raised for a moment.", "happy": "A smiling mood, until another mood.",
+    "sad": "A sad mood, until another mood.", "neutral": "The end of a mood."}
+"""What cues and marks can ask of a face (`gesticulator.body.face_cues`) -> what it is. A body does nothing for them."""
 
 
 def mark_of(name: str) -> str:

@@ -1,0 +1,221 @@
+"""The mouth by the words: the phones of words whose times are known, placed where the lips network hears them.
+
+Each word is a chain of visemes, in every way that it may be said, with silence between words where there is any. The
+best path through all chains (Viterbi) is found with the network's weights as probabilities; a word stays within its
+times, give or take `SLACK`. A word that the sound contradicts is left to the sound.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.speech.lip_features import RATE
+from data_module.types import Array, Word
+from data_module.visemes import CLOSED, SILENT, VISEMES
+
+SLACK = 0.1
+"""Seconds by which the times of a word may be wrong: recognisers round and miss by so much."""
+_FLOOR = 0.01
+"""Added to each probability: the network is never that sure."""
+_FREE = 0.2
+"""Probability of every frame in a word without a pronunciation."""
+_PAUSE = 0.6
+"""Seconds without a word at which one path ends and the next begins."""
+_LONGEST = 15.0
+"""Longest path, seconds: its memory grows with the square. A longer one is cut at the widest gap of its second half."""
+_LEAST = -1.9
+"""Mean logarithm of the probability of its visemes from which a word is heard where it should be."""
+_MOST_UNHEARD = 0.4
+"""Share of words that are not heard from which all are left to the sound: the text or its times are of other speech.
+In readings with their text it is under 0.15, with the text of others over 0.5."""
+_SHARE = 0.75
+"""Share of the phones in the weights where they are known; the rest is the sound's, which says how clear a vowel is."""
+
+Way = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class PhonedWord:
+    """A word from `start` to `end` seconds, and the visemes of each way to say it; none if it is not known."""
+
+    start: float
+    end: float
+    ways: tuple[Way, ...]
+
+
+@dataclass
+class _States:
+    """States of a path: viseme (-1 for any), number of the word (-1 for silence), first and last frame, and the states
+    that may come before."""
+
+    visemes: list[int] = field(default_factory=list)
+    words: list[int] = field(default_factory=list)
+    first: list[int] = field(default_factory=list)
+    last: list[int] = field(default_factory=list)
+    before: list[list[int]] = field(default_factory=list)
+
+    def add(self, viseme: int, word: int, frames: tuple[int, int], before: list[int]) -> int:
+        """The number of the new state."""
+        self.visemes.append(viseme)
+        self.words.append(word)
+        self.first.append(frames[0])
+        self.last.append(frames[1])
+        self.before.append(before)
+        return len(self.visemes) - 1
+
+
+class PhonesWarning(UserWarning):
+    """The words of a recording do not help its lips."""
+
+
+def with_phones(weights: Array, words: Sequence[PhonedWord]) -> Array | None:
+    """[T, 15] the network's weights, 50 frames a second, drawn towards the phones of the words, which rise in time.
+    Frames of words that are not heard keep theirs. None if too few of the words are heard."""
+    out, heard = weights.copy(), 0
+    for first, last in _runs(words):
+        frames, visemes, count = _path(weights, words[first:last])
+        heard += count
+        known = visemes >= 0
+        out[frames[known]] = _mixed(weights[frames[known]], visemes[known])
+    return out if heard >= (1.0 - _MOST_UNHEARD) * len(words) else None
+
+
+def _mixed(sound: Array, visemes: NDArray[np.int64]) -> Array:
+    """[K, 15] the sound's weights and the phones'. Lips shut where a phone shuts them, for sure, and nowhere else."""
+    open_ = np.where(np.arange(len(VISEMES)) == CLOSED, 0.0, sound)
+    open_ /= np.maximum(open_.sum(axis=1, keepdims=True), 1e-9)
+    share = np.where(np.isin(visemes, (CLOSED, SILENT)), 1.0, _SHARE)[:, None]
+    return np.asarray(share * np.eye(len(VISEMES))[visemes] + (1.0 - share) * open_)
+
+
+def spoken_weights(weights: Array, words: Sequence[Word]) -> Array:
+    """`with_phones` for words as they are written. Where their pronunciations are not known, or they are not heard, the
+    weights stay, and a `PhonesWarning` says so."""
+    words = sorted((word for word in words if word.text.strip() and word.end > word.start),
+                   key=lambda word: word.start)
+    if not words:
+        return weights
+    spoken = phoned(words)
+    if spoken is None:
+        _warn("no pronunciations for these words (English needs pocketsphinx or espeak-ng, German and Spanish "
+              "espeak-ng; other languages have none)")
+        return weights
+    followed = with_phones(weights, spoken)
+    if followed is None:
+        _warn("the words are not heard at their times")
+    return weights if followed is None else followed
+
+
+def _warn(reason: str) -> None:
+    warnings.warn(PhonesWarning(f"{reason}; the lips follow the sound alone"), stacklevel=1)
+
+
+def phoned(words: Sequence[Word]) -> list[PhonedWord] | None:
+    """The words with their visemes; None if no source of pronunciations knows their language."""
+    from data_module.text.pronunciations import pronunciations
+
+    ways = pronunciations([word.text for word in words])
+    if ways is None:
+        return None
+    return [PhonedWord(word.start, word.end, way) for word, way in zip(words, ways, strict=True)]
+
+
+def _runs(words: Sequence[PhonedWord]) -> Iterator[tuple[int, int]]:
+    """First and last (excluded) of the words of each path."""
+    first = 0
+    for at in range(1, len(words) + 1):
+        if at == len(words) or words[at].start - words[at - 1].end > _PAUSE:
+            yield first, at
+            first = at
+        elif words[at].end - words[first].start > _LONGEST:
+            half = words[first].start + _LONGEST / 2
+            later = [cut for cut in range(first + 1, at + 1) if words[cut].start >= half]
+            cut = max(later, key=lambda cut: words[cut].start - words[cut - 1].end)
+            yield first, cut
+            first = cut
+
+
+def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Frames of these words, the viseme of each, -1 in a word that is not heard, and how many words are heard. No
+    frames if there is no path."""
+    begin = max(int((words[0].start - SLACK) * RATE), 0)
+    end = min(int((words[-1].end + SLACK) * RATE) + 1, len(weights))
+    states = _chained(words, begin, end)
+    scores = np.log(np.concatenate([weights[begin:end] + _FLOOR, np.full((max(end - begin, 0), 1), _FREE)], axis=1))
+    path = _best(states, scores, begin)
+    frames = np.arange(begin, begin + len(path))
+    visemes, owners = (np.array(rows, np.int64)[path] for rows in (states.visemes, states.words))
+    likely = scores[np.arange(len(path)), visemes]  # -1 is the last column
+    heard = 0
+    for word in np.unique(owners[owners >= 0]):
+        inside = owners == word
+        if likely[inside].mean() < _LEAST:
+            visemes[inside] = -1
+        else:
+            heard += 1
+    return frames, visemes, heard
+
+
+def _chained(words: Sequence[PhonedWord], begin: int, end: int) -> _States:
+    """The states of words and of the silences around them, in order. Lips stay shut for two frames at least."""
+    states = _States()
+
+    def frames(start: float, stop: float) -> tuple[int, int]:
+        return max(int((start - SLACK) * RATE), begin), min(int((stop + SLACK) * RATE) + 1, end)
+
+    ends: list[int] = []
+    edge = words[0].start
+    for number, word in enumerate(words):
+        silence = states.add(SILENT, -1, frames(min(edge, word.start), word.start), list(ends))
+        starts = [*ends, silence]
+        room, ends = frames(word.start, word.end), []
+        for way in word.ways or ((-1,),):
+            before = starts
+            for viseme in way:
+                for _ in range(2 if viseme == CLOSED else 1):
+                    before = [states.add(viseme, number, room, before)]
+            ends += before
+        edge = word.end
+    states.add(SILENT, -1, frames(edge, edge), ends)
+    return states
+
+
+def _best(states: _States, scores: Array, begin: int) -> NDArray[np.int64]:
+    """[T] the state at each frame of `scores` [T, 16], on the best path; [0] if there is none."""
+    count, most = len(states.visemes), max(map(len, states.before), default=0)
+    before = np.full((count, most + 1), -1)
+    before[:, 0] = np.arange(count)
+    for number, row in enumerate(states.before):
+        before[number, 1:1 + len(row)] = row
+    visemes, first, last = (np.array(rows) for rows in (states.visemes, states.first, states.last))
+    now = np.full(count + 1, -np.inf)  # the last entry is of no state
+    begins = [number for number in range(count) if not states.before[number] or before[number, 1] == 0]
+    steps = []
+    for frame, row in enumerate(scores):
+        inside = np.flatnonzero((first <= begin + frame) & (begin + frame < last))
+        if frame == 0:
+            chosen = np.zeros(len(inside), np.int64)
+            reached = np.where(np.isin(inside, begins), 0.0, -np.inf)
+        else:
+            options = now[before[inside]]
+            chosen = options.argmax(axis=1)
+            reached = options[np.arange(len(inside)), chosen]
+        now = np.full(count + 1, -np.inf)
+        now[inside] = reached + row[visemes[inside]]
+        step = np.full(count, -1)
+        step[inside] = before[inside, chosen]
+        steps.append(step)
+    ends = [count - 1, *states.before[count - 1]]
+    at = max(ends, key=lambda number: now[number])
+    if not len(scores) or not np.isfinite(now[at]):
+        return np.zeros(0, np.int64)
+    path = np.zeros(len(scores), np.int64)
+    for frame in range(len(scores) - 1, -1, -1):
+        path[frame] = at
+        at = int(steps[frame][at])
+    return path
