@@ -17,6 +17,7 @@ from live_double import TURN, opener
 from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlayer, Welcome, connect_resuming
 from pipecat_gesticulator.resuming import RefusedError
 from websockets.asyncio.client import connect as open_socket
+from websockets.asyncio.server import ServerConnection, serve
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
@@ -181,6 +182,93 @@ def test_a_server_that_does_not_come_back_is_given_up() -> None:
         with pytest.raises(ConnectionError, match="did not come back"):
             async for _ in stream:
                 pass
+
+    run(test)
+
+
+class Time:
+    """Time that goes by only where it is waited for."""
+
+    def __init__(self) -> None:
+        self.now, self.waits = 0.0, list[float]()
+
+    async def pause(self, seconds: float) -> None:
+        self.now += seconds
+        self.waits.append(seconds)
+        await asyncio.sleep(0)
+
+
+async def _visits(time: Time, break_it: Callable[[int, ServerConnection], Awaitable[None]], patience: float = 300.0
+                  ) -> tuple[list[float], Exception | None]:
+    """When a server that greets and breaks each connection is visited, until it is given up, or 40 times."""
+    visits: list[float] = []
+
+    async def greet_and_break(socket: ServerConnection) -> None:
+        await socket.recv()
+        visits.append(time.now)
+        await socket.send(json.dumps({"type": "hello", "protocol": 1, "stream": "a", "fps": 60.0, "output": "joints",
+                                      "look_ahead": 0.0, "joints": [], "limits": {}, "session": "a", "resumed": True,
+                                      "messages": 0}))
+        while not stream.connected:
+            await asyncio.sleep(0)
+        await break_it(len(visits), socket)
+        socket.transport.abort()
+
+    async with serve(greet_and_break, "127.0.0.1", 0) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), patience, chance=lambda: 0.0,
+                                clock=lambda: time.now, pause=time.pause)
+        await stream.open()
+        try:
+            async for _ in stream:
+                if len(visits) >= 40:
+                    break
+        except ConnectionError as error:
+            return visits, error
+        finally:
+            await stream.close()
+    return visits, None
+
+
+def test_a_server_that_greets_and_breaks_is_visited_ever_less_often_and_given_up() -> None:
+    async def test() -> None:
+        async def at_once(number: int, socket: ServerConnection) -> None:
+            pass
+
+        visits, error = await _visits(Time(), at_once, patience=60.0)
+        assert visits[:3] == [0.0, 0.0, 0.125] and sum(at < 10 for at in visits) == 8
+        np.testing.assert_allclose(np.diff(visits)[1:7], 0.125 * 2.0 ** np.arange(6))
+        np.testing.assert_allclose(np.diff(visits)[7:], 5.0)
+        assert isinstance(error, ConnectionError) and 45 < visits[-1] <= 60
+
+    run(test)
+
+
+def test_the_first_return_after_a_connection_that_lasted_is_quick() -> None:
+    time = Time()
+
+    async def after_a_while(number: int, socket: ServerConnection) -> None:
+        time.now += 6.0 if number % 5 == 0 else 4.0
+
+    async def test() -> None:
+        visits, error = await _visits(time, after_a_while)
+        assert error is None and len(visits) == 40
+        held = [6.0 if number % 5 == 0 else 4.0 for number in range(1, 40)]
+        waits = np.diff(visits) - held
+        np.testing.assert_allclose(waits[4::5], 0.0, atol=1e-9)
+        np.testing.assert_allclose(waits[5:9], [0.125, 0.25, 0.5, 1.0])
+
+    run(test)
+
+
+def test_no_client_is_back_before_the_server_asks_for_it() -> None:
+    async def busy(number: int, socket: ServerConnection) -> None:
+        await socket.send(json.dumps({"type": "error", "code": 4429, "message": "full", "retry_after": 7.0}))
+        await socket.close(4429)
+
+    async def test() -> None:
+        visits, error = await _visits(Time(), busy, patience=60.0)
+        assert np.diff(visits).min() >= 7.0 and len(visits) >= 5 and isinstance(error, ConnectionError)
 
     run(test)
 

@@ -2,6 +2,7 @@
 // The protocol is published as protocol.json of pipecat-gesticulator.
 
 const FIRST_WAIT = 250, LONGEST_WAIT = 10_000; // milliseconds before a try to come back
+const LASTED = 5000; // milliseconds that a connection must hold before the next loss is a new one, with a short wait
 const JOURNAL_SECONDS = 60; // of sent messages that are kept to be sent once more
 const FINAL = new Set([4400, 4401, 4408, 4413]); // close codes after which it is no use to come back
 
@@ -149,8 +150,7 @@ export class GestureStream {
     if (!welcome.resumed) sent = this.anew(welcome.session ?? "", again);
     for (; sent < this.numbered; sent++) this.transmit(this.journal[this.journal.length + sent - this.numbered].message);
     this.live = true;
-    this.wait = FIRST_WAIT;
-    this.lostSince = 0;
+    this.opened = Date.now();
     this.settle.resolve(this);
     this.onEvent(again ? { type: "back", resumed: welcome.resumed } : welcome);
   }
@@ -177,11 +177,15 @@ export class GestureStream {
     if (this.ended || (code === 1000 && !this.refused)) { if (!this.ended) this.end_(code, reason); return; }
     if (FINAL.has(code) || FINAL.has(this.refused?.code)) { this.end_(this.refused?.code ?? code, this.refused?.message ?? reason); return; }
     if (was) this.onEvent({ type: "lost", code, reason });
+    if (was && Date.now() - this.opened >= LASTED) {
+      this.wait = FIRST_WAIT;
+      this.lostSince = 0;
+    }
     this.lostSince ||= Date.now();
-    const asked = Math.max(this.wait, 1000 * (this.refused?.retry_after ?? 0));
-    if (Date.now() - this.lostSince + asked > 1000 * this.patience) { this.end_(code, this.refused?.message ?? (reason || "the server did not come back")); return; }
+    const asked = 1000 * (this.refused?.retry_after ?? 0);
+    if (Date.now() - this.lostSince + asked + this.wait > 1000 * this.patience) { this.end_(code, this.refused?.message ?? (reason || "the server did not come back")); return; }
+    this.retry = setTimeout(() => this.open(), asked + this.wait * (0.5 + 0.5 * this.random()));
     this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
-    this.retry = setTimeout(() => this.open(), asked * (0.5 + 0.5 * this.random()));
   }
 
   end_(code, reason) {

@@ -14,7 +14,7 @@ import math
 import random
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,7 +27,11 @@ from pipecat_gesticulator.client import LONGEST_MESSAGE
 from pipecat_gesticulator.protocol import SUBPROTOCOL, Hello, Poses, Welcome
 
 FIRST_WAIT, LONGEST_WAIT = 0.25, 10.0
-"""Seconds before the first try to come back, and at most; each wait is twice the last one, times 0.5 to 1 by chance."""
+"""Seconds before the second try to come back (the first one is made at once), and at most; each wait is twice the last
+one, times 0.5 to 1 by chance, and what the server asks for (`retry_after`) is added."""
+LASTED = 5.0
+"""Seconds that a connection must hold before the next loss is a new one. Until then waits go on growing, and patience
+goes on running out, so that a server that accepts and breaks is not visited again and again."""
 JOURNAL_BYTES = 2**23
 """Sent messages that are kept to be sent once more: 174 s of 16-bit sound at 24 kHz."""
 FINAL = {4400, 4401, 4408, 4413}
@@ -57,10 +61,16 @@ class ResumingStream:
     """As `GestureStream`, on as many connections as it takes. Iterating gives `Poses`, the server's events, and
     `{"type": "lost"}` and `{"type": "back", "resumed": ...}`."""
 
-    def __init__(self, url: str, hello: Hello, patience: float = 300.0, chance: Callable[[], float] = random.random
-                 ) -> None:
-        """patience: seconds after which a lost server is given up (`ConnectionError`); chance: numbers of [0, 1)."""
-        self._url, self._hello, self._patience, self._chance = url, hello, patience, chance
+    def __init__(self, url: str, hello: Hello, patience: float = 300.0, *, chance: Callable[[], float] = random.random,
+                 clock: Callable[[], float] = time.monotonic,
+                 pause: Callable[[float], Awaitable[None]] = asyncio.sleep) -> None:
+        """patience: seconds after which a lost server is given up (`ConnectionError`); chance: numbers of [0, 1);
+        clock and pause: seconds that go by, and waiting for them."""
+        self._url, self._hello, self._patience = url, hello, patience
+        self._chance, self._clock, self._pause = chance, clock, pause
+        self._wait, self._asked = 0.0, 0.0
+        """Seconds before the next try: of its own, and that the server asked for."""
+        self._opened, self._lost_since = -math.inf, 0.0
         self._socket: ClientConnection | None = None
         self._journal: deque[_Sent] = deque()
         self._journal_bytes = 0
@@ -89,6 +99,7 @@ class ResumingStream:
     async def open(self) -> None:
         """Connect for the first time."""
         await self._connect()
+        self._lost_since = self._opened
 
     async def close(self) -> None:
         """Let go of the server."""
@@ -159,6 +170,7 @@ class ResumingStream:
                     if isinstance(found, dict) and found.get("type") == "error":
                         if found["code"] in FINAL:
                             raise RefusedError(found["message"], found["code"])
+                        self._asked = float(found.get("retry_after") or 0.0)
                         continue
                     yield found
                     if isinstance(found, dict) and found.get("type") == "done":
@@ -212,9 +224,16 @@ class ResumingStream:
 
     async def _come_back(self) -> bool:
         """Connect again, however often it takes; whether the session went on."""
-        begin, wait = time.monotonic(), FIRST_WAIT
+        if self._clock() - self._opened >= LASTED:
+            self._wait, self._lost_since = 0.0, self._clock()
+        problem: Exception | None = None
         while True:
-            asked = wait
+            if self._clock() - self._lost_since + self._wait + self._asked > self._patience:
+                raise ConnectionError(f"the server did not come back: {problem or 'it breaks each connection'}"
+                                      ) from problem
+            if self._wait + self._asked:
+                await self._pause(self._asked + self._wait * (0.5 + 0.5 * self._chance()))
+            self._wait, self._asked = min(max(2 * self._wait, FIRST_WAIT), LONGEST_WAIT), 0.0
             try:
                 before = self._source
                 await self._connect()
@@ -222,14 +241,10 @@ class ResumingStream:
             except RefusedError as error:
                 if error.code in FINAL:
                     raise
-                asked = max(wait, error.retry_after or 0.0)
-                problem: Exception = error
+                self._asked = error.retry_after or 0.0
+                problem = error
             except (OSError, InvalidHandshake, ConnectionClosed, TimeoutError, ValueError) as error:
                 problem = error
-            if time.monotonic() - begin + asked > self._patience:
-                raise ConnectionError(f"the server did not come back: {problem}") from problem
-            await asyncio.sleep(asked * (0.5 + 0.5 * self._chance()))
-            wait = min(2 * wait, LONGEST_WAIT)
 
     async def _connect(self) -> None:
         """Open a connection on which the stream goes on."""
@@ -254,7 +269,7 @@ class ResumingStream:
         except BaseException:
             await socket.close()
             raise
-        self._socket = socket
+        self._socket, self._opened = socket, self._clock()
 
     async def _anew(self, session: str | None, socket: ClientConnection) -> int:
         """Begin a new session at the first frame that did not come; returns how many of its messages were sent."""
