@@ -57,6 +57,8 @@ SETTLED = 600.0
 GROWTH = 0.05
 AHEAD = 12.0
 """Seconds of media time that a client asks for before they are answered."""
+LONGEST_SILENCE = 120.0
+"""Seconds without a frame that is due, after which a stream has failed."""
 FULL_EVERY, FULL_FOR = 360.0, 60.0
 """Seconds from one full disk to the next, and that it lasts."""
 CUT_EVERY = 20.0
@@ -251,8 +253,10 @@ class Client:
         while stream.time - self.next / self.hello.fps > AHEAD:
             self._moved.clear()
             moved = asyncio.create_task(self._moved.wait())
-            await asyncio.wait({moved, reading}, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait({moved, reading}, timeout=LONGEST_SILENCE, return_when=asyncio.FIRST_COMPLETED)
             moved.cancel()
+            if not done:
+                raise RuntimeError(f"no frame came for {LONGEST_SILENCE:g} s")
             if reading.done():
                 reading.result()
                 raise RuntimeError("the stream ended before it was finished")

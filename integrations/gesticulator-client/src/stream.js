@@ -17,6 +17,7 @@ export class GestureStream {
     Object.assign(this, { url, sampleRate, options, fps, seed, token, onEvent, patience, random, Socket });
     this.frames = new Map();
     this.end = 0; // number of the frame after the last
+    this.cut = Infinity; // the first frame that an interruption took back, until the packet that replaces it
     this.total = 0;
     this.time = 0; // media time of what was sent, seconds
     this.welcome = null;
@@ -57,6 +58,7 @@ export class GestureStream {
   interrupt(time = this.end / this.fps) {
     const at = Math.min(time, this.time);
     this.end = Math.min(this.end, Math.ceil(at * this.fps - 1e-6));
+    this.cut = Math.min(this.cut, this.end);
     for (const k of this.frames.keys()) if (k >= this.end) this.frames.delete(k);
     this.journal = this.journal.map((sent) => cutEnd(sent, at, this.sampleRate));
     this.time = at;
@@ -161,6 +163,7 @@ export class GestureStream {
     this.got = 0;
     if (!again) return 0;
     this.offset = this.end;
+    this.cut = Infinity;
     this.source++;
     const begin = this.offset / this.fps;
     this.journal = this.journal.map((sent) => cutStart(sent, begin, this.sampleRate)).filter(Boolean);
@@ -199,6 +202,8 @@ export class GestureStream {
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(packet, 4, size)));
     const numbers = new Float32Array(packet, 4 + size);
     const roots = head.count * head.joints * 4, faces = roots + head.count * 3, wide = head.face ?? 0, first = head.first + this.offset;
+    if (first > this.cut) return; // taken back while it was on its way
+    this.cut = Infinity;
     for (let k = first; k < this.end; k++) this.frames.delete(k); // taken back by an interruption
     for (let k = 0; k < head.count; k++) {
       this.frames.set(first + k, {

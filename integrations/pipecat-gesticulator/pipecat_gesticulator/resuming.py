@@ -82,7 +82,10 @@ class ResumingStream:
         self._offset, self._source = 0, 0
         """Frames before this session's first one; sessions before it."""
         self._end = 0
-        """Number of the first frame that has not come."""
+        """Number of the first frame that has not come, or that an interruption took back."""
+        self._cut: float = math.inf
+        """The first frame that an interruption took back, until the server's packet that replaces it; those that were
+        on their way come first."""
         self._time, self._heard, self._done = 0.0, False, False
         self.welcome: Welcome
 
@@ -129,12 +132,12 @@ class ResumingStream:
         """The voice was cut off. time: seconds of media time that were played; left out, all frames that came are."""
         at = self._end / self._hello.fps if time is None else min(time, self._time)
         self._end = min(self._end, math.ceil(at * self._hello.fps - 1e-6))
+        self._cut = min(self._cut, self._end)
         self._time = at
-        kept = [_cut_end(one, at, self._hello) for one in self._journal]
-        await self._say({"type": "interrupt", "time": at}, 0.0)
         # What was sent for later is not to be said again; the messages are still counted.
-        self._journal = deque([*kept, self._journal[-1]])
+        self._journal = deque(_cut_end(one, at, self._hello) for one in self._journal)
         self._journal_bytes = sum(_size(one.message) for one in self._journal)
+        await self._say({"type": "interrupt", "time": at}, 0.0)
 
     async def add_words(self, words: Iterable[tuple[str, float, float]]) -> None:
         """What is said: text, start and end in seconds of media time; for a stream with the option text."""
@@ -187,7 +190,8 @@ class ResumingStream:
         if isinstance(message, bytes):
             poses = Poses.unpack(message)
             poses = replace(poses, first=poses.first + self._offset, source=self._source)
-            self._end = poses.first + len(poses)
+            if poses.first <= self._cut:
+                self._end, self._cut = poses.first + len(poses), math.inf
             return poses
         event: dict[str, Any] = json.loads(message)
         for name in ("time", "start", "end"):
@@ -277,7 +281,7 @@ class ResumingStream:
         self._session, self._got = session, 0
         if first:
             return 0
-        self._offset = self._end
+        self._offset, self._cut = self._end, math.inf
         self._source += 1
         begin = self._offset / self._hello.fps
         later = [one for one in (_cut_start(sent, begin, self._hello) for sent in self._journal) if one is not None]
