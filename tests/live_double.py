@@ -91,7 +91,8 @@ class TellingStream:
         if at is not None:
             if at < self.time - self.history:
                 raise InputError("interrupt", "is too long ago", "give a later time")
-            self.time, self.made = at, int(at * self.request.fps)
+            self.made = min(int(at * self.request.fps), self.made)
+            self.time = min(at, self.made / self.request.fps)  # as in the stream, no further than there are frames
             self.time += 0.25  # of hands that come down
         return self._all(StreamState.IDLE)
 

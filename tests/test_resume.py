@@ -206,9 +206,7 @@ async def _visits(time: Time, break_it: Callable[[int, ServerConnection], Awaita
     async def greet_and_break(socket: ServerConnection) -> None:
         await socket.recv()
         visits.append(time.now)
-        await socket.send(json.dumps({"type": "hello", "protocol": 1, "stream": "a", "fps": 60.0, "output": "joints",
-                                      "look_ahead": 0.0, "joints": [], "limits": {}, "session": "a", "resumed": True,
-                                      "messages": 0}))
+        await socket.send(json.dumps(GREETING | {"resumed": True}))
         while not stream.connected:
             await asyncio.sleep(0)
         await break_it(len(visits), socket)
@@ -269,6 +267,60 @@ def test_no_client_is_back_before_the_server_asks_for_it() -> None:
     async def test() -> None:
         visits, error = await _visits(Time(), busy, patience=60.0)
         assert np.diff(visits).min() >= 7.0 and len(visits) >= 5 and isinstance(error, ConnectionError)
+
+    run(test)
+
+
+GREETING = {"type": "hello", "protocol": 1, "stream": "a", "fps": 60.0, "output": "joints", "look_ahead": 0.0,
+            "joints": [], "limits": {"message_bytes": 1e6}, "session": "a", "resumed": False, "messages": 0}
+
+
+def packet(first: int, count: int) -> bytes:
+    head = json.dumps({"type": "poses", "first": first, "count": count, "time": first / 60, "fps": 60.0, "joints": 1,
+                       "state": "idle", "received": 0.0}).encode()
+    head += b" " * (-len(head) % 4)
+    return len(head).to_bytes(4, "little") + head + bytes(28 * count)
+
+
+def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> None:
+    """Poses are on their way when the client interrupts; then the server is lost, and its state too. The next session
+    begins where the interruption was, with what was sent after it."""
+    async def test() -> None:
+        heard: list[Any] = []
+
+        async def first_and_second(socket: ServerConnection) -> None:
+            heard.append(json.loads(await socket.recv()))
+            await socket.send(json.dumps(GREETING))
+            if len(heard) > 1:
+                heard.append(json.loads(await socket.recv()))
+                heard.append(await socket.recv())
+                await socket.send(packet(0, 10))
+                await socket.wait_closed()
+                return
+            await socket.recv()
+            await socket.send(packet(0, 60))
+            while json.loads(await socket.recv())["type"] != "interrupt":
+                pass
+            await socket.send(packet(60, 30))
+            await socket.send(json.dumps({"type": "state", "state": "idle", "time": 1.0}))
+            socket.transport.abort()
+
+        async with serve(first_and_second, "127.0.0.1", 0) as server:
+            port = next(iter(server.sockets)).getsockname()[1]
+            async with connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE)) as stream:
+                await stream.send(pcm(2.0))
+                firsts = []
+                async for message in stream:
+                    if isinstance(message, Poses):
+                        firsts.append((message.first, message.source))
+                        if len(firsts) == 1:
+                            await stream.interrupt(0.75)
+                            await stream.send(pcm(0.5))
+                        if len(firsts) == 3:
+                            break
+                assert stream.time == pytest.approx(1.25)
+        assert firsts == [(0, 0), (60, 0), (45, 1)]
+        assert heard[2] == {"type": "interrupt", "time": 0.0} and heard[3] == pcm(0.5)
 
     run(test)
 

@@ -311,6 +311,31 @@ def test_an_interruption_takes_back_what_was_not_heard() -> None:
     run(test)
 
 
+@pytest.mark.parametrize("heard", [1.9, 1.0])
+def test_media_time_goes_on_from_where_the_voice_was_heard(heard: float) -> None:
+    """Also where it was heard before there were poses of it, as of a voice that is played as it is sent."""
+    async def test() -> None:
+        async with running() as at, connect(at.url, Hello(RATE)) as stream:
+            player = PosePlayer()
+            await stream.send(pcm(2.0))
+            async for message in stream:
+                if isinstance(message, Poses):
+                    player.add(message)
+                    if player.end >= 1.5:
+                        break
+            await stream.interrupt(heard)
+            await stream.idle(0.5)
+            await stream.send(pcm(1.0))
+            await stream.finish()
+            async for message in stream:
+                if isinstance(message, Poses):
+                    player.add(message)
+            hands_come_down = 0.25 if heard < 1.5 else 0.0  # else it is within what was heard further
+            assert player.end == pytest.approx(heard + hands_come_down + 0.5 + 1.0)
+
+    run(test)
+
+
 def test_words_without_the_option_are_refused() -> None:
     async def test() -> None:
         async with running() as at:
