@@ -273,8 +273,8 @@ class Client:
             await stream.speak()
             await stream.think(0.5)
             await stream.idle(0.7)
-        elif self.kind == "interrupted" and chance < 0.2 and self.next and stream.connected:
-            at = self.next / self.hello.fps
+        elif self.kind == "interrupted" and chance < 0.2 and self.next > 1 and stream.connected:
+            at = self.next / self.hello.fps  # another frame than that of an interruption which is not answered
             await stream.interrupt(at - min(0.5, at / 2))
             self.next = self._replaced = min(self.next, math.ceil(stream.time * self.hello.fps - 1e-6))
             self.count.interruptions += 1

@@ -235,5 +235,6 @@ function cutStart(sent, begin, rate) {
 function cutEnd(sent, end, rate) {
   const left = Math.max(0, Math.min(sent.seconds, end - sent.start));
   if (ArrayBuffer.isView(sent.message)) return { ...sent, message: sent.message.slice(0, Math.round(left * rate)), seconds: left };
+  if (sent.message.type === "interrupt") return { ...sent, message: { ...sent.message, time: Math.min(sent.message.time, end) } }; // taken back, too
   return left < sent.seconds ? { ...sent, message: { ...sent.message, seconds: left }, seconds: left } : sent;
 }

@@ -337,6 +337,8 @@ def _cut_end(sent: _Sent, end: float, hello: Hello) -> _Sent:
     left = max(0.0, min(sent.seconds, end - sent.start))
     if isinstance(sent.message, bytes):
         return replace(sent, message=sent.message[:_bytes_of(left, hello)], seconds=left)
+    if sent.message["type"] == "interrupt":  # taken back, too
+        return replace(sent, message={**sent.message, "time": min(sent.message["time"], end)})
     if sent.seconds > left:
         return replace(sent, message={**sent.message, "seconds": left}, seconds=left)
     return sent
