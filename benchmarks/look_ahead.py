@@ -27,6 +27,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -38,12 +39,14 @@ from data_module.files import write_text
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.speech.beats import BeatTracker
+from data_module.speech.onsets import detect_onsets
 from data_module.speech.silence import FRAME, VoiceLevel
 from data_module.store import Store
 from data_module.types import Motion, Speech
 from eval.clip.measure import measure
 from eval.metrics import eye
 from eval.metrics.eye.units import leads, sound_figures
+from eval.metrics.eye.voice import VoiceActivity
 from eval.stats import Interval, mean_interval
 from gesticulator.bundle.features import SpeechBlock
 from gesticulator.drawing.cutter import TICK, BlockCutter
@@ -155,8 +158,23 @@ class Performed:
         return float(np.linalg.norm(self.hands - other.hands, axis=-1).mean())
 
 
-def performed(system: Gesticulator, speech: Speech, seed: int, setting: tuple[str, float, float]) -> Performed:
+@dataclass(frozen=True)
+class Heard:
+    """A recording, and what the figures need of its sound."""
+
+    speech: Speech
+    onsets: np.ndarray
+    voice: VoiceActivity
+
+    @classmethod
+    def of(cls, speech: Speech) -> Heard:
+        """Listened to once."""
+        return cls(speech, detect_onsets(speech.samples, speech.sample_rate), eye.hear(speech))
+
+
+def performed(system: Gesticulator, heard: Heard, seed: int, setting: tuple[str, float, float]) -> Performed:
     """One recording in a setting."""
+    speech = heard.speech
     share: list[bool] = []
     stream = stream_of(system, seed, setting, share)
     parts, late = [], []
@@ -170,18 +188,18 @@ def performed(system: Gesticulator, speech: Speech, seed: int, setting: tuple[st
     lexemes = {round(block.end, 6): block.lexeme for part in parts for block in part.blocks}
     hands = positions_of(motion)[:, [stream.skeleton.index(hand) for hand in ("RightHand", "LeftHand")]]
     harder = np.linalg.norm(np.diff(hands, 2, axis=0), axis=-1).mean() * stream.fps ** 2
-    return Performed(measured(motion, speech, np.array([0.0, *lexemes])) | {"acceleration": float(harder)},
+    return Performed(measured(motion, heard, np.array([0.0, *lexemes])) | {"acceleration": float(harder)},
                      np.concatenate(late), share, lexemes, hands)
 
 
-def measured(motion: Motion, speech: Speech, edges: np.ndarray) -> dict[str, float]:
+def measured(motion: Motion, heard: Heard, edges: np.ndarray) -> dict[str, float]:
     """The figures of a motion but for its acceleration; edges: of its blocks, seconds."""
-    clip, body, voice = measure(motion, speech, edges), eye.common_body(motion), eye.hear(speech)
-    beside, first = sound_figures(body, voice), leads(body, voice, 1).seconds
+    clip, body = measure(motion, heard.speech, edges, heard.onsets), eye.common_body(motion)
+    beside, first = sound_figures(body, heard.voice), leads(body, heard.voice, 1).seconds
     return {"above_chance": clip.rhythm().above_chance, "loud": beside["eye_loud"],
             "lead": float(first.mean()) if len(first) else math.nan, "pause_moving": beside["eye_pause_moving"],
             "held": beside["eye_held"], "speed": clip.speech_speed, "seam": float(clip.seam_speed.mean()),
-            "blocks": (len(edges) - 1) / speech.duration}
+            "blocks": (len(edges) - 1) / heard.speech.duration}
 
 
 def settings(longest: float) -> dict[str, tuple[str, float, float]]:
@@ -238,13 +256,27 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join([*lines, ""])
 
 
-def speeches(a: argparse.Namespace) -> list[Speech]:
-    """The recordings, cut to `--seconds`."""
-    read = [load_speech(name) for name in a.speech]
-    if a.store:
-        store = Store.open(a.store)
-        read += [resample(store.load(info.name).speech, SAMPLE_RATE) for info in store.of_split("test")]
-    return [Speech(one.samples[:round(min(a.seconds, one.duration) * SAMPLE_RATE)], SAMPLE_RATE) for one in read]
+def write(a: argparse.Namespace, made: dict[str, list[Performed]], seconds: list[float], spent: float) -> str:
+    """Write what there is so far; returns the table."""
+    source = " ".join([*a.speech, *(["--store STORE"] if a.store else [])])
+    report = {"command": f"python benchmarks/look_ahead.py {source} --seconds {a.seconds:g}", "processor": processor(),
+              "recordings": len(seconds), "seconds": round(sum(seconds), 1), "processor_seconds": round(spent),
+              "settings": {name: summary(of, made["full"], seconds) for name, of in made.items()}}
+    if a.out:
+        write_text(a.out.with_suffix(".json"), json.dumps(report, indent=1) + "\n")
+        write_text(a.out.with_suffix(".md"), table(report))
+    return table(report)
+
+
+def speeches(a: argparse.Namespace) -> Iterator[Speech]:
+    """The recordings, cut to `--seconds`; those of a store in an order without a pattern, so that any first ones of
+    them are of all parts."""
+    store = Store.open(a.store) if a.store else None
+    infos = () if store is None else store.of_split("test")
+    order = np.random.default_rng(0).permutation(len(infos))
+    for one in chain(map(load_speech, a.speech), (store.load(infos[k].name).speech for k in order if store)):
+        samples = resample(one, SAMPLE_RATE).samples
+        yield Speech(samples[:round(a.seconds * SAMPLE_RATE)], SAMPLE_RATE)
 
 
 def main() -> None:
@@ -257,26 +289,21 @@ def main() -> None:
     p.add_argument("--out", type=Path, help="path of the report, without .json and .md")
     a = p.parse_args()
     torch.set_num_threads(1)
-    system, recordings, begin = Gesticulator.from_pretrained(), speeches(a), time.process_time()
+    system, begin = Gesticulator.from_pretrained(), time.process_time()
     system.warm()
     every = settings(system.bundle.config.rhythm.beats.d_max)
     made: dict[str, list[Performed]] = {name: [] for name in every}
-    for number, speech in enumerate(recordings):
+    seconds: list[float] = []
+    for number, speech in enumerate(speeches(a)):
         if time.process_time() - begin > 60 * a.minutes:
             break
+        heard = Heard.of(speech)
         for name, setting in every.items():
-            made[name].append(performed(system, speech, number + 1000 * (name == OTHER), setting))
+            made[name].append(performed(system, heard, number + 1000 * (name == OTHER), setting))
+        seconds.append(speech.duration)
         print(number, round(time.process_time() - begin), flush=True)
-    seconds = [speech.duration for speech in recordings[:len(made["full"])]]
-    source = " ".join([*a.speech, *(["--store STORE"] if a.store else [])])
-    report = {"command": f"python benchmarks/look_ahead.py {source} --seconds {a.seconds:g}", "processor": processor(),
-              "recordings": len(seconds), "seconds": round(sum(seconds), 1),
-              "processor_seconds": round(time.process_time() - begin),
-              "settings": {name: summary(of, made["full"], seconds) for name, of in made.items()}}
-    print(table(report))
-    if a.out:
-        write_text(a.out.with_suffix(".json"), json.dumps(report, indent=1) + "\n")
-        write_text(a.out.with_suffix(".md"), table(report))
+        write(a, made, seconds, time.process_time() - begin)
+    print(write(a, made, seconds, time.process_time() - begin))
 
 
 if __name__ == "__main__":
