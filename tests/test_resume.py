@@ -69,6 +69,25 @@ def break_connections(server: LiveServer) -> None:
         connection.socket.transport.abort()
 
 
+class Came:
+    """The frames that came: the next one, and whatever did not follow the last one."""
+
+    def __init__(self) -> None:
+        self.next, self.replaced = 0, -1
+        self.gaps: list[tuple[int, int]] = []
+
+    def cut(self, frame: int) -> None:
+        """Frames are taken back from this one on; until it comes, others are on their way."""
+        self.next = self.replaced = frame
+
+    async def read(self, stream: ResumingStream) -> None:
+        async for message in stream:
+            if isinstance(message, Poses) and self.replaced in (-1, message.first):
+                if message.first != self.next:
+                    self.gaps.append((self.next, message.first))
+                self.next, self.replaced = message.first + len(message), -1
+
+
 def assert_whole(poses: list[Poses], seconds: float) -> None:
     """Every frame once, and each the one that it says."""
     numbers = np.concatenate([np.arange(one.first, one.first + len(one)) for one in poses])
@@ -321,6 +340,47 @@ def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> N
                 assert stream.time == pytest.approx(1.25)
         assert firsts == [(0, 0), (60, 0), (45, 1)]
         assert heard[2] == {"type": "interrupt", "time": 0.0} and heard[3] == pcm(0.5)
+
+    run(test)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
+    """Sound, waits and interruptions, while connections break and servers forget: each frame follows the last one or is
+    where an interruption was, and in the end there are as many as the media time that was asked for."""
+    rng = np.random.default_rng(seed)
+
+    async def test() -> None:
+        async with running() as (server, port, _):
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), chance=lambda: 0.0,
+                                    pause=lambda _: asyncio.sleep(0.001))
+            await stream.open()
+            log: list[str] = []
+            came = Came()
+            reading = asyncio.create_task(came.read(stream))
+            for _ in range(60):
+                op = str(rng.choice(["send", "send", "send", "idle", "interrupt", "break", "forget", "wait"]))
+                log.append(op)
+                if op == "send":
+                    await stream.send(pcm(float(rng.uniform(0.0, 0.6))))
+                elif op == "idle":
+                    await stream.idle(float(rng.choice([0.0, rng.uniform(0, 0.5)])))
+                elif op == "interrupt" and came.next > 1:
+                    came.cut(int(rng.integers(1, came.next)))
+                    await stream.interrupt(came.next / 60)
+                elif op in ("break", "forget"):
+                    break_connections(server)
+                    if op == "forget":
+                        await asyncio.sleep(0)
+                        for connection in list(server.connections):
+                            connection.give_up()
+                else:
+                    await asyncio.sleep(float(rng.choice([0.0, 0.02])))
+            await stream.finish()
+            await reading
+            assert came.gaps == [], log
+            assert abs(came.next - stream.time * 60) <= 1.0, log
+            await stream.close()
 
     run(test)
 
