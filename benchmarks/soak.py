@@ -197,7 +197,7 @@ class Client:
         self.hello = Hello(**{"sample_rate": RATE, **KINDS[kind], "token": processes.good, "seed": seed})
         self.voice = voice
         self.stream: ResumingStream | None = None
-        self.next, self._moved = 0, asyncio.Event()
+        self.next, self._moved, self._source = 0, asyncio.Event(), 0
         self._replaced: int | None = None
         """The frame from which an interruption replaces frames, until its packet comes."""
 
@@ -213,7 +213,7 @@ class Client:
                 await asyncio.sleep(1.0)
 
     async def _one(self, seconds: float) -> None:
-        self.next, self._replaced = 0, None
+        self.next, self._replaced, self._source = 0, None, 0
         async with connect_resuming(self.processes.url, self.hello, patience=600.0) as stream:
             self.stream = stream
             reading = asyncio.create_task(self._read(stream))
@@ -237,6 +237,7 @@ class Client:
     async def _read(self, stream: ResumingStream) -> None:
         async for message in stream:
             if isinstance(message, Poses):
+                self._source = message.source
                 if self._replaced not in (None, message.first):
                     continue  # it was on its way when the interruption was sent
                 self._replaced = None
@@ -273,8 +274,10 @@ class Client:
             await stream.speak()
             await stream.think(0.5)
             await stream.idle(0.7)
-        elif self.kind == "interrupted" and chance < 0.2 and self.next > 1 and stream.connected:
-            at = self.next / self.hello.fps  # another frame than that of an interruption which is not answered
+        elif self.kind == "interrupted" and chance < 0.2 and self.next > 1 and stream.connected \
+                and self._source == stream._source:
+            # Another frame than that of an interruption which is not answered, nor of the first packet of a session.
+            at = self.next / self.hello.fps
             await stream.interrupt(at - min(0.5, at / 2))
             self.next = self._replaced = min(self.next, math.ceil(stream.time * self.hello.fps - 1e-6))
             self.count.interruptions += 1

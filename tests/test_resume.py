@@ -73,7 +73,7 @@ class Came:
     """The frames that came: the next one, and whatever did not follow the last one."""
 
     def __init__(self) -> None:
-        self.next, self.replaced = 0, -1
+        self.next, self.replaced, self.source = 0, -1, 0
         self.gaps: list[tuple[int, int]] = []
 
     def cut(self, frame: int) -> None:
@@ -82,6 +82,8 @@ class Came:
 
     async def read(self, stream: ResumingStream) -> None:
         async for message in stream:
+            if isinstance(message, Poses):
+                self.source = message.source
             if isinstance(message, Poses) and self.replaced in (-1, message.first):
                 if message.first != self.next:
                     self.gaps.append((self.next, message.first))
@@ -365,14 +367,16 @@ def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
                     await stream.send(pcm(float(rng.uniform(0.0, 0.6))))
                 elif op == "idle":
                     await stream.idle(float(rng.choice([0.0, rng.uniform(0, 0.5)])))
-                elif op == "interrupt" and came.next > 1:
+                elif op == "interrupt" and came.next > 1 and came.source == stream._source:
                     came.cut(int(rng.integers(1, came.next)))
                     await stream.interrupt(came.next / 60)
                 elif op in ("break", "forget"):
                     break_connections(server)
                     if op == "forget":
-                        await asyncio.sleep(0)
-                        for connection in list(server.connections):
+                        before = list(server.connections)
+                        while any(not one.parked for one in before if one in server.connections):
+                            await asyncio.sleep(0)
+                        for connection in before:
                             connection.give_up()
                 else:
                     await asyncio.sleep(float(rng.choice([0.0, 0.02])))

@@ -22,7 +22,8 @@ export class GestureStream {
     this.time = 0; // media time of what was sent, seconds
     this.welcome = null;
     this.source = 0; // sessions before this one
-    this.offset = 0; // frames before this session's first one
+    this.offset = 0; // frames before this session's first one, for what comes
+    this.saidOffset = 0; // for what is sent: another one from an interruption that reaches back before the session until its packet
     this.journal = [];
     this.numbered = 0; // messages that this session sent, or will
     this.got = 0; // messages of the server in this session
@@ -59,6 +60,7 @@ export class GestureStream {
     const at = Math.min(time, this.time);
     this.end = Math.min(this.end, Math.ceil(at * this.fps - 1e-6));
     this.cut = Math.min(this.cut, this.end);
+    this.saidOffset = Math.min(this.saidOffset, this.end);
     for (const k of this.frames.keys()) if (k >= this.end) this.frames.delete(k);
     this.journal = this.journal.map((sent) => cutEnd(sent, at, this.sampleRate));
     this.time = at;
@@ -110,7 +112,7 @@ export class GestureStream {
 
   /** A command with its times in this session's media time. */
   shifted(message) {
-    const back = this.offset / this.fps, moved = { ...message };
+    const back = this.saidOffset / this.fps, moved = { ...message };
     if (moved.time !== undefined) moved.time = Math.max(0, moved.time - back);
     if (moved.words) {
       moved.words = moved.words.filter((word) => word.end >= back)
@@ -148,30 +150,26 @@ export class GestureStream {
   begin(welcome) {
     const again = this.session !== null;
     this.welcome = welcome;
-    let sent = welcome.resumed ? welcome.messages : 0;
-    if (!welcome.resumed) sent = this.anew(welcome.session ?? "", again);
-    for (; sent < this.numbered; sent++) this.transmit(this.journal[this.journal.length + sent - this.numbered].message);
+    if (!welcome.resumed) this.anew(welcome.session ?? "", again);
+    for (let sent = welcome.resumed ? welcome.messages : 0; sent < this.numbered; sent++) this.transmit(this.journal[this.journal.length + sent - this.numbered].message);
     this.live = true;
     this.opened = Date.now();
     this.settle.resolve(this);
     this.onEvent(again ? { type: "back", resumed: welcome.resumed } : welcome);
   }
 
-  /** A new session from the first frame that did not come; how many of its messages were sent. */
+  /** A new session from the first frame that did not come. */
   anew(session, again) {
     this.session = session;
     this.got = 0;
-    if (!again) return 0;
-    this.offset = this.end;
+    if (!again) return;
+    this.offset = this.saidOffset = this.end;
     this.cut = Infinity;
     this.source++;
     const begin = this.offset / this.fps;
     this.journal = this.journal.map((sent) => cutStart(sent, begin, this.sampleRate)).filter(Boolean);
+    if (this.journal[0]?.heard) this.journal.unshift({ message: { type: "listen" }, start: begin, seconds: 0, heard: true });
     this.numbered = this.journal.length;
-    if (!this.journal[0]?.heard) return 0;
-    this.numbered++;
-    this.transmit({ type: "listen" });
-    return 1;
   }
 
   lost(code, reason) {
@@ -201,6 +199,7 @@ export class GestureStream {
     const size = new DataView(packet).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(packet, 4, size)));
     const numbers = new Float32Array(packet, 4 + size);
+    if (head.first === 0) this.offset = this.saidOffset;
     const roots = head.count * head.joints * 4, faces = roots + head.count * 3, wide = head.face ?? 0, first = head.first + this.offset;
     if (first > this.cut) return; // taken back while it was on its way
     this.cut = Infinity;

@@ -80,7 +80,10 @@ class ResumingStream:
         """Messages of the server that came in this session, after its hello."""
         self._session: str | None = None
         self._offset, self._source = 0, 0
-        """Frames before this session's first one; sessions before it."""
+        """Frames before this session's first one, for what comes; sessions before it."""
+        self._said_offset = 0
+        """The same for what is sent: another one from an interruption that reaches back before the session until its
+        packet, which is the session's first frame again."""
         self._end = 0
         """Number of the first frame that has not come, or that an interruption took back."""
         self._cut: float = math.inf
@@ -133,6 +136,7 @@ class ResumingStream:
         at = self._end / self._hello.fps if time is None else min(time, self._time)
         self._end = min(self._end, math.ceil(at * self._hello.fps - 1e-6))
         self._cut = min(self._cut, self._end)
+        self._said_offset = min(self._said_offset, self._end)
         self._time = at
         # What was sent for later is not to be said again; the messages are still counted.
         self._journal = deque(_cut_end(one, at, self._hello) for one in self._journal)
@@ -189,6 +193,8 @@ class ResumingStream:
     def _read(self, message: str | bytes) -> Poses | dict[str, Any]:
         if isinstance(message, bytes):
             poses = Poses.unpack(message)
+            if poses.first == 0:
+                self._offset = self._said_offset
             poses = replace(poses, first=poses.first + self._offset, source=self._source)
             if poses.first <= self._cut:
                 self._end, self._cut = poses.first + len(poses), math.inf
@@ -217,7 +223,7 @@ class ResumingStream:
 
     def _shifted(self, message: dict[str, Any]) -> str:
         """A command with its times in this session's media time."""
-        back = self._offset / self._hello.fps
+        back = self._said_offset / self._hello.fps
         if back and "time" in message:
             message = {**message, "time": max(0.0, message["time"] - back)}
         if back and "words" in message:
@@ -264,7 +270,9 @@ class ResumingStream:
             if told.get("type") == "error":
                 raise RefusedError(told["message"], told["code"], told.get("retry_after"))
             self.welcome = Welcome.read(str(text))
-            heard = int(told["messages"]) if told.get("resumed") else await self._anew(told.get("session"), socket)
+            heard = int(told["messages"]) if told.get("resumed") else 0
+            if not told.get("resumed"):
+                self._anew(told.get("session"))
             # Messages that are said meanwhile wait in the journal, and are sent in their turn.
             while heard < self._numbered:
                 message = self._journal[heard - self._numbered].message
@@ -275,24 +283,22 @@ class ResumingStream:
             raise
         self._socket, self._opened = socket, self._clock()
 
-    async def _anew(self, session: str | None, socket: ClientConnection) -> int:
-        """Begin a new session at the first frame that did not come; returns how many of its messages were sent."""
+    def _anew(self, session: str | None) -> None:
+        """Begin a new session at the first frame that did not come."""
         first = self._session is None
         self._session, self._got = session, 0
         if first:
-            return 0
-        self._offset, self._cut = self._end, math.inf
+            return
+        self._offset = self._said_offset = self._end
+        self._cut = math.inf
         self._source += 1
         begin = self._offset / self._hello.fps
         later = [one for one in (_cut_start(sent, begin, self._hello) for sent in self._journal) if one is not None]
+        if later and later[0].heard:
+            later.insert(0, _Sent({"type": "listen"}, begin, 0.0, True))
         self._journal = deque(later)
         self._journal_bytes = sum(_size(one.message) for one in later)
         self._numbered = len(later)
-        if not (later and later[0].heard):
-            return 0
-        self._numbered += 1
-        await socket.send(json.dumps({"type": "listen"}))
-        return 1
 
 
 @asynccontextmanager
