@@ -33,6 +33,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
 from gesticulator.serve import schema
 from gesticulator.serve import server as server_module
+from gesticulator.serve.metrics import ServerMetrics, exposition
 from gesticulator.serve.protocol import CloseCode, StreamRequest, published
 from gesticulator.serve.scheduler import Member
 from gesticulator.serve.server import LiveServer, ServerAddress
@@ -834,6 +835,23 @@ def test_a_quarter_of_an_hour_of_silence_leaves_nothing_behind() -> None:
 
 
 # ---------------------------------------------------------------- health, figures, the end
+
+
+def test_no_gauge_is_below_zero_and_times_are_told_apart_up_to_a_minute() -> None:
+    metrics = ServerMetrics()
+    for seconds in (0.1, 0.2, 0.3):
+        metrics.add("waiting_seconds", seconds)
+    for seconds in (0.3, 0.2, 0.1):
+        metrics.add("waiting_seconds", -seconds)  # of floats: the sum is not 0
+    metrics.add("unread_bytes", -5)
+    metrics.set("promised_load", -1e-17)
+    for seconds in (0.004, 59.0, 61.0):
+        metrics.time("answer_seconds", seconds)
+    lines = exposition([metrics.figures()]).splitlines()
+    for name in ("waiting_seconds", "unread_bytes", "promised_load"):
+        assert f'gesticulator_{name}{{worker="0"}} 0' in lines
+    buckets = [line.partition(" ")[2] for line in lines if line.startswith("gesticulator_answer_seconds_bucket")]
+    assert buckets[0] == "1" and buckets[-3:] == ["1", "2", "3"]  # to 30 s, to 60 s, and beyond
 
 
 def test_health_and_metrics_are_on_the_same_port() -> None:
