@@ -1,4 +1,7 @@
-"""What rude clients cost the good ones: `python benchmarks/live_attack.py [--seconds 20] [--out FILE.json]`.
+"""What rude clients cost the good ones: `python benchmarks/live_attack.py --out docs/results/live_attack`.
+
+It takes 12 minutes, on a machine that does nothing else; `--seconds 10 --pairs 1` takes four, and its p99 is one of 60
+packets or so a microphone.
 
 A server is started on this machine, as a process with one thread; all connections are to the loopback address, and
 bounded in number and time. So many good microphones in low-latency mode speak, in pairs of runs one after the other,
@@ -35,6 +38,7 @@ from realtime import processor
 from websockets.asyncio.client import connect as open_socket
 from websockets.exceptions import WebSocketException
 
+from data_module.files import write_text
 from data_module.speech.audio import load_speech, resample
 
 _ENDS = (WebSocketException, OSError, TimeoutError, ValueError)
@@ -177,6 +181,19 @@ def quantiles(values: list[float]) -> dict[str, float]:
     return {f"p{round(q * 100)}": round(float(np.quantile(values, q)), 4) for q in (0.5, 0.95, 0.99)}
 
 
+def table(report: dict[str, Any]) -> str:
+    """The report as Markdown."""
+    lines = ["# Attacks", "", f"`{report['command']}`, {report['date']}; {report['processor']}, "
+             f"{report['cores']} cores, {report['good']} good microphones in low-latency mode.", "",
+             "| beside | p50 / p99 without, s | p50 / p99 beside it, s | p99 beside over without | load |",
+             "|---|---|---|---|---|"]
+    for name, row in report["attacks"].items():
+        own, theirs = (f"{row[key]['p50']:.3f} / {row[key]['p99']:.3f}" for key in ("without", "beside"))
+        lines.append(f"| {name} | {own} | {theirs} | {row['ratio']:.2f} | {row['load']:g} |")
+    return "\n".join([*lines, "", "The load is that of the whole machine when a row was done: with other work on it, a "
+                      "ratio says little.", ""])
+
+
 def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -184,12 +201,14 @@ def main() -> None:
     p.add_argument("--seconds", type=float, default=20.0, help="of each run (default 20)")
     p.add_argument("--pairs", type=int, default=2, help="of runs per attack (default 2)")
     p.add_argument("--attacks", nargs="*", choices=list(ATTACKS), default=list(ATTACKS))
-    p.add_argument("--out", type=Path)
+    p.add_argument("--out", type=Path, help="path of the report, without .json and .md")
     a = p.parse_args()
     samples = resample(load_speech(ROOT / "examples" / "speech.flac"), RATE).samples
     voice = (samples * 32767).astype("<i2")
     server = Server()
-    report: dict[str, Any] = {"processor": processor(), "cores": os.cpu_count(), "good": a.good, "seconds": a.seconds,
+    command = f"python benchmarks/live_attack.py --good {a.good} --seconds {a.seconds:g} --pairs {a.pairs}"
+    report: dict[str, Any] = {"command": command, "date": time.strftime("%Y-%m-%d"),
+                              "processor": processor(), "cores": os.cpu_count(), "good": a.good, "seconds": a.seconds,
                               "pairs": a.pairs, "attacks": {}}
     for attack in a.attacks:
         without: list[float] = []
@@ -204,7 +223,8 @@ def main() -> None:
         print(attack, row, flush=True)
     report["exit_code"] = server.stop()
     if a.out:
-        a.out.write_text(json.dumps(report, indent=1) + "\n")
+        write_text(a.out.with_suffix(".json"), json.dumps(report, indent=1) + "\n")
+        write_text(a.out.with_suffix(".md"), table(report))
 
 
 if __name__ == "__main__":

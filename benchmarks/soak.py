@@ -1,13 +1,13 @@
 """A server for long, with everything that goes wrong: `python benchmarks/soak.py [--minutes 80] [--streams 8]
 [--out docs/results/soak]`.
 
-A server with two workers serves mixed streams: microphones in both modes, synthesisers that send an answer at once,
-conversations with another's voice, thought, waits and interruptions, streams with faces and of SMPL-X. Sound is sent in
-pieces of any length, from one sample to ten seconds. Each client resumes its stream by the reference client, and opens
-the next one when it is over. Meanwhile, as long as the run lasts:
+A server with two workers serves mixed streams: microphones in both modes, synthesisers that send an answer at once
+and the next one when it was played, conversations with another's voice, thought, waits and interruptions, streams with
+faces and of SMPL-X. Sound is sent in pieces of any length, from one sample to ten seconds. Each client resumes its
+stream by the reference client, and opens the next one when it is over. Meanwhile, as long as the run lasts:
 
-    attackers  each attack of `live_attack.py` in turn, in a process of its own, from another address and with a key of
-               its own
+    attackers  each attack of `live_attack.py` in turn, for 20 s of every minute (`--attack-every`), in a process of its
+               own, from another address and with a key of its own
     kills      a client's connection is cut (a few a minute), and one of the two workers is killed (`--kills` times)
     full disk  for a minute in every six no file may grow (RLIMIT_FSIZE of the server's processes), as on a disk that is
                full: metrics and the log cannot be written
@@ -16,7 +16,8 @@ What must hold: **nothing lost** (each stream has every frame of its media time 
 **memory** of every process at no time more than 5 % above that after its first ten minutes with streams, no
 **descriptor** more after the last stream than before the first one, and the server ends with exit code 0. The exit
 code is 1 where it does not. A client never sends more than the server answers within `AHEAD` seconds, so a slow machine
-makes the run thinner and not wrong; latency is not measured here.
+makes the run thinner and not wrong; latency is not measured here. Sound that the server processed at lower cost, since
+the machine was short of time, is in the table, as is the processor's time.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import urllib.request
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -55,11 +57,20 @@ SETTLED = 600.0
 GROWTH = 0.05
 AHEAD = 12.0
 """Seconds of media time that a client asks for before they are answered."""
+LONGEST_SILENCE = 120.0
+"""Seconds without a frame that is due, after which a stream has failed."""
 FULL_EVERY, FULL_FOR = 360.0, 60.0
 """Seconds from one full disk to the next, and that it lasts."""
 CUT_EVERY = 20.0
 """Seconds between two connections that are cut."""
 ATTACK_SECONDS = 20.0
+LESSER = {"shortened_seconds_total": "seconds of sound processed with low look-ahead in place of full",
+          "hurried_seconds_total": "seconds of sound processed in a hurry",
+          "passed_seconds_total": "seconds of sound passed over",
+          "resumed_total": "streams that a client came back to, by the server's count",
+          "wrong_tokens_total": "wrong tokens", "closed_total": "connections that the server closed",
+          "refused_total": "requests that the server refused"}
+"""Counters of the server -> what the table calls them."""
 RUDE_ADDRESS = "127.0.0.66"
 KINDS: dict[str, dict[str, Any]] = {
     "microphone": {"options": {"latency": "low"}},
@@ -83,7 +94,8 @@ class Processes:
         command = "from gesticulator.serve.command import COMMAND as C; import sys; sys.exit(C.main('s', sys.argv[1:]))"
         self.process = subprocess.Popen(
             [sys.executable, "-c", command, "--port", "0", "--workers", str(workers), "--streams", "64",
-             "--core-share", "100", "--address-opens", "4", "--keys-file", str(keys), "--drain-seconds", "2"], cwd=ROOT,
+             "--core-share", "100", "--address-opens", "4", "--keys-file", str(keys), "--drain-seconds", "2",
+             "--metrics-port", "0"], cwd=ROOT,
             stderr=self.log.open("w"), env={**os.environ, "TMPDIR": str(folder)})
         self.port = 0
         try:
@@ -95,6 +107,7 @@ class Processes:
             self.process.terminate()
             raise
         self.port = int(re.findall(r"ws://127.0.0.1:(\d+)/", text)[0])
+        self.figures = re.findall(r"metrics at (http://\S+)", text)[0]
 
     @property
     def url(self) -> str:
@@ -119,6 +132,16 @@ class Processes:
                 _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
                 resource.prlimit(pid, resource.RLIMIT_FSIZE, (1 if full else hard, hard))
 
+    def counters(self) -> dict[tuple[str, str], float]:
+        """Of each of `LESSER` and worker, what it counted since it started; empty where no worker answers."""
+        found: dict[tuple[str, str], float] = {}
+        with contextlib.suppress(OSError), urllib.request.urlopen(self.figures, timeout=5) as answer:
+            for name, worker, value in re.findall(r'^gesticulator_(\w+)\{worker="(\d+)".*\} (\S+)$',
+                                                  answer.read().decode(), re.M):
+                if name in LESSER:
+                    found[name, worker] = found.get((name, worker), 0.0) + float(value)
+        return found
+
     def stop(self) -> int:
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(120)
@@ -132,6 +155,12 @@ def _born(pid: int) -> int:
 def memory_of(pid: int) -> float:
     """Resident memory of a process, MB."""
     return round(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6, 1)
+
+
+def seconds_of(pid: int) -> float:
+    """Processor time of a process so far, seconds."""
+    return sum(map(int, Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13])) / os.sysconf(
+        "SC_CLK_TCK")
 
 
 def descriptors_of(pid: int) -> int:
@@ -168,7 +197,7 @@ class Client:
         self.hello = Hello(**{"sample_rate": RATE, **KINDS[kind], "token": processes.good, "seed": seed})
         self.voice = voice
         self.stream: ResumingStream | None = None
-        self.next, self._moved = 0, asyncio.Event()
+        self.next, self._moved, self._source = 0, asyncio.Event(), 0
         self._replaced: int | None = None
         """The frame from which an interruption replaces frames, until its packet comes."""
 
@@ -184,7 +213,7 @@ class Client:
                 await asyncio.sleep(1.0)
 
     async def _one(self, seconds: float) -> None:
-        self.next, self._replaced = 0, None
+        self.next, self._replaced, self._source = 0, None, 0
         async with connect_resuming(self.processes.url, self.hello, patience=600.0) as stream:
             self.stream = stream
             reading = asyncio.create_task(self._read(stream))
@@ -208,6 +237,7 @@ class Client:
     async def _read(self, stream: ResumingStream) -> None:
         async for message in stream:
             if isinstance(message, Poses):
+                self._source = message.source
                 if self._replaced not in (None, message.first):
                     continue  # it was on its way when the interruption was sent
                 self._replaced = None
@@ -220,17 +250,18 @@ class Client:
                 self.count.replayed += not message["resumed"]
 
     async def _room(self, stream: ResumingStream, begin: float, reading: asyncio.Task[None]) -> None:
-        """As a microphone: no faster than the time goes by, and no further ahead than is answered."""
+        """No turn begins before the last one was spoken or played, nor while too little is answered."""
         while stream.time - self.next / self.hello.fps > AHEAD:
             self._moved.clear()
             moved = asyncio.create_task(self._moved.wait())
-            await asyncio.wait({moved, reading}, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait({moved, reading}, timeout=LONGEST_SILENCE, return_when=asyncio.FIRST_COMPLETED)
             moved.cancel()
+            if not done:
+                raise RuntimeError(f"no frame came for {LONGEST_SILENCE:g} s")
             if reading.done():
                 reading.result()
                 raise RuntimeError("the stream ended before it was finished")
-        if self.kind != "synthesiser":
-            await asyncio.sleep(max(0.0, begin + stream.time - time.monotonic()))
+        await asyncio.sleep(max(0.0, begin + stream.time - time.monotonic()))
 
     async def _turn(self, stream: ResumingStream, left: float) -> None:
         chance = self.rng.random()
@@ -243,7 +274,9 @@ class Client:
             await stream.speak()
             await stream.think(0.5)
             await stream.idle(0.7)
-        elif self.kind == "interrupted" and chance < 0.2 and self.next and stream.connected:
+        elif self.kind == "interrupted" and chance < 0.2 and self.next > 1 and stream.connected \
+                and self._source == stream._source:
+            # Another frame than that of an interruption which is not answered, nor of the first packet of a session.
             at = self.next / self.hello.fps
             await stream.interrupt(at - min(0.5, at / 2))
             self.next = self._replaced = min(self.next, math.ceil(stream.time * self.hello.fps - 1e-6))
@@ -263,11 +296,13 @@ class Client:
             self.count.pieces += 1
 
 
-async def disturb(processes: Processes, clients: list[Client], count: Count, until: float, kills: int) -> None:
+async def disturb(processes: Processes, clients: list[Client], count: Count, until: float, a: argparse.Namespace
+                  ) -> None:
     """Cut connections, kill the youngest worker, fill the disk, and attack, each at its times."""
     rng, start = np.random.default_rng(1), time.monotonic()
-    kill_at = [start + (until - start) * (k + 0.5) / kills for k in range(kills)]
+    kill_at = [start + (until - start) * (k + 0.5) / a.kills for k in range(a.kills)]
     cut, attack, full = start + CUT_EVERY, None, False
+    attack_at = start
     names = list(live_attack.ATTACKS)
     try:
         while (now := time.monotonic()) < until:
@@ -288,7 +323,8 @@ async def disturb(processes: Processes, clients: list[Client], count: Count, unt
                 full = want
                 processes.fill_disk(full)
                 count.full_disks += full
-            if attack is None or attack.poll() is not None:
+            if now >= attack_at and (attack is None or attack.poll() is not None):
+                attack_at = now + a.attack_every
                 attack = _attacker(processes, names[count.attacks % len(names)])
                 count.attacks += 1
             await asyncio.sleep(1.0)
@@ -320,17 +356,31 @@ class Watch:
 
     step: float
     rows: list[dict[str, Any]] = field(default_factory=list)
+    spent: dict[int, float] = field(default_factory=dict)
+    """Process -> its processor time, seconds."""
+    counted: dict[str, float] = field(default_factory=lambda: dict.fromkeys(LESSER, 0.0))
+    _last: dict[tuple[str, str], float] = field(default_factory=dict)
+
+    async def counters(self, processes: Processes) -> None:
+        """Add what the workers counted since the last time; a worker that was killed begins again at 0."""
+        for key, value in (await asyncio.to_thread(processes.counters)).items():
+            last = self._last.get(key, 0.0)
+            self.counted[key[0]] += value - last if value >= last else value
+            self._last[key] = value
 
     async def run(self, processes: Processes, count: Count) -> None:
         start = time.monotonic()
         while True:
             row: dict[str, Any] = {"seconds": round(time.monotonic() - start, 1), "frames": count.frames,
                                    "streams": count.streams, "load": round(os.getloadavg()[0], 1), "processes": {}}
+            await self.counters(processes)
             for pid in processes.all():
                 with contextlib.suppress(OSError):
+                    self.spent[pid] = seconds_of(pid)
                     row["processes"][str(pid)] = {"memory": memory_of(pid), "descriptors": descriptors_of(pid)}
             self.rows.append(row)
-            print(json.dumps({**asdict(count), **row}), file=sys.stderr, flush=True)
+            print(json.dumps({**asdict(count), **self.counted, "spent": sum(self.spent.values()), **row}),
+                  file=sys.stderr, flush=True)
             await asyncio.sleep(self.step)
 
     def growth(self) -> dict[str, dict[str, float]]:
@@ -353,7 +403,7 @@ async def soak(processes: Processes, voice: np.ndarray, a: argparse.Namespace) -
     until = time.monotonic() + 60 * a.minutes
     clients = [Client(kinds[k % len(kinds)], processes, np.roll(voice, k * 79190), count, k) for k in range(a.streams)]
     watching = asyncio.create_task(watch.run(processes, count))
-    disturbing = asyncio.create_task(disturb(processes, clients, count, until, a.kills))
+    disturbing = asyncio.create_task(disturb(processes, clients, count, until, a))
     await asyncio.gather(*(one.run(until) for one in clients))
     await disturbing
     await asyncio.sleep(a.grace)
@@ -361,7 +411,8 @@ async def soak(processes: Processes, voice: np.ndarray, a: argparse.Namespace) -
     after = {str(pid): descriptors_of(pid) for pid in processes.all()}
     leaked = {pid: after[pid] - before[pid] for pid in after if pid in before}
     return {**asdict(count), "descriptors": {pid: [before[pid], after[pid]] for pid in leaked},
-            "memory": watch.growth(), "rows": watch.rows,
+            "counted": watch.counted, "server_seconds": round(sum(watch.spent.values()), 1),
+            "client_seconds": round(time.process_time(), 1), "memory": watch.growth(), "rows": watch.rows,
             "holds": {"nothing lost": not (count.lost or count.doubled or count.failures),
                       **({"memory flat": all(one["growth"] <= GROWTH for one in watch.growth().values())}
                          if watch.growth() else {}),
@@ -385,7 +436,10 @@ def table(report: dict[str, Any]) -> str:
                         ("replayed", "connections whose session was gone, replayed"),
                         ("full_disks", "minutes with a full disk"), ("attacks", "attacks, each of 20 s")):
         lines.append(f"| {label} | {report[name]:,.0f} |")
-    lines += [f"| streams that failed | {len(report['failures'])} |", f"| exit code | {report['exit_code']} |", "",
+    lines += [f"| {label} | {report['counted'][name]:,.0f} |" for name, label in LESSER.items()]
+    lines += [f"| processor time of the server, s | {report['server_seconds']:,.0f} |",
+              f"| processor time of the clients, s | {report['client_seconds']:,.0f} |",
+              f"| streams that failed | {len(report['failures'])} |", f"| exit code | {report['exit_code']} |", "",
               "| process | alive for, min | memory after ten minutes, MB | most after that | last | growth |",
               "|---|---|---|---|---|---|"]
     for number, one in enumerate(sorted(report["memory"].values(), key=lambda one: one["settled"])):
@@ -406,6 +460,7 @@ def main() -> int:
     p.add_argument("--minutes", type=float, default=80.0)
     p.add_argument("--streams", type=int, default=8, help="at a time (default 8)")
     p.add_argument("--kills", type=int, default=3, help="of a worker (default 3); none with one worker")
+    p.add_argument("--attack-every", type=float, default=60.0, help="seconds from one attack to the next (default 60)")
     p.add_argument("--workers", type=int, default=2, help="of the server (default 2)")
     p.add_argument("--grace", type=float, default=70.0, help="seconds after the last stream (default 70: the server "
                    "keeps lost streams for a minute)")

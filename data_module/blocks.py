@@ -258,6 +258,8 @@ def slopes(times: Array, values: Array) -> Array:
 def hermite(times: Array, values: Array, at: Array, slope: Array | None = None) -> Array:
     """Cubic Hermite interpolation of values [M, D] at rising times [M], at the times `at` [T] (clamped): [T, D]. slope:
     [M, D] at the knots; without it those of `slopes`: local, exact for parabolas, right for uneven knots."""
+    if len(times) == 1:
+        return np.repeat(values, len(at), axis=0)
     slope = slopes(times, values) if slope is None else slope
     x = np.clip(at, times[0], times[-1])
     left = np.clip(np.searchsorted(times, x, side="right") - 1, 0, len(times) - 2)

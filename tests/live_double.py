@@ -91,8 +91,8 @@ class TellingStream:
         if at is not None:
             if at < self.time - self.history:
                 raise InputError("interrupt", "is too long ago", "give a later time")
-            self.time, self.made = at, int(at * self.request.fps)
-            self.time += 0.25  # of hands that come down
+            self.made = min(math.ceil(at * self.request.fps - 1e-6), self.made)
+            self.time = min(at, self.made / self.request.fps)  # as in the stream, no further than there are frames
         return self._all(StreamState.IDLE)
 
     def add_words(self, words: list[Word]) -> tuple[Word, ...]:

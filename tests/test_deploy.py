@@ -271,6 +271,33 @@ def buzz(length: float) -> bytes:
     return (8000 * np.clip(np.sin(31 * t), 0, 1) * np.sign(np.sin(754 * t))).astype("<i2").tobytes()
 
 
+def _may_unshare() -> bool:
+    tried = ["unshare", "--mount", "--net", "mount", "-t", "tmpfs", "none", "/mnt"]
+    return hasattr(os, "geteuid") and os.geteuid() == 0 and shutil.which("unshare") is not None \
+        and subprocess.run(tried, capture_output=True).returncode == 0
+
+
+def test_the_entry_point_runs_in_a_bare_root_without_a_network(tmp_path: Path) -> None:
+    """As the image's user, with its environment and command, in a root that holds what the image does and that may not
+    be written to; nothing that lies elsewhere on this machine is missed."""
+    if not _may_unshare():
+        pytest.skip("namespaces may not be made here")
+    told = dict(re.findall(r"([A-Z_]+)=(\S+)", " ".join(said("ENV"))))
+    del told["PATH"]
+    command = json.loads(said("ENTRYPOINT")[-1])[3:] + json.loads(said("CMD")[-1])
+    user = said("USER")[-1].partition(":")[0]
+    done = subprocess.run(
+        ["unshare", "--mount", "--net", sys.executable, str(ROOT / "tests" / "bare_root.py"), str(tmp_path), user,
+         *command], capture_output=True, text=True, cwd=tmp_path,
+        env={"PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT), "GESTICULATOR_TOKEN": "secret", **told})
+    assert done.returncode == 0, done.stderr
+    seen = json.loads(done.stdout)
+    assert seen["healthy"] and seen["exit_code"] == 0, seen["log"]
+    assert "is ready" in seen["log"] and "Traceback" not in seen["log"]
+    assert "home" not in seen["folders"] and not {"tests", "docs", "examples"} & set(seen["ours"])
+    assert list(tmp_path.iterdir()) == [], "mounts end with their namespace"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_the_entry_point_gets_ready_answers_and_drains(tmp_path: Path) -> None:
     """What the image runs, with its environment, at another port and with a short drain."""

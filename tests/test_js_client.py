@@ -132,6 +132,97 @@ def test_a_server_that_lost_the_stream_gets_the_sound_again_and_frames_are_numbe
     assert got["events"] == ["hello", "poses", "lost", "back", "poses", "state"]
 
 
+def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> None:
+    """As the reference client: poses are on their way when it interrupts, and then the server is lost."""
+    got = node("""
+        import { GestureStream } from "./src/stream.js";
+        const sockets = [], pause = (time) => new Promise((go) => setTimeout(go, time));
+        class Socket {
+          static OPEN = 1;
+          constructor() { this.sent = []; this.readyState = 1; sockets.push(this); }
+          send(data) { this.sent.push(typeof data === "string" ? JSON.parse(data) : data.length); }
+          close() {}
+          hello() {
+            const greeting = { type: "hello", joints: [], session: "a", resumed: false, messages: 0 };
+            this.onmessage({ data: JSON.stringify(greeting) });
+          }
+          poses(first, count) {
+            const text = JSON.stringify({ first, count, joints: 1, fps: 60, state: "speaking" });
+            const packet = new ArrayBuffer(104 + 4 * count * 7);
+            new DataView(packet).setUint32(0, 100, true);
+            new Uint8Array(packet, 4, 100).set(new TextEncoder().encode(text.padEnd(100)));
+            this.onmessage({ data: packet });
+          }
+        }
+        const stream = new GestureStream("", { sampleRate: 16000, Socket, random: () => 0 }), ends = [];
+        sockets[0].hello();
+        stream.send(new Float32Array(32000));
+        sockets[0].poses(0, 60);
+        stream.interrupt(0.75);
+        stream.send(new Float32Array(8000));
+        sockets[0].poses(60, 30);
+        ends.push(stream.end);
+        sockets[0].onclose({ code: 1006, reason: "" });
+        await pause(200);
+        sockets[1].hello();
+        sockets[1].poses(0, 10);
+        ends.push(stream.end);
+        console.log(JSON.stringify({ ends, sent: sockets[1].sent, frames: [...stream.frames.keys()] }));
+        stream.close();
+    """)
+    assert got["ends"] == [45, 55] and got["frames"] == list(range(55))
+    assert got["sent"] == [{"type": "interrupt", "time": 0}, 8000]
+
+
+@pytest.mark.parametrize(("held", "retry_after"), [(0, None), (4, None), (6, None), (0, 7)])
+def test_a_server_that_greets_and_breaks_is_visited_ever_less_often(held: float, retry_after: float | None) -> None:
+    """Time goes by only where it is waited for; each connection is greeted, holds so many seconds, and breaks."""
+    got = node(f"""
+        import {{ GestureStream }} from "./src/stream.js";
+        const held = {held}, retryAfter = {json.dumps(retry_after)}, due = [], visits = [], events = [];
+        let now = 1e6;
+        Date.now = () => now;
+        globalThis.setTimeout = (go, wait) => due.push([now + wait, go]);
+        class Socket {{
+          static OPEN = 1;
+          constructor() {{
+            this.readyState = 1;
+            visits.push((now - 1e6) / 1000);
+            setTimeout(() => {{
+              this.onopen();
+              const greeting = {{ type: "hello", joints: [], session: "a", resumed: visits.length > 1, messages: 0 }};
+              this.onmessage({{ data: JSON.stringify(greeting) }});
+            }}, 0);
+            setTimeout(() => {{
+              if (retryAfter !== null) this.onmessage({{ data: JSON.stringify(
+                {{ type: "error", code: 4429, message: "full", retry_after: retryAfter }}) }});
+              this.onclose({{ code: retryAfter === null ? 1006 : 4429, reason: "" }});
+            }}, 1000 * held);
+          }}
+          send() {{}}
+          close() {{}}
+        }}
+        const onEvent = (event) => events.push(event.type);
+        new GestureStream("", {{ sampleRate: 16000, Socket, random: () => 0, patience: 60, onEvent }});
+        while (due.length && visits.length < 40) {{
+          due.sort((a, b) => a[0] - b[0]);
+          const [at, go] = due.shift();
+          now = at;
+          go();
+        }}
+        console.log(JSON.stringify({{ visits, last: events.at(-1) }}));
+    """)
+    waits = np.diff(got["visits"]) - held
+    if held > 5:  # each loss is a new one: soon back, and never given up
+        np.testing.assert_allclose(waits, 0.125)
+        assert len(waits) == 39
+        return
+    asked = retry_after or 0.0
+    np.testing.assert_allclose(waits[:4], asked + 0.125 * 2.0 ** np.arange(4))
+    assert got["last"] == "closed" and 30 < got["visits"][-1] < 65
+    assert sum(at < 10 for at in got["visits"]) <= 8
+
+
 def test_its_player_shows_what_the_reference_player_shows() -> None:
     """Through the stream, idling, and another session."""
     rng = np.random.default_rng(4)

@@ -17,6 +17,7 @@ from live_double import TURN, opener
 from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlayer, Welcome, connect_resuming
 from pipecat_gesticulator.resuming import RefusedError
 from websockets.asyncio.client import connect as open_socket
+from websockets.asyncio.server import ServerConnection, serve
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
@@ -66,6 +67,27 @@ def pcm(seconds: float) -> bytes:
 def break_connections(server: LiveServer) -> None:
     for connection in server.connections:
         connection.socket.transport.abort()
+
+
+class Came:
+    """The frames that came: the next one, and whatever did not follow the last one."""
+
+    def __init__(self) -> None:
+        self.next, self.replaced, self.source = 0, -1, 0
+        self.gaps: list[tuple[int, int]] = []
+
+    def cut(self, frame: int) -> None:
+        """Frames are taken back from this one on; until it comes, others are on their way."""
+        self.next = self.replaced = frame
+
+    async def read(self, stream: ResumingStream) -> None:
+        async for message in stream:
+            if isinstance(message, Poses):
+                self.source = message.source
+            if isinstance(message, Poses) and self.replaced in (-1, message.first):
+                if message.first != self.next:
+                    self.gaps.append((self.next, message.first))
+                self.next, self.replaced = message.first + len(message), -1
 
 
 def assert_whole(poses: list[Poses], seconds: float) -> None:
@@ -181,6 +203,188 @@ def test_a_server_that_does_not_come_back_is_given_up() -> None:
         with pytest.raises(ConnectionError, match="did not come back"):
             async for _ in stream:
                 pass
+
+    run(test)
+
+
+class Time:
+    """Time that goes by only where it is waited for."""
+
+    def __init__(self) -> None:
+        self.now, self.waits = 0.0, list[float]()
+
+    async def pause(self, seconds: float) -> None:
+        self.now += seconds
+        self.waits.append(seconds)
+        await asyncio.sleep(0)
+
+
+async def _visits(time: Time, break_it: Callable[[int, ServerConnection], Awaitable[None]], patience: float = 300.0
+                  ) -> tuple[list[float], Exception | None]:
+    """When a server that greets and breaks each connection is visited, until it is given up, or 40 times."""
+    visits: list[float] = []
+
+    async def greet_and_break(socket: ServerConnection) -> None:
+        await socket.recv()
+        visits.append(time.now)
+        await socket.send(json.dumps(GREETING | {"resumed": True}))
+        while not stream.connected:
+            await asyncio.sleep(0)
+        await break_it(len(visits), socket)
+        socket.transport.abort()
+
+    async with serve(greet_and_break, "127.0.0.1", 0) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), patience, chance=lambda: 0.0,
+                                clock=lambda: time.now, pause=time.pause)
+        await stream.open()
+        try:
+            async for _ in stream:
+                if len(visits) >= 40:
+                    break
+        except ConnectionError as error:
+            return visits, error
+        finally:
+            await stream.close()
+    return visits, None
+
+
+def test_a_server_that_greets_and_breaks_is_visited_ever_less_often_and_given_up() -> None:
+    async def test() -> None:
+        async def at_once(number: int, socket: ServerConnection) -> None:
+            pass
+
+        visits, error = await _visits(Time(), at_once, patience=60.0)
+        assert visits[:3] == [0.0, 0.0, 0.125] and sum(at < 10 for at in visits) == 8
+        np.testing.assert_allclose(np.diff(visits)[1:7], 0.125 * 2.0 ** np.arange(6))
+        np.testing.assert_allclose(np.diff(visits)[7:], 5.0)
+        assert isinstance(error, ConnectionError) and 45 < visits[-1] <= 60
+
+    run(test)
+
+
+def test_the_first_return_after_a_connection_that_lasted_is_quick() -> None:
+    time = Time()
+
+    async def after_a_while(number: int, socket: ServerConnection) -> None:
+        time.now += 6.0 if number % 5 == 0 else 4.0
+
+    async def test() -> None:
+        visits, error = await _visits(time, after_a_while)
+        assert error is None and len(visits) == 40
+        held = [6.0 if number % 5 == 0 else 4.0 for number in range(1, 40)]
+        waits = np.diff(visits) - held
+        np.testing.assert_allclose(waits[4::5], 0.0, atol=1e-9)
+        np.testing.assert_allclose(waits[5:9], [0.125, 0.25, 0.5, 1.0])
+
+    run(test)
+
+
+def test_no_client_is_back_before_the_server_asks_for_it() -> None:
+    async def busy(number: int, socket: ServerConnection) -> None:
+        await socket.send(json.dumps({"type": "error", "code": 4429, "message": "full", "retry_after": 7.0}))
+        await socket.close(4429)
+
+    async def test() -> None:
+        visits, error = await _visits(Time(), busy, patience=60.0)
+        assert np.diff(visits).min() >= 7.0 and len(visits) >= 5 and isinstance(error, ConnectionError)
+
+    run(test)
+
+
+GREETING = {"type": "hello", "protocol": 1, "stream": "a", "fps": 60.0, "output": "joints", "look_ahead": 0.0,
+            "joints": [], "limits": {"message_bytes": 1e6}, "session": "a", "resumed": False, "messages": 0}
+
+
+def packet(first: int, count: int) -> bytes:
+    head = json.dumps({"type": "poses", "first": first, "count": count, "time": first / 60, "fps": 60.0, "joints": 1,
+                       "state": "idle", "received": 0.0}).encode()
+    head += b" " * (-len(head) % 4)
+    return len(head).to_bytes(4, "little") + head + bytes(28 * count)
+
+
+def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> None:
+    """Poses are on their way when the client interrupts; then the server is lost, and its state too. The next session
+    begins where the interruption was, with what was sent after it."""
+    async def test() -> None:
+        heard: list[Any] = []
+
+        async def first_and_second(socket: ServerConnection) -> None:
+            heard.append(json.loads(await socket.recv()))
+            await socket.send(json.dumps(GREETING))
+            if len(heard) > 1:
+                heard.append(json.loads(await socket.recv()))
+                heard.append(await socket.recv())
+                await socket.send(packet(0, 10))
+                await socket.wait_closed()
+                return
+            await socket.recv()
+            await socket.send(packet(0, 60))
+            while json.loads(await socket.recv())["type"] != "interrupt":
+                pass
+            await socket.send(packet(60, 30))
+            await socket.send(json.dumps({"type": "state", "state": "idle", "time": 1.0}))
+            socket.transport.abort()
+
+        async with serve(first_and_second, "127.0.0.1", 0) as server:
+            port = next(iter(server.sockets)).getsockname()[1]
+            async with connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE)) as stream:
+                await stream.send(pcm(2.0))
+                firsts = []
+                async for message in stream:
+                    if isinstance(message, Poses):
+                        firsts.append((message.first, message.source))
+                        if len(firsts) == 1:
+                            await stream.interrupt(0.75)
+                            await stream.send(pcm(0.5))
+                        if len(firsts) == 3:
+                            break
+                assert stream.time == pytest.approx(1.25)
+        assert firsts == [(0, 0), (60, 0), (45, 1)]
+        assert heard[2] == {"type": "interrupt", "time": 0.0} and heard[3] == pcm(0.5)
+
+    run(test)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
+    """Sound, waits and interruptions, while connections break and servers forget: each frame follows the last one or is
+    where an interruption was, and in the end there are as many as the media time that was asked for."""
+    rng = np.random.default_rng(seed)
+
+    async def test() -> None:
+        async with running() as (server, port, _):
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), chance=lambda: 0.0,
+                                    pause=lambda _: asyncio.sleep(0.001))
+            await stream.open()
+            log: list[str] = []
+            came = Came()
+            reading = asyncio.create_task(came.read(stream))
+            for _ in range(60):
+                op = str(rng.choice(["send", "send", "send", "idle", "interrupt", "break", "forget", "wait"]))
+                log.append(op)
+                if op == "send":
+                    await stream.send(pcm(float(rng.uniform(0.0, 0.6))))
+                elif op == "idle":
+                    await stream.idle(float(rng.choice([0.0, rng.uniform(0, 0.5)])))
+                elif op == "interrupt" and came.next > 1 and came.source == stream._source:
+                    came.cut(int(rng.integers(1, came.next)))
+                    await stream.interrupt(came.next / 60)
+                elif op in ("break", "forget"):
+                    break_connections(server)
+                    if op == "forget":
+                        before = list(server.connections)
+                        while any(not one.parked for one in before if one in server.connections):
+                            await asyncio.sleep(0)
+                        for connection in before:
+                            connection.give_up()
+                else:
+                    await asyncio.sleep(float(rng.choice([0.0, 0.02])))
+            await stream.finish()
+            await reading
+            assert came.gaps == [], log
+            assert abs(came.next - stream.time * 60) <= 1.0, log
+            await stream.close()
 
     run(test)
 

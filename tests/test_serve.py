@@ -33,6 +33,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
 from gesticulator.serve import schema
 from gesticulator.serve import server as server_module
+from gesticulator.serve.metrics import ServerMetrics, exposition
 from gesticulator.serve.protocol import CloseCode, StreamRequest, published
 from gesticulator.serve.scheduler import Member
 from gesticulator.serve.server import LiveServer, ServerAddress
@@ -306,7 +307,31 @@ def test_an_interruption_takes_back_what_was_not_heard() -> None:
             async for message in stream:
                 if isinstance(message, Poses):
                     player.add(message)
-            assert player.end == 1.75
+            assert player.end == 1.5
+
+    run(test)
+
+
+@pytest.mark.parametrize("heard", [1.9, 1.0])
+def test_media_time_goes_on_from_where_the_voice_was_heard(heard: float) -> None:
+    """Also where it was heard before there were poses of it, as of a voice that is played as it is sent."""
+    async def test() -> None:
+        async with running() as at, connect(at.url, Hello(RATE)) as stream:
+            player = PosePlayer()
+            await stream.send(pcm(2.0))
+            async for message in stream:
+                if isinstance(message, Poses):
+                    player.add(message)
+                    if player.end >= 1.5:
+                        break
+            await stream.interrupt(heard)
+            await stream.idle(0.5)
+            await stream.send(pcm(1.0))
+            await stream.finish()
+            async for message in stream:
+                if isinstance(message, Poses):
+                    player.add(message)
+            assert player.end == pytest.approx(heard + 0.5 + 1.0)
 
     run(test)
 
@@ -399,6 +424,7 @@ def test_an_answer_of_minutes_that_was_sent_at_once_is_interrupted_where_it_is_p
             while not isinstance(poses := await anext(got), Poses) or poses.first + len(poses) < 1500:
                 pass
             await stream.interrupt(5.0)
+            await stream.idle(0.1)
             while not isinstance(poses := await anext(got), Poses):
                 pass
             assert poses.first == 50
@@ -809,6 +835,23 @@ def test_a_quarter_of_an_hour_of_silence_leaves_nothing_behind() -> None:
 
 
 # ---------------------------------------------------------------- health, figures, the end
+
+
+def test_no_gauge_is_below_zero_and_times_are_told_apart_up_to_a_minute() -> None:
+    metrics = ServerMetrics()
+    for seconds in (0.1, 0.2, 0.3):
+        metrics.add("waiting_seconds", seconds)
+    for seconds in (0.3, 0.2, 0.1):
+        metrics.add("waiting_seconds", -seconds)  # of floats: the sum is not 0
+    metrics.add("unread_bytes", -5)
+    metrics.set("promised_load", -1e-17)
+    for seconds in (0.004, 59.0, 61.0):
+        metrics.time("answer_seconds", seconds)
+    lines = exposition([metrics.figures()]).splitlines()
+    for name in ("waiting_seconds", "unread_bytes", "promised_load"):
+        assert f'gesticulator_{name}{{worker="0"}} 0' in lines
+    buckets = [line.partition(" ")[2] for line in lines if line.startswith("gesticulator_answer_seconds_bucket")]
+    assert buckets[0] == "1" and buckets[-3:] == ["1", "2", "3"]  # to 30 s, to 60 s, and beyond
 
 
 def test_health_and_metrics_are_on_the_same_port() -> None:

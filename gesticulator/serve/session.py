@@ -123,6 +123,10 @@ class Session:
             at = message.get("time")
             self._words = [word for word in self._words if at is not None and word.start < at]
             yield from map(self._answer, self._interrupt(None if at is None else float(at)))
+            # The voice may have been heard further than there were poses; media time goes on from where it was heard.
+            unseen = 0.0 if at is None else min(float(at) - self._stream.time, self.facts.limits.waiting_seconds)
+            if unseen > 0.5 / self.request.fps:
+                yield from self.wait("idle", unseen)
         elif kind == "words":
             self._add_words(message["words"])
         elif kind == "finish":

@@ -2,6 +2,7 @@
 // The protocol is published as protocol.json of pipecat-gesticulator.
 
 const FIRST_WAIT = 250, LONGEST_WAIT = 10_000; // milliseconds before a try to come back
+const LASTED = 5000; // milliseconds that a connection must hold before the next loss is a new one, with a short wait
 const JOURNAL_SECONDS = 60; // of sent messages that are kept to be sent once more
 const FINAL = new Set([4400, 4401, 4408, 4413]); // close codes after which it is no use to come back
 
@@ -16,11 +17,13 @@ export class GestureStream {
     Object.assign(this, { url, sampleRate, options, fps, seed, token, onEvent, patience, random, Socket });
     this.frames = new Map();
     this.end = 0; // number of the frame after the last
+    this.cut = Infinity; // the first frame that an interruption took back, until the packet that replaces it
     this.total = 0;
     this.time = 0; // media time of what was sent, seconds
     this.welcome = null;
     this.source = 0; // sessions before this one
-    this.offset = 0; // frames before this session's first one
+    this.offset = 0; // frames before this session's first one, for what comes
+    this.saidOffset = 0; // for what is sent: another one from an interruption that reaches back before the session until its packet
     this.journal = [];
     this.numbered = 0; // messages that this session sent, or will
     this.got = 0; // messages of the server in this session
@@ -56,6 +59,8 @@ export class GestureStream {
   interrupt(time = this.end / this.fps) {
     const at = Math.min(time, this.time);
     this.end = Math.min(this.end, Math.ceil(at * this.fps - 1e-6));
+    this.cut = Math.min(this.cut, this.end);
+    this.saidOffset = Math.min(this.saidOffset, this.end);
     for (const k of this.frames.keys()) if (k >= this.end) this.frames.delete(k);
     this.journal = this.journal.map((sent) => cutEnd(sent, at, this.sampleRate));
     this.time = at;
@@ -107,7 +112,7 @@ export class GestureStream {
 
   /** A command with its times in this session's media time. */
   shifted(message) {
-    const back = this.offset / this.fps, moved = { ...message };
+    const back = this.saidOffset / this.fps, moved = { ...message };
     if (moved.time !== undefined) moved.time = Math.max(0, moved.time - back);
     if (moved.words) {
       moved.words = moved.words.filter((word) => word.end >= back)
@@ -145,30 +150,26 @@ export class GestureStream {
   begin(welcome) {
     const again = this.session !== null;
     this.welcome = welcome;
-    let sent = welcome.resumed ? welcome.messages : 0;
-    if (!welcome.resumed) sent = this.anew(welcome.session ?? "", again);
-    for (; sent < this.numbered; sent++) this.transmit(this.journal[this.journal.length + sent - this.numbered].message);
+    if (!welcome.resumed) this.anew(welcome.session ?? "", again);
+    for (let sent = welcome.resumed ? welcome.messages : 0; sent < this.numbered; sent++) this.transmit(this.journal[this.journal.length + sent - this.numbered].message);
     this.live = true;
-    this.wait = FIRST_WAIT;
-    this.lostSince = 0;
+    this.opened = Date.now();
     this.settle.resolve(this);
     this.onEvent(again ? { type: "back", resumed: welcome.resumed } : welcome);
   }
 
-  /** A new session from the first frame that did not come; how many of its messages were sent. */
+  /** A new session from the first frame that did not come. */
   anew(session, again) {
     this.session = session;
     this.got = 0;
-    if (!again) return 0;
-    this.offset = this.end;
+    if (!again) return;
+    this.offset = this.saidOffset = this.end;
+    this.cut = Infinity;
     this.source++;
     const begin = this.offset / this.fps;
     this.journal = this.journal.map((sent) => cutStart(sent, begin, this.sampleRate)).filter(Boolean);
+    if (this.journal[0]?.heard) this.journal.unshift({ message: { type: "listen" }, start: begin, seconds: 0, heard: true });
     this.numbered = this.journal.length;
-    if (!this.journal[0]?.heard) return 0;
-    this.numbered++;
-    this.transmit({ type: "listen" });
-    return 1;
   }
 
   lost(code, reason) {
@@ -177,11 +178,15 @@ export class GestureStream {
     if (this.ended || (code === 1000 && !this.refused)) { if (!this.ended) this.end_(code, reason); return; }
     if (FINAL.has(code) || FINAL.has(this.refused?.code)) { this.end_(this.refused?.code ?? code, this.refused?.message ?? reason); return; }
     if (was) this.onEvent({ type: "lost", code, reason });
+    if (was && Date.now() - this.opened >= LASTED) {
+      this.wait = FIRST_WAIT;
+      this.lostSince = 0;
+    }
     this.lostSince ||= Date.now();
-    const asked = Math.max(this.wait, 1000 * (this.refused?.retry_after ?? 0));
-    if (Date.now() - this.lostSince + asked > 1000 * this.patience) { this.end_(code, this.refused?.message ?? (reason || "the server did not come back")); return; }
+    const asked = 1000 * (this.refused?.retry_after ?? 0);
+    if (Date.now() - this.lostSince + asked + this.wait > 1000 * this.patience) { this.end_(code, this.refused?.message ?? (reason || "the server did not come back")); return; }
+    this.retry = setTimeout(() => this.open(), asked + this.wait * (0.5 + 0.5 * this.random()));
     this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
-    this.retry = setTimeout(() => this.open(), asked * (0.5 + 0.5 * this.random()));
   }
 
   end_(code, reason) {
@@ -194,7 +199,10 @@ export class GestureStream {
     const size = new DataView(packet).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(packet, 4, size)));
     const numbers = new Float32Array(packet, 4 + size);
+    if (head.first === 0) this.offset = this.saidOffset;
     const roots = head.count * head.joints * 4, faces = roots + head.count * 3, wide = head.face ?? 0, first = head.first + this.offset;
+    if (first > this.cut) return; // taken back while it was on its way
+    this.cut = Infinity;
     for (let k = first; k < this.end; k++) this.frames.delete(k); // taken back by an interruption
     for (let k = 0; k < head.count; k++) {
       this.frames.set(first + k, {
@@ -226,5 +234,6 @@ function cutStart(sent, begin, rate) {
 function cutEnd(sent, end, rate) {
   const left = Math.max(0, Math.min(sent.seconds, end - sent.start));
   if (ArrayBuffer.isView(sent.message)) return { ...sent, message: sent.message.slice(0, Math.round(left * rate)), seconds: left };
+  if (sent.message.type === "interrupt") return { ...sent, message: { ...sent.message, time: Math.min(sent.message.time, end) } }; // taken back, too
   return left < sent.seconds ? { ...sent, message: { ...sent.message, seconds: left }, seconds: left } : sent;
 }

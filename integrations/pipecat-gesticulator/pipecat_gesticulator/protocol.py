@@ -76,8 +76,11 @@ class Welcome:
         said = json.loads(text)
         if said.get("type") != "hello" or said.get("protocol") != VERSION:
             raise ValueError(f"the server does not speak protocol {VERSION}: {text[:200]}")
-        joints = tuple(Joint(one["name"], one["parent"], tuple(one["offset"])) for one in said["joints"])
-        return cls(said["stream"], said["fps"], said["output"], said["look_ahead"], joints, said["limits"])
+        try:
+            joints = tuple(Joint(one["name"], one["parent"], tuple(one["offset"])) for one in said["joints"])
+            return cls(said["stream"], said["fps"], said["output"], said["look_ahead"], joints, said["limits"])
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"the server's hello lacks a field: {text[:200]}") from error
 
 
 @dataclass(frozen=True)

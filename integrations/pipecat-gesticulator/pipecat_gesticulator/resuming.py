@@ -14,7 +14,7 @@ import math
 import random
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,7 +27,11 @@ from pipecat_gesticulator.client import LONGEST_MESSAGE
 from pipecat_gesticulator.protocol import SUBPROTOCOL, Hello, Poses, Welcome
 
 FIRST_WAIT, LONGEST_WAIT = 0.25, 10.0
-"""Seconds before the first try to come back, and at most; each wait is twice the last one, times 0.5 to 1 by chance."""
+"""Seconds before the second try to come back (the first one is made at once), and at most; each wait is twice the last
+one, times 0.5 to 1 by chance, and what the server asks for (`retry_after`) is added."""
+LASTED = 5.0
+"""Seconds that a connection must hold before the next loss is a new one. Until then waits go on growing, and patience
+goes on running out, so that a server that accepts and breaks is not visited again and again."""
 JOURNAL_BYTES = 2**23
 """Sent messages that are kept to be sent once more: 174 s of 16-bit sound at 24 kHz."""
 FINAL = {4400, 4401, 4408, 4413}
@@ -57,10 +61,16 @@ class ResumingStream:
     """As `GestureStream`, on as many connections as it takes. Iterating gives `Poses`, the server's events, and
     `{"type": "lost"}` and `{"type": "back", "resumed": ...}`."""
 
-    def __init__(self, url: str, hello: Hello, patience: float = 300.0, chance: Callable[[], float] = random.random
-                 ) -> None:
-        """patience: seconds after which a lost server is given up (`ConnectionError`); chance: numbers of [0, 1)."""
-        self._url, self._hello, self._patience, self._chance = url, hello, patience, chance
+    def __init__(self, url: str, hello: Hello, patience: float = 300.0, *, chance: Callable[[], float] = random.random,
+                 clock: Callable[[], float] = time.monotonic,
+                 pause: Callable[[float], Awaitable[None]] = asyncio.sleep) -> None:
+        """patience: seconds after which a lost server is given up (`ConnectionError`); chance: numbers of [0, 1);
+        clock and pause: seconds that go by, and waiting for them."""
+        self._url, self._hello, self._patience = url, hello, patience
+        self._chance, self._clock, self._pause = chance, clock, pause
+        self._wait, self._asked = 0.0, 0.0
+        """Seconds before the next try: of its own, and that the server asked for."""
+        self._opened, self._lost_since = -math.inf, 0.0
         self._socket: ClientConnection | None = None
         self._journal: deque[_Sent] = deque()
         self._journal_bytes = 0
@@ -70,9 +80,15 @@ class ResumingStream:
         """Messages of the server that came in this session, after its hello."""
         self._session: str | None = None
         self._offset, self._source = 0, 0
-        """Frames before this session's first one; sessions before it."""
+        """Frames before this session's first one, for what comes; sessions before it."""
+        self._said_offset = 0
+        """The same for what is sent: another one from an interruption that reaches back before the session until its
+        packet, which is the session's first frame again."""
         self._end = 0
-        """Number of the first frame that has not come."""
+        """Number of the first frame that has not come, or that an interruption took back."""
+        self._cut: float = math.inf
+        """The first frame that an interruption took back, until the server's packet that replaces it; those that were
+        on their way come first."""
         self._time, self._heard, self._done = 0.0, False, False
         self.welcome: Welcome
 
@@ -89,6 +105,7 @@ class ResumingStream:
     async def open(self) -> None:
         """Connect for the first time."""
         await self._connect()
+        self._lost_since = self._opened
 
     async def close(self) -> None:
         """Let go of the server."""
@@ -118,12 +135,13 @@ class ResumingStream:
         """The voice was cut off. time: seconds of media time that were played; left out, all frames that came are."""
         at = self._end / self._hello.fps if time is None else min(time, self._time)
         self._end = min(self._end, math.ceil(at * self._hello.fps - 1e-6))
+        self._cut = min(self._cut, self._end)
+        self._said_offset = min(self._said_offset, self._end)
         self._time = at
-        kept = [_cut_end(one, at, self._hello) for one in self._journal]
-        await self._say({"type": "interrupt", "time": at}, 0.0)
         # What was sent for later is not to be said again; the messages are still counted.
-        self._journal = deque([*kept, self._journal[-1]])
+        self._journal = deque(_cut_end(one, at, self._hello) for one in self._journal)
         self._journal_bytes = sum(_size(one.message) for one in self._journal)
+        await self._say({"type": "interrupt", "time": at}, 0.0)
 
     async def add_words(self, words: Iterable[tuple[str, float, float]]) -> None:
         """What is said: text, start and end in seconds of media time; for a stream with the option text."""
@@ -159,6 +177,7 @@ class ResumingStream:
                     if isinstance(found, dict) and found.get("type") == "error":
                         if found["code"] in FINAL:
                             raise RefusedError(found["message"], found["code"])
+                        self._asked = float(found.get("retry_after") or 0.0)
                         continue
                     yield found
                     if isinstance(found, dict) and found.get("type") == "done":
@@ -174,8 +193,11 @@ class ResumingStream:
     def _read(self, message: str | bytes) -> Poses | dict[str, Any]:
         if isinstance(message, bytes):
             poses = Poses.unpack(message)
+            if poses.first == 0:
+                self._offset = self._said_offset
             poses = replace(poses, first=poses.first + self._offset, source=self._source)
-            self._end = poses.first + len(poses)
+            if poses.first <= self._cut:
+                self._end, self._cut = poses.first + len(poses), math.inf
             return poses
         event: dict[str, Any] = json.loads(message)
         for name in ("time", "start", "end"):
@@ -201,7 +223,7 @@ class ResumingStream:
 
     def _shifted(self, message: dict[str, Any]) -> str:
         """A command with its times in this session's media time."""
-        back = self._offset / self._hello.fps
+        back = self._said_offset / self._hello.fps
         if back and "time" in message:
             message = {**message, "time": max(0.0, message["time"] - back)}
         if back and "words" in message:
@@ -212,9 +234,16 @@ class ResumingStream:
 
     async def _come_back(self) -> bool:
         """Connect again, however often it takes; whether the session went on."""
-        begin, wait = time.monotonic(), FIRST_WAIT
+        if self._clock() - self._opened >= LASTED:
+            self._wait, self._lost_since = 0.0, self._clock()
+        problem: Exception | None = None
         while True:
-            asked = wait
+            if self._clock() - self._lost_since + self._wait + self._asked > self._patience:
+                raise ConnectionError(f"the server did not come back: {problem or 'it breaks each connection'}"
+                                      ) from problem
+            if self._wait + self._asked:
+                await self._pause(self._asked + self._wait * (0.5 + 0.5 * self._chance()))
+            self._wait, self._asked = min(max(2 * self._wait, FIRST_WAIT), LONGEST_WAIT), 0.0
             try:
                 before = self._source
                 await self._connect()
@@ -222,14 +251,10 @@ class ResumingStream:
             except RefusedError as error:
                 if error.code in FINAL:
                     raise
-                asked = max(wait, error.retry_after or 0.0)
-                problem: Exception = error
+                self._asked = error.retry_after or 0.0
+                problem = error
             except (OSError, InvalidHandshake, ConnectionClosed, TimeoutError, ValueError) as error:
                 problem = error
-            if time.monotonic() - begin + asked > self._patience:
-                raise ConnectionError(f"the server did not come back: {problem}") from problem
-            await asyncio.sleep(asked * (0.5 + 0.5 * self._chance()))
-            wait = min(2 * wait, LONGEST_WAIT)
 
     async def _connect(self) -> None:
         """Open a connection on which the stream goes on."""
@@ -245,7 +270,9 @@ class ResumingStream:
             if told.get("type") == "error":
                 raise RefusedError(told["message"], told["code"], told.get("retry_after"))
             self.welcome = Welcome.read(str(text))
-            heard = int(told["messages"]) if told.get("resumed") else await self._anew(told.get("session"), socket)
+            heard = int(told["messages"]) if told.get("resumed") else 0
+            if not told.get("resumed"):
+                self._anew(told.get("session"))
             # Messages that are said meanwhile wait in the journal, and are sent in their turn.
             while heard < self._numbered:
                 message = self._journal[heard - self._numbered].message
@@ -254,26 +281,24 @@ class ResumingStream:
         except BaseException:
             await socket.close()
             raise
-        self._socket = socket
+        self._socket, self._opened = socket, self._clock()
 
-    async def _anew(self, session: str | None, socket: ClientConnection) -> int:
-        """Begin a new session at the first frame that did not come; returns how many of its messages were sent."""
+    def _anew(self, session: str | None) -> None:
+        """Begin a new session at the first frame that did not come."""
         first = self._session is None
         self._session, self._got = session, 0
         if first:
-            return 0
-        self._offset = self._end
+            return
+        self._offset = self._said_offset = self._end
+        self._cut = math.inf
         self._source += 1
         begin = self._offset / self._hello.fps
         later = [one for one in (_cut_start(sent, begin, self._hello) for sent in self._journal) if one is not None]
+        if later and later[0].heard:
+            later.insert(0, _Sent({"type": "listen"}, begin, 0.0, True))
         self._journal = deque(later)
         self._journal_bytes = sum(_size(one.message) for one in later)
         self._numbered = len(later)
-        if not (later and later[0].heard):
-            return 0
-        self._numbered += 1
-        await socket.send(json.dumps({"type": "listen"}))
-        return 1
 
 
 @asynccontextmanager
@@ -318,6 +343,8 @@ def _cut_end(sent: _Sent, end: float, hello: Hello) -> _Sent:
     left = max(0.0, min(sent.seconds, end - sent.start))
     if isinstance(sent.message, bytes):
         return replace(sent, message=sent.message[:_bytes_of(left, hello)], seconds=left)
+    if sent.message["type"] == "interrupt":  # taken back, too
+        return replace(sent, message={**sent.message, "time": min(sent.message["time"], end)})
     if sent.seconds > left:
         return replace(sent, message={**sent.message, "seconds": left}, seconds=left)
     return sent

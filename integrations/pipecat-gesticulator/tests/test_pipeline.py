@@ -153,11 +153,12 @@ def test_without_a_server_the_agent_still_speaks() -> None:
 
 
 def shoulder_turns(frames: list[PoseFrame], state: str = "speaking") -> np.ndarray:
-    """[T] degrees by which the left shoulder is turned up, while the avatar is in a state."""
-    number = [joint.name for joint in frames[0].welcome.joints].index("LeftShoulder")
-    turns = np.concatenate([one.poses.rotations[:, number] for one in frames if one.poses.state == state])
-    degrees: np.ndarray = np.degrees(2 * np.arctan2(turns[:, 3], turns[:, 0]))
-    return degrees
+    """[T] degrees by which both shoulders are turned up at once, while the avatar is in a state."""
+    names = [joint.name for joint in frames[0].welcome.joints]
+    numbers = [names.index(f"{side}Shoulder") for side in ("Left", "Right")]
+    turns = np.concatenate([one.poses.rotations[:, numbers] for one in frames if one.poses.state == state])
+    degrees: np.ndarray = np.degrees(2 * np.arctan2(turns[..., 3], turns[..., 0])) * (1, -1)
+    return degrees.min(axis=1)
 
 
 def test_a_mark_makes_a_gesture_and_is_not_spoken(url: str) -> None:
@@ -165,10 +166,11 @@ def test_a_mark_makes_a_gesture_and_is_not_spoken(url: str) -> None:
     for mark in ("", "[shrug] ", "\N{SHRUG}"):
         voice = EspeakService()
         processor = GesticulatorProcessor(url, seed=3, options={"text": True})
-        text = f"When you ask me for the reason of it all, {mark}I honestly have no idea about that."
+        # Words that call for no gesture by themselves.
+        text = f"Then the train went along the river, {mark}and the rain had stopped by the evening."
         down = through(processor, TTSSpeakFrame(text), SleepFrame(5.0), voice=voice)
         assert not any(isinstance(frame, ErrorFrame) for frame in down)
         said.append(" ".join(voice.said).split())
         turns.append(shoulder_turns([frame for frame in down if isinstance(frame, PoseFrame)]).max())
     assert said[0] == said[1] == said[2]
-    assert turns[1] > turns[0] + 6 and turns[2] > turns[0] + 6, "both shoulders rise by 13 degrees in a shrug"
+    assert turns[1] > turns[0] + 4 and turns[2] > turns[0] + 4, "both shoulders rise by 13 degrees in a shrug"
