@@ -2,10 +2,10 @@
 
 A performance of the shipped weights with the hands near the body (`--hand-radius .15`, `--hold-still`) is brought onto
 characters in files (by default those of the zoo that are moved, `tests/zoo.py`) and onto generated rigs with a trunk
-twice as deep as ours, with the correction of contacts and without. Shown are the share of time in which a wrist or knuckle of
-the worse moment is inside the body, the depth, and the fastest hand. Inside of a file is what its skinned mesh without
-the arms encloses (its winding number is above one half), and the depth is the distance from the mesh; of a rig, the
-column that its mesh was made of.
+twice as deep as ours, with the correction of contacts and without. Shown are the share of time in which a wrist or
+knuckle of the worse moment is inside the body, the depth, and the fastest hand. Inside of a file is what its skinned
+mesh without the arms encloses (its winding number is above one half), and the depth is the distance from the mesh; of a
+rig, the column that its mesh was made of. A file without a mesh has no body to be inside of, and is left out.
 """
 
 from __future__ import annotations
@@ -121,6 +121,8 @@ def row(bare: tuple[Array, float], kept: tuple[Array, float]) -> dict[str, float
 def of_file(path: Path, motion: Motion) -> dict[str, float]:
     """The row of a character's file."""
     retargeter = Retargeter(read_character(path))
+    if not len(retargeter.character.skin.triangles):
+        raise InputError(path, "holds no mesh", "give a file with a mesh")
     skin, hands, found = body_skin(retargeter), [retargeter.mapping.joints[side + "Hand"] for side in SIDES], []
     for contacts in (False, True):
         retargeter.contacts = contacts
