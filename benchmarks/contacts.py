@@ -1,11 +1,11 @@
 """Do hands enter the body of a character? python benchmarks/contacts.py [FILE ...] [--rigs 12] [--seed 1]
 
 A performance of the shipped weights with the hands near the body (`--hand-radius .15`, `--hold-still`) is brought onto
-characters in files (by default MakeHuman's of the zoo, `tests/zoo.py`) and onto generated rigs with a trunk twice as
-deep as ours, with the correction of contacts and without. Shown are the share of time in which a wrist or knuckle of
-the worse moment is inside the body, the depth, and the fastest hand. Inside of a file is what its skinned mesh without
-the arms encloses (its winding number is above one half), and the depth is the distance from the mesh; of a rig, the
-column that its mesh was made of.
+characters in files (by default those of the zoo that are moved, `tests/zoo.py`) and onto generated rigs with a trunk
+twice as deep as ours, with the correction of contacts and without. Shown are the share of time in which a wrist or
+knuckle of the worse moment is inside the body, the depth, and the fastest hand. Inside of a file is what its skinned
+mesh without the arms encloses (its winding number is above one half), and the depth is the distance from the mesh; of a
+rig, the column that its mesh was made of. A file without a mesh has no body to be inside of, and is left out.
 """
 
 from __future__ import annotations
@@ -121,6 +121,8 @@ def row(bare: tuple[Array, float], kept: tuple[Array, float]) -> dict[str, float
 def of_file(path: Path, motion: Motion) -> dict[str, float]:
     """The row of a character's file."""
     retargeter = Retargeter(read_character(path))
+    if not len(retargeter.character.skin.triangles):
+        raise InputError(path, "holds no mesh", "give a file with a mesh")
     skin, hands, found = body_skin(retargeter), [retargeter.mapping.joints[side + "Hand"] for side in SIDES], []
     for contacts in (False, True):
         retargeter.contacts = contacts
@@ -150,12 +152,12 @@ def rigs(seed: int, count: int) -> Iterator[Rig]:
 
 
 def zoo() -> list[Path]:
-    """MakeHuman's characters of the zoo, as far as this machine has them."""
+    """The characters of the zoo that are moved, as far as this machine has them."""
     from tests.zoo import ANIMALS, Unavailable, character_file
 
     out = []
     for animal in ANIMALS:
-        if animal.package == "anny":
+        if not animal.refused:
             try:
                 out.append(character_file(animal))
             except Unavailable as lacking:
@@ -166,7 +168,7 @@ def zoo() -> list[Path]:
 def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("files", nargs="*", type=Path, metavar="FILE", help="characters (default: MakeHuman's of the zoo)")
+    p.add_argument("files", nargs="*", type=Path, metavar="FILE", help="characters (default: those of the zoo)")
     p.add_argument("--rigs", type=int, default=12, help="generated rigs")
     p.add_argument("--seed", type=int, default=1, help="of the rigs' seeds")
     p.add_argument("--speech", type=Path, default=ROOT / "examples" / "speech.flac")

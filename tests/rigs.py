@@ -224,13 +224,15 @@ NAMED = tuple(style for style in STYLES if style != "unknown")
 
 
 def draw(seed: int, style: str | None = None, pose: str | None = None, stout: bool = False,
-         size: float | None = None) -> Rig:
-    """The rig of a seed; what is told is not drawn."""
+         size: float | None = None, arch: float = 0.0) -> Rig:
+    """The rig of a seed; what is told is not drawn. arch: metres by which the knuckles of middle and ring finger lie
+    above the plane of the others, at size 1."""
     rng = np.random.default_rng(seed)
     style = str(rng.choice(list(STYLES))) if style is None else style
     pose = str(rng.choice(POSES)) if pose is None else pose
     size = float(rng.choice([0.55, 0.7, 0.9, 1.0, 1.1, 1.25])) if size is None else size
     body = _Builder(rng, style, size, stout)
+    body.arch = arch
     body.build()
     body.pose(pose)
     return body.finish(pose)
@@ -245,6 +247,7 @@ class _Builder:
         self.spine: list[str] = []
         self.neck: list[str] = []
         self._below: dict[str | None, list[str]] | None = None
+        self.arch = 0.0
 
     def add(self, key: str, parent: str | None, place: Sequence[float], name: str | None = None) -> None:
         """A node at a place of the T-pose, metres."""
@@ -368,6 +371,8 @@ class _Builder:
                 if finger == "Thumb" and number > 1:
                     vector = thumb_turn @ vector
                 place = place + vector * s * m
+                if number == 1 and finger in ("Middle", "Ring"):
+                    place = place + np.array([0.0, self.arch, 0.0]) * s
                 shifted = number + 1 if self.style == "soma" and finger != "Thumb" else number
                 key = f"{side}Hand{finger}{number}"
                 self.add(key, above, place, STYLES[self.style](f"{side}Hand{finger}{shifted}"))

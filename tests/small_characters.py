@@ -52,6 +52,22 @@ HUMANOID = {row[2]: bone for bone, row in BONES.items()}
 """Bones by the names of the VRM humanoid."""
 
 
+def _auto_rig() -> dict[str, str]:
+    limbs = {"Shoulder": "shoulder", "Arm": "arm_stretch", "ForeArm": "forearm_stretch", "Hand": "hand",
+             "UpLeg": "thigh_stretch", "Leg": "leg_stretch", "Foot": "foot", "ToeBase": "toes_01"}
+    out = {"Hips": "root.x", "Spine": "spine_01.x", "Spine1": "spine_02.x", "Spine2": "spine_03.x", "Neck": "neck.x",
+           "Head": "head.x"}
+    for side in ("Left", "Right"):
+        out |= {side + part: f"{name}.{side[0].lower()}" for part, name in limbs.items()}
+        out |= {f"{side}Hand{finger}{place}": f"{finger.lower()}{place}.{side[0].lower()}"
+                for finger in ("Thumb", "Index", "Middle", "Ring", "Pinky") for place in (1, 2, 3)}
+    return out
+
+
+AUTO_RIG = _auto_rig()
+"""The deforming bones of Auto-Rig Pro, which is not free: by their published names alone."""
+
+
 def write_character(path: Path, seed: int = 0, vrm: str = "", table: dict[str, str] = MIXAMO) -> Path:
     """Write the character as GLB, or as VRM "1.0" or "0.x"; table: our joint -> name of a bone, for those it has."""
     rng = np.random.default_rng(seed)

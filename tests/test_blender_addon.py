@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from small_characters import HUMANOID, MIXAMO, VROID, write_character
+from small_characters import AUTO_RIG, HUMANOID, MIXAMO, VROID, write_character
 
 from data_module.errors import InputError
 from data_module.types import Array
@@ -27,6 +27,7 @@ RIGS = {
     "mixamo": (MIXAMO, "mixamorig:{side}Arm", "mixamorig:{side}ForeArm", "mixamorig:{side}Hand", ""),
     "vroid": (VROID, "J_Bip_{side[0]}_UpperArm", "J_Bip_{side[0]}_LowerArm", "J_Bip_{side[0]}_Hand", ""),
     "vrm humanoid": (HUMANOID, "{small}UpperArm", "{small}LowerArm", "{small}Hand", ""),
+    "auto-rig": (AUTO_RIG, "arm_stretch.{small[0]}", "forearm_stretch.{small[0]}", "hand.{small[0]}", ""),
     "metarig": (None, "upper_arm.{side[0]}", "forearm.{side[0]}", "hand.{side[0]}", "toe.{side[0]}"),
     "rigify": (None, "DEF-upper_arm.{side[0]}", "DEF-forearm.{side[0]}", "DEF-hand.{side[0]}", "DEF-toe.{side[0]}"),
 }

@@ -16,7 +16,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.types import Array, Motion
 from eval.metrics.eye.body import common_body
-from eval.metrics.eye.trunk import elbow_behind
+from eval.metrics.eye.trunk import elbow_behind, fastest_elbow
 from gesticulator import Gesticulator
 from gesticulator.body.clearance import HEAD_RADIUS, STEEPEST, cleared, face_front, trunk_front
 from gesticulator.body.mirror import mirrored_motion
@@ -156,3 +156,10 @@ def test_a_hand_that_is_moved_turns_to_the_same_side_as_its_neighbours() -> None
     free = cleared(replace(motion, rotations=turns))
     assert (free.rotations != turns).any()
     assert (np.sum(free.rotations[1:] * free.rotations[:-1], axis=-1) > 0).all()
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+def test_no_elbow_jumps_in_the_example(seed: int, system: Gesticulator) -> None:
+    """Seeds in which an elbow once jumped at 12 and 9 m/s."""
+    motion = system(Path(__file__).parent.parent / "examples" / "speech.flac", seed=seed).motion
+    assert fastest_elbow(common_body(motion)) < 4.0

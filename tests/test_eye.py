@@ -256,6 +256,23 @@ def test_an_elbow_behind_the_trunk_is_seen_while_the_hand_gestures(take: tuple[M
     assert eye.of_body(drawn)["eye_elbow_behind"] < 0.5, "an elbow beside the trunk"
 
 
+def test_an_elbow_that_jumps_while_its_hand_goes_on_is_seen(take: tuple[Motion, Speech]) -> None:
+    """One frame of a real take has its elbow on the other side of the line from shoulder to hand."""
+    body = common_body(take[0])
+    assert eye.of_body(body)["eye_elbow_fastest"] < 3.5
+    shoulder, elbow, hand = (body.points["Left" + name] for name in ("Arm", "ForeArm", "Hand"))
+    line = hand - shoulder
+    beside = elbow - shoulder - line * ((elbow - shoulder) * line).sum(1, keepdims=True) / (line ** 2).sum(
+        1, keepdims=True)
+    frame = int(np.linalg.norm(beside, axis=1).argmax())
+    speeds = [eye.of_body(body)[name] for name in ("eye_speed_95", "eye_hand_in_torso")]
+    elbow[frame] -= 2.0 * beside[frame]
+    found = eye.of_body(body)
+    assert found["eye_elbow_fastest"] == pytest.approx(HZ * 2.0 * np.linalg.norm(beside[frame]), rel=0.1)
+    assert eye.within("eye_elbow_fastest", found["eye_elbow_fastest"]) is False
+    assert [found[name] for name in ("eye_speed_95", "eye_hand_in_torso")] == speeds, "which no other figure sees"
+
+
 def test_an_elbow_that_swings_back_with_a_low_hand_is_that_of_a_walk() -> None:
     swing = posed(5.0, lambda time: {"LeftArm": np.tile([0.0, 0.7, -1.3], (len(time), 1)),
                                      "LeftForeArm": np.zeros((len(time), 3))})

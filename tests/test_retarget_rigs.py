@@ -136,6 +136,16 @@ def test_files_that_stand_or_are_placed_otherwise_come_out_as_bound(place: str, 
     assert made == 3
 
 
+@pytest.mark.parametrize("style", ["ethan", "mixamo", "vrm"])
+def test_palms_face_as_ours_do_where_knuckles_are_arched(style: str, performed: Motion) -> None:
+    """The palm is the plane of the wrist and the knuckles of index and little finger; that of the middle finger lies 3
+    cm above it, and each hand's axes are rolled by the generator against the palm."""
+    rig = draw(5, style, "twisted", arch=0.03)
+    assert {"LeftHandIndex1", "LeftHandMiddle1", "LeftHandPinky1"} <= rig.truth.keys()
+    errors = worst(rig, performed, Retargeter(rig.character, contacts=False)(performed))
+    assert errors["palms"] < 1.0 and errors["fingers"] <= LIMITS["fingers"]
+
+
 @pytest.mark.parametrize("style", NAMED)
 def test_no_tool_needs_a_mapping_by_hand(style: str) -> None:
     for seed in (1, 2):

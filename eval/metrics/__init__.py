@@ -142,6 +142,7 @@ EYE_METRICS: dict[str, Metric] = {
     "eye_hand_in_torso": _eye("trunk", "hand in the torso", "%", 1, "low", _STILL_TOO),
     "eye_elbow_in_torso": _eye("trunk", "elbow in the torso", "%", 1, "low", _STILL_TOO),
     "eye_elbow_behind": _eye("trunk", "elbow behind the trunk, hand ahead", "%", 1, "low", _STILL_TOO),
+    "eye_elbow_fastest": _eye("trunk", "fastest elbow", "m/s", 1, "low", _STILL_TOO),
     "eye_fingers": _eye("trunk", "fingers moving", "%", 0, "near", _MIRROR_OR_NOISE),
     "eye_stroke_amplitude": _eye("strokes", "stroke amplitude, median", "cm", 0, "near", _SEEN_BACKWARDS),
     "eye_stroke_amplitude_90": _eye("strokes", "stroke amplitude, 90 %", "cm", 0, "near", _MIRROR_OR_NOISE),

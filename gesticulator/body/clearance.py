@@ -10,8 +10,10 @@ changes at most `STEEPEST` times as fast as the hand moves, so that a hand that 
 front of it without a jump; the direction out of a closed shape would turn round at its middle. With d the depth and
 e = `SOFT`, a hand is moved by 0 for d < -e, (d + e)^2 / 4e for -e < d < e, and d beyond, which leaves no kink in its
 path. An elbow that the trunk would hide swings outward about the line from shoulder to wrist, by the same rule and a
-plane behind the trunk that recedes beside it; the hand stays. Everything depends on the pose alone; a pose that needs
-no correction stays the same bit for bit.
+plane behind the trunk that recedes beside it; the hand stays. A hand at its shoulder, where the models fold an elbow
+further than a person can, stays where only the slope of the field would move it: there a centimetre of the hand is ten
+of the elbow, which would turn round within a frame. Everything depends on the pose alone; a pose that needs no
+correction stays the same bit for bit.
 """
 
 from __future__ import annotations
@@ -45,6 +47,10 @@ there on, and metres over which an elbow is slowed. In two takes of people who t
 elbow is ever there; in the clips of gestures that the corpus is made of, up to a tenth of the time."""
 OUTWARD = (0.95, 0.3)
 """Direction in which an elbow leaves it, outward and ahead: more to the front, it would flip round a raised hand."""
+FOLDED, BESIDE = (0.13, 0.20), (0.12, 0.17)
+"""Metres from a wrist to its shoulder, and across the trunk: a hand that is nearer than the first pair and farther
+across than the second is at its shoulder beside the trunk, and stays. Elbows that are bent by 152 and 136 degrees bring
+it there; people bend theirs by up to 150."""
 HEAD_MIDDLE = np.array([0.0, 0.085, 0.025])
 """Middle of the face relative to the joint of the head, metres: the joint is at the top of the neck."""
 HEAD_RADIUS = 0.13
@@ -53,6 +59,8 @@ _LEAST = 1e-6
 """Metres below which a hand is not moved."""
 _STEPS = 4
 """Iterations: wrist and knuckles share a correction, and each corrects the one before."""
+_SWINGS = 7
+"""Iterations of an elbow that swings outward."""
 _POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
 """Direction to which the elbow of a straight arm bends."""
 
@@ -82,11 +90,12 @@ def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, flo
     chain = (skeleton.index(name + "Arm"), skeleton.index(name + "ForeArm"), skeleton.index(name + "Hand"))
     body, limbs = _Body(pose), BelowShoulder(skeleton, chain[0], pose.places[name + "Arm"])
     points = [skeleton.index(name + part) for part in ("Hand", "HandMiddle1") if name + part in skeleton.names]
+    share = 1.0 - body.at_shoulder(pose.places[name + "Hand"], pose.places[name + "Arm"], sign)
     for _ in range(_STEPS):
-        push = body.push([limbs.place(turns, point) for point in points], sign)
+        push = body.push([limbs.place(turns, point) for point in points], sign) * share
         bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, _POLE_OF_ELBOW,
              np.linalg.norm(push, axis=-1) > _LEAST)
-    for _ in range(_STEPS):
+    for _ in range(_SWINGS):
         swivel(turns, limbs, chain, body.hidden(limbs.place(turns, chain[1]), sign))
     for joint in chain:
         above = turns[skeleton.parents[joint]]
@@ -152,6 +161,12 @@ class _Body:
         depth = soft(plane - RECEDES * beyond ** 2 - ahead, ELBOW_SOFT)
         return depth[:, None] * (OUTWARD[0] * sign * self._axes[:, 0] + OUTWARD[1] * self._axes[:, 2])
 
+    def at_shoulder(self, hand: Array, shoulder: Array, sign: float) -> Array:
+        """[T, 1] how much a hand [T, 3] is at its shoulder [T, 3] and beside the trunk, 0 to 1."""
+        across = sign * np.sum(self._axes[:, 0] * hand, axis=-1)
+        near = 1.0 - _ramp(np.linalg.norm(hand - shoulder, axis=-1), FOLDED)
+        return np.asarray(near * _ramp(across, BESIDE))[:, None]
+
     def _out_of_trunk(self, point: Array, sign: float) -> Array:
         across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, point), -1, 0)
         beyond = np.maximum(np.maximum(-along, along - self._length), 0.0) / CAP
@@ -179,6 +194,12 @@ def face_front(radius: Array) -> Array:
     """Metres by which the space of the face is ahead of its middle, at metres beside it: a paraboloid, then a cone."""
     inside = np.minimum(radius, HEAD_RADIUS)
     return np.asarray(HEAD_RADIUS - inside ** 2 / HEAD_RADIUS - 2.0 * (radius - inside))
+
+
+def _ramp(values: Array, ends: tuple[float, float]) -> Array:
+    """0 below the first of two ends, 1 above the second, without a kink."""
+    share = np.clip((values - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
+    return np.asarray(share ** 2 * (3.0 - 2.0 * share))
 
 
 def soft(depth: Array, over: float = SOFT) -> Array:

@@ -409,10 +409,11 @@ class _Rig:
         ours_along = _OURS[f"{side}Hand{middle}1"]
         if pair is None:
             return along, None, ours_along, ours_back
+        # The plane through the wrist and two knuckles: those between them are higher or lower than these in many hands.
         first, last = (f"{side}Hand{finger}1" for finger in pair)
-        across = self.bone(side + "Hand", first) - self.bone(side + "Hand", last)
-        return (along, sign * np.cross(across, along), ours_along,
-                sign * np.cross(_OURS[first] - _OURS[last], ours_along))
+        knuckles = self.bone(side + "Hand", first), self.bone(side + "Hand", last)
+        return (knuckles[0] + knuckles[1], sign * np.cross(*knuckles), _OURS[first] + _OURS[last],
+                sign * np.cross(_OURS[first], _OURS[last]))
 
     def _tip_unit(self, node: int) -> float:
         """Metres per unit of a node's local coordinates (BVH, where nothing is scaled)."""

@@ -55,15 +55,22 @@ def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal
 
 def swivel(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], shift: Array) -> None:
     """Rotate the first two nodes of a chain so that the second moves by about `shift` [T, 3], as far as the places of
-    the first and the third let it; the third keeps its world rotation if it is in `turns`."""
+    the first and the third let it; the third keeps its world rotation if it is in `turns`.
+
+    One that is opposite to where it should go could leave to either side. It is moved the less, the nearer it is to
+    there: at an angle a from that direction, by cos(a / 2) of the shift, so that no small difference grows to a jump.
+    """
     top, middle, _ = chain
     socket, hinge, tip = (body.place(turns, node) for node in chain)
     upper, lower, way = hinge - socket, tip - hinge, tip - socket
     along = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
     centre = np.sum(upper * along, axis=-1, keepdims=True) * along
     beside = upper - centre
-    moved = beside + shift - np.sum(shift * along, axis=-1, keepdims=True) * along
     size = np.linalg.norm(beside, axis=-1, keepdims=True)
+    shift = shift - np.sum(shift * along, axis=-1, keepdims=True) * along
+    far = np.linalg.norm(shift, axis=-1, keepdims=True)
+    cosine = np.sum(shift * beside, axis=-1, keepdims=True) / np.maximum(far * size, 1e-9)
+    moved = beside + shift * np.sqrt(np.maximum(1.0 + cosine, 0.0) / 2.0)
     length = np.linalg.norm(moved, axis=-1, keepdims=True)
     moved = np.where(length > 1e-6, moved / np.maximum(length, 1e-9) * size, beside)
     turns[top] = swing(upper, centre + moved) @ turns[top]

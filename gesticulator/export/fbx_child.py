@@ -37,6 +37,7 @@ def convert(source: str, target: str, fps: float = 30.0, keys: float = 0.0, name
     whole = max(1, round(fps))
     if source.lower().endswith(".fbx"):
         bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
+        to_bind_pose()
     else:
         # The importer of glTF takes the product of the two numbers for the frame rate, where it is their quotient.
         scene.render.fps, scene.render.fps_base = whole, fps / whole
@@ -53,14 +54,28 @@ def convert(source: str, target: str, fps: float = 30.0, keys: float = 0.0, name
     export_fbx(target, keys)
 
 
+def largest_armature() -> Any:
+    """The armature that is animated."""
+    import bpy
+
+    armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
+    return max(armatures, key=lambda thing: len(thing.data.bones))
+
+
+def to_bind_pose() -> None:
+    """Put the bones where the mesh was bound to them. A file may stand otherwise, with bones moved and scaled, and what
+    no key of ours sets would stay so and tear the mesh."""
+    for bone in largest_armature().pose.bones:
+        bone.matrix_basis.identity()
+
+
 def animate(motion: str) -> None:
     """Add an action with the poses in a file to the largest armature."""
     import bpy
     import numpy as np
 
     poses = np.load(motion)
-    armature: Any = max((thing for thing in bpy.data.objects if thing.type == "ARMATURE"),
-                        key=lambda thing: len(thing.data.bones))
+    armature = largest_armature()
     action: Any = bpy.data.actions.new("gesture")
     armature.animation_data_create().action = action
     for place, name in enumerate(poses["names"].tolist()):

@@ -55,7 +55,7 @@ RANGES: dict[str, tuple[float, float]] = {
     # Rules instead of ranges: what no person shows, or what a second take could not have told.
     "eye_seam": (0.0, 1.35), "eye_frechet": (0.0, 19.5), "eye_frechet_pooled": (0.0, 19.5),
     "eye_freeze_head": (0.0, 1.0), "eye_hand_in_torso": (0.0, 1.0), "eye_elbow_in_torso": (0.0, 1.0),
-    "eye_elbow_behind": (0.0, 1.0),
+    "eye_elbow_behind": (0.0, 1.0), "eye_elbow_fastest": (0.0, 4.0),
     "eye_head_yaw": (0.0, 25.0), "eye_loudness": (-0.07, 0.36), "eye_drift": (0.0, 15.0), "eye_fingers": (30.0, 100.0),
     "eye_face": (0.0, 1.0),
 }
@@ -100,9 +100,9 @@ FIGURES: tuple[str, ...] = (
     "eye_hand_speed_correlation", "eye_hand_height_correlation", "eye_one_handed", "eye_one_hanging",
     "eye_both_hanging", *(f"eye_speed_{percent}" for percent in hands.PERCENTILES), "eye_drift", "eye_head",
     "eye_chest", "eye_head_yaw", "eye_freeze", "eye_freeze_head", "eye_freeze_hands", "eye_hand_in_torso",
-    "eye_elbow_in_torso", "eye_elbow_behind", "eye_fingers", "eye_stroke_amplitude", "eye_stroke_amplitude_90",
-    "eye_stroke_duration", "eye_stroke_duration_90", "eye_attack", "eye_rising", "eye_seam", "eye_repetition",
-    "eye_speech_speed",
+    "eye_elbow_in_torso", "eye_elbow_behind", "eye_elbow_fastest", "eye_fingers", "eye_stroke_amplitude",
+    "eye_stroke_amplitude_90", "eye_stroke_duration", "eye_stroke_duration_90", "eye_attack", "eye_rising", "eye_seam",
+    "eye_repetition", "eye_speech_speed",
     "eye_silence_speed", "eye_speech_over_silence", "eye_loudness", "eye_above_1", "eye_above_2",
     *posture.FIGURES, *together.FIGURES, *units.FIGURES, *units.SOUND_FIGURES, "eye_frechet")
 """Every figure of a clip, in the order of a table."""

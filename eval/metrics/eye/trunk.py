@@ -12,10 +12,12 @@ of sum q q^T) is the root mean square of the rotation vectors from the mean, deg
 - elbow behind the trunk: percentage of frames in which, on the worse side, the elbow lies more than 8 cm behind the
   line from hips to chest and less than 20 cm beside it, so that the trunk hides it, while the hand is ahead of that
   line by more than 5 cm, or more than 6 cm above the hips. The hand of an arm that swings while walking is neither.
+- fastest elbow: the greatest speed of either elbow about its shoulder between two frames, m/s. Speakers reach 3; an
+  elbow that jumps to the other side of its arm within a frame, while the hand goes on, has 5 to 12.
 - fingers: percentage of time that some finger joint turns faster than 5 degrees a second; undefined without fingers.
 
 Good: near a speaker's own (16 and 9 degrees for the head, 9 and 4 for the chest, yaw under 25 degrees, no freeze over a
-second, 1 % or less in the torso, and no elbow behind it).
+second, 1 % or less in the torso, no elbow behind it, and none faster than 4 m/s).
 
 What fools them: a trunk that sways at random has a spread, so it says nothing of nods that go with the voice. A motion
 played backwards has all of them to the digit, and arms that mirror each other have the same trunk. Jitter ends every
@@ -88,6 +90,12 @@ def elbow_behind(body: CommonBody, side: str) -> float:
     return 100.0 * float((hidden & (((hand * ahead).sum(axis=1) > _AHEAD) | (hand[:, 1] > _RAISED))).mean())
 
 
+def fastest_elbow(body: CommonBody) -> float:
+    """m/s of the faster elbow about its shoulder at its fastest moment; no smoothing, which would hide a jump."""
+    ways = np.stack([body.points[side + "ForeArm"] - body.points[side + "Arm"] for side in SIDES])
+    return HZ * float(np.linalg.norm(np.diff(ways, axis=1), axis=-1).max(initial=0.0))
+
+
 def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
     face = rotation.rotate(body.head, np.array([0.0, 0.0, 1.0]))
@@ -105,5 +113,6 @@ def figures(body: CommonBody) -> dict[str, float]:
         "eye_hand_in_torso": max(inside(body.points[side + "Hand"], hips, chest, _HAND_RADIUS) for side in SIDES),
         "eye_elbow_in_torso": max(inside(body.points[side + "ForeArm"], hips, chest, _ELBOW_RADIUS) for side in SIDES),
         "eye_elbow_behind": max(elbow_behind(body, side) for side in SIDES),
+        "eye_elbow_fastest": fastest_elbow(body),
         "eye_fingers": math.nan if moving is None else 100.0 * float((moving > _FINGER_MOVES).mean()),
     }
