@@ -80,6 +80,7 @@ def _with_face(poses: dict[str, Any], file: Path, moved: CharacterMotion, face: 
     shapes: list[tuple[str, str, Array]] = []
     for node, path, values in _face_tracks(file, gltf, moved, face):
         entry = nodes[node]
+        assert isinstance(values, np.ndarray)
         if path == WEIGHTS:
             mesh = gltf.document["meshes"][entry["mesh"]]
             keys = mesh["extras"]["targetNames"]

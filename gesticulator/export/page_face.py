@@ -32,7 +32,7 @@ def page_face(character: Character, lips_only: bool = False) -> dict[str, Any]:
     if character.vrm:
         return {}
     rig = find_face(character)
-    morphs = [[node, target, found] for node in rig.morphs for target, found in _by_target(rig, node, lips_only)]
+    morphs = [(node, target, found) for node in rig.morphs for target, found in _by_target(rig, node, lips_only)]
     eyes = [] if lips_only else [character.node_ids[node] for node in rig.eyes]
     if not (morphs or eyes or rig.jaw is not None):
         return {}
