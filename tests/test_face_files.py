@@ -74,6 +74,33 @@ def add_shapes(path: Path, names: list[str], expressions: dict[str, int] | None 
     return path
 
 
+JAW = {"Jaw": ("Head", (0.0, 0.02, 0.02)), "Chin": ("Jaw", (0.0, 0.0, 0.05))}
+EYES = {"LeftEye": ("Head", (0.03, 0.06, 0.06)), "RightEye": ("Head", (-0.03, 0.06, 0.06))}
+"""Bone -> the end of the name of the one above it, and where it is from there, metres in our axes."""
+
+
+def add_bones(path: Path, bones: dict[str, tuple[str, tuple[float, float, float]]]) -> Path:
+    """Give the skin of a small character bones such as `JAW`."""
+    gltf, read = open_gltf(path), read_gltf(path)
+    nodes, (skin,) = gltf.document["nodes"], gltf.document["skins"]
+    inverse = list(read.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2))
+    for name, (end, shift) in bones.items():
+        above = next(number for number, entry in enumerate(nodes) if entry["name"].endswith(end))
+        back = inverse[skin["joints"].index(above)]
+        turn = back[:3, :3] / np.cbrt(np.linalg.det(back[:3, :3]))
+        move = np.eye(4)
+        move[:3, 3] = 100.0 * turn @ shift  # the file is in centimetres
+        inverse.append(np.linalg.inv(move) @ back)
+        nodes[above].setdefault("children", []).append(len(nodes))
+        skin["joints"].append(len(nodes))
+        nodes.append({"name": name, "translation": move[:3, 3].tolist()})
+    matrices = np.array(inverse)
+    matrices[:, 3] = [0, 0, 0, 1]
+    skin["inverseBindMatrices"] = gltf.accessor(matrices.astype("<f4"))
+    path.write_bytes(gltf.to_bytes())
+    return path
+
+
 def still(path: Path, performance: Performance) -> CharacterMotion:
     """A character that keeps its rest pose for the frames of a performance; its head has a track."""
     character = read_character(path)

@@ -16,7 +16,7 @@ from data_module.motion import rotation
 from data_module.types import Array
 from gesticulator.characters.face_rig import find_face
 from gesticulator.characters.face_shapes import ARKIT, arkit, jaw_angles, vrm
-from gesticulator.characters.rig import CharacterMotion
+from gesticulator.characters.rig import Character, CharacterMotion
 from gesticulator.export.face_mesh import JOINT, face_mesh, weights
 from gesticulator.export.gltf import (
     ROTATION,
@@ -49,13 +49,20 @@ class FaceWarning(UserWarning):
 def character_tracks(gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion) -> list[tuple[int, str, Numbers]]:
     """Tracks of the morph weights, eyes and jaw of a character (node of the file, property, values). A `FaceWarning`
     says if it has no mouth to move."""
-    character = moved.character
+    return tracks_of(gltf, moved.character, (moved.joints["LeftArm"], moved.joints["RightArm"]), face,
+                     moved.character.path.name)
+
+
+def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], face: FaceMotion, name: str
+              ) -> list[tuple[int, str, Numbers]]:
+    """`character_tracks` of a character by the nodes of its left and right upper arm; name: of the file that was
+    given."""
     rig = find_face(character)
     if not rig.can_speak:
-        warnings.warn(FaceWarning(f"{character.path.name}: has neither mouth shapes nor a jaw bone, so its mouth stays "
-                                  "as it is"), stacklevel=2)
+        warnings.warn(FaceWarning(f"{name}: has neither mouth shapes nor a jaw bone, so its mouth stays as it is"),
+                      stacklevel=3)
     places = character.world_matrices()[:, :3, 3]
-    left = places[moved.joints["LeftArm"]] - places[moved.joints["RightArm"]]
+    left = places[arms[0]] - places[arms[1]]
     left[1] = 0.0
     out: list[tuple[int, str, Numbers]] = [(node, WEIGHTS, weights.astype("<f4").reshape(-1))
                                            for node, weights in rig.weights(face).items()]

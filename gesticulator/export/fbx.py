@@ -17,7 +17,7 @@ def write_fbx(path: Path, scene: Scene) -> Path:
     """Write the motion as binary FBX, atomically. Returns `path`. `InputError` without Blender or if it fails."""
     character = own_character(scene)
     if character is not None:
-        return write_animated(path, character, scene.clip)
+        return write_animated(path, character, scene.clip, scene.face)
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"
         write_glb(source, replace(scene, layout=replace(scene.clip, keys=0.0)))

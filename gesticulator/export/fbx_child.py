@@ -5,8 +5,8 @@
     python fbx_child.py IN.fbx OUT.glb
 
 KEYS is the bound on the error of reduced keys in degrees, 0 for every frame; NAME that of the take. MOTION.npz holds
-bone poses, as from `gesticulator.export.own_fbx.pose`. It imports nothing from this package: Blender has its own
-Python.
+bone poses, and values of shape keys, as from `gesticulator.export.own_fbx`. It imports nothing from this package:
+Blender has its own Python.
 """
 
 from __future__ import annotations
@@ -84,13 +84,27 @@ def animate(motion: str) -> None:
         keys(action, armature, bone.path_from_id("rotation_quaternion"), poses["turns"][:, place])
     if len(poses["shifts"]):
         keys(action, armature, armature.pose.bones[poses["hips"].tolist()[0]].path_from_id("location"), poses["shifts"])
+    if "shape_values" in poses:
+        animate_shapes(poses["shape_meshes"].tolist(), poses["shape_keys"].tolist(), poses["shape_values"])
 
 
-def keys(action: Any, armature: Any, path: str, values: Any) -> None:
-    """Add keyframes of a property [T, n], one per frame from 0."""
+def animate_shapes(meshes: list[str], names: list[str], values: Any) -> None:
+    """Add actions with the values [T, k] of shape keys, by the names of their mesh objects and their own."""
+    import bpy
+
+    for column, (mesh, name) in enumerate(zip(meshes, names, strict=True)):
+        block = bpy.data.objects[mesh].data.shape_keys
+        moved = block.animation_data or block.animation_data_create()
+        if moved.action is None:
+            moved.action = bpy.data.actions.new("gesture")
+        keys(moved.action, block, block.key_blocks[name].path_from_id("value"), values[:, column:column + 1])
+
+
+def keys(action: Any, owner: Any, path: str, values: Any) -> None:
+    """Add keyframes of a property [T, n], one per frame from 0. path: from the `owner` of the action."""
     for index, track in enumerate(values.T.tolist()):
         if hasattr(action, "fcurve_ensure_for_datablock"):  # since Blender 4.5
-            curve = action.fcurve_ensure_for_datablock(armature, path, index=index)
+            curve = action.fcurve_ensure_for_datablock(owner, path, index=index)
         else:
             curve = action.fcurves.new(path, index=index)
         curve.keyframe_points.add(len(track))

@@ -29,7 +29,7 @@ def write_glb(path: Path, scene: Scene) -> Path:
     """Write the motion as GLB, atomically. Returns `path`. An FBX character needs Blender."""
     character = scene.character
     if character is not None and character.character.kind == "fbx":
-        return write_animated(path, character, scene.clip)
+        return write_animated(path, character, scene.clip, scene.face)
     is_glb = character is not None and character.character.kind == "glb"
     write_bytes(path, character_glb(character, scene.clip, scene.face) if character is not None and is_glb
                 else skeleton_glb(scene.nodes, scene.clip, scene.face if character is None else None))

@@ -28,7 +28,8 @@ from gesticulator.export.gltf import open_gltf
 from gesticulator.export.scene import Scene
 
 if TYPE_CHECKING:
-    from gesticulator.characters.rig import CharacterMotion
+    from data_module.face import FaceMotion
+    from gesticulator.characters.rig import Character
 
 
 class HasScene(Protocol):
@@ -101,7 +102,7 @@ def page(takes: Mapping[str, Scene], title: str, *, together: bool = False,
         "peaksPerSecond": PEAKS_PER_SECOND,
         "takes": [{"name": name, **describe(scene)} for name, scene in takes.items()],
         "together": together,
-        **_character(first.character),
+        **_character(first),
         **(more or {}),
     }
     return _fill(title, f'<script type="application/json" id="performance">{embedded(data)}</script>', live)
@@ -155,22 +156,31 @@ def root_path(motion: Motion) -> bytes:
     return root.astype("<f4").tobytes()
 
 
-def _character(moved: CharacterMotion | None) -> dict[str, Any]:
+def _character(scene: Scene) -> dict[str, Any]:
     """The page's data about the user's character; empty if its format cannot be shown."""
+    moved = scene.character
     if moved is None or moved.character.kind != "glb":
         return {}
     rig = moved.character
-    return character_data(rig.path, {joint: rig.node_ids[node] for joint, node in moved.joints.items()})
+    return character_data(rig, {joint: rig.node_ids[node] for joint, node in moved.joints.items()}, scene.face)
 
 
-def character_data(path: Path, joints: Mapping[str, int]) -> dict[str, Any]:
-    """The page's data of a character: its file as GLB, and our joint -> its node in the file. A file of more than
-    `LARGEST_CHARACTER` bytes is omitted, and the page says so."""
+def character_data(rig: Character, joints: Mapping[str, int], face: FaceMotion | None = None) -> dict[str, Any]:
+    """The page's data of a character: its file as GLB, our joint -> its node in the file and, if faces are shown like
+    `face`, `gesticulator.export.page_face`. A file of more than `LARGEST_CHARACTER` bytes is omitted, and the page says
+    so."""
+    path = rig.path
     name = title_of(path) + path.suffix
     file = open_gltf(path).to_bytes() if path.suffix.lower() == ".gltf" else path.read_bytes()
     if len(file) > LARGEST_CHARACTER:
         return {"notice": f"{name} is too large to be kept in the page. Drop the file here to see it."}
-    return {"character": {"name": name, "data": _base64(file), "joints": dict(joints)}}
+    told: dict[str, Any] = {"name": name, "data": _base64(file), "joints": dict(joints)}
+    if face is not None and rig.kind == "glb":
+        from gesticulator.export.page_face import page_face
+
+        shown_with = page_face(rig, face.lips_only)
+        told |= {"face": shown_with} if shown_with else {}
+    return {"character": told}
 
 
 def _skeleton(skeleton: Skeleton) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
 from gesticulator.arguments import (
@@ -28,6 +28,7 @@ from gesticulator.serve.saved_edits import SavedEdits, place_of, put_aside, read
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
+    from gesticulator.characters.rig import Character
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
     from gesticulator.serve.page_server import PageServer
@@ -89,7 +90,7 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
     from gesticulator.pipeline import Gesticulator
     from gesticulator.serve.edits import LivePlans, directions_of, levels_of
 
-    character, stands = _character(args)
+    chosen, stands = _character(args)
     system = Gesticulator.from_pretrained(args.bundle)
     system.keeps_drawings = True
     _go_on(system, job, args)
@@ -101,6 +102,7 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
     assert job.source is not None
     live = {"token": server.token, "renderings": numbers, "formats": formats(), "levels": levels_of(system.bundle),
             "directions": directions_of(system)}
+    character = {} if chosen is None else html.character_data(*chosen, next(iter(scenes.values())).face)
     more = {"live": live, **character}
     server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1, more=more).encode()
     if job.source is not None and args.beside is None:
@@ -124,18 +126,17 @@ def _figures(system: Gesticulator, takes: dict[str, Performance]) -> bytes:
     return json.dumps(moving_figures(system.bundle, speaker)).encode()
 
 
-def _character(args: argparse.Namespace) -> tuple[dict[str, Any], bool]:
-    """The page's data about the requested character, and whether it stands on its legs."""
+def _character(args: argparse.Namespace) -> tuple[tuple[Character, dict[str, int]] | None, bool]:
+    """The requested character with our joint -> its node in the file, if any, and whether it stands on its legs."""
     if args.character is None:
-        return {}, False
+        return None, False
     from gesticulator.characters.frames import measure
     from gesticulator.characters.reading import choose
-    from gesticulator.export.html import character_data
 
     character, mapping = choose(args.character, args.mapping, args.save_mapping)
     joints = {joint: character.node_ids[node] for joint, node in mapping.named().items()}
     sits = args.seated or (not args.legs and measure(character, mapping).sits)
-    return character_data(character.path, joints), mapping.legs and not sits
+    return (character, joints), mapping.legs and not sits
 
 
 def _go_on(system: Gesticulator, job: Job, args: argparse.Namespace) -> None:

@@ -7,13 +7,14 @@ import { VRMLoaderPlugin, VRMUtils } from "@pixiv/three-vrm";
 import { showFace } from "../../integrations/gesticulator-client/src/face.js";
 import { chains, jointsByName } from "./bone_names.js";
 import { Contacts } from "./contacts.js";
+import { CharacterFace } from "./character_face.js";
 import { BONES, bonesOf, humanoidPose } from "./humanoid.js";
 
 /** Bytes of a file at most. */
 export const LARGEST = 200 * 2 ** 20;
 
-/** A character in the bytes of a GLB or VRM file. told: { name, joints: our joint -> node of the file } or less.
- *  Throws an Error with words for the user. */
+/** A character in the bytes of a GLB or VRM file. told: { name, joints: our joint -> node of the file,
+ *  face: of gesticulator/export/page_face.py } or less. Throws an Error with words for the user. */
 export async function readCharacter(bytes, told) {
   if (bytes.length > LARGEST) throw new Error("it is larger than 200 MB");
   if (new TextDecoder().decode(bytes.subarray(0, 4)) !== "glTF") throw new Error("it is no GLB or VRM file");
@@ -139,6 +140,7 @@ class NamedCharacter extends Character {
       throw new Error(`no bone is named like ${missing.slice(0, 3).join(", ")}; names of Mixamo, VRM, Unreal, Unity, Biped and Blender are known`);
     }
     made.prepare(nodes);
+    if (told.face) made.face = await CharacterFace.read(gltf, told.face, made.rest, new Vector3(1, 0, 0).applyQuaternion(made.back));
     return made;
   }
 
@@ -227,6 +229,7 @@ class NamedCharacter extends Character {
     const at = new Vector3(root[0], root[1] - high, root[2]).multiplyScalar(size).applyQuaternion(this.back).add(this.restHips);
     this.hips.position.copy(at.applyMatrix4(this.above.clone().invert()));
     this.contacts.repair(poser);
+    this.face?.show(poser.face);
   }
 }
 

@@ -1,0 +1,59 @@
+"""What a page needs to show a face on a character: its morph targets, eyes and jaw, by the numbers of a face.
+
+Every curve of `gesticulator.characters.face_shapes.curves` is a sum of the numbers of `FaceMotion.values`, or of what
+they are below zero, times constants, held between 0 and 1. The constants are read off `curves`, so that the page needs
+no formulas.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from data_module.face import FaceMotion
+from gesticulator.characters.face_rig import FaceRig, find_face
+from gesticulator.characters.face_shapes import JAW_OPEN, curves, is_lips
+from gesticulator.characters.rig import Character
+
+NUMBERS = 20
+"""Numbers of a face: 15 visemes, blink, brows, smile, gaze."""
+_STEP = 0.1
+"""Of a number, small enough that no curve reaches 1."""
+
+
+def page_face(character: Character, lips_only: bool = False) -> dict[str, Any]:
+    """The face of a glTF character as JSON; empty for a VRM, which has its own way, and for one without anything.
+
+    morphs: [[node of the file, target, [[curve, share], ...]], ...]; curves: name -> {place: constant}, places from
+    `NUMBERS` on for numbers below zero, turned positive; eyes: nodes of the file that turn with the gaze; jaw: the node
+    that turns by `open` radians times the curve "opening", or null. lips_only: without lids, brows and eyes.
+    """
+    if character.vrm:
+        return {}
+    rig = find_face(character)
+    morphs = [(node, target, found) for node in rig.morphs for target, found in _by_target(rig, node, lips_only)]
+    eyes = [] if lips_only else [character.node_ids[node] for node in rig.eyes]
+    if not (morphs or eyes or rig.jaw is not None):
+        return {}
+    used = {curve for _, _, found in morphs for curve, _ in found} | ({"opening"} if rig.jaw is not None else set())
+    known = curve_constants()
+    return {"morphs": morphs, "curves": {name: known[name] for name in sorted(used)}, "eyes": eyes,
+            "jaw": None if rig.jaw is None else character.node_ids[rig.jaw], "open": JAW_OPEN}
+
+
+def _by_target(rig: FaceRig, node: int, lips_only: bool) -> list[tuple[int, list[tuple[str, float]]]]:
+    out: dict[int, list[tuple[str, float]]] = {}
+    for target, curve, share in rig.morphs[node]:
+        if is_lips(curve) or not lips_only:
+            out.setdefault(target, []).append((curve, share))
+    return sorted(out.items())
+
+
+def curve_constants() -> dict[str, dict[int, float]]:
+    """Curve -> place in the numbers of a face, or `NUMBERS` more for what they are below zero -> constant."""
+    values = _STEP * np.concatenate([np.eye(NUMBERS), -np.eye(NUMBERS)])
+    values[NUMBERS:NUMBERS + 16] = 0.0  # visemes and blinks are never below zero
+    face = FaceMotion(values[:, :15], values[:, 15], values[:, 16], values[:, 17], values[:, 18:], 1.0)
+    return {name: {place: round(float(value) / _STEP, 6) for place, value in enumerate(curve) if value}
+            for name, curve in curves(face).items()}
