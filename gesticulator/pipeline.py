@@ -346,6 +346,9 @@ class Gesticulator:
         assert plan is not None
         cast = self.cast(options, self.reads_words_of(speech))
         cast = replace(cast, sampling=replace(cast.sampling, variation=plan.variation))
+        for curve in plan.manner.curves:
+            for time in curve.times:
+                self._check_activity(plan.manner.share_at(time))
         rhythm = self.bundle.config.rhythm
         return PlanRenderer(Redrawer(
             lambda activity: Driver(self.bundle, replace(cast, activity=activity)),

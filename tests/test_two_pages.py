@@ -107,6 +107,30 @@ def test_the_height_of_the_hands_is_a_slider_and_a_curve(
         opened.check_quiet(server.url)
 
 
+def test_activity_and_energy_are_curves_too(
+        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+    server, plans, _ = served
+    with chromium() as browser:
+        opened = OpenedPage(browser, server.url, 1280, 900)
+        page = opened.page
+        before = _rotations(page)
+        assert page.locator("#curve-knob option").all_inner_texts()[:3] == ["size", "activity", "energy"]
+        for knob, most in (("activity", 1), ("energy", 2)):
+            page.select_option("#curve-knob", knob)
+            box = page.locator("#timeline").bounding_box()
+            row = page.evaluate("() => preview.timeline.rows.curve")
+            for second, share in ((2, 0), (3, 1)):  # at the top of the row, then at its foot
+                x = page.evaluate("(at) => preview.timeline.x(at)", second)
+                page.mouse.click(box["x"] + x, box["y"] + row["top"] + 3 + share * (row["tall"] - 6))
+                _rendered(page)
+            curve = opened.plan()["curves"][-1]
+            assert curve["knob"] == knob and curve["values"] == [most, 0]
+            _is(page, plans, opened.plan())
+        now = _rotations(page)
+        assert (now[-60:] != before[-60:]).any()
+        opened.check_quiet(server.url)
+
+
 def test_a_gesture_is_stretched_and_the_take_before_is_seen_through(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, folder = served

@@ -33,7 +33,16 @@ from gesticulator.drawing.drawer import Direction
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
 from gesticulator.plan.checks import plain_word as plain_word
 from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
-from gesticulator.plan.plan import GestureCue, GesturePlan, LexemeName, PlanKnobs, edited_blocks
+from gesticulator.plan.plan import (
+    ENERGIES,
+    ENERGY_SIZES,
+    GestureCue,
+    GesturePlan,
+    KnobCurve,
+    LexemeName,
+    PlanKnobs,
+    edited_blocks,
+)
 
 MeantCues = Callable[[float], Sequence["MeantCue"]]
 """Gives the gestures that begin up to a time."""
@@ -306,8 +315,7 @@ class Shaping:
                              "this one has joint positions", "leave them out")
         self._edges, self._meant, self._seed = edges, meant, options.seed or 0
         self._sizes, self._both, self._mirrored, self._locked = _levels(options, len(edges) - 1)
-        curves = () if options.plan is None else options.plan.curves
-        self._curve = next((curve for curve in curves if curve.knob == "intensity"), None)
+        self._curves = [] if options.plan is None else _sizing(options.plan)
         self._shares = [eased_levels(edges, rest_share(side), REST_FADE, self._locked) for side in self._sizes.T]
         cues = cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle))
         self._cues = sorted([(cue.cue, cue.time) for cue in cues if cue.lexeme is None], key=_by_time)
@@ -319,8 +327,10 @@ class Shaping:
         edges, locked = self._edges, self._locked
         intensity = np.stack([levels_at(edges, side, times, FADE, locked) for side in self._sizes.T], axis=1)
         share = np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in self._shares], axis=1)
-        if self._curve is not None:
-            factor = np.interp(times, self._curve.times, self._curve.values)
+        if self._curves:
+            factor = _sizes_at(self._curves[0], times)
+            for curve in self._curves[1:]:
+                factor = factor * _sizes_at(curve, times)
             factor = 1.0 + (factor - 1.0) * levels_at(edges, 1.0 - locked, times, FADE, locked)
             intensity = np.minimum(intensity * factor[:, None], 2.0)
             share = share * rest_share(np.minimum(factor, 1.0))[:, None]
@@ -390,7 +400,7 @@ def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array,
         return np.array([_hands(options.knobs)] * count), both, np.zeros(count), np.zeros(count, bool)
     now, first = options.plan.knobs, options.plan.drawn.knobs
     locked = [block.locked for block in options.plan.blocks]
-    hands = np.where(np.array(locked)[:, None], _hands(first), _hands(now))
+    hands = np.where(np.array(locked)[:, None], _hands(first), _hands(now, _steady_energy(options.plan)))
     sizes = np.minimum(np.array([block.intensity for block in options.plan.blocks])[:, None] * hands, 2.0)
     whole = options.mirrored
     mirrored = [block.mirror != (not whole and (first if block.locked else now).mirror)
@@ -399,7 +409,30 @@ def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array,
     return sizes, both, np.array(mirrored, dtype=np.float64), np.array(locked)
 
 
-def _hands(knobs: PlanKnobs) -> tuple[float, float]:
-    """Intensities of the left and the right hand."""
-    return (knobs.size * (OTHER_HAND if knobs.handedness == "right" else 1.0),
-            knobs.size * (OTHER_HAND if knobs.handedness == "left" else 1.0))
+def _hands(knobs: PlanKnobs, factor: float = 1.0) -> tuple[float, float]:
+    """Intensities of the left and the right hand. factor: on the size, by a curve that is constant."""
+    size = min(knobs.size * factor, 2.0)
+    return (size * (OTHER_HAND if knobs.handedness == "right" else 1.0),
+            size * (OTHER_HAND if knobs.handedness == "left" else 1.0))
+
+
+def _sizing(plan: GesturePlan) -> list[KnobCurve]:
+    """The curves that vary the size of gestures; one of energy that is constant is as the knob (`_steady_energy`)."""
+    intensity, energy = plan.curve("intensity"), plan.curve("energy")
+    return [curve for curve in (intensity, None if _is_steady(energy) else energy) if curve is not None]
+
+
+def _is_steady(curve: KnobCurve | None) -> bool:
+    return curve is not None and len(set(curve.values)) == 1
+
+
+def _steady_energy(plan: GesturePlan) -> float:
+    """The factor on intensity of a curve of energy that is constant; 1 for another one, and without one."""
+    curve = plan.curve("energy")
+    return float(_sizes_at(curve, np.zeros(1))[0]) if curve is not None and _is_steady(curve) else 1.0
+
+
+def _sizes_at(curve: KnobCurve, times: Array) -> Array:
+    """[M] the factor on intensity at `times` [M] of a curve of intensity or of energy."""
+    values: Array = np.interp(times, curve.times, curve.values)
+    return np.interp(values, np.arange(len(ENERGIES)), ENERGY_SIZES) if curve.knob == "energy" else values

@@ -1,10 +1,11 @@
 """Motion of edited plans: unchanged blocks are replayed, edited ones are generated again.
 
 Every block has a source. With the knobs of the first generation, unedited blocks are replayed from it. Where knobs were
-changed that influence generation (activity, handedness), the recording is generated again with the new ones, from the
-seed and without edits, and unedited blocks are those of this generation; locked blocks are still those of the first.
-Each run of edited blocks is generated from the pose and the state before it. Where a source takes over from another
-one, its motion x(t) continues with the difference at that beat b added, which fades out within `BLEND` seconds:
+changed that influence generation (activity and its curve, handedness), the recording is generated again with the new
+ones, from the seed and without edits, and unedited blocks are those of this generation; locked blocks are still those
+of the first. Each run of edited blocks is generated from the pose and the state before it. Where a source takes over
+from another one, its motion x(t) continues with the difference at that beat b added, which fades out within `BLEND`
+seconds:
 
     x(t) + h(s) d + T k(s) v,   s = (t - b) / T,   h = 2 s^3 - 3 s^2 + 1,   k = s^3 - 2 s^2 + s
 
@@ -30,7 +31,7 @@ from gesticulator.drawing.drawn_blocks import DrawnBlock, DrawnTree
 from gesticulator.drawing.driver import BlockRequest, Driver, GeneratedMotion, KeptDrawing, OnBlock, requests
 from gesticulator.drawing.recut import Recutter, window
 from gesticulator.drawing.rollout import BlockMotion
-from gesticulator.plan.plan import Block, GesturePlan, PlanKnobs, edited_blocks, edited_themselves
+from gesticulator.plan.plan import Block, GesturePlan, Manner, PlanKnobs, edited_blocks, edited_themselves
 
 BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""
@@ -38,6 +39,9 @@ LEAST_REMEMBERED, REMEMBERED = 2000, 4
 """Drawn blocks in memory: at least, and for each block of the recording."""
 WARMS_UP = 3
 """Blocks before a stretch that are drawn for a draft of it, and not shown."""
+_VARYING = 0.5
+"""The activity with which a driver begins whose blocks are each given their own: between none and all, so that it
+hears the gate. It does not depend on the curve, so that what comes before a change of the curve is not drawn again."""
 Rows = NDArray[np.float32]
 
 
@@ -128,7 +132,7 @@ class PlanRenderer:
         self._keys = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
                               plan.drawn.keyed_at or plan.drawn.edges, strict=False))
         self._cut = redrawer.blocks(plan.drawn.edges, plan.drawn.flags, plan.drawn.silent)
-        self._edges = plan.drawn.edges
+        self._edges, self._manner = plan.drawn.edges, plan.drawn_manner
         self._index = {edge: at for at, edge in enumerate(self._edges)}
         self.drawing = drawing or self._draw(on_block)
         self._encoded = self.drawing.encoded
@@ -138,7 +142,7 @@ class PlanRenderer:
         self._first = _Generation("first", [DrawnBlock(number, state, None) for number, state in zip(
             numbers, self.drawing.states, strict=False)], self.drawing.blocks, numbers[1:])
         self._windows: dict[Hashable, int] = {window(self._edges, at): at for at in range(count)}
-        self._complete: set[tuple[float, str | None]] = set()
+        self._complete: set[Manner] = set()
         self._recut: dict[Hashable, SpeechBlock] = {}
         self._faded: dict[Hashable, tuple[int, Rows]] = {}
 
@@ -194,51 +198,56 @@ class PlanRenderer:
 
     # ------------------------------------------------------------------------------------------ what runs are made of
 
-    def generation(self, knobs: PlanKnobs, on_block: OnBlock | None = None, count: int | None = None) -> _Generation:
-        """The recording, or its first `count` blocks, generated with these knobs, without edits: the first generation
-        where they do not matter."""
-        if knobs.draws_as(self._drawn.knobs):
+    def generation(self, manner: Manner, on_block: OnBlock | None = None, count: int | None = None) -> _Generation:
+        """The recording, or its first `count` blocks, generated in a manner, without edits: the first generation where
+        it is that of the first."""
+        if manner == self._manner:
             return self._first
         count = len(self._cut) if count is None else count
-        steps = [self._tree.beginning((knobs.share, knobs.handedness), lambda: self._begun(knobs))]
+        begins = _begins(manner), manner.handedness
+        steps = [self._tree.beginning(begins, lambda: self._begun(manner))]
         for at in range(count):
-            steps.append(self._tree.drawn(steps[-1], ("knobs", at), partial(self._with_knobs, knobs, at)))
+            key = "knobs", at, _activity(manner, self._edges[at])
+            steps.append(self._tree.drawn(steps[-1], key, partial(self._with_manner, manner, at)))
             if on_block is not None:
                 on_block(at + 1, count)
         if count == len(self._cut):
-            self._complete.add((knobs.share, knobs.handedness))
+            self._complete.add(manner)
         blocks = [step.block for step in steps[1:] if step.block is not None]
         return _Generation("knobs", steps[:-1], blocks, [step.number for step in steps[1:]])
 
-    def knows(self, knobs: PlanKnobs) -> bool:
-        """Whether the whole recording has been generated with these knobs, and most of it is remembered."""
-        return (knobs.share, knobs.handedness) in self._complete
+    def knows(self, manner: Manner) -> bool:
+        """Whether the whole recording has been generated in this manner, and most of it is remembered."""
+        return manner in self._complete
 
-    def _begun(self, knobs: PlanKnobs) -> Driver:
-        driver = self._redrawer.drivers(knobs.share)
+    def _begun(self, manner: Manner) -> Driver:
+        driver = self._redrawer.drivers(_begins(manner))
         driver.begin(self._encoded.text is not None)
         return driver
 
-    def _with_knobs(self, knobs: PlanKnobs, at: int) -> BlockRequest:
-        """The request for a block of the first generation with other knobs."""
+    def _with_manner(self, manner: Manner, at: int) -> BlockRequest:
+        """The request for a block of the first generation in another manner."""
         number = self._drawn.numbers[at] if self._drawn.numbers else at
         times = self._cut.knot_times.reshape(len(self._cut), -1)[at]
         still = still_frames(self._drawn.knobs, times, float(self._cut.edges[at]))
+        # Under a curve, as in the first generation, which it is as long as the curve does not matter.
+        keys = None if manner.curves else Keys(*self._seed)
         return BlockRequest(replace(self._encoded.block(at), number=number, key=self._keys[number]),
                             self._redrawer.control(times),
-                            Direction(None, Keys(*self._seed), still, self._redrawer.bias(knobs.handedness)))
+                            Direction(None, keys, still, self._redrawer.bias(manner.handedness),
+                                      _activity(manner, self._edges[at])))
 
-    def draft(self, knobs: PlanKnobs, view: tuple[float, float]) -> tuple[Blocks, list[PlayedBlock], list[int]]:
-        """The first generation, with the blocks of a stretch (seconds) roughly as they will be with changed knobs; its
+    def draft(self, manner: Manner, view: tuple[float, float]) -> tuple[Blocks, list[PlayedBlock], list[int]]:
+        """The first generation, with the blocks of a stretch (seconds) roughly as they will be in another manner; its
         blocks, and which of them. The models begin anew shortly before the stretch, in the pose that is there."""
         first = max(int(np.searchsorted(self._cut.edges[1:], view[0])) - WARMS_UP, 0)
         last = min(int(np.searchsorted(self._cut.edges[:-1], view[1])), len(self._cut))
-        driver = self._begun(knobs)
+        driver = self._begun(manner)
         driver.stand_as(self.drawing.states[first])
         played = [PlayedBlock(block, block.motion, number) for block, number in
                   zip(self.drawing.blocks, self._first.numbers, strict=True)]
         for at in range(first, last):
-            block = driver.draw(self._with_knobs(knobs, at))
+            block = driver.draw(self._with_manner(manner, at))
             played[at] = PlayedBlock(block, block.motion, self._tree.new_number())
         return self._cut, played, list(range(min(first + WARMS_UP, max(last - 1, first)), last))
 
@@ -310,7 +319,8 @@ class _PlanRun:
 
     def __init__(self, renderer: PlanRenderer, plan: GesturePlan, on_block: OnBlock | None) -> None:
         self._renderer, self._plan, self._on_block = renderer, plan, on_block
-        self._alike = plan.knobs.draws_as(plan.drawn.knobs)
+        self._manner = plan.manner
+        self._alike = self._manner == plan.drawn_manner
         self._edges = [0.0, *(block.end for block in plan.blocks)]
         self._flags = flag_numbers([block.flag for block in plan.blocks])
         self._edited = edited_themselves(plan)
@@ -321,9 +331,9 @@ class _PlanRun:
         quiet = dict(zip(drawn.edges, drawn.silent, strict=False))
         # Frames of a silence that the plan removed are not quiet.
         self._removed = [quiet.get(block.start, False) and not block.silent for block in plan.blocks]
-        self._first = renderer.generation(drawn.knobs)
+        self._first = renderer.generation(plan.drawn_manner)
         self._changed = self._first if self._alike or not self._needs_knobs() else \
-            renderer.generation(plan.knobs, on_block)
+            renderer.generation(self._manner, on_block)
 
     def _needs_knobs(self) -> bool:
         return any(not block.locked for block in self._plan.blocks)
@@ -402,20 +412,33 @@ class _PlanRun:
         last, count = min(at + 1, len(plan.blocks) - 1), len(plan.blocks)
         silence = plan.blocks[max(at - 1, 0)].silent, block.silent, plan.blocks[last].silent
         removed = self._removed[at], self._removed[last]
-        hand = (plan.drawn if generation is self._first else plan).knobs.handedness
+        manner = plan.drawn_manner if generation is self._first else self._manner
+        hand = manner.handedness
+        # Beside blocks with activities of their own, the others are given theirs, too.
+        activity = manner.share_at(block.start) if self._manner.curves else None
         draw = block.draw
         place, spoken = self._speech[at]
         key = (place, at + 1 == count, silence, removed, self._flags[at], chosen,
-               (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes(), hand)
+               (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes(), hand, activity)
 
         def request() -> BlockRequest:
             quiet, ahead = spoken.quiet & (not removed[0]), spoken.ahead
             speech = replace(spoken, number=draw.block, key=self._renderer.key_of(draw.block), flag=self._flags[at],
                              silent=silence, quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
             return self._renderer.request(speech, times, Direction(chosen, Keys(draw.seed, draw.variation), still,
-                                                                   self._renderer.bias(hand)))
+                                                                   self._renderer.bias(hand), activity))
 
         return key, request
+
+
+def _begins(manner: Manner) -> float:
+    """The activity of the driver that generates in a manner."""
+    return _VARYING if manner.curves else manner.share
+
+
+def _activity(manner: Manner, start: float) -> float | None:
+    """The activity of a block that begins at `start`, seconds; None where that of its driver stays."""
+    return manner.share_at(start) if manner.curves else None
 
 
 def _difference(last: BlockMotion, duration: float, there: BlockMotion, other: float) -> tuple[Array, Array]:

@@ -105,13 +105,15 @@ class Direction:
 
     lexeme: the lexeme to play; None lets the interpreter choose. keys: of the noise and the choice of an edited block;
     None for those of the performance. still: [K] frames in which the hands are to rest, or None. bias: [S] added to the
-    interpreter's scores, or None.
+    interpreter's scores, or None. activity: share of the speaking time with gestures, where it changes from block to
+    block; None for that of the performance.
     """
 
     lexeme: int | None = None
     keys: Keys | None = None
     still: NDArray[np.bool_] | None = None
     bias: NDArray[np.float64] | None = None
+    activity: float | None = None
 
     def biased(self, scores: NDArray[np.float64]) -> NDArray[np.float64]:
         """Scores [S] with the bias added."""

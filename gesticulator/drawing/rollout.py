@@ -229,7 +229,7 @@ class Rollout:
             self._begin_unit(speech)
             features = replace(features, past=self._drawn[0])
         self._unit = unit
-        closed, probability = self._closed(speech, features, self._still(unit, direction))
+        closed, probability = self._closed(speech, features, direction, self._still(unit, direction))
         scores = self._within(self._scores(features), unit)
         quiet = closed or (features.silent and b.config.silence.mask)
         if direction.lexeme is None:
@@ -354,16 +354,17 @@ class Rollout:
             return np.ones(self.bundle.frames, bool)
         return direction.still
 
-    def _closed(self, speech: SpeechBlock, features: BlockFeatures, still: NDArray[np.bool_] | None
-                ) -> tuple[bool, float]:
+    def _closed(self, speech: SpeechBlock, features: BlockFeatures, direction: Direction,
+                still: NDArray[np.bool_] | None) -> tuple[bool, float]:
         """Whether the body rests in the block, and the gate's probability. still: [K] frames in which an instruction
         requires rest."""
-        closed, probability = self.activity == 0, math.nan
+        activity = self.activity if direction.activity is None else direction.activity
+        closed, probability = activity == 0, math.nan
         if self._gate is not None and self._gate_state is not None:
             probability, self._gate_state = self._gate.step(self._gate_state, features)
-            closed = not self._gate.opened(probability, self.activity)
+            closed = not self._gate.opened(probability, activity)
         if self.life is not None:
-            closed = self.life.hear(speech.span, probability, still)
+            closed = self.life.hear(speech.span, probability, still, activity)
         elif still is not None:
             closed = closed or bool(still.mean() >= 0.5)
         return closed, probability

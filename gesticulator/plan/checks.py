@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -17,8 +18,8 @@ SHORTEST, LONGEST = 0.1, 1.0
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
 CUES_PER_SECOND, ALLOWED_CUES = 4.0, 100
 """Most cues per second of sound; so many are allowed in any case. A gesture takes a second, so more cannot be seen."""
-MOST_INTENSITY = 2.0
-"""Greatest value of an intensity curve."""
+_MOST_OF_CURVES = {"intensity": 2.0, "activity": 1.0, "energy": 2.0}
+"""Knob -> greatest value of its curve; the bundle says those of the others."""
 PLACED = ("LeftHand", "RightHand", "Head")
 """Joints that can be pinned to a place; arms and spine follow them."""
 _EPS = 1e-6
@@ -74,9 +75,10 @@ def _check_sections(plan: GesturePlan) -> None:
     knobs = [curve.knob for curve in plan.curves]
     for at, curve in enumerate(plan.curves):
         check_points(("curves", at), ("times", "values"), (curve.times, curve.values), plan.error)
-        outside = [value for value in curve.values if not 0.0 <= value <= MOST_INTENSITY]
-        if curve.knob == "intensity" and outside:
-            raise plan.error(("curves", at, "values"), f"hold {outside[0]:g}", f"give 0 to {MOST_INTENSITY:g}")
+        least, most = (0.0, _MOST_OF_CURVES[curve.knob]) if curve.knob in _MOST_OF_CURVES else (-math.inf, math.inf)
+        outside = [value for value in curve.values if not least <= value <= most]
+        if outside:
+            raise plan.error(("curves", at, "values"), f"hold {outside[0]:g}", f"give 0 to {most:g}")
         if curve.knob in knobs[:at]:
             raise plan.error(("curves", at, "knob"), f"is {curve.knob} again", "give one curve per knob")
     if plan.fingerprint is not None and not _is_fingerprint(plan.fingerprint, plan.sound.duration):

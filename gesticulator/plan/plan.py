@@ -10,7 +10,8 @@ Plain data: nothing here imports numpy or a model. `docs/schema/plan.schema.json
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,6 +29,8 @@ FORMAT, VERSION = "gesticulator-plan", 2
 
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
 """Energy -> factors on intensity and activity. Calm: smaller gestures, in six tenths of the phrases."""
+ENERGY_SIZES, ENERGY_SHARES = zip(*ENERGIES.values(), strict=True)
+"""Factors on intensity and on activity of the energies, in order: of 0, 1 and 2 of a curve, which is linear between."""
 
 HANDS = ("left", "right", "both")
 """Values of handedness, and hands of a gesture unit."""
@@ -40,8 +43,9 @@ SETTLES = 0.42
 
 PHASES = ("preparation", "pre-stroke hold", "stroke", "post-stroke hold", "retraction")
 """Phases of a gesture unit (Kendon; Kita et al.), in their order."""
-CURVES = ("intensity", "activity", "height", "speed", "radius")
-"""Knobs that a curve can vary: intensity, activity, and the three hand controls (metres, metres per second, metres)."""
+CURVES = ("intensity", "activity", "energy", "height", "speed", "radius")
+"""Knobs that a curve can vary: intensity, activity, energy (0 calm, 1 neutral, 2 lively), and the three hand controls
+(metres, metres per second, metres)."""
 
 Seconds = Annotated[float, SettingRange(0.0)]
 Intensity = Annotated[float, SettingRange(0.0, 2.0)]
@@ -211,11 +215,6 @@ class PlanKnobs:
         """Activity with the factor of the energy, 0 to 1."""
         return self.activity * ENERGIES[self.energy][1]
 
-    def draws_as(self, other: PlanKnobs) -> bool:
-        """Whether blocks are generated alike with both. Intensity and mirroring are applied afterwards, and stillness
-        concerns single blocks (`still_at`)."""
-        return self.share == other.share and self.handedness == other.handedness
-
     def still_at(self, start: float, end: float) -> tuple[tuple[float, float], ...]:
         """The parts of the range from start to end in which the hands should rest or go to rest."""
         ranges = ((max(begin - SETTLES, start), min(stop, end)) for begin, stop in self.hold_still)
@@ -326,6 +325,38 @@ class KnobCurve:
     """[M] the knob's value at these times, in its unit."""
 
 
+def _linear(x: float, points: Sequence[float], values: Sequence[float]) -> float:
+    """The value at x: linear between the rising points, constant before and after them."""
+    after = bisect_right(points, x)
+    if after in (0, len(points)):
+        return values[max(after - 1, 0)]
+    u = (x - points[after - 1]) / (points[after] - points[after - 1])
+    return values[after - 1] + u * (values[after] - values[after - 1])
+
+
+def _share_at(curve: KnobCurve, time: float) -> float:
+    """The factor on activity at a time, seconds, of a curve of activity or of energy."""
+    value = _linear(time, curve.times, curve.values)
+    return _linear(value, range(len(ENERGIES)), ENERGY_SHARES) if curve.knob == "energy" else value
+
+
+@dataclass(frozen=True)
+class Manner:
+    """What blocks are generated with. share: of the speaking time with gestures; curves: factors on it over time, for
+    as far as they change."""
+
+    share: float
+    handedness: str | None
+    curves: tuple[KnobCurve, ...] = ()
+
+    def share_at(self, time: float) -> float:
+        """The share of the speaking time with gestures of a block that begins at `time`, seconds."""
+        share = self.share
+        for curve in self.curves:
+            share *= _share_at(curve, time)
+        return share
+
+
 @dataclass(frozen=True)
 class SoundAlignment:
     """The map of the plan onto another export of its sound, with other pauses or another tempo."""
@@ -399,6 +430,28 @@ class GesturePlan:
         """Seconds covered by the blocks."""
         return self.drawn.edges[-1]
 
+    def curve(self, knob: str) -> KnobCurve | None:
+        """The curve of a knob; None without one."""
+        return next((curve for curve in self.curves if curve.knob == knob), None)
+
+    @property
+    def manner(self) -> Manner:
+        """What unlocked blocks are generated with; locked ones are with that of the first generation. Intensity and
+        mirroring are applied afterwards, and stillness concerns single blocks (`PlanKnobs.still_at`)."""
+        share, varying = self.knobs.share, []
+        for curve in filter(None, (self.curve("activity"), self.curve("energy"))):
+            first, *others = [_share_at(curve, time) for time in curve.times]
+            if all(other == first for other in others):
+                share *= first
+            else:
+                varying.append(curve)
+        return Manner(share, self.knobs.handedness, tuple(varying))
+
+    @property
+    def drawn_manner(self) -> Manner:
+        """What the blocks of the first generation were generated with."""
+        return Manner(self.drawn.knobs.share, self.drawn.knobs.handedness)
+
     def error(self, place: Place, wrong: str, advice: str) -> InputError:
         """An error about a part of the plan, with the line if the plan was read from a file."""
         from gesticulator.plan.json_lines import LinedJson
@@ -432,7 +485,7 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
     that influence its generation are too, unless it is locked.
     """
     edited = edited_themselves(plan)
-    if plan.knobs.draws_as(plan.drawn.knobs):
+    if plan.manner == plan.drawn_manner:
         return edited
     return tuple([changed or not block.locked for changed, block in zip(edited, plan.blocks, strict=True)])
 
@@ -461,7 +514,7 @@ def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
 def shapes(plan: GesturePlan) -> bool:
     """Whether the plan may change the generated poses, by intensity, mirroring or handedness."""
     knobs = plan.knobs
-    if knobs.size != 1.0 or knobs.handedness is not None or any(curve.knob == "intensity" for curve in plan.curves):
+    if knobs.size != 1.0 or knobs.handedness is not None or plan.curve("intensity") or plan.curve("energy"):
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)

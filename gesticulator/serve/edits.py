@@ -207,11 +207,11 @@ class LivePlans:
         return made
 
     def _messages(self, plan: GesturePlan, options: InferenceOptions, asked: _Asked) -> Iterator[bytes]:
-        sent = dict[int, int]()
+        sent, drafted = dict[int, int](), list[tuple[int, int]]()
         if self._in_pieces(options):
             maker = self._maker(options, lambda done, total: asked.check())
             assert options.plan is not None
-            yield from self._drafted(maker, options, asked)
+            yield from self._drafted(maker, options, asked, drafted)
             played = maker.renderer.played(options.plan, lambda done, total: asked.check())
             made = self._decided(options, played)
             pieces = yield from self._pieces(maker, options, played, asked, sent)
@@ -224,7 +224,9 @@ class LivePlans:
         have = asked.have if asked.have is not None and asked.have.shape == shape else None
         changes = changes_of(made, asked.plan)
         rendering = self._kept(plan_with(asked.plain, changes), shape, pieces, root)
-        left = [at for at in pieces.changed(None if have is None else have.pieces)
+        over = {at for at, piece in enumerate(pieces.pieces)
+                if any(piece.first < end and begin < piece.last for begin, end in drafted)}
+        left = [at for at in sorted({*pieces.changed(None if have is None else have.pieces), *over})
                 if sent.get(at) != pieces.pieces[at].number or (pieces.signs[at] < 0).any()]
         ranges, data = frames_of(pieces, left)
         asked.done(made)
@@ -243,25 +245,28 @@ class LivePlans:
         shape = {**describe_shape(body, self._speech.duration), "frames": frames}
         return shape, root_path(body)
 
-    def _drafted(self, maker: _Maker, options: InferenceOptions, asked: _Asked) -> Iterator[bytes]:
+    def _drafted(self, maker: _Maker, options: InferenceOptions, asked: _Asked, drafted: list[tuple[int, int]]
+                 ) -> Iterator[bytes]:
         """Where knobs have all of a recording generated again: a draft of the visible stretch, then the progress. What
-        was generated is remembered."""
+        was generated is remembered. drafted: receives the frames of the draft (first, last + 1), over which even
+        unchanged ones have to be sent again."""
         plan, renderer = options.plan, maker.renderer
         assert plan is not None
         count = len(plan.drawn.lexemes)
-        if plan.knobs.draws_as(plan.drawn.knobs) or all(block.locked for block in plan.blocks) \
-                or renderer.knows(plan.knobs):
+        manner = plan.manner
+        if manner == plan.drawn_manner or all(block.locked for block in plan.blocks) or renderer.knows(manner):
             return
-        cut, played, seen = renderer.draft(plan.knobs, asked.view)
+        cut, played, seen = renderer.draft(manner, asked.view)
         times = cut.knot_times.reshape(len(cut), -1)
         posed = maker.shaped.blocks(played, cut, self._shaping(replace(options, plan=replace(
             plan, blocks=tuple(one.block.block for one in played))), cut.edges))
         frames = self._frames(maker, options)
         pieces = [piece for _, piece in frames.pieces(times, posed, float(cut.edges[-1]), seen)]
         if pieces and self._streams(options, asked):
+            drafted += [(piece.first, piece.last) for piece in pieces]
             yield _unsigned(pieces, 0.0)
         for done in range(REPORTS, count, REPORTS):
-            renderer.generation(plan.knobs, lambda at, total: asked.check(), done)
+            renderer.generation(manner, lambda at, total: asked.check(), done)
             yield message({"kind": "progress", "ranges": [], "share": done / count})
 
     def _streams(self, options: InferenceOptions, asked: _Asked) -> bool:

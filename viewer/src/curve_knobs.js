@@ -3,10 +3,11 @@
 import { curveOf, withCurve } from "./curves.js";
 import { $, element } from "./dom.js";
 
+const HANDS = ["height", "speed", "radius"];
+
 export function bindCurves(session, timeline, refresh) {
-  const { knobs } = timeline, hands = Object.keys(knobs).filter((knob) => knob !== "intensity");
+  const { knobs } = timeline, hands = HANDS.filter((knob) => knob in knobs);
   $("curve-knob").replaceChildren(...Object.entries(knobs).map(([knob, { name }]) => element("option", { value: knob }, name)));
-  $("curve-knob").hidden = !hands.length;
   $("curve-knob").addEventListener("change", (event) => {
     timeline.knob = event.target.value;
     if (!timeline.curved) $("curve").click();

@@ -238,7 +238,7 @@ export class Timeline {
     }
     for (const [time, value] of points) { pen.beginPath(); pen.arc(this.x(time), this.curveY(value), 4.5 * u, 0, Math.PI * 2); pen.fill(); }
     pen.fillStyle = colours.soft;
-    const range = unit ? `, ${this.knobs[this.knob].low} to ${this.knobs[this.knob].high} ${unit}` : "";
+    const { low, high, scale = unit && `${low} to ${high} ${unit}` } = this.knobs[this.knob], range = scale ? `, ${scale}` : "";
     pen.fillText(points.length ? `${name}${range}` : `${name}${range}: click to set points, click a point twice to remove it`, 6 * u, top + 11 * u);
   }
 
