@@ -154,8 +154,8 @@ def played(system: Gesticulator, sounds: Sequence[Speech], seeds: int, rows: Seq
                     made = system(sound, seed=seed, **ROWS[row])
                 elif row != NEUTRAL:
                     # What changes finished poses alone is rendered from the same drawing.
-                    knobs = replace(drawn.knobs, **ROWS[row])
-                    made = plans.render(replace(drawn, knobs=knobs)) if knobs.draws_as(drawn.knobs) else \
+                    plan = replace(drawn, knobs=replace(drawn.knobs, **ROWS[row]))
+                    made = plans.render(plan) if plan.manner == drawn.manner else \
                         system(sound, seed=seed, **ROWS[row])
                 own.append(measured(made, neutral, (low, high)))
     return figures

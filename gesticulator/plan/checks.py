@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -75,10 +74,9 @@ def _check_sections(plan: GesturePlan) -> None:
     knobs = [curve.knob for curve in plan.curves]
     for at, curve in enumerate(plan.curves):
         check_points(("curves", at), ("times", "values"), (curve.times, curve.values), plan.error)
-        least, most = (0.0, _MOST_OF_CURVES[curve.knob]) if curve.knob in _MOST_OF_CURVES else (-math.inf, math.inf)
-        outside = [value for value in curve.values if not least <= value <= most]
-        if outside:
-            raise plan.error(("curves", at, "values"), f"hold {outside[0]:g}", f"give 0 to {most:g}")
+        highest = _MOST_OF_CURVES.get(curve.knob)
+        if highest is not None and (outside := [value for value in curve.values if not 0.0 <= value <= highest]):
+            raise plan.error(("curves", at, "values"), f"hold {outside[0]:g}", f"give 0 to {highest:g}")
         if curve.knob in knobs[:at]:
             raise plan.error(("curves", at, "knob"), f"is {curve.knob} again", "give one curve per knob")
     if plan.fingerprint is not None and not _is_fingerprint(plan.fingerprint, plan.sound.duration):
