@@ -31,7 +31,7 @@ from gesticulator.drawing.drawn_blocks import DrawnBlock, DrawnTree
 from gesticulator.drawing.driver import BlockRequest, Driver, GeneratedMotion, KeptDrawing, OnBlock, requests
 from gesticulator.drawing.recut import Recutter, window
 from gesticulator.drawing.rollout import BlockMotion
-from gesticulator.plan.plan import Block, GesturePlan, Manner, PlanKnobs, edited_blocks, edited_themselves
+from gesticulator.plan.plan import Block, GenerationKnobs, GesturePlan, PlanKnobs, edited_blocks, edited_themselves
 
 BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""
@@ -142,7 +142,7 @@ class PlanRenderer:
         self._first = _Generation("first", [DrawnBlock(number, state, None) for number, state in zip(
             numbers, self.drawing.states, strict=False)], self.drawing.blocks, numbers[1:])
         self._windows: dict[Hashable, int] = {window(self._edges, at): at for at in range(count)}
-        self._complete: set[Manner] = set()
+        self._complete: set[GenerationKnobs] = set()
         self._recut: dict[Hashable, SpeechBlock] = {}
         self._faded: dict[Hashable, tuple[int, Rows]] = {}
 
@@ -198,7 +198,8 @@ class PlanRenderer:
 
     # ------------------------------------------------------------------------------------------ what runs are made of
 
-    def generation(self, manner: Manner, on_block: OnBlock | None = None, count: int | None = None) -> _Generation:
+    def generation(self, manner: GenerationKnobs, on_block: OnBlock | None = None, count: int | None = None
+                   ) -> _Generation:
         """The recording, or its first `count` blocks, generated in a manner, without edits: the first generation where
         it is that of the first."""
         if manner == self._manner:
@@ -216,16 +217,16 @@ class PlanRenderer:
         blocks = [step.block for step in steps[1:] if step.block is not None]
         return _Generation("knobs", steps[:-1], blocks, [step.number for step in steps[1:]])
 
-    def knows(self, manner: Manner) -> bool:
+    def knows(self, manner: GenerationKnobs) -> bool:
         """Whether the whole recording has been generated in this manner, and most of it is remembered."""
         return manner in self._complete
 
-    def _begun(self, manner: Manner) -> Driver:
+    def _begun(self, manner: GenerationKnobs) -> Driver:
         driver = self._redrawer.drivers(_begins(manner))
         driver.begin(self._encoded.text is not None)
         return driver
 
-    def _with_manner(self, manner: Manner, at: int) -> BlockRequest:
+    def _with_manner(self, manner: GenerationKnobs, at: int) -> BlockRequest:
         """The request for a block of the first generation in another manner."""
         number = self._drawn.numbers[at] if self._drawn.numbers else at
         times = self._cut.knot_times.reshape(len(self._cut), -1)[at]
@@ -237,7 +238,7 @@ class PlanRenderer:
                             Direction(None, keys, still, self._redrawer.bias(manner.handedness),
                                       _activity(manner, self._edges[at])))
 
-    def draft(self, manner: Manner, view: tuple[float, float]) -> tuple[Blocks, list[PlayedBlock], list[int]]:
+    def draft(self, manner: GenerationKnobs, view: tuple[float, float]) -> tuple[Blocks, list[PlayedBlock], list[int]]:
         """The first generation, with the blocks of a stretch (seconds) roughly as they will be in another manner; its
         blocks, and which of them. The models begin anew shortly before the stretch, in the pose that is there."""
         first = max(int(np.searchsorted(self._cut.edges[1:], view[0])) - WARMS_UP, 0)
@@ -431,12 +432,12 @@ class _PlanRun:
         return key, request
 
 
-def _begins(manner: Manner) -> float:
+def _begins(manner: GenerationKnobs) -> float:
     """The activity of the driver that generates in a manner."""
     return _VARYING if manner.curves else manner.share
 
 
-def _activity(manner: Manner, start: float) -> float | None:
+def _activity(manner: GenerationKnobs, start: float) -> float | None:
     """The activity of a block that begins at `start`, seconds; None where that of its driver stays."""
     return manner.share_at(start) if manner.curves else None
 

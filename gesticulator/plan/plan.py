@@ -341,7 +341,7 @@ def _share_at(curve: KnobCurve, time: float) -> float:
 
 
 @dataclass(frozen=True)
-class Manner:
+class GenerationKnobs:
     """What blocks are generated with. share: of the speaking time with gestures; curves: factors on it over time, for
     as far as they change."""
 
@@ -435,7 +435,7 @@ class GesturePlan:
         return next((curve for curve in self.curves if curve.knob == knob), None)
 
     @property
-    def manner(self) -> Manner:
+    def manner(self) -> GenerationKnobs:
         """What unlocked blocks are generated with; locked ones are with that of the first generation. Intensity and
         mirroring are applied afterwards, and stillness concerns single blocks (`PlanKnobs.still_at`)."""
         share, varying = self.knobs.share, []
@@ -445,12 +445,12 @@ class GesturePlan:
                 share *= first
             else:
                 varying.append(curve)
-        return Manner(share, self.knobs.handedness, tuple(varying))
+        return GenerationKnobs(share, self.knobs.handedness, tuple(varying))
 
     @property
-    def drawn_manner(self) -> Manner:
+    def drawn_manner(self) -> GenerationKnobs:
         """What the blocks of the first generation were generated with."""
-        return Manner(self.drawn.knobs.share, self.drawn.knobs.handedness)
+        return GenerationKnobs(self.drawn.knobs.share, self.drawn.knobs.handedness)
 
     def error(self, place: Place, wrong: str, advice: str) -> InputError:
         """An error about a part of the plan, with the line if the plan was read from a file."""
