@@ -206,8 +206,8 @@ def default() -> Config:
     """
     paper = regression()
     return dataclasses.replace(
-        # The speaker that keeps every bound on the validation split; the hands of the real takes' meet too often.
-        paper, name="default", default_speaker="garza",
+        # A speaker with captured motion: the scripted performers stand still for ten seconds at a time.
+        paper, name="default", default_speaker="conversation",
         schedules=dataclasses.replace(
             paper.schedules, speech=NOT_TRAINED, contrast=NOT_TRAINED,
             style=FitSettings(steps=800, batch=32, rate=1.5e-3, schedule="cosine", weight_decay=0.1, validations=20,
@@ -257,7 +257,7 @@ def default() -> Config:
         selection=SelectionConfig(temperature=1.3, q_temperature=0.5, guidance=4.0, audio_guidance=0.7,
                                   lexeme_guidance=0.4, noise=0.88, unit_guidance=0.5, trunk_guidance=0.3,
                                   trunk_noise=0.94, finger_noise=1.6,
-                                  interpreter_guidance=1.0, candidates=5, timing=1.0, seam=0.25, clear=20.0, fresh=True,
+                                  interpreter_guidance=1.0, candidates=5, timing=1.0, seam=0.25, clear=16.0, fresh=True,
                                   as_asked=2.0, hold=0.8, phrasing=2.0, waxing=0.8, as_styled=1.0, together=1.0,
                                   pitch=1.5))
 
