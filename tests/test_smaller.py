@@ -46,7 +46,7 @@ def halved(system: Gesticulator, first: Performance, intensity: float = 0.5) -> 
     return system(first.speech, plan=replace(plan, knobs=replace(plan.knobs, intensity=intensity)))
 
 
-SWUNG = {"brad": 1.25}
+SWUNG = {"brad": 1.25, "garza": 3.5, "presenter": 1.25}
 """Performers of whom one hand is still faster at a moment, and by how much: the rule that keeps elbows in sight swings
 an arm that is lowered past the trunk. It is a fault, and this its measure."""
 
