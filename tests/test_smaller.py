@@ -46,15 +46,16 @@ def halved(system: Gesticulator, first: Performance, intensity: float = 0.5) -> 
     return system(first.speech, plan=replace(plan, knobs=replace(plan.knobs, intensity=intensity)))
 
 
-SWUNG = {"brad": 1.25, "garza": 3.5, "presenter": 1.25}
-"""Performers of whom one hand is still faster at a moment, and by how much: the rule that keeps elbows in sight swings
-an arm that is lowered past the trunk. It is a fault, and this its measure."""
+SWUNG = pytest.mark.xfail(strict=True, reason="an arm folded to its shoulder is bent to the other side from one frame "
+                                              "to the next where its hand is kept out of the trunk")
 
 
-def test_no_hand_of_any_performer_is_faster_at_half_the_intensity(system: Gesticulator, speech: Speech) -> None:
-    for speaker in system.speakers:
-        first = system(speech, seed=SEED, speaker=speaker)
-        assert (peaks(halved(system, first)) <= SWUNG.get(speaker, NO_FASTER) * peaks(first)).all(), speaker
+@pytest.mark.parametrize("speaker", ["brad2", "connor", "conversation", "lesson", "story", "traffic",
+                                     *(pytest.param(name, marks=SWUNG) for name in ("brad", "garza", "presenter"))])
+def test_no_hand_of_a_performer_is_faster_at_half_the_intensity(system: Gesticulator, speech: Speech, speaker: str
+                                                                ) -> None:
+    first = system(speech, seed=SEED, speaker=speaker)
+    assert (peaks(halved(system, first)) <= NO_FASTER * peaks(first)).all()
 
 
 def test_with_a_lift_that_changes_within_a_stroke_one_is_half_as_fast_again(
