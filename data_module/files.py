@@ -16,6 +16,7 @@ import math
 import os
 import re
 import secrets
+import shutil
 import socket
 import time
 from collections.abc import Iterable, Iterator
@@ -116,6 +117,29 @@ def remove_unfinished_of(targets: Iterable[Path]) -> None:
             for entry in os.scandir(folder):
                 if _UNFINISHED.fullmatch(entry.name) and entry.name[:-_TOKEN] in wanted:
                     Path(entry.path).unlink(missing_ok=True)
+
+
+def is_free(target: Path) -> bool:
+    """Whether a folder can be written there: nothing is, or an empty folder."""
+    return not target.exists() or (target.is_dir() and not any(target.iterdir()))
+
+
+@contextlib.contextmanager
+def new_folder(target: Path) -> Iterator[Path]:
+    """The folder TARGET.partial to fill, which takes the name of `target` at the end, or is deleted if an exception is
+    raised. InputError if `target` exists and is not empty."""
+    if not is_free(target):
+        raise InputError(target, "is already there", "delete it or choose another folder")
+    partial = target.with_name(target.name + ".partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        partial.mkdir(parents=True)
+        yield partial
+        if target.exists():
+            target.rmdir()
+        rename(partial, target)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def rename(source: Path, target: Path) -> None:

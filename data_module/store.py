@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError, shown
-from data_module.files import read_json, rename, write_bytes, write_text
+from data_module.files import is_free, read_json, rename, write_bytes, write_text
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
@@ -167,7 +167,7 @@ class StoreWriter:
         self.partial = self.path.with_name(self.path.name + ".partial")
         self._head = {"format": FORMAT, "corpus": corpus, "settings": json.loads(json.dumps(settings)), "seed": seed,
                       "licence": licence}
-        if self.path.exists() and not (self.path.is_dir() and not any(self.path.iterdir())):
+        if not is_free(self.path):
             raise InputError(self.path, "is already there", "delete it or choose another folder")
         begun = self.partial / _BEGUN
         # Checked first: another process may be creating the same store, first this folder, then that file.

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from gesticulator.directing.retiming_report import RetimingReport
     from gesticulator.drawing.driver import KeptDrawing
     from gesticulator.export.clip import ClipLayout
-    from gesticulator.export.scene import Scene
+    from gesticulator.export.writers import Scene
     from gesticulator.options import InferenceOptions
     from gesticulator.plan.plan import GesturePlan, LexemeName
 
@@ -191,7 +191,7 @@ class Performance:
 
     def scene(self) -> Scene:
         """The input of writers: motion, sound, plan, character and layout."""
-        from gesticulator.export.scene import Scene
+        from gesticulator.export.writers import Scene
 
         motion = self.motion
         if self.clip is not None and self.clip.additive:

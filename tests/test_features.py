@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from data_module.blocks import windows_of
 from data_module.errors import InputError
-from data_module.speech.front_ends import FRONT_ENDS, AudioFeatures, FrontEnd, MelFrontEnd, front_end
+from data_module.speech.front_ends import AudioFeatures, EncoderConfig, FrontEnd, MelFrontEnd
+from data_module.speech.learned_front_ends import FRONT_ENDS, front_end
 from data_module.speech.silence import TYPICAL_LEVEL, reference_level
-from data_module.speech.speech_encoder import EncoderConfig, SpeechEncoder
+from data_module.speech.speech_encoder import SpeechEncoder
 from data_module.types import Array, Samples
 from gesticulator.bundle.features import Normaliser
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from data_module.speech.pitch import HOP, WINDOW, PitchLevel, pitch_of
+from data_module.speech.silence import PITCH_HOP, PITCH_WINDOW, PitchLevel, pitch_of
 from data_module.types import Samples
 from gesticulator.drawing.candidates import with_pitch
 
@@ -42,8 +42,8 @@ def test_noise_and_silence_have_none() -> None:
 def test_it_is_the_pitch_that_librosa_finds() -> None:
     samples = EXAMPLE_VOICE[:10 * RATE]
     logs, voiced = pitch_of(samples, RATE)
-    theirs, said, _ = librosa.pyin(samples, fmin=70, fmax=500, sr=RATE, hop_length=round(HOP * RATE),
-                                   frame_length=round(WINDOW * RATE), center=False)
+    theirs, said, _ = librosa.pyin(samples, fmin=70, fmax=500, sr=RATE, hop_length=round(PITCH_HOP * RATE),
+                                   frame_length=round(PITCH_WINDOW * RATE), center=False)
     count = min(len(logs), len(theirs))
     both = voiced[:count] & said[:count]
     assert both.mean() > 0.8 * said.mean()

@@ -14,9 +14,9 @@ from scipy.special import erf, logsumexp
 from torch import Tensor, nn
 
 from data_module.errors import InputError
+from data_module.speech.front_ends import EncoderConfig
 from data_module.speech.speech_encoder import (
     LEVELS,
-    EncoderConfig,
     PredictiveCoding,
     SpeechEncoder,
     TextContrast,

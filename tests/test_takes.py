@@ -9,7 +9,7 @@ import pytest
 
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
-from data_module.motion.inertialisation import quintic_offset
+from data_module.motion.kinematics import quintic_offset
 from data_module.motion.skeletons import CHARACTER, FINGER_JOINTS, FINGERED
 from data_module.performer import takes, talks
 from data_module.performer.chaining import chain, seam_ratio

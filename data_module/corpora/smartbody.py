@@ -15,14 +15,13 @@ from __future__ import annotations
 import csv
 import io
 import re
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from data_module.corpora.base import Options, needed
 from data_module.errors import InputError
-from data_module.files import rename, write_bytes, write_text
+from data_module.files import new_folder, write_bytes, write_text
 from data_module.motion import skeletons, smartbody
 from data_module.motion.bvh import CENTIMETRES, bvh_text
 
@@ -76,11 +75,7 @@ class SmartBody:
     def write(self, out: Path) -> int:
         """Write OUT/SPEAKER/CLIP.bvh, OUT/manifest.csv and the licence, whole or not at all; the number of clips.
         InputError names the file that cannot be read, or OUT if it exists and is not empty."""
-        if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-            raise InputError(out, "is already there", "delete it or choose another folder")
-        partial = out.with_name(out.name + ".partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        try:
+        with new_folder(out) as partial:
             rows = sorted(self._clips(partial), key=lambda row: str(row["file"]))
             if not rows:
                 raise InputError(self._source, "holds no clip of a gesture",
@@ -92,11 +87,6 @@ class SmartBody:
             write_text(partial / "manifest.csv", table.getvalue())
             if (self._source / "LICENSE").is_file():
                 write_bytes(partial / "LICENSE", (self._source / "LICENSE").read_bytes())
-            if out.exists():
-                out.rmdir()
-            rename(partial, out)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
         return len(rows)
 
     def _clips(self, out: Path) -> list[Mapping[str, object]]:

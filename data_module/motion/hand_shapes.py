@@ -30,7 +30,7 @@ _SHAPES: dict[str, tuple[tuple[float, float, float], ...]] = {
     "spread": ((-10, -2, 0), (0, 5, 3), (3, 9, 4), (6, 15, 6), (9, 20, 8)),
 }
 """Bend of the three joints of each finger from the palm on, degrees, the thumb first."""
-HANGING, *RAISED = _SHAPES
+RAISED = tuple(_SHAPES)[1:]
 SHAPES = {name: np.array(bends, dtype=np.float64) for name, bends in _SHAPES.items()}
 """Name -> [5, 3] degrees."""
 SPREAD = {"hanging": 0.3, "relaxed": 0.5, "open": 1.0, "cup": 0.6, "fist": 0.1, "point": 0.3, "pinch": 0.5,

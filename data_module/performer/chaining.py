@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_module.motion.inertialisation import quintic_offset
+from data_module.motion.kinematics import quintic_offset
 from data_module.motion.skeletons import CHARACTER
 from data_module.performer.takes import FPS
 from data_module.types import Array

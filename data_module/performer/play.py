@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from data_module.motion import rotation
-from data_module.motion.inertialisation import minimum_jerk, quintic_offset
+from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.performer import plan as planning
 from data_module.performer.carriage import carriage

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from data_module.motion import kinematics, rotation
-from data_module.motion.inertialisation import minimum_jerk
+from data_module.motion.kinematics import minimum_jerk
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT
 from data_module.performer.strokes import (
     LEFT,

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from data_module.motion import rotation
-from data_module.motion.inertialisation import minimum_jerk
+from data_module.motion.kinematics import minimum_jerk
 from data_module.motion.skeletons import CHARACTERS, FINGERED, HIP_HEIGHT
 from data_module.performer import inverse, movements
 from data_module.performer.chaining import Chain, chain, seam_ratio

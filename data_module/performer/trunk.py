@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from data_module.motion.inertialisation import minimum_jerk, quintic_offset
+from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.performer.takes import ARM_SIDES, FPS, GROUPS, HIPS, MIRROR, SKULL, SPINE, Library, soft_limit
 from data_module.performer.types import Spoken
 from data_module.truth import Syllable

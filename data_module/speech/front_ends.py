@@ -1,35 +1,30 @@
 """Front ends: two levels of audio features per motion frame, behind one interface.
 
 The input is a fixed window per block (previous, current, next), stretched to normalised time, so a stream and a file
-give the same features. There are mel energies, and learned front ends: levels of the speech encoder, or hidden layers
-of a model of transformers. Networks normalise their input, so learned features do not contain loudness; both levels
-therefore get two columns of the mel front end, onset strength and loudness. `front_end` builds them by name.
+give the same features. Mel energies and the settings of the speech encoder are here, the networks in
+`data_module.speech.learned_front_ends`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
-from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.speech.silence import TYPICAL_LEVEL
-from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
 from data_module.types import Array, Samples
 
 Features = NDArray[np.float32]
 
+ACTIVATIONS = ("gelu", "relu")
+"""Of the speech encoder: as in the published vq-wav2vec, and the simpler one."""
+
 _BATCH = 256
-_EARLY, _LATE = 1, 0.75  # hidden layers of a transformer: the first, and three quarters up
-_LEVEL_COLUMNS = 2
 _FLOOR = 1e-8
 """Least power under a logarithm."""
 _ROBUST_TOP, _ROBUST_FLOOR = 7000.0, 1e-5
@@ -161,152 +156,34 @@ def scaled_windows(windows: Samples, reference: Array | None, length: int, batch
         yield part, windows[part] * (10.0 ** (-gain[part, None] / 20.0)).astype(np.float32)
 
 
-# ---------------------------------------------------------------------------------------------------- learned
-
 @dataclass(frozen=True)
-class LearnedFrontEnd:
-    """A network's two levels per motion frame, each followed by onset strength and loudness. states: scaled windows [n,
-    T] to the low and the high level, [n, frames, d]. widths: the two d. mel: gives the two further columns, and the
-    size of a window. batch: windows at a time (few, so that they stay in the cache)."""
+class EncoderConfig:
+    """Size and training of the speech encoder; the defaults are the paper's where it gives them."""
 
-    name: str
-    widths: tuple[int, int]
-    mel: MelFrontEnd = field(repr=False)
-    states: Callable[[Tensor], tuple[Tensor, Tensor]] = field(repr=False)
-    batch: int = 4
+    width: int = 512
+    """Channels of every convolution, d_a = d_A."""
+    activation: str = "gelu"
+    """"gelu" as in the published vq-wav2vec, or "relu"."""
+    projection: int = 128
+    """Width of the space in which Eq. 1 compares text with audio."""
+    temperature: float = 0.1
+    """tau of Eq. 1."""
+    mask_same_word: bool = False
+    """Exclude the other level-8 frames of the anchor's word from the denominator of Eq. 1; the paper includes them."""
+    train_projections: bool = True
+    """Train F_t and F_a; without it only the encoder can lower Eq. 1."""
+    prediction_steps: int = 12
+    """Rows of 10 ms that predictive coding looks ahead."""
+    negatives: int = 10
+    """Negative rows from the same crop."""
+    context_width: int = 128
+    """Width of the recurrent net of predictive coding that summarises the past."""
 
-    @property
-    def width_low(self) -> int:
-        return self.widths[0] + _LEVEL_COLUMNS
-
-    @property
-    def width_high(self) -> int:
-        return self.widths[1] + _LEVEL_COLUMNS
-
-    def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
-        mel, count = self.mel, len(windows)
-        low, high = (np.empty((count, mel.frames, width), np.float32) for width in (self.width_low, self.width_high))
-        for part, scaled in scaled_windows(windows, reference, mel.frames * mel.samples_per_frame, self.batch):
-            with torch.inference_mode():
-                states = self.states(torch.from_numpy(scaled))
-            columns: Features = mel.rows(scaled)[..., -_LEVEL_COLUMNS:]
-            for out, state in zip((low, high), states, strict=True):
-                out[part] = np.concatenate([state.cpu().numpy(), columns], axis=-1)
-        return AudioFeatures(low, high)
-
-
-def encoder_front_end(encoder: SpeechEncoder, mel: MelFrontEnd, layers: Sequence[int] | None = None, *,
-                      name: str = "vqwav2vec") -> LearnedFrontEnd:
-    low, high = _two(layers or (LOW, HIGH), 1, LEVELS)
-    _same_rate(16000, mel)
-
-    def states(samples: Tensor) -> tuple[Tensor, Tensor]:
-        weights = next(encoder.parameters())
-        first, second = encoder.levels(samples.to(weights.device), mel.frames, (low, high))
-        return first, second
-
-    encoder.eval()
-    return LearnedFrontEnd(name, (encoder.config.width, encoder.config.width), mel, states)
-
-
-def transformers_front_end(model_name: str, mel: MelFrontEnd, layers: Sequence[int] | None = None) -> LearnedFrontEnd:
-    """Two hidden layers of a speech model that takes samples (wav2vec 2.0, HuBERT, WavLM and their kin).
-
-    model_name: a folder, or the name of a model in the cache of transformers; nothing is downloaded. layers: 0 is the
-    input of the first layer; by default the first and one at three quarters of the depth. InputError if the model is
-    missing or does not take samples.
-    """
-    subject = f"hf:{model_name}"
-    model, normalise, rate = _open(model_name, subject)
-    _same_rate(rate, mel)
-
-    def hidden(samples: Tensor) -> Sequence[Tensor]:
-        if normalise:
-            spread, mean = torch.var_mean(samples, dim=-1, keepdim=True, correction=0)
-            samples = (samples - mean) / torch.sqrt(spread + 1e-7)
-        return model(samples, output_hidden_states=True).hidden_states
-
-    try:
-        with torch.inference_mode():
-            layers_found = hidden(torch.zeros(1, mel.frames * mel.samples_per_frame))
-        widths = [state.shape[2] for state in layers_found]
-    except (RuntimeError, ValueError, TypeError, IndexError, AttributeError) as error:
-        raise InputError(subject, f"gives no hidden layers for samples ({type(error).__name__})",
-                         "name a model like wav2vec 2.0, HuBERT or WavLM") from None
-    low, high = _two(layers or (_EARLY, max(_EARLY, round(_LATE * (len(layers_found) - 1)))), 0, len(layers_found) - 1)
-
-    def states(samples: Tensor) -> tuple[Tensor, Tensor]:
-        every = hidden(samples)
-        first, second = (F.adaptive_avg_pool1d(every[layer].transpose(1, 2), mel.frames).transpose(1, 2)
-                         for layer in (low, high))
-        return first, second
-
-    return LearnedFrontEnd(subject, (widths[low], widths[high]), mel, states)
-
-
-def _two(layers: Sequence[int], least: int, most: int) -> tuple[int, int]:
-    if len(layers) != 2 or not all(least <= layer <= most for layer in layers):
-        raise InputError("front_end.layers", f"is {list(layers)}", f"give two numbers from {least} to {most}")
-    return layers[0], layers[1]
-
-
-def _same_rate(rate: int, mel: MelFrontEnd) -> None:
-    if rate != mel.sample_rate:
-        raise InputError("front end", f"wants sound at {rate} Hz, not {mel.sample_rate}", "choose another")
-
-
-def _open(name: str, subject: str) -> tuple[Any, bool, int]:
-    """The model in evaluation mode, whether it wants each window at mean 0 and spread 1, and its sample rate."""
-    from transformers import AutoFeatureExtractor, AutoModel
-
-    from data_module.text.word_vectors import quiet_transformers
-
-    advice = "give a folder that holds it, or fetch it first (hf download NAME)"
-    with quiet_transformers():
-        try:
-            model = AutoModel.from_pretrained(name, local_files_only=True)
-        except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:
-            there = Path(name).is_dir()
-            wrong = f"is not a model that transformers can load ({type(error).__name__})" if there else \
-                "is not on this machine"
-            raise InputError(subject, wrong, advice) from error
-        if getattr(model, "main_input_name", "") != "input_values" or model.config.is_encoder_decoder:
-            raise InputError(subject, "does not take samples", "name a model like wav2vec 2.0, HuBERT or WavLM")
-        try:
-            extractor = AutoFeatureExtractor.from_pretrained(name, local_files_only=True)
-        except (OSError, ValueError, KeyError):  # a model saved without its preprocessing takes samples as they are
-            return model.eval().float(), False, 16000
-    return model.eval().float(), bool(getattr(extractor, "do_normalize", False)), int(extractor.sampling_rate)
-
-
-
-# ---------------------------------------------------------------------------------------------------- by name
-
-def _vqwav2vec(mel: MelFrontEnd, encoder: SpeechEncoder | None, layers: Sequence[int] | None) -> FrontEnd:
-    if encoder is None:
-        raise InputError("front end 'vqwav2vec'", "needs a trained speech encoder", "use a bundle that has one")
-    return encoder_front_end(encoder, mel, layers)
-
-
-FRONT_ENDS: dict[str, Callable[[MelFrontEnd, SpeechEncoder | None, Sequence[int] | None], FrontEnd]] = {
-    "mel": lambda mel, encoder, layers: mel, "vqwav2vec": _vqwav2vec}
-"""Front ends by name."""
-
-
-def front_end(name: str, mel: MelFrontEnd, *, encoder: SpeechEncoder | None = None,
-              layers: Sequence[int] | None = None) -> FrontEnd:
-    """A front end by name: one of `FRONT_ENDS`, "fairseq:PATH" or "hf:NAME" (a folder or a cached model).
-
-    mel: the mel front end, of which a learned one uses the sizes, the onsets and the loudness. encoder: for
-    "vqwav2vec". layers: those of the low and the high level; None for the default. InputError for an unknown name or a
-    missing model.
-    """
-    if name in FRONT_ENDS:
-        return FRONT_ENDS[name](mel, encoder, layers)
-    kind, _, where = name.partition(":")
-    if not where or kind not in ("fairseq", "hf"):
-        raise InputError("front end", f"there is no {name!r}",
-                         f"choose from {', '.join(FRONT_ENDS)}, fairseq:PATH, hf:NAME_OR_FOLDER")
-    if kind == "hf":
-        return transformers_front_end(where, mel, layers)
-    return encoder_front_end(load_fairseq(where), mel, layers, name=name)
+    def __post_init__(self) -> None:
+        if self.activation not in ACTIVATIONS:
+            raise InputError("encoder.activation", f"is {self.activation!r}", f"choose from {', '.join(ACTIVATIONS)}")
+        for name in ("width", "projection", "prediction_steps", "negatives", "context_width"):
+            if getattr(self, name) < 1:
+                raise InputError(f"encoder.{name}", f"is {getattr(self, name)}", "give 1 or more")
+        if not self.temperature > 0:
+            raise InputError("encoder.temperature", f"is {self.temperature}", "give a positive number")

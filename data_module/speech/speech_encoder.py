@@ -10,7 +10,6 @@ import argparse
 import os
 import pickle
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -19,46 +18,14 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from data_module.errors import InputError
+from data_module.speech.front_ends import ACTIVATIONS, EncoderConfig
 
 SHAPES = ((10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1))
 """Kernel and stride of the eight convolutions; the last four levels have 100 rows a second of 16 kHz sound."""
 LEVELS = len(SHAPES)
 LOW, HIGH = 2, 8
 """The levels that the paper takes as a_low and a_high."""
-ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {"gelu": F.gelu, "relu": F.relu}
-
-
-@dataclass(frozen=True)
-class EncoderConfig:
-    """Size and training of the speech encoder; the defaults are the paper's where it gives them."""
-
-    width: int = 512
-    """Channels of every convolution, d_a = d_A."""
-    activation: str = "gelu"
-    """"gelu" as in the published vq-wav2vec, or "relu"."""
-    projection: int = 128
-    """Width of the space in which Eq. 1 compares text with audio."""
-    temperature: float = 0.1
-    """tau of Eq. 1."""
-    mask_same_word: bool = False
-    """Exclude the other level-8 frames of the anchor's word from the denominator of Eq. 1; the paper includes them."""
-    train_projections: bool = True
-    """Train F_t and F_a; without it only the encoder can lower Eq. 1."""
-    prediction_steps: int = 12
-    """Rows of 10 ms that predictive coding looks ahead."""
-    negatives: int = 10
-    """Negative rows from the same crop."""
-    context_width: int = 128
-    """Width of the recurrent net of predictive coding that summarises the past."""
-
-    def __post_init__(self) -> None:
-        if self.activation not in ACTIVATIONS:
-            raise InputError("encoder.activation", f"is {self.activation!r}", f"choose from {', '.join(ACTIVATIONS)}")
-        for name in ("width", "projection", "prediction_steps", "negatives", "context_width"):
-            if getattr(self, name) < 1:
-                raise InputError(f"encoder.{name}", f"is {getattr(self, name)}", "give 1 or more")
-        if not self.temperature > 0:
-            raise InputError("encoder.temperature", f"is {self.temperature}", "give a positive number")
+_ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = dict(zip(ACTIVATIONS, (F.gelu, F.relu), strict=True))
 
 
 def hop_and_reach(level: int) -> tuple[int, int]:
@@ -89,7 +56,7 @@ class SpeechEncoder(nn.Module):
         shortest = hop_and_reach(LEVELS)[1]
         if samples.ndim != 2 or samples.shape[1] < shortest:
             raise ValueError(f"samples {tuple(samples.shape)} are not [B, T] with {shortest} or more")
-        activate = ACTIVATIONS[self.config.activation]
+        activate = _ACTIVATIONS[self.config.activation]
         x = samples.unsqueeze(1)
         out = []
         for convolve, norm in zip(self.convolutions, self.norms, strict=True):

@@ -25,8 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.motion.inertialisation import minimum_jerk
-from data_module.motion.kinematics import positions_of
+from data_module.motion.kinematics import minimum_jerk, positions_of
 from data_module.motion.representation import Representation
 from data_module.types import Array
 from gesticulator.bundle.features import Flags, Span, Statistics

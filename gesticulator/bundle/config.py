@@ -27,7 +27,7 @@ from data_module.settings import (
     with_settings,
 )
 from data_module.speech.beats import BeatSettings
-from data_module.speech.speech_encoder import EncoderConfig
+from data_module.speech.front_ends import EncoderConfig
 from generator.model import GeneratorConfig
 from interpreters import entries
 from interpreters.settings import (

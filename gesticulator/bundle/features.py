@@ -20,7 +20,7 @@ from data_module import controls
 from data_module.errors import InputError
 from data_module.motion.representation import REPRESENTATIONS, Representation, representation
 from data_module.speech.audio import SAMPLE_RATE
-from data_module.speech.front_ends import FrontEnd, MelFrontEnd, front_end
+from data_module.speech.front_ends import FrontEnd, MelFrontEnd
 from data_module.types import Array, BeatFlag, Blocks, Samples
 from gesticulator.bundle.config import Config
 
@@ -235,6 +235,10 @@ def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> Front
     settings = config.front_end
     mel = MelFrontEnd(settings.bands, 3 * rhythm.frames, block_module.samples_per_frame(SAMPLE_RATE, rhythm.fps),
                       SAMPLE_RATE, robust=settings.robust)
+    if settings.name == "mel":
+        return mel
+    from data_module.speech.learned_front_ends import front_end
+
     return front_end(settings.name, mel, encoder=encoder, layers=settings.layers or None)
 
 

@@ -24,7 +24,7 @@ from safetensors.torch import load as load_tensors
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.files import parse_json, read_object
+from data_module.files import is_free, parse_json, read_object
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Skeleton
 from gesticulator.version import __version__
@@ -92,7 +92,7 @@ def write_index(folder: Path, index: dict[str, Any]) -> None:
 
 def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
     """Replace a bundle atomically by what `write(folder)` writes; InputError if anything but a bundle is there."""
-    if target.exists() and not (target / INDEX).is_file() and not (target.is_dir() and not any(target.iterdir())):
+    if not (target / INDEX).is_file() and not is_free(target):
         raise InputError(target, "exists and is not a bundle", "choose another path")
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))

@@ -174,18 +174,6 @@ def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Ar
     return np.stack(arm_turns(wrists, turned, _mixed(swings, begin, end, share)), axis=1), fingers
 
 
-def apex_place(draw: GestureDraw, which: int) -> Array:
-    """[3] metres from the left shoulder of the wrist at the apex."""
-    part = draw.script.main if which == 0 else draw.script.other
-    assert part is not None
-    place = _points(part, draw.size)[part.keys.index(part.apex)]
-    turned = _rotation_of(part.apex)
-    if not part.touches:
-        place, turned = place + draw.place[which], Rotation.from_rotvec(draw.turn[which]) * turned
-    wrist: Array = place - part.point * turned.apply([1.0, 0.0, 0.0])
-    return wrist
-
-
 def _between(times: Array, seconds: Array) -> tuple[Array, NDArray[np.int64]]:
     """For M seconds: the eased share [M] of the way from one key to the next, and the number [M] of the first."""
     begin = np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, max(len(times) - 2, 0))

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import csv
 import io
-import shutil
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from data_module.errors import InputError
-from data_module.files import lock, rename, write_text
+from data_module.files import lock, new_folder, write_text
 from data_module.gesture_takes import COLUMNS, SIZES, TAKES
 from data_module.motion import rotation
 from data_module.motion.bvh import bvh_text
@@ -43,25 +41,14 @@ def write_takes(out: Path, seed: int = 1, names: Collection[str] = REPERTOIRE) -
     """Write OUT/LABEL_SIZE_NUMBER.bvh (metres) and OUT/takes.csv, whole or not at all; the number of takes. The same
     seed gives the same bytes. names: of the gestures; those that offend are left out. InputError if OUT exists and is
     not empty."""
-    with lock(out, "a drawing of takes", beside=True):
-        if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-            raise InputError(out, "is already there", "delete it or choose another folder")
-        partial = out.with_name(out.name + ".partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        try:
-            rows = [row for gesture in REPERTOIRE.values() if gesture.name in names and not gesture.offensive
-                    for row in _drawn(gesture, partial, seed)]
-            table = io.StringIO()
-            writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
-            write_text(partial / TAKES, table.getvalue())
-            if out.exists():
-                out.rmdir()
-            rename(partial, out)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+    with lock(out, "a drawing of takes", beside=True), new_folder(out) as partial:
+        rows = [row for gesture in REPERTOIRE.values() if gesture.name in names and not gesture.offensive
+                for row in _drawn(gesture, partial, seed)]
+        table = io.StringIO()
+        writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(partial / TAKES, table.getvalue())
     return len(rows)
 
 

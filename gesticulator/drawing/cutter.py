@@ -21,13 +21,13 @@ from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.beats import BeatTracker
 from data_module.speech.front_ends import FrontEnd
 from data_module.speech.onsets import OnsetTracker
-from data_module.speech.pitch import PitchLevel
 from data_module.speech.silence import (
     FRAME,
     STEP,
     LoudnessStep,
     LoudnessTracker,
     PauseTracker,
+    PitchLevel,
     SteadyStart,
     VoiceLevel,
     frame_after,

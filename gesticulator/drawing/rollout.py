@@ -4,7 +4,7 @@ People decide stroke by stroke: a preparation begins where the hand happens to b
 on how the hand came there. So where the planner lets the hands set out (a preparation begins, or a stroke that was not
 prepared), the block is generated as the first of a performance, from a pose h that is keyed by seed and time, at rest.
 What is shown is the generated motion g plus an offset that fades from the difference of the pose p and the velocity v
-last shown (inertialisation, as in games; `data_module.motion.inertialisation`):
+last shown (inertialisation, as in games; `data_module.motion.kinematics`):
 
     x(t) = g(t) + (p - h) a(s) + v T b(s),   s = (t - t_0) / T
 
@@ -27,7 +27,7 @@ from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.layers import without_after
-from data_module.motion.inertialisation import fade_weights
+from data_module.motion.kinematics import fade_weights
 from data_module.types import Array
 from gesticulator.body.life import SIDES
 from gesticulator.body.rest import Rest, RestKnots

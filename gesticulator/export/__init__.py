@@ -1,1 +1,1 @@
-"""Writers: each takes a `gesticulator.export.scene.Scene`; `gesticulator.export.writers.WRITERS` selects by suffix."""
+"""Writers: each takes a `gesticulator.export.writers.Scene`; `WRITERS` beside it selects by suffix."""

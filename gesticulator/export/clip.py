@@ -15,8 +15,6 @@ MOST_KEYS = 5.0
 """Largest bound, degrees: beyond, gestures lose their shape."""
 CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".parquet", ".usda", ".usdc", ".vrma")
 """Suffixes of formats for which loop, mask, layer, root and sound have a meaning."""
-REDUCED = (".fbx", ".glb", ".vrma")
-"""Suffixes of formats with keys of their own for every track."""
 _LONGEST_NAME = 100
 
 

@@ -30,7 +30,7 @@ from gesticulator.export.gltf import (
     transform,
 )
 from gesticulator.export.nodes import NodeMotion
-from gesticulator.export.scene import Scene
+from gesticulator.export.writers import Scene
 
 _EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
 LIVE_LINK = ("Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT),

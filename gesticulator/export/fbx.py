@@ -10,7 +10,7 @@ from data_module.files import write_bytes
 from gesticulator.characters.blender import job_in_blender
 from gesticulator.export.glb import write_glb
 from gesticulator.export.own_fbx import SCRIPT, own_character, write_animated
-from gesticulator.export.scene import Scene
+from gesticulator.export.writers import Scene
 
 
 def write_fbx(path: Path, scene: Scene) -> Path:

@@ -33,7 +33,7 @@ from data_module.files import write_bytes
 from data_module.motion import skeletons
 from data_module.types import Array, Samples, Speech
 from gesticulator.export.figure import FLOOR, FlatPart, body, figure_points, flattened, legs
-from gesticulator.export.scene import Scene
+from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -15,8 +15,8 @@ from gesticulator.export.clip import STEADY, ClipLayout
 from gesticulator.export.gltf import VERTICES, GltfDocument, Numbers, node_tree, open_gltf, transform
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.own_fbx import write_animated
-from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import figure
+from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
     from data_module.face import FaceMotion

@@ -25,7 +25,7 @@ from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.types import Array, Motion, Skeleton
 from gesticulator.export import sound
 from gesticulator.export.gltf import open_gltf
-from gesticulator.export.scene import Scene
+from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
     from data_module.face import FaceMotion

@@ -15,7 +15,7 @@ from data_module.types import Array
 from gesticulator.characters.blender import job_in_blender
 from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.clip import STEADY, ClipLayout
-from gesticulator.export.scene import Scene
+from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
     from data_module.face import FaceMotion

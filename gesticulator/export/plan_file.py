@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from data_module.files import write_text
-from gesticulator.export.scene import Scene
+from gesticulator.export.writers import Scene
 
 
 def write_plan(path: Path, scene: Scene) -> Path:

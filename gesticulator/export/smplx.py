@@ -10,7 +10,7 @@ import numpy as np
 from data_module.files import write_bytes
 from data_module.motion.kinematics import resample
 from data_module.motion.smplx import smplx_arrays
-from gesticulator.export.scene import Scene
+from gesticulator.export.writers import Scene
 
 FPS = 30.0
 """Frames per second of BEAT2; the scene is resampled."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from data_module.files import write_bytes, write_text
 from gesticulator.export.nodes import NodeMotion
-from gesticulator.export.scene import Scene
+from gesticulator.export.writers import Scene
 
 COLUMNS = ("time", "joint", "parent", "x", "y", "z", "qw", "qx", "qy", "qz")
 """time: seconds. joint, parent: names of the joint and its parent ("" for the root). x, y, z: world position, metres, Y

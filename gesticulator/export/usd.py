@@ -17,8 +17,8 @@ from data_module.files import write_bytes
 from gesticulator.characters.face_shapes import ARKIT
 from gesticulator.export.clip import NAME, ClipLayout
 from gesticulator.export.nodes import NodeMotion
-from gesticulator.export.scene import Scene
 from gesticulator.export.stick_figure import FigureMesh, figure
+from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
     from data_module.face import FaceMotion

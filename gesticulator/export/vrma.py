@@ -19,7 +19,7 @@ from data_module.types import Array, Motion
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.gltf import GltfDocument, Numbers, node_tree
 from gesticulator.export.nodes import NodeMotion, of_motion
-from gesticulator.export.scene import Scene
+from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
     from data_module.face import FaceMotion

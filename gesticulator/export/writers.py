@@ -1,4 +1,4 @@
-"""The table of writers by file suffix, and the function `write`.
+"""What is written (`Scene`), the table of writers by file suffix, the function `write`, and the writer of BVH files.
 
 A new format is one writer in this folder and one entry in `WRITERS`.
 """
@@ -7,15 +7,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from data_module.errors import InputError
+from data_module.motion.skeletons import standing
 from data_module.registry import Registry, RegistryEntry, Requirement
+from data_module.types import Motion, Speech
 
 if TYPE_CHECKING:
-    from gesticulator.export.scene import Scene
+    from data_module.face import FaceMotion
+    from gesticulator.characters.rig import CharacterMotion
+    from gesticulator.export.clip import ClipLayout
+    from gesticulator.export.nodes import NodeMotion
+    from gesticulator.plan.plan import GesturePlan
 
 _VIDEO = Requirement("av", "PyAV", "video")
 _USD = Requirement("pxr", "usd-core", "usd")
@@ -23,7 +30,7 @@ _USD = Requirement("pxr", "usd-core", "usd")
 WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be written", {
     ".bml": RegistryEntry("gestures with their times in Behavior Markup Language",
                           "gesticulator.export.plan_file:write_bml"),
-    ".bvh": RegistryEntry("motion in centimetres and degrees", "gesticulator.export.bvh:write_bvh_file"),
+    ".bvh": RegistryEntry("motion in centimetres and degrees", "gesticulator.export.writers:write_bvh_file"),
     ".csv": RegistryEntry("positions and rotations, a row per joint and frame", "gesticulator.export.table:write_csv"),
     ".face.csv": RegistryEntry("the face in ARKit's names, as Live Link Face records it",
                                "gesticulator.export.face:write_live_link"),
@@ -50,6 +57,57 @@ WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be wri
 
 UNITS = {"cm": 0.01, "m": 1.0}
 """Unit of length of a BVH file -> metres."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A recording with gestures, ready to be written.
+
+    motion: on the default skeleton, as generated. speech: the audio. make_plan: computes the plan, only for writers
+    that need it. character: the same motion on the user's character, if any. layout: how it is laid out for animation
+    tools; None: by default. face: of the same frames, if any.
+    """
+
+    motion: Motion
+    speech: Speech
+    make_plan: Callable[[], GesturePlan]
+    character: CharacterMotion | None = None
+    layout: ClipLayout | None = None
+    face: FaceMotion | None = None
+
+    @property
+    def clip(self) -> ClipLayout:
+        """How the motion is laid out for animation tools."""
+        from gesticulator.export.clip import ClipLayout
+
+        return self.layout or ClipLayout()
+
+    @property
+    def duration(self) -> float:
+        """Duration of the audio, seconds."""
+        return self.speech.duration
+
+    @property
+    def fps(self) -> float:
+        """Frames per second of the motion."""
+        return self.motion.fps
+
+    @property
+    def plan(self) -> GesturePlan:
+        """The blocks with their gestures, the reasons for them, and the names of the lexemes."""
+        return self.make_plan()
+
+    @property
+    def standing(self) -> Motion:
+        """The motion on the default skeleton, standing on the floor."""
+        return standing(self.motion)
+
+    @property
+    def nodes(self) -> NodeMotion:
+        """The nodes to write: the user's character if there is one, else the default skeleton."""
+        from gesticulator.export.nodes import of_character, of_motion
+
+        return of_motion(self.standing) if self.character is None else of_character(self.character)
 
 
 def suffix_of(path: str | os.PathLike[str]) -> str:
@@ -93,3 +151,24 @@ def write(path: str | os.PathLike[str], scene: Scene, *, unit: str = "cm") -> Pa
     check_output(path, unit)
     writer = writer_for(path)
     return (writer if unit == "cm" else partial(writer, unit=unit))(Path(path), scene)
+
+
+def write_bvh_file(path: Path, scene: Scene, unit: str = "cm") -> Path:
+    """`.bvh`: write the motion, standing on the floor, at its frame rate. A character from a BVH file keeps that file's
+    hierarchy and unit. Returns `path`."""
+    from data_module.motion import bvh
+
+    moved = scene.character
+    if moved is not None and moved.character.kind == "bvh":
+        from gesticulator.characters.bvh_rig import write_character_bvh
+
+        placed = None if moved.translations is None else (moved.hips, moved.translations)
+        write_character_bvh(path, moved.character, moved.rotations, placed, moved.fps)
+        return path
+    motion = scene.standing
+    if moved is not None:
+        from gesticulator.export.nodes import of_character, with_identity_rest
+
+        motion = with_identity_rest(of_character(moved))
+    bvh.write_bvh(path, motion, UNITS[unit])
+    return path

@@ -17,8 +17,6 @@ from data_module.files import read_table
 __all__ = ["ALIASES", "EXPRESSIONS", "GESTURES", "REPERTOIRE", "NamedGesture", "mark_of", "near_gestures"]
 
 _TABLE = Path(__file__).with_name("gestures.csv")
-HANDS_OF_GESTURES = ("one", "two", "one or two", "head")
-"""Which hands make a gesture; "head": head and trunk alone."""
 ALIASES: Mapping[str, str] = {
     "wave": "wave hello", "me": "point self", "stop": "stop palm", "open palms": "palms question",
     "shake head": "head shake", "size big": "big spread", "size small": "small pinch",
@@ -29,9 +27,10 @@ ALIASES: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class NamedGesture:
-    """A gesture that has a name. category: its kinds, from the most general one on; hands: one of `HANDS_OF_GESTURES`;
-    core: talk often calls for it; weak: it is hard to tell from others without the words; offensive: it insults
-    somewhere, so that only an explicit cue may ask for it; meaning: what it says, in one sentence."""
+    """A gesture that has a name. category: its kinds, from the most general one on; hands: those that make it, "one",
+    "two", "one or two", or "head" for head and trunk alone; core: talk often calls for it; weak: it is hard to tell
+    from others without the words; offensive: it insults somewhere, so that only an explicit cue may ask for it;
+    meaning: what it says, in one sentence."""
 
     name: str
     category: tuple[str, ...]
