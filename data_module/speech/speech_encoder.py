@@ -25,7 +25,8 @@ SHAPES = ((10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1))
 LEVELS = len(SHAPES)
 LOW, HIGH = 2, 8
 """The levels that the paper takes as a_low and a_high."""
-_ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = dict(zip(ACTIVATIONS, (F.gelu, F.relu), strict=True))
+_GELU, _RELU = ACTIVATIONS
+_ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {_GELU: F.gelu, _RELU: F.relu}
 
 
 def hop_and_reach(level: int) -> tuple[int, int]:
