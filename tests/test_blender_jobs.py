@@ -105,8 +105,8 @@ def test_the_scene_that_blender_keeps_gives_the_file_that_the_character_gives(tm
         run_in_blender(glb, WRITE, str(glb), str(target), "30")
     read_ahead(rig)
     character, kept = read_fbx_character(rig), kept_scene(rig)
-    np.savez(tmp_path / "motion.npz", names=np.array([character.names[4]]), shifts=np.zeros((0, 3)), hips=np.array([""]),
-             turns=np.array([[[1.0, 0.0, 0.0, 0.0]], [[0.6, 0.8, 0.0, 0.0]]]))
+    np.savez(tmp_path / "motion.npz", names=np.array([character.names[4]]), shifts=np.zeros((0, 3)),
+             hips=np.array([""]), turns=np.array([[[1.0, 0.0, 0.0, 0.0]], [[0.6, 0.8, 0.0, 0.0]]]))
     made = []
     for number, source in enumerate((kept, rig)):
         target = tmp_path / f"{number}.fbx"

@@ -2,7 +2,8 @@
 
     python fbx_child.py IN.fbx OUT.json [KEPT.blend]
 
-KEPT.blend is where the imported scene is kept for the jobs that write it. It imports nothing from this package: Blender has its own Python.
+KEPT.blend is where the imported scene is kept for the jobs that write it. The script imports nothing from this package:
+Blender has its own Python.
 """
 
 from __future__ import annotations
