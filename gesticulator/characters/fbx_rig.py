@@ -59,7 +59,8 @@ def read_fbx_character(path: str | os.PathLike[str]) -> Character:
     source = Path(path)
     if not source.is_file():
         raise InputError(path, "does not exist" if not source.exists() else "is not a regular file", "check the path")
-    job, target = _ahead.pop(source.resolve(), None) or _start(source)
+    whole = source.resolve()
+    job, target = _ahead.pop(whole) if whole in _ahead else _start(source)
     replace(job, subject=source).wait()
     document: dict[str, Any] = read_json(target, "export it again", _LARGEST)
     target.unlink()
