@@ -138,7 +138,7 @@ def _boxes(body: Figure, keys: list[str]) -> tuple[np.ndarray, np.ndarray, np.nd
         below = [child for child in keys if body.parents[child] == key]
         parent = body.parents[key]
         end = body.places[below[0]] if below else start + 0.5 * (start - body.places[parent or key])
-        end = start + [0.0, 0.2, 0.0] if key == "Head" else end
+        end = start + np.array([0.0, 0.2, 0.0]) if key == "Head" else end
         way = (end - start) / np.linalg.norm(end - start)
         x = np.cross(way, [0.1, 0.2, 1.0]) / np.linalg.norm(np.cross(way, [0.1, 0.2, 1.0]))
         y, at = np.cross(way, x), len(points)

@@ -117,7 +117,7 @@ def spread(push: Array, points: list[HandPoint], trunk: Obstacle, arm: tuple[Arr
     arm: [T, 3] the wrist from its shoulder, without correction, and the length of the arm; metres.
     """
     reached, length = arm
-    width, loops = AHEAD * fps / np.sqrt(_TURNS), np.linalg.norm(reached[0] - reached[-1]) < _CLOSED
+    width, loops = AHEAD * fps / np.sqrt(_TURNS), bool(np.linalg.norm(reached[0] - reached[-1]) < _CLOSED)
     pace = maximum_filter1d(_speeds(reached), round(2.0 * _NEAR * fps) + 1)
     for _ in range(_TURNS):
         hasty = np.clip(_speeds(reached + push) / np.maximum(pace, _SLOW / fps) - 1.0, 0.0, 1.0)
