@@ -2,9 +2,9 @@
 
 `gesticulator infer` brings 12 s of speech onto characters in FBX files and writes FBX: for one recording, and for two,
 which share one Blender. Shown are processor time and wall time of the whole command, its start, models and Blender
-included, the processor time of each further recording, and the size of the file against that of the character. The first row is the
-same recording as BVH, without Blender. Without files, characters of the zoo (`tests/zoo.py`) are converted, one of them
-with a mesh four times as fine, too.
+included, the processor time of each further recording, and the size of the file against that of the character. The
+first row is the same recording as BVH, without Blender. Without files, characters of the zoo (`tests/zoo.py`) are
+converted, one of them with a mesh four times as fine, too.
 """
 
 from __future__ import annotations
