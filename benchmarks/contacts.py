@@ -3,9 +3,11 @@
 A performance of the shipped weights with the hands near the body (`--hand-radius .15`, `--hold-still`) is brought onto
 characters in files (by default those of the zoo that are moved, `tests/zoo.py`) and onto generated rigs with a trunk
 twice as deep as ours, with the correction of contacts and without. Shown are the share of time in which a wrist or
-knuckle of the worse moment is inside the body, the depth, and the fastest hand. Inside of a file is what its skinned
-mesh without the arms encloses (its winding number is above one half), and the depth is the distance from the mesh; of a
-rig, the column that its mesh was made of. A file without a mesh has no body to be inside of, and is left out.
+knuckle of the worse moment is inside the body, the depth, and the fastest hand; and how fast that is where each frame
+is corrected by itself (`gesticulator.characters.trunk` without `gesticulator.characters.detours`), the control. Inside
+of a file is what its skinned mesh without the arms encloses (its winding number is above one half), and the depth is
+the distance from the mesh; of a rig, the column that its mesh was made of. A file without a mesh has no body to be
+inside of, and is left out.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import argparse
 import shlex
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +30,7 @@ from data_module.speech.audio import load_speech  # noqa: E402
 from data_module.types import Array, Motion  # noqa: E402
 from eval.table import Column, Provenance, Table, publish  # noqa: E402
 from gesticulator import Gesticulator  # noqa: E402
-from gesticulator.characters import gltf_skin, shape  # noqa: E402
+from gesticulator.characters import detours, gltf_skin, shape  # noqa: E402
 from gesticulator.characters.mapping import SIDES, ancestors  # noqa: E402
 from gesticulator.characters.reading import read_character  # noqa: E402
 from gesticulator.characters.retarget import Retargeter  # noqa: E402
@@ -46,7 +49,8 @@ COLUMNS = {"free": Column("inside, uncorrected", "%", 1, "low"), "free_deep": Co
            "free_speed": Column("fastest hand", "m/s", 2), "kept": Column("inside", "%", 1, "low"),
            "kept_over": Column("over 1 cm inside", "%", 1, "low"),
            "kept_deep": Column("deepest, corrected", "mm", 1, "low"),
-           "kept_speed": Column("fastest hand, corrected", "m/s", 2, "low")}
+           "kept_speed": Column("fastest hand, corrected", "m/s", 2, "low"),
+           "framed_speed": Column("corrected frame by frame", "m/s", 2, "low")}
 
 
 def winding(corners: Array, point: Array) -> float:
@@ -110,12 +114,23 @@ def fastest(hands: Array) -> float:
     return float(np.linalg.norm(np.diff(hands, axis=0), axis=-1).max()) * FPS
 
 
-def row(bare: tuple[Array, float], kept: tuple[Array, float]) -> dict[str, float]:
-    """Depths [T] and the fastest hand, without and with the correction."""
+@contextmanager
+def frame_by_frame() -> Iterator[None]:
+    """Corrections are not spread over time."""
+    spread = detours.spread
+    detours.spread = lambda push, *_: push
+    try:
+        yield
+    finally:
+        detours.spread = spread
+
+
+def row(bare: tuple[Array, float], kept: tuple[Array, float], framed: float) -> dict[str, float]:
+    """Depths [T] and the fastest hand, without and with the correction; and with that of each frame by itself."""
     return {"free": 100.0 * float((bare[0] > 0.0).mean()), "free_deep": 1000.0 * float(bare[0].max()),
             "free_speed": bare[1], "kept": 100.0 * float((kept[0] > 0.0).mean()),
             "kept_over": 100.0 * float((kept[0] > DEEP).mean()), "kept_deep": 1000.0 * float(kept[0].max()),
-            "kept_speed": kept[1]}
+            "kept_speed": kept[1], "framed_speed": framed}
 
 
 def of_file(path: Path, motion: Motion) -> dict[str, float]:
@@ -123,23 +138,24 @@ def of_file(path: Path, motion: Motion) -> dict[str, float]:
     retargeter = Retargeter(read_character(path))
     if not len(retargeter.character.skin.triangles):
         raise InputError(path, "holds no mesh", "give a file with a mesh")
+    unit = retargeter.body.unit
     skin, hands, found = body_skin(retargeter), [retargeter.mapping.joints[side + "Hand"] for side in SIDES], []
     for contacts in (False, True):
         retargeter.contacts = contacts
         moved = retargeter(motion)
-        places = moved.world_matrices()[:, :, :3, 3][:, hands] * retargeter.body.unit
-        found.append((depths(retargeter, skin, moved), fastest(places)))
-    return row(*found)
+        found.append((depths(retargeter, skin, moved), fastest(moved.world_matrices()[:, hands, :3, 3] * unit)))
+    with frame_by_frame():
+        return row(*found, fastest(retargeter(motion).world_matrices()[:, hands, :3, 3] * unit))
 
 
 def of_rig(rig: Rig, motion: Motion) -> dict[str, float]:
     """The row of a generated rig, whose trunk is known."""
-    found = []
+    found, hands = [], [rig.truth[side + "Hand"] for side in SIDES]
     for contacts in (False, True):
         moved = Retargeter(rig.character, contacts=contacts)(motion)
-        places = places_of(rig, moved)[:, [rig.truth[side + "Hand"] for side in SIDES]]
-        found.append((inside(rig, moved, rig.torso) * min(rig.torso), fastest(places)))
-    return row(*found)
+        found.append((inside(rig, moved, rig.torso) * min(rig.torso), fastest(places_of(rig, moved)[:, hands])))
+    with frame_by_frame():
+        return row(*found, fastest(places_of(rig, Retargeter(rig.character)(motion))[:, hands]))
 
 
 def rigs(seed: int, count: int) -> Iterator[Rig]:

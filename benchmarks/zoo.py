@@ -13,6 +13,7 @@ import http.server
 import io
 import sys
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,8 @@ MOMENTS = (1.5, 5.0, 9.0)
 WIDTH, HEIGHT, CAPTION = 120, 150, 13
 """Pixels of a picture, and of the line above three of them."""
 COLUMNS = 4
+SILENT = 300
+"""Seconds without a request after which a page that is not ready is given up."""
 _NAMES = {".gltf": "model/gltf+json", ".glb": "model/gltf-binary"}
 
 
@@ -69,15 +72,31 @@ class _Site(http.server.SimpleHTTPRequestHandler):
         """Nothing is logged."""
 
 
+def opened(browser: Any, address: str) -> Any:
+    """The page, once it is ready, however busy the machine is. RuntimeError if it says that something is wrong;
+    TimeoutError if it has asked for nothing for `SILENT` seconds."""
+    page, wrong, last = browser.new_page(), [], [time.monotonic()]
+    page.set_default_timeout(0)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("requestfailed", lambda request: wrong.append(f"{request.url}: {request.failure}"))
+    page.on("requestfinished", lambda _: last.append(time.monotonic()))
+    page.goto(address, wait_until="commit")
+    while not page.evaluate("Boolean(window.ready)"):
+        if wrong:
+            raise RuntimeError(f"{address}: {wrong[0]}")
+        if time.monotonic() - last[-1] > SILENT:
+            raise TimeoutError(f"{address}: not ready, and no request for {SILENT} s")
+        page.wait_for_timeout(200)
+    return page
+
+
 def pictures(animals: list[tuple[Animal, Path, Retargeter]], motion: Motion) -> list[tuple[str, list[bytes]]]:
     """The name of each character and its JPEGs."""
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _Site)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     out = []
     with chromium() as browser:
-        page = browser.new_page()
-        page.goto(f"http://127.0.0.1:{server.server_port}/zoo.html")
-        page.wait_for_function("window.ready")
+        page = opened(browser, f"http://127.0.0.1:{server.server_port}/zoo.html")
         for animal, file, retargeter in animals:
             address = "/zoo/" + str(file.relative_to(folder()))
             drawn = page.evaluate("([file, pose, w, h]) => draw(file, pose, w, h)",

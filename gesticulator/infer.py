@@ -23,7 +23,16 @@ from gesticulator.arguments import (
     plan_from_args,
     print_list,
 )
-from gesticulator.batch.jobs import Job, check_job, clip_is_asked, is_folder, perform, plan, retargeter_for
+from gesticulator.batch.jobs import (
+    Job,
+    check_job,
+    clip_is_asked,
+    is_folder,
+    perform,
+    plan,
+    prepare_blender,
+    retargeter_for,
+)
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.export.writers import UNITS, WRITERS, check_output, suffix_of
 
@@ -103,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
     check_choices(args)
     if not args.list and (args.manifest or args.shard or args.ray):
         return _run_batch(jobs, args)
+    prepare_blender(jobs, args)
     retargeter = None if args.list else retargeter_for(args, _upper(args))
     alone = len(jobs) == 1
     done = 0
@@ -141,6 +151,7 @@ def _worker(jobs: Sequence[Job], args: argparse.Namespace) -> Callable[[int], fl
     """Load the models; returns a function that processes a job by its number and returns its duration in seconds."""
     from gesticulator.pipeline import Gesticulator
 
+    prepare_blender(jobs, args)
     retargeter = retargeter_for(args, _upper(args))
     with limited_threads(int(args.threads)):
         system = Gesticulator.from_pretrained(args.bundle)

@@ -15,10 +15,11 @@ from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator.body.clearance import cleared
 from gesticulator.characters.contacts import MARGIN, OURS, our_distances, pose_of
-from gesticulator.characters.retarget import Retargeter
+from gesticulator.characters.detours import HandPoint, Obstacle, spread
+from gesticulator.characters.retarget import CharacterMotion, Retargeter
 from gesticulator.characters.trunk import HandLimit, Outline, TrunkAxes, displacement, ellipse, outline_of
 from tests.rig_errors import inside, places_of
-from tests.rigs import draw
+from tests.rigs import Rig, draw
 
 STOUT = (0.24, 0.25)
 LENGTH, FPS = 0.5, 60.0
@@ -75,10 +76,45 @@ def test_a_hand_whose_way_leads_through_a_stout_trunk_is_led_around_without_a_ju
     assert steps.max() < 4.0 * np.linalg.norm(np.diff(our, axis=1), axis=0).max()
 
 
+def test_a_hand_that_is_led_around_a_stout_trunk_starts_early_and_is_not_hasty() -> None:
+    """Ours crosses at the speed of a stroke; frame by frame theirs would be twice as fast, which is the control. The
+    way around is longer, too."""
+    time = np.arange(1200) / 400.0
+    across = 0.35 - 0.55 / (1.0 + np.exp(-12.0 * (time - 1.5)))
+    our = np.stack([across, np.full(1200, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125
+                                                         - 0.5 * (np.abs(across) - OURS[0]))])
+    their = our * np.array([[0.9], [1.0], [0.5]])
+    limit = limited(our, their, ellipse(*STOUT))
+    upright = TrunkAxes(np.tile(np.eye(3), (1200, 1, 1)), np.full(1200, LENGTH))
+    framed = limit.lack[:, None] * limit.normal
+    push = spread(framed, [HandPoint(their.T, limit.margin)], Obstacle(upright, ellipse(*STOUT), 1.0),
+                  (their.T, 1.0), 400.0)
+    speeds = [np.linalg.norm(np.diff(their.T + moved, axis=0), axis=1).max() * 400.0 for moved in (0.0, push, framed)]
+    assert beside((their.T + push).T, *STOUT).min() > 0.99, "36 tangents are up to 0.4 % outside of an ellipse"
+    assert speeds[1] < 1.65 * speeds[0] and speeds[2] > 1.95 * speeds[0]
+    np.testing.assert_allclose(push[[0, -1]], framed[[0, -1]], atol=2e-3)
+
+
+@pytest.mark.parametrize("fps", [24.0, 120.0])
+def test_displacements_of_a_loop_stay_a_loop_at_any_frame_rate(fps: float) -> None:
+    """A turn of the hand about our trunk, slower and faster by turns: displacements meet at the seam as elsewhere."""
+    time = np.arange(round(4.0 * fps)) / (4.0 * fps)
+    angle = 2.0 * np.pi * time + 0.8 * np.sin(2.0 * np.pi * time)
+    our = np.stack([(OURS[0] + 0.02) * np.cos(angle), np.full(len(time), 0.25), (OURS[1] + 0.02) * np.sin(angle)])
+    limit = limited(our, our, ellipse(*STOUT))
+    upright = TrunkAxes(np.tile(np.eye(3), (len(time), 1, 1)), np.full(len(time), LENGTH))
+    push = spread(limit.lack[:, None] * limit.normal, [HandPoint(our.T, limit.margin)],
+                  Obstacle(upright, ellipse(*STOUT), 1.0), (our.T, 1.0), fps)
+    around = np.concatenate([push, push[:2]])
+    jerks = np.linalg.norm(np.diff(around, 2, axis=0), axis=1)
+    assert jerks[-2:].max() <= 1.1 * np.percentile(jerks[:-2], 99)
+    assert beside((our.T + push).T, *STOUT).min() > 0.99
+
+
 def test_an_arm_that_is_too_short_for_a_goal_reaches_another_outside() -> None:
     reached, arm = np.array([[0.1, -0.3, 0.1]]), 0.4
-    ahead = HandLimit(np.array([[0.0, 0.0, 1.0]]), np.array([0.2]))
-    aside = HandLimit(np.array([[0.8, 0.0, 0.6]]), np.array([0.05]))
+    ahead = HandLimit(np.array([[0.0, 0.0, 1.0]]), np.array([0.2]), np.zeros(1))
+    aside = HandLimit(np.array([[0.8, 0.0, 0.6]]), np.array([0.05]), np.zeros(1))
     push = displacement([ahead, aside], reached, arm)
     assert np.linalg.norm(reached + push) <= arm + 1e-9
     assert push[0, 2] > 0.199 and push[0] @ [0.8, 0.0, 0.6] >= 0.05
@@ -93,26 +129,41 @@ def test_the_outline_of_a_mesh_is_that_of_the_column_it_was_made_of() -> None:
     np.testing.assert_allclose(outline.reach, column, atol=0.012)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3])
-def test_an_arm_swung_across_a_stout_body_stays_outside_and_does_not_jump(seed: int) -> None:
+def swung() -> Motion:
+    """Two seconds in which the left hand is quickly swung across the body and back, in front of our trunk."""
     time = np.arange(120) / FPS
     turns = np.zeros((len(time), len(WHOLE_BODY), 4))
     turns[..., 0] = 1.0
     down = rotation.from_exponential_map(np.tile([0.0, 0.0, -1.1], (len(time), 1)))
-    swing = rotation.from_exponential_map((1.2 + 0.9 * np.sin(2 * np.pi * time))[:, None] * [0.0, -1.0, 0.0])
+    swing = rotation.from_exponential_map((1.2 + 0.9 * np.tanh(3.0 * np.sin(np.pi * time)))[:, None] * [0.0, -1.0, 0.0])
     turns[:, WHOLE_BODY.index("LeftArm")] = rotation.multiply(swing, down)
     turns[:, WHOLE_BODY.index("LeftForeArm")] = rotation.from_exponential_map(np.tile([0.0, -1.9, 0.0], (120, 1)))
     turns[:, WHOLE_BODY.index("RightArm")] = rotation.from_exponential_map(np.tile([0.0, 0.0, 0.8], (120, 1)))
-    motion = cleared(Motion(WHOLE_BODY, turns, np.zeros((len(time), 3)), FPS))
+    return cleared(Motion(WHOLE_BODY, turns, np.zeros((len(time), 3)), FPS))
+
+
+def peaks(rig: Rig, moved: CharacterMotion) -> tuple[float, float]:
+    """m/s and m/s^2 of the left hand where it is the fastest and where its speed changes most."""
+    places = places_of(rig, moved)[:, rig.truth["LeftHand"]]
+    return tuple(float(np.linalg.norm(np.diff(places, order, axis=0), axis=1).max()) * FPS ** order for order in (1, 2))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_an_arm_swung_across_a_stout_body_stays_outside_and_is_not_faster(
+        seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The control is the correction of each frame by itself, which leads the hand around in the time in which it would
+    have gone through."""
+    motion = swung()
     assert our_distances(pose_of(motion))["Left"].min() > -1e-3
     rig = draw(seed, "mixamo", "A", True)
-    through = inside(rig, Retargeter(rig.character, contacts=False)(motion), rig.torso)
-    moved = Retargeter(rig.character)(motion)
-    assert through.max() > 0.3 and inside(rig, moved, rig.torso).max() == 0.0
-    bare = places_of(rig, Retargeter(rig.character, contacts=False)(motion))[:, rig.truth["LeftHand"]]
-    kept = places_of(rig, moved)[:, rig.truth["LeftHand"]]
-    speeds = [np.linalg.norm(np.diff(places, axis=0), axis=1).max() for places in (bare, kept)]
-    assert speeds[1] < 2.5 * speeds[0]
+    bare, moved = (Retargeter(rig.character, contacts=contacts)(motion) for contacts in (False, True))
+    monkeypatch.setattr("gesticulator.characters.detours.spread", lambda push, *_: push)
+    framed = Retargeter(rig.character)(motion)
+    deep = [inside(rig, one, rig.torso).max() for one in (bare, moved, framed)]
+    assert deep[0] > 0.3 and deep[1] < 0.004 and deep[2] == 0.0, "a millimetre of a stout trunk is 0.004 of it"
+    speeds, changes = zip(*(peaks(rig, one) for one in (bare, moved, framed)), strict=True)
+    assert speeds[1] < 1.0 * speeds[0] < 1.04 * speeds[0] < speeds[2]
+    assert changes[1] < 0.9 * changes[0] < changes[2]
 
 
 def test_the_page_limits_hands_as_python_does() -> None:

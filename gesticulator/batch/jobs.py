@@ -14,7 +14,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -194,6 +194,22 @@ def check_job(job: Job, args: argparse.Namespace) -> None:
     elif sys.stdin is None or sys.stdin.isatty():
         raise InputError("standard input", "is closed" if sys.stdin is None else "is a terminal",
                          f"pipe a recording into {PROGRAM}, or name a file")
+
+
+def prepare_blender(jobs: Sequence[Job], args: argparse.Namespace) -> None:
+    """If the command needs Blender, start it, and let it read the character, while this process loads its libraries."""
+    if args.character is not None and args.character.lower().endswith(".fbx"):
+        from gesticulator.characters.fbx_rig import read_ahead
+
+        read_ahead(args.character)
+    elif any(target.suffix.lower() == ".fbx" for job in jobs for target in job.targets):
+        from gesticulator.characters.blender import start_blender
+
+        with suppress(InputError):  # said when it is needed
+            start_blender(jobs[0].targets[0])
+    else:
+        return
+    import gesticulator.pipeline  # noqa: F401 - torch takes as long to load as Blender
 
 
 def retargeter_for(args: argparse.Namespace, upper: bool = False) -> Retargeter | None:

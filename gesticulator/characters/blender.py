@@ -2,12 +2,13 @@
 
 Blender is either a Python with the `bpy` wheel (this one, or another), or the program `blender`. Its start takes
 seconds, so the jobs of one process, reading a character and writing it once for each recording, share one Blender
-(`job_in_blender`).
+(`job_in_blender`), which may be started before it is needed (`start_blender`, `start_job`).
 """
 
 from __future__ import annotations
 
 import atexit
+import contextlib
 import importlib.util
 import json
 import os
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from data_module.errors import InputError
@@ -96,16 +98,23 @@ class _Worker:
     def alive(self) -> bool:
         return self._process.poll() is None
 
-    def run(self, script: Path, arguments: tuple[str, ...]) -> str:
-        """The message of the error, "" for none. TimeoutError after `SECONDS`."""
+    @property
+    def folder(self) -> Path:
+        """A folder that is there as long as this Blender."""
+        return Path(self._folder.name)
+
+    def send(self, script: Path, arguments: tuple[str, ...]) -> Path:
+        """Give it a job, which begins after those before; returns the path of its outcome."""
         self._count += 1
-        outcome, pipe = Path(self._folder.name) / f"{self._count}.json", self._process.stdin
+        outcome, pipe = self.folder / f"{self._count}.json", self._process.stdin
         assert pipe is not None
-        try:
+        with contextlib.suppress(OSError):  # one that has ended: the outcome says so
             pipe.write(json.dumps([str(script), str(outcome), *arguments]).encode() + b"\n")
             pipe.flush()
-        except OSError:
-            return self._last_line()
+        return outcome
+
+    def wait(self, outcome: Path) -> str:
+        """The message of the error of a job, "" for none. TimeoutError after `SECONDS`."""
         until = time.monotonic() + SECONDS
         while not outcome.exists():
             if not self.alive():
@@ -139,17 +148,48 @@ def _close() -> None:
             worker.close()
 
 
-def job_in_blender(subject: Path, script: Path, *arguments: str) -> None:
-    """As `run_in_blender`, in a Blender that stays for the next job of this process."""
+def _worker(subject: Path) -> _Worker:
+    """The Blender of this process, started if there is none. `InputError` about `subject` without Blender."""
     command = check_blender(subject)
     key = os.getpid(), tuple(command)
     try:
         if key not in _workers or not _workers[key].alive():
             _workers[key] = _Worker(command)
-        message = _workers[key].run(script, arguments)
     except OSError as error:
-        if isinstance(error, TimeoutError):
-            raise InputError(subject, f"took Blender more than {SECONDS} s", "give a shorter recording") from None
         raise InputError(command[0], f"cannot be run ({error.strerror or error})", _ADVICE) from None
-    if message:
-        raise InputError(subject, f"was rejected by Blender ({message.splitlines()[-1]})", _ADVICE)
+    return _workers[key]
+
+
+def start_blender(subject: Path) -> Path:
+    """Start the Blender of this process without waiting for it. Returns a folder for its files, which is removed when
+    it ends. `InputError` about `subject` without Blender."""
+    return _worker(subject).folder
+
+
+@dataclass(frozen=True)
+class BlenderJob:
+    """A job that Blender has been given. subject: what its errors are about."""
+
+    subject: Path
+    worker: _Worker
+    outcome: Path
+
+    def wait(self) -> None:
+        """Wait until it is done. `InputError` about the subject if it fails."""
+        try:
+            message = self.worker.wait(self.outcome)
+        except TimeoutError:
+            raise InputError(self.subject, f"took Blender more than {SECONDS} s", "give a shorter recording") from None
+        if message:
+            raise InputError(self.subject, f"was rejected by Blender ({message.splitlines()[-1]})", _ADVICE)
+
+
+def start_job(subject: Path, script: Path, *arguments: str) -> BlenderJob:
+    """Give the Blender of this process a job without waiting for it. `InputError` about `subject` without Blender."""
+    worker = _worker(subject)
+    return BlenderJob(subject, worker, worker.send(script, arguments))
+
+
+def job_in_blender(subject: Path, script: Path, *arguments: str) -> None:
+    """As `run_in_blender`, in a Blender that stays for the next job of this process."""
+    start_job(subject, script, *arguments).wait()

@@ -6,6 +6,7 @@ outcome is "" or the message of the error, as JSON. It imports nothing from this
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import runpy
@@ -15,6 +16,8 @@ from pathlib import Path
 
 def main() -> None:
     """Work until the other end closes the pipe."""
+    with contextlib.suppress(ImportError):  # a second, which jobs would wait for
+        import bpy  # type: ignore[import-not-found, unused-ignore]  # noqa: F401
     for line in sys.stdin:
         script, outcome, *arguments = json.loads(line)
         sys.argv = [script, "--", *arguments]

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gesticulator.characters.mapping import ancestors
+from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, SIDES, ancestors
 from gesticulator.characters.names import Label, labels
 from gesticulator.characters.rig import Character
 
@@ -25,7 +25,7 @@ _FAMILY = {"upper_arm", "forearm", "thigh", "shin"}
 def conventional(character: Character) -> tuple[Label, ...]:
     """[N] the labels of a character's nodes."""
     found = list(labels(character.names))
-    for node, entry in _rigify_spine(character, found).items():
+    for node, entry in {**_rigify_spine(character, found), **_numbered_limbs(character, found)}.items():
         found[node] = entry
     return tuple(_of_the_mesh(character, found))
 
@@ -54,6 +54,26 @@ def _rigify_spine(character: Character, found: list[Label]) -> dict[int, Label]:
            for number, node in chain.items()}
     out[chain[max(chain)]] = Label(("Head",))
     return out | {node: Label() for node in heads}
+
+
+def _numbered_limbs(character: Character, found: list[Label]) -> dict[int, Label]:
+    """Node -> label of limbs whose bones are all called arm or leg, one below the other, as those that Blender names
+    after the one that they were extruded from (Arm.L, Arm.L.001, Arm.L.002), or arm_l_1 to arm_l_3."""
+    out: dict[int, Label] = {}
+    for side in SIDES:
+        for word, ends, parts in ((("Arm", "ForeArm"), {"ForeArm", "Hand"}, ARM_PARTS),
+                                  (("Leg", "UpLeg"), {"UpLeg", "Foot"}, LEG_PARTS)):
+            sided = {node: entry for node, entry in enumerate(found)
+                     if entry.side == side and entry.parts and not entry.aid and not entry.tip}
+            line = [node for node, entry in sided.items() if entry.parts == word]
+            line.sort(key=lambda node: len(ancestors(character.parents, node)))
+            if len(line) not in (3, 4) or any(entry.parts[0] in ends for entry in sided.values()) or any(
+                    above not in ancestors(character.parents, node)
+                    for above, node in zip(line, line[1:], strict=False)):
+                continue
+            named = parts[-len(line):] if word[0] == "Arm" else parts[:len(line)]
+            out |= {node: replace(found[node], parts=(part,)) for node, part in zip(line, named, strict=True)}
+    return out
 
 
 def _of_the_mesh(character: Character, found: list[Label]) -> list[Label]:

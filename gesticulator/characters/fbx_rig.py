@@ -5,8 +5,9 @@ The armature is used as Blender imports it: metres, Z up, a rest matrix for each
 
 from __future__ import annotations
 
+import hashlib
 import os
-import tempfile
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,39 @@ import numpy as np
 
 from data_module.errors import InputError, shown
 from data_module.files import read_json
-from gesticulator.characters.blender import job_in_blender
+from gesticulator.characters.blender import BlenderJob, start_blender, start_job
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.rig import Character, Skin, decomposed
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 _LARGEST = 1 << 28
 """Largest JSON description of a rig, bytes (256 MiB): 100,000 bones take half of it."""
+
+
+_ahead: dict[Path, tuple[BlenderJob, Path]] = {}
+"""Files that Blender is reading -> the job and the file of its result."""
+
+
+def kept_scene(file: Path) -> Path:
+    """Where Blender keeps the scene that it imports a file into, as long as it runs and the file does not change.
+    `InputError` without Blender."""
+    found = file.stat()
+    name = hashlib.sha256(repr((str(file.resolve()), found.st_mtime_ns, found.st_size)).encode()).hexdigest()[:16]
+    return start_blender(file) / f"{name}.blend"
+
+
+def read_ahead(path: str | os.PathLike[str]) -> None:
+    """Let Blender start to read a file that `read_fbx_character` will be asked for. What is wrong is said then."""
+    file = Path(path).resolve()
+    if file.is_file() and file not in _ahead:
+        with suppress(InputError, OSError):
+            _ahead[file] = _start(file)
+
+
+def _start(file: Path) -> tuple[BlenderJob, Path]:
+    kept = kept_scene(file)
+    target = kept.with_suffix(".rig.json")
+    return start_job(file, SCRIPT, str(file.resolve()), str(target), str(kept)), target
 
 
 def read_fbx_character(path: str | os.PathLike[str]) -> Character:
@@ -32,10 +59,11 @@ def read_fbx_character(path: str | os.PathLike[str]) -> Character:
     source = Path(path)
     if not source.is_file():
         raise InputError(path, "does not exist" if not source.exists() else "is not a regular file", "check the path")
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "rig.json"
-        job_in_blender(source, SCRIPT, str(source.resolve()), str(target))
-        document: dict[str, Any] = read_json(target, "export it again", _LARGEST)
+    whole = source.resolve()
+    job, target = _ahead.pop(whole) if whole in _ahead else _start(source)
+    replace(job, subject=source).wait()
+    document: dict[str, Any] = read_json(target, "export it again", _LARGEST)
+    target.unlink()
     bones = document["bones"]
     if len(bones) < 2:
         raise InputError(path, "holds no armature", "export the armature, too")

@@ -17,7 +17,7 @@ from data_module.motion.skeletons import FINGERS, NAME_TABLES
 from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.conventions import conventional
-from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, NEEDED, SIDES, RigMapping, ancestors
+from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
 from gesticulator.characters.names import Label
 from gesticulator.characters.rig import UPS, Character
 
@@ -83,7 +83,9 @@ def find_joints(character: Character) -> RigMapping:
         candidates.append(_found(search))
         if candidates[-1].confidence >= 0.9:
             break
-    return max(candidates, key=lambda mapping: (round(mapping.confidence, 2), len(mapping.joints)))
+    # One that finds no legs is not the surer for it.
+    return max(candidates, key=lambda mapping: (mapping.legs and mapping.confidence >= SURE,
+                                                round(mapping.confidence, 2), len(mapping.joints)))
 
 
 # ---------------------------------------------------------------------------------------------------- by the table
@@ -134,8 +136,9 @@ def _found(search: Search) -> RigMapping:
     if trunk is not None:
         hips, spine, neck, head, how = trunk
         joints, sure = {"Hips": hips, "Head": head, **joints}, {**sure, **how}
-    else:
+    else:  # not usable; what its names say shortens the list of what it lacks
         spine = neck = ()
+        joints = {**_by_name_alone(search), **joints}
     for side in SIDES:
         if side + "Hand" in joints:
             joints |= _fingers(search, side, joints[side + "Hand"])
@@ -144,6 +147,15 @@ def _found(search: Search) -> RigMapping:
     confidence = _confidence(search, joints, sure, doubts)
     family = _family(search.character.names, [*joints.values(), *spine, *neck])
     return RigMapping(joints, spine, neck, family, confidence, tuple(doubts))
+
+
+def _by_name_alone(search: Search) -> dict[str, int]:
+    """The needed joints that one node each is named as."""
+    named: dict[str, list[int]] = {}
+    for node, entry in enumerate(search.labels):
+        if entry.parts and not entry.aid and not entry.tip:
+            named.setdefault(entry.side + entry.parts[0], []).append(node)
+    return {name: named[name][0] for name in NEEDED if len(named.get(name, ())) == 1}
 
 
 def _legs_without_feet(search: Search, ends: Mapping[str, int]) -> dict[str, int]:

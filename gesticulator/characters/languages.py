@@ -1,4 +1,4 @@
-"""Words for body parts and sides in German, French, Spanish, Italian, Portuguese, Russian, Japanese and Chinese.
+"""Words for body parts and sides in German, Dutch, French, Spanish, Italian, Portuguese, Russian, Japanese, Chinese.
 
 Artists name bones in the language that they speak. `english` replaces such words by those that
 `gesticulator.characters.names` reads; a name in plain English stays as it is.
@@ -15,44 +15,44 @@ def split(*lines: str) -> frozenset[str]:
     return frozenset(word for line in lines for word in line.split())
 
 
-LEFT = split("links linke linker linkes gauche izquierda izquierdo izq sinistra sinistro sx esquerda esquerdo esq",
-             "hidari zuo")
-RIGHT = split("rechts rechte rechter rechtes droite droit derecha derecho dcha destra destro dx direita direito dir",
-              "migi you")
+LEFT = split("links linke linker linkes linkse gauche izquierda izquierdo izq sinistra sinistro sx esquerda esquerdo",
+             "esq hidari zuo")
+RIGHT = split("rechts rechte rechter rechtes rechtse droite droit derecha derecho dcha destra destro dx direita",
+              "direito dir migi you")
 """Words for the sides, without accents."""
 
 _LATIN = {english: words.split() for english, words in {
-    "pelvis": "becken bassin bacino bacia",
+    "pelvis": "becken bassin bacino bacia bekken",
     "hips": "hanches caderas fianchi quadril",
-    "hip": "hufte huefte hanche cadera anca",
-    "spine": "wirbelsaule wirbelsaeule ruckgrat colonne columna colonna coluna",
-    "back": "rucken ruecken dos espalda schiena costas",
-    "belly": "bauch ventre vientre addome",
-    "chest": "brust brustkorb poitrine pecho petto torace peito",
-    "torso": "oberkorper oberkoerper torse tronco",
-    "neck": "hals nacken cou cuello collo pescoco",
-    "head": "kopf tete cabeza testa cabeca",
-    "shoulder": "schulter epaule hombro spalla ombro",
-    "clavicle": "schlusselbein schluesselbein clavicule clavicula clavicola",
-    "upperarm": "oberarm",
+    "hip": "hufte huefte hanche cadera anca heup",
+    "spine": "wirbelsaule wirbelsaeule ruckgrat colonne columna colonna coluna ruggengraat wervelkolom",
+    "back": "rucken ruecken dos espalda schiena costas rug",
+    "belly": "bauch ventre vientre addome buik",
+    "chest": "brust brustkorb poitrine pecho petto torace peito borst borstkas",
+    "torso": "oberkorper oberkoerper torse tronco romp",
+    "neck": "hals nacken cou cuello collo pescoco nek",
+    "head": "kopf tete cabeza testa cabeca hoofd",
+    "shoulder": "schulter epaule hombro spalla ombro schouder",
+    "clavicle": "schlusselbein schluesselbein clavicule clavicula clavicola sleutelbeen",
+    "upperarm": "oberarm bovenarm",
     "arm": "bras brazo braccio braco",
-    "forearm": "unterarm avantbras antebrazo avambraccio antebraco",
-    "elbow": "ellbogen ellenbogen coude codo gomito cotovelo",
+    "forearm": "unterarm avantbras antebrazo avambraccio antebraco onderarm",
+    "elbow": "ellbogen ellenbogen coude codo gomito cotovelo elleboog",
     "hand": "main mano mao",
-    "wrist": "handgelenk poignet muneca polso pulso punho",
-    "thumb": "daumen pouce pulgar pollice polegar",
-    "index": "zeigefinger indice indicador",
-    "middle": "mittelfinger majeur medio corazon",
-    "ring": "ringfinger annulaire anular anulare anelar",
-    "pinky": "kleinerfinger auriculaire menique mignolo mindinho minimo",
-    "thigh": "oberschenkel cuisse muslo coscia coxa",
-    "leg": "bein jambe pierna gamba perna",
-    "shin": "unterschenkel schienbein espinilla canela",
-    "calf": "wade mollet pantorrilla polpaccio panturrilha",
+    "wrist": "handgelenk poignet muneca polso pulso punho pols",
+    "thumb": "daumen pouce pulgar pollice polegar duim",
+    "index": "zeigefinger indice indicador wijsvinger",
+    "middle": "mittelfinger majeur medio corazon middelvinger",
+    "ring": "ringfinger annulaire anular anulare anelar ringvinger",
+    "pinky": "kleinerfinger auriculaire menique mignolo mindinho minimo pink",
+    "thigh": "oberschenkel cuisse muslo coscia coxa bovenbeen dij",
+    "leg": "bein jambe pierna gamba perna been",
+    "shin": "unterschenkel schienbein espinilla canela onderbeen scheenbeen",
+    "calf": "wade mollet pantorrilla polpaccio panturrilha kuit",
     "knee": "knie genou rodilla ginocchio joelho",
-    "foot": "fuss pied pie piede pe",
-    "ankle": "knochel knoechel cheville tobillo caviglia tornozelo",
-    "toe": "zeh zehe zehen orteil orteils dedospie ditapiede dedospe",
+    "foot": "fuss pied pie piede pe voet",
+    "ankle": "knochel knoechel cheville tobillo caviglia tornozelo enkel",
+    "toe": "zeh zehe zehen orteil orteils dedospie ditapiede dedospe teen tenen",
 }.items()}
 WORDS = {word: english for english, words in _LATIN.items() for word in words}
 """Word in the Latin alphabet, without accents -> the English word."""

@@ -22,9 +22,9 @@ so clavicles may be attached to the neck, thighs to the spine, and helper nodes 
 
 Trunk and neck are chains with other numbers of joints: R(t) is interpolated along ours, by the position between hips
 and chest (chest and head). The hips move scaled by the ratio of leg lengths, and two-bone inverse kinematics keeps each
-foot in place, which bends knees by fractions of a degree. Hands that would enter the trunk are kept outside
-(`gesticulator.characters.trunk`), and twist bones of the forearm share the roll of the hand
-(`gesticulator.characters.twist`).
+foot in place, which bends knees by fractions of a degree. Hands that would enter the trunk are led around it
+(`gesticulator.characters.trunk`, `gesticulator.characters.detours`), and twist bones of the forearm share the roll of
+the hand (`gesticulator.characters.twist`).
 
 Letters: T frames, J our joints, N nodes of the target. World axes are ours (Y up, facing +Z, left +X, metres) unless
 stated otherwise.
@@ -41,11 +41,11 @@ from scipy.spatial.transform import Rotation
 from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion
 from gesticulator.characters.contacts import Pose, pose_of
+from gesticulator.characters.detours import keep_hands_out
 from gesticulator.characters.frames import Body, measure
 from gesticulator.characters.inverse_kinematics import bend
 from gesticulator.characters.mapping import SIDES, RigMapping, check
 from gesticulator.characters.rig import Character, CharacterMotion
-from gesticulator.characters.trunk import keep_hands_out
 from gesticulator.characters.twist import share_roll
 
 _SOCKETS = 0.18
@@ -105,7 +105,7 @@ class Retargeter:
             hips = self.body.rest_places[self.mapping.joints["Hips"]] + [0.0, self.body.lift, 0.0]
             root = np.tile(hips, (len(motion), 1))
         if self.contacts:
-            keep_hands_out(turns, self.body, ours)
+            keep_hands_out(turns, self.body, ours, motion.fps)
         share_roll(turns, self.body)
         return self._finish(turns, root, len(motion), motion.fps)
 

@@ -14,7 +14,10 @@ from gesticulator.characters.rig import Character
 _HEAD = 0.075
 """Share of the height that separates a head bone (longer: 0.11 in an adult) from a neck bone (0.05)."""
 _FLAT = 0.005
-"""Share of the height by which feet must point anywhere."""
+"""Share of the height by which feet must point anywhere, both together."""
+_SOLES = 0.02
+"""The same of their meshes: the middle of a shoe is 4 % of the height ahead of the ankle, that of the round end of a
+robot's leg nowhere, give or take a few millimetres."""
 _EVEN = 0.12
 """Largest asymmetry of two mirrored ends, as a share of the body's size."""
 
@@ -145,16 +148,17 @@ def feet_ahead(character: Character, places: Array, up: Array, joints: Mapping[s
         return None
     left = places[joints["LeftArm"]] - places[joints["RightArm"]]
     ahead = np.cross(left, up)
-    ways = []
+    ways: list[tuple[Array, float]] = []
     if all(side + "ToeBase" in joints for side in ("Left", "Right")):
-        ways.append(sum(places[joints[side + "ToeBase"]] - places[joints[side + "Foot"]] for side in ("Left", "Right")))
+        toes = [places[joints[side + "ToeBase"]] - places[joints[side + "Foot"]] for side in ("Left", "Right")]
+        ways.append((toes[0] + toes[1], _FLAT))
     meshes = [_foot_mesh(character, places, up, joints[side + "Foot"]) for side in ("Left", "Right")]
     if meshes[0] is not None and meshes[1] is not None:
-        ways.append(meshes[0] + meshes[1])
-    level = [way - (way @ up) * up for way in ways]
+        ways.append((meshes[0] + meshes[1], _SOLES))
+    level = [(way - (way @ up) * up, least) for way, least in ways]
     size = float(np.ptp(places @ up))
-    cosines = [float(ahead @ way / np.linalg.norm(ahead) / np.linalg.norm(way)) for way in level
-               if np.linalg.norm(ahead) > 1e-9 and np.linalg.norm(way) > _FLAT * size]
+    cosines = [float(ahead @ way / np.linalg.norm(ahead) / np.linalg.norm(way)) for way, least in level
+               if np.linalg.norm(ahead) > 1e-9 and np.linalg.norm(way) > least * size]
     if not cosines:
         return None
     if min(cosines) < 0.0 < max(cosines):

@@ -28,13 +28,12 @@ import numpy as np
 
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array
-from gesticulator.characters.contacts import MARGIN, OURS, Pose
-from gesticulator.characters.inverse_kinematics import bend
+from gesticulator.characters.contacts import MARGIN, OURS
 
 if TYPE_CHECKING:
     from gesticulator.characters.frames import Body
 
-_ANGLES = np.arange(36) * (2.0 * np.pi / 36)
+ANGLES = np.arange(36) * (2.0 * np.pi / 36)
 """Directions in which a slice is measured: between them the surface of a round one is at most 0.4 % farther out."""
 _STEPS = (np.arange(-6, 12) + 0.5) / 12.0
 """Heights of the slices, 0 at the hips and 1 at the neck: pelvis and thighs are below the hips."""
@@ -48,14 +47,10 @@ _SOFT = 0.05
 """Metres before and after the surface over which a hand is slowed, where the trunk is wider by as much."""
 _CAP, _RECEDES = 0.20, 0.5
 """Metres above and below the trunk over which its surface recedes, and by how many."""
-_ARM_LENGTH = 0.53
-"""Length of the default character's upper arm and forearm, metres."""
 _SHOULDERS, _TRUNK = 0.36, 0.62
 """Distances from shoulder to shoulder and from hips to head of the default character, metres."""
 _ROUNDS, _REACH = 12, 0.999
 """Rounds of projections on the limits of wrist, knuckles and arm; share of an arm's length that is used."""
-_LEAST = 1e-5
-"""Metres below which a hand is not moved."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +64,10 @@ class Outline:
     def support(self, share: Array, angle: Array) -> Array:
         """[T] metres to the tangent with its normal at angles [T] (0 left, pi / 2 ahead) at heights [T]."""
         row = np.clip(np.interp(share, self.steps, np.arange(len(self.steps))), 0.0, len(self.steps) - 1.0)
-        column = np.mod(angle, 2.0 * np.pi) / (2.0 * np.pi) * len(_ANGLES)
+        column = np.mod(angle, 2.0 * np.pi) / (2.0 * np.pi) * len(ANGLES)
         low, first = np.floor(row).astype(int), np.floor(column).astype(int)
-        high, second = np.minimum(low + 1, len(self.steps) - 1), (first + 1) % len(_ANGLES)
-        first = first % len(_ANGLES)
+        high, second = np.minimum(low + 1, len(self.steps) - 1), (first + 1) % len(ANGLES)
+        first = first % len(ANGLES)
         up, on = row - low, column - np.floor(column)
         return np.asarray((1.0 - up) * ((1.0 - on) * self.reach[low, first] + on * self.reach[low, second])
                           + up * ((1.0 - on) * self.reach[high, first] + on * self.reach[high, second]))
@@ -80,7 +75,7 @@ class Outline:
 
 def ellipse(width: float, depth: float) -> Outline:
     """The outline of a column of constant half width and half depth, metres."""
-    return Outline(np.array([0.0, 1.0]), np.tile(np.hypot(width * np.cos(_ANGLES), depth * np.sin(_ANGLES)), (2, 1)))
+    return Outline(np.array([0.0, 1.0]), np.tile(np.hypot(width * np.cos(ANGLES), depth * np.sin(ANGLES)), (2, 1)))
 
 
 def outline_of(body: Body) -> Outline:
@@ -111,7 +106,7 @@ def _measured(body: Body) -> Outline | None:
     left = left / np.linalg.norm(left)
     share = (points - hips) @ up / length
     flat = np.stack([(points - hips) @ left, (points - hips) @ np.cross(left, up)])
-    out = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1) @ flat  # [36, V]
+    out = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) @ flat  # [36, V]
     steps, rows = [], []
     for step in _STEPS:
         near = np.abs(share - step) < 1.0 / 12.0
@@ -179,46 +174,32 @@ def trunk_axes(neck: Array, chest: Array) -> TrunkAxes:
     return TrunkAxes(np.stack([left, up, np.cross(left, up)], axis=-2), length)
 
 
-def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose) -> None:
-    """Bend the arms in `turns` where a hand would be nearer to the character's trunk than on the default character."""
-    joints = body.mapping.joints
-    outline, chest, origin = outline_of(body), ours.turns["Spine3"], ours.places["Hips"]
-    neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
-    theirs, own = trunk_axes(neck, chest), trunk_axes(ours.places["Neck"] - origin, chest)
-    for side in SIDES:
-        chain = (joints[side + "Arm"], joints[side + "ForeArm"], joints[side + "Hand"])
-        arm = float(sum(np.linalg.norm(body.place({}, below) - body.place({}, above))
-                        for above, below in zip(chain, chain[1:], strict=False)))
-        limits = [HandLimit.of(own.local(ours.places[side + part] - origin), theirs.local(body.place(turns, node)),
-                            (theirs, outline), arm / _ARM_LENGTH)
-                  for part in ("Hand", "HandMiddle1") if (node := joints.get(side + part)) is not None]
-        shoulder, wrist = body.place(turns, chain[0]), body.place(turns, chain[2])
-        push = displacement(limits, wrist - shoulder, arm)
-        moved = np.linalg.norm(push, axis=-1) > _LEAST
-        if moved.any():
-            bend(turns, body, chain, wrist + push, np.array([0.0, -1.0, -0.5]), moved)
-
-
 def displacement(limits: list[HandLimit], reached: Array, arm: float) -> Array:
     """[T, 3] the displacement that brings a hand at `reached` [T, 3] from the shoulder within all limits and the reach
     of an arm, metres: by projections on them in turn, which move no two hands apart."""
     moved = reached
-    longest = np.maximum(np.linalg.norm(reached, axis=-1), _REACH * arm)
     for _ in range(_ROUNDS):
         for limit in limits:
             moved = moved + limit.lacking(moved - reached)
-        far = np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
-        moved = moved * np.minimum(longest / far, 1.0)[:, None]
+        moved = within_reach(moved, reached, arm)
     return moved - reached
+
+
+def within_reach(moved: Array, reached: Array, arm: float) -> Array:
+    """Places [T, 3] from the shoulder, brought within the reach of an arm that was at `reached` [T, 3], metres."""
+    longest = np.maximum(np.linalg.norm(reached, axis=-1), _REACH * arm)
+    far = np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
+    return np.asarray(moved * np.minimum(longest / far, 1.0)[:, None])
 
 
 @dataclass(frozen=True)
 class HandLimit:
     """Half-spaces over T frames in which a point of the hand belongs: normals [T, 3]; lack: [T] metres by which the
-    point is outside, softened."""
+    point is outside, softened; margin: [T] metres that it belongs outside of the trunk."""
 
     normal: Array
     lack: Array
+    margin: Array
 
     @staticmethod
     def of(our: Array, their: Array, trunk: tuple[TrunkAxes, Outline], size: float) -> HandLimit:
@@ -231,17 +212,23 @@ class HandLimit:
         x, z = x / norm, z / norm
         slim = np.hypot(width * x, depth * z)
         gap = x * our[0] + z * our[2] - slim
-        low, high = outline.steps[0] * column.length, column.length
         reach = outline.support(their[1] / column.length, np.arctan2(z, x))
-        beyond = np.maximum(np.maximum(low - their[1], their[1] - high), 0.0) / (_CAP * size)
-        lack = reach - size * _RECEDES * beyond ** 2 + size * _near(gap) - (x * their[0] + z * their[2])
+        margin = size * _near(gap)
+        lack = reach - receding(outline, column, their[1], size) + margin - (x * their[0] + z * their[2])
         soft = np.clip(reach - size * slim, 1e-6, _SOFT * size)
         lack = np.where(lack > soft, lack, np.clip(lack + soft, 0.0, 2.0 * soft) ** 2 / (4.0 * soft))
-        return HandLimit(x[:, None] * column.axes[:, 0] + z[:, None] * column.axes[:, 2], lack)
+        return HandLimit(x[:, None] * column.axes[:, 0] + z[:, None] * column.axes[:, 2], lack, margin)
 
     def lacking(self, push: Array) -> Array:
         """[T, 3] what is to be added to a displacement [T, 3] of the hand."""
         return np.maximum(self.lack - np.sum(push * self.normal, axis=-1), 0.0)[:, None] * self.normal
+
+
+def receding(outline: Outline, column: TrunkAxes, height: Array, size: float) -> Array:
+    """[T] metres by which the surface recedes at heights [T] above or below the trunk, metres along it."""
+    low, high = outline.steps[0] * column.length, column.length
+    beyond = np.maximum(np.maximum(low - height, height - high), 0.0) / (_CAP * size)
+    return np.asarray(size * _RECEDES * beyond ** 2)
 
 
 def _near(gap: Array) -> Array:

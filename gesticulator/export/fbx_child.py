@@ -4,9 +4,9 @@
     python fbx_child.py IN.fbx OUT.fbx FRAMES_PER_SECOND KEYS NAME MOTION.npz
     python fbx_child.py IN.fbx OUT.glb
 
-KEYS is the bound on the error of reduced keys in degrees, 0 for every frame; NAME that of the take. MOTION.npz holds
-bone poses, and values of shape keys, as from `gesticulator.export.own_fbx`. It imports nothing from this package:
-Blender has its own Python.
+IN.fbx may be IN.blend, the scene into which Blender imported it. KEYS is the bound on the error of reduced keys in
+degrees, 0 for every frame; NAME that of the take. MOTION.npz holds bone poses, and values of shape keys, as from
+`gesticulator.export.own_fbx`. The script imports nothing from this package: Blender has its own Python.
 """
 
 from __future__ import annotations
@@ -32,11 +32,16 @@ def convert(source: str, target: str, fps: float = 30.0, keys: float = 0.0, name
     """Import a file into an empty scene at `fps` frames per second, animate it, and export the scene."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    kept = source.lower().endswith(".blend")
+    if kept:  # as the scene to start with, so that it has no path of its own that textures would be relative to
+        bpy.ops.wm.read_homefile(filepath=source, load_ui=False)
+    else:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
     scene: Any = bpy.context.scene
     whole = max(1, round(fps))
-    if source.lower().endswith(".fbx"):
-        bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
+    if kept or source.lower().endswith(".fbx"):
+        if not kept:
+            bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
         to_bind_pose()
     else:
         # The importer of glTF takes the product of the two numbers for the frame rate, where it is their quotient.

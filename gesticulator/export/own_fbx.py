@@ -40,7 +40,7 @@ def write_animated(path: Path, moved: CharacterMotion, clip: ClipLayout, face: F
     """
     with tempfile.TemporaryDirectory() as folder:
         resting, target, motion = (Path(folder) / name for name in ("rest.glb", "out.fbx", "motion.npz"))
-        source, is_glb = str(moved.character.path.resolve()), path.suffix.lower() == ".glb"
+        source, is_glb = _source(moved.character.path), path.suffix.lower() == ".glb"
         if is_glb or face is not None:
             job_in_blender(path, SCRIPT, source, str(resting))
         if is_glb:
@@ -50,6 +50,14 @@ def write_animated(path: Path, moved: CharacterMotion, clip: ClipLayout, face: F
         job_in_blender(path, SCRIPT, source, str(target), repr(moved.fps), repr(clip.keys), clip.name, str(motion))
         write_bytes(path, target.read_bytes())
     return path
+
+
+def _source(file: Path) -> str:
+    """What Blender reads: the scene that it kept when it read the character, else the file itself."""
+    from gesticulator.characters.fbx_rig import kept_scene
+
+    kept = kept_scene(file) if file.exists() else file
+    return str(kept if kept.exists() else file.resolve())
 
 
 def _face_tracks(file: Path, gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion
