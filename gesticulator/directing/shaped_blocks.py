@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -46,14 +46,15 @@ class ShapedBlocks:
         self._most = max(_LEAST, _EACH * count)
         self._count = 0
 
-    def blocks(self, played: Sequence[PlayedBlock], cut: Blocks, shaping: Shaping | None) -> list[ShapedBlock]:
-        """The poses of N blocks. cut: the N blocks; shaping: None to change nothing."""
+    def blocks(self, played: Iterable[PlayedBlock], cut: Blocks, shaping: Shaping | None) -> Iterator[ShapedBlock]:
+        """The poses of N blocks, one after the other. cut: the N blocks; shaping: None to change nothing."""
         times = cut.knot_times.reshape(len(cut), -1)
         edges = cut.edges.tolist()
-        plain = [self._remembered((one.number, *edges[at:at + 2]), times[at], self._plain(one))
-                 for at, one in enumerate(played)]
+        plain = (self._remembered((one.number, *edges[at:at + 2]), times[at], self._plain(one))
+                 for at, one in enumerate(played))
         if shaping is None:
-            return plain
+            yield from plain
+            return
         knots = times.shape[1]
         levels = shaping.levels(times.ravel())
         arms = np.zeros(times.size, bool)
@@ -61,17 +62,17 @@ class ShapedBlocks:
         sized, turned = ([bool(row.any()) for row in each.reshape(times.shape)] for each in (arms, levels.mirrored))
         # One more knot before those that are remembered, from which the first movement goes.
         since = np.maximum(np.searchsorted(cut.edges[1:], cut.edges[:-1] - REMEMBERED - LAG) - 1, 0).tolist()
-        out = []
+        passed: list[ShapedBlock] = []
         for at, block in enumerate(plain):
+            passed.append(block)
             named = tuple([one for one in shaping.named(times[at]) if _overlaps(one.cue.gesture, one.time, times[at])])
             if not sized[at] and not turned[at] and not named:
-                out.append(block)
+                yield block
                 continue
             rows = levels.rows(slice(at * knots, (at + 1) * knots))
-            before = plain[since[at]:at] if sized[at] else []
+            before = passed[since[at]:at] if sized[at] else []
             key = ("shaped", block.number, tuple([one.number for one in before]), _bytes(rows), named)
-            out.append(self._remembered(key, times[at], _shaped(shaping, before, block, rows, named)))
-        return out
+            yield self._remembered(key, times[at], _shaped(shaping, before, block, rows, named))
 
     def _plain(self, played: PlayedBlock) -> Callable[[], Array]:
         return lambda: self._statistics.denormalise(played.motion.astype(np.float64), self._speaker)
