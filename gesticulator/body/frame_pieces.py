@@ -36,10 +36,14 @@ _MARGIN = 2
 
 
 class PosedBlock(Protocol):
-    """The poses of a block. times: [K] seconds; number: of their content."""
+    """The poses of a block. times: [K] seconds."""
 
-    number: int
     times: Array
+
+    @property
+    def number(self) -> int:
+        """The number of their content."""
+        ...
 
     @property
     def poses(self) -> Array:

@@ -57,6 +57,9 @@ REPORTS = 24
 """Blocks between two reports of progress: about a second."""
 FIRST_SHOWN = 24
 """Pieces outside of the visible stretch from which on that stretch is sent first: they take a tenth of a second."""
+MANY = 120
+"""Blocks that knobs have changed from which on their poses are computed with the frames of their stretch; fewer are
+computed first, a tenth of a second, and most prove to be as they were."""
 STRETCH = 60
 """Pieces of a stretch that is sent as soon as it is made, after the visible one: about 20 s of motion, which take a
 quarter of a second."""
@@ -184,6 +187,11 @@ class LivePlans:
         """Called with the request and the rendered plan after each answer."""
         self._count = 0
         self._numbers = itertools.count()
+
+    @property
+    def speakers(self) -> tuple[str, ...]:
+        """The names of the performers."""
+        return self._system.speakers
 
     def render(self, plan: GesturePlan) -> Performance:
         """Render a plan; `InputError` with the line if it is invalid or of another recording."""
@@ -399,7 +407,11 @@ class LivePlans:
         times, duration = cut.knot_times.reshape(len(cut), -1), float(cut.edges[-1])
         posed = list(maker.shaped.blocks(played, cut, self._shaping(options, cut.edges)))
         frames = self._frames(maker, options)
-        lacking = [at for at, known in enumerate(frames.known(times, posed, duration, options.plan)) if not known]
+        fresh = [at for at, block in enumerate(posed) if not block.is_known]
+        if len(fresh) < MANY:
+            lacking = [at for at, known in enumerate(frames.known(times, posed, duration, options.plan)) if not known]
+        else:  # their poses are not computed before their turn
+            lacking = sorted({near for at in fresh for near in range(max(at - 2, 0), min(at + 3, len(cut)))})
         seen = [at for at in lacking if cut.edges[at + 1] > asked.view[0] and cut.edges[at] < asked.view[1]]
         stretches = [list(range(len(cut)))]
         if len(lacking) - len(seen) >= FIRST_SHOWN and seen and self._streams(options, asked):
@@ -412,9 +424,11 @@ class LivePlans:
                 if at % 8 == 0:
                     asked.check()
             if stretch is not stretches[-1]:
-                asked.sent.update((at, found[at]) for at in stretch)
+                fresh = [at for at in stretch if asked.differs(found[at])]
+                asked.sent.update((at, found[at]) for at in fresh)
                 done += len(stretch)
-                yield _unsigned([found[at] for at in stretch], done / len(lacking))
+                if fresh:
+                    yield _unsigned([found[at] for at in fresh], done / len(lacking))
                 asked.check()
         return signed([found[at] for at in range(len(cut))])
 
