@@ -100,8 +100,8 @@ def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, LivePlans]]
             server.saved.save()  # type: ignore[union-attr]
 
 
-def _look(page: Any, time: float) -> int:
-    """Search the palette with the keyboard at a time; the block that is meant there."""
+def _look(page: Any) -> int:
+    """Search the palette with the keyboard; the block that is meant."""
     page.keyboard.press("p")
     page.wait_for_selector("#palette-figures li", timeout=120_000)
     assert page.locator("#palette-figures li:not([hidden])").count() > 250
@@ -185,8 +185,10 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_
             begin, end = page.evaluate("() => preview.session.selection")
             assert end > begin and original["blocks"][begin]["start"] <= unit["start"] + 0.01
             page.keyboard.press("Escape")
+            speaks = next(one for one in original["blocks"] if one["start"] > 1.0 and not one["silent"])
+            opened.go_to((speaks["start"] + speaks["end"]) / 2)
             # Another gesture is played in its place under the pointer, and taken back when that leaves.
-            block = _look(page, 1.0)
+            block = _look(page)
             playing = opened.plan()["blocks"][block]["lexeme"]
             few = page.locator("#palette-figures li:not([hidden])")
             choice = few.locator('.figure[aria-pressed="false"]').first

@@ -205,6 +205,7 @@ class LivePlans:
 
     def opened(self, performance: Performance, plain: Mapping[str, Any]) -> int:
         """The number of the rendering that a page begins with. plain: its plan, as the page has it."""
+        self._exchange.read(dict(plain))  # so that the first edit need not read all blocks
         plan = performance.plan()
         options = planned(InferenceOptions(plan=plan))
         scene = performance.scene()
