@@ -13,10 +13,20 @@ from eval.baselines import controls as baselines
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
-from gesticulator.drawing.candidates import FASTEST, CandidateChooser, apart_from_hands, depth, in_time, slow_enough
+from gesticulator.drawing.candidates import (
+    FASTEST,
+    CandidateChooser,
+    apart_from_hands,
+    behind_trunk,
+    depth,
+    in_time,
+    slow_enough,
+)
 from gesticulator.drawing.cutter import encode_speech
 from gesticulator.pipeline import Gesticulator
 from tests.untrained import MOVING, PLAIN, untrained
+
+SHOULDERS = np.array([[-0.17, 0.6, 0.0], [0.17, 0.6, 0.0]])
 
 RATE, FRAMES = 16000, 10
 
@@ -60,12 +70,12 @@ def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(b
 def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_kept(bundle: Bundle) -> None:
     places = np.zeros((4, 2, 8, 3))
     places[:, :, 7, 1] = 9.0  # a head far from the arms
-    places[:, :, 6, 1], places[:, :, :4, 0], places[:, :, 4:6, 1] = 0.5, 0.5, 0.6
-    places[1, :, 0] = [0.0, 0.25, 0.07]  # half the radius from the middle of the trunk
+    places[:, :, 6, 1], places[:, :, :4, 0], places[:, :, 4:6] = 0.5, [-0.5, 0.5, -0.5, 0.5], SHOULDERS
+    places[1, :, 0] = [0.0, 0.25, 0.07]  # half the radius from the middle of the trunk, 45 mm behind its front
     places[2, 0, 3] = [0.0, 0.7, 0.05]  # an elbow 20 cm over the chest
-    places[3, 0, 1] = [0.27, 0.6, 0.0]  # at the edge of the shoulder's sphere
-    places[3, 1, 1] = [0.135, 0.6, 0.0]  # half its radius from the shoulder, and outside the trunk
-    np.testing.assert_allclose(depth(places), [0.0, 0.5, 0.0, 0.25], atol=1e-9)
+    places[3, 0, 1] = [0.44, 0.6, 0.0]  # at the edge of the shoulder's sphere
+    places[3, 1, 1] = [0.305, 0.6, 0.0]  # half its radius from the shoulder, and outside the trunk
+    np.testing.assert_allclose(depth(places), [0.0, 0.5 + 0.045 / 0.14, 0.0, 0.25], atol=1e-9)
     chooser = CandidateChooser(replace(bundle, config=with_settings(bundle.config, ["selection.clear=8"])), 0)
     past, wide = swing(bundle, 0.0)
     skeleton = representation_of(bundle.config).motion(bundle.statistics.rest_pose[:1], 1.0).skeleton
@@ -80,12 +90,29 @@ def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_ke
     assert careless.choose(block_of(np.zeros(0)), past, blocks, shown) == 0
 
 
+def test_arms_behind_the_trunk_are_as_far_behind_as_they_are_and_not_beside_it_or_over_it() -> None:
+    """The front of the trunk is 11.5 cm ahead of its middle and recedes by half a metre 20 cm above the shoulders; its
+    back, for elbows, is 7 cm behind."""
+    places = np.zeros((1, 5, 8, 3))
+    places[..., 6, 1], places[..., 4:6, :], places[..., :4, :] = 0.5, SHOULDERS, [0.0, 0.3, 1.0]
+    places[0, :, 0] = [0.0, 0.3, -0.1], [-0.5, 0.1, -0.1], [0.0, 0.8, -0.1], [0.0, 0.3, 0.2], [0.0, -0.2, -0.1]
+    places[0, :, 3] = [0.1, 0.3, -0.17], [0.26, 0.3, -0.17], [0.1, 0.3, 0.0], [0.1, 0.8, -0.17], [0.1, 0.3, -0.07]
+    behind = behind_trunk(places)
+    np.testing.assert_allclose(behind[0, [0, 2, 3, 4], 0], [0.215, -0.285, -0.085, -0.285], atol=1e-9)
+    assert behind[0, 1, 0] < -0.2, "a hand beside the trunk"
+    np.testing.assert_allclose(behind[0, :, 3], [0.1, 0.02, -0.07, -0.4, 0.0], atol=1e-9)
+    leaning = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    leaning *= np.sign(np.linalg.det(leaning))
+    np.testing.assert_allclose(behind_trunk(places @ leaning.T), behind, atol=1e-9)
+
+
 def test_an_arm_before_the_face_is_as_near_as_its_nearest_point() -> None:
     """The middle of the face is 9 cm over the joint of the head and 8 cm before it; the sphere has a radius of 22 cm,
     and a hand reaches 36 % of the forearm beyond the wrist."""
     places = np.zeros((4, 1, 8, 3))
     places[:, :, 7, 1], places[:, :, 6, 1] = 0.6, 0.4
-    places[:, :, :4], places[:, :, 4:6, 1] = [0.6, 0.2, 0.0], -9.0
+    places[:, :, :4], places[:, :, 4:6, 1] = [[-0.6, 0.2, 0.0], [0.6, 0.2, 0.0]] * 2, -9.0
+    places[:, :, 4:6, 0] = [-0.17, 0.17]
     places[1, :, 0], places[1, :, 2] = [-0.2, 0.69, 0.19], [0.2, 0.69, 0.19]  # a forearm 11 cm before it
     places[2, :, 0], places[2, :, 2] = [-0.186, 0.69, 0.08], [-0.436, 0.69, 0.08]  # the hand ends 9.6 cm beside it
     places[3, :, 0], places[3, :, 2] = [-0.31, 0.69, 0.08], [-0.56, 0.69, 0.08]  # 22 cm beside it

@@ -156,9 +156,7 @@ class _Body:
     def hidden(self, elbow: Array, sign: float) -> Array:
         """[T, 3] the displacement of an elbow [T, 3] behind the trunk; sign: 1 for the left, -1 for the right."""
         across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, elbow), -1, 0)
-        plane = -BACK - BACK_FALLS * np.maximum(across * sign - BACK_ENDS, 0.0)
-        beyond = np.maximum(np.maximum(-along, along - self._length), 0.0) / CAP
-        depth = soft(plane - RECEDES * beyond ** 2 - ahead, ELBOW_SOFT)
+        depth = soft(back_at(across * sign, along, self._length) - ahead, ELBOW_SOFT)
         return depth[:, None] * (OUTWARD[0] * sign * self._axes[:, 0] + OUTWARD[1] * self._axes[:, 2])
 
     def at_shoulder(self, hand: Array, shoulder: Array, sign: float) -> Array:
@@ -169,8 +167,7 @@ class _Body:
 
     def _out_of_trunk(self, point: Array, sign: float) -> Array:
         across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, point), -1, 0)
-        beyond = np.maximum(np.maximum(-along, along - self._length), 0.0) / CAP
-        return self._axes[:, 2] * soft(trunk_front(across * sign) - RECEDES * beyond ** 2 - ahead)[:, None]
+        return self._axes[:, 2] * soft(front_at(across * sign, along, self._length) - ahead)[:, None]
 
     def _off_face(self, point: Array) -> Array:
         x, y, z = np.moveaxis(np.einsum("tji,tj->ti", self._head, point - self._face), -1, 0)
@@ -188,6 +185,22 @@ def trunk_front(across: Array) -> Array:
     own = ellipse - STEEPEST * np.maximum(across - edge, 0.0)
     begins, height, slope = OTHER_SIDE
     return np.asarray(np.where(across > -begins, own, np.maximum(ellipse, height + slope * (across + begins))))
+
+
+def front_at(across: Array, along: Array, length: Array) -> Array:
+    """`trunk_front` at metres across the trunk and `along` it from the hips, which recedes beyond the ends of its
+    `length`."""
+    return np.asarray(trunk_front(across) - _receding(along, length))
+
+
+def back_at(across: Array, along: Array, length: Array) -> Array:
+    """Metres by which the plane that hides an elbow is ahead of the middle of the trunk, as a rule negative; see
+    `front_at`."""
+    return np.asarray(-BACK - BACK_FALLS * np.maximum(across - BACK_ENDS, 0.0) - _receding(along, length))
+
+
+def _receding(along: Array, length: Array) -> Array:
+    return np.asarray(RECEDES * (np.maximum(np.maximum(-along, along - length), 0.0) / CAP) ** 2)
 
 
 def face_front(radius: Array) -> Array:

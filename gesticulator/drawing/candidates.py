@@ -3,16 +3,17 @@ a small change of pose or sound rarely changes the choice:
 
 - Lexeme: -2 log(d / d_0), with d the squared distance of the candidate's movement to the lexeme to play, and d_0 that
   to its nearest lexeme.
-- Speed limit: a candidate in which a hand is faster than people's hands are is rejected, unless all are. One frame in a
-  thousand of the corpus has such a jump, and a model trained on it samples one now and then.
+- Speed limit: a candidate in which a hand or an elbow is faster than people's hands are is rejected, unless all are.
+  One frame in a thousand of the corpus has such a jump, and a model trained on it samples one now and then.
 - Timing: the hands' braking b(t) = max(0, -ds/dt), with s the summed speed of both hands, should lie near the onsets of
   the block's sound: sum b w / (sum b + b0). w(t) is a Gaussian of the time to the nearest onset, and b0 keeps blocks
   that hardly move from scoring high.
 - Seam: the hands' acceleration at the start over the mean within the block, at most 2, so that blocks that hardly move
   are not rejected for it.
-- Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest, and a wrist within a sphere
-  about its own shoulder (a folded arm), and how near a forearm with its hand is to the middle of the face, as shares of
-  the radii, mean over the block.
+- Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest; how far a wrist is behind the
+  front of the trunk and an elbow behind its back, since `gesticulator.body.clearance` would have to move them; how deep
+  a wrist is in a sphere about its shoulder (a folded arm); and how near a forearm with its hand is to the middle of the
+  face; as shares of the radii, mean over the block.
 - Style: sum over speed, height and reach of the hands of z m / s, with z the style code of the unit
   (`interpreters.planner`), m the mean over the block, and s its deviation in the training data.
 - Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
@@ -37,6 +38,7 @@ from data_module import controls
 from data_module.motion.kinematics import chains, positions_of_some
 from data_module.motion.rotation import from_exponential_map
 from data_module.types import Array, Motion
+from gesticulator.body.clearance import back_at, front_at
 from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
@@ -102,7 +104,7 @@ class CandidateChooser:
             return 0
         poses, times = self._poses(past, blocks), self._times(speech, blocks.shape[1])
         places = self._places(poses)
-        allowed = slow_enough(places[:, :, :2], times)
+        allowed = slow_enough(places[:, :, :4], times)
         hands = places[allowed, :, :2]
         score = -_LEXEME * np.log(apart[allowed].astype(np.float64))
         if self._settings.clear:
@@ -122,9 +124,9 @@ class CandidateChooser:
         return int(allowed[score.argmax()])
 
     def too_fast(self, speech: SpeechBlock, past: Array, blocks: Array) -> bool:
-        """Whether a hand is faster than `FASTEST` in every candidate; shapes as in `choose`."""
+        """Whether a hand or an elbow is faster than `FASTEST` in every candidate; shapes as in `choose`."""
         places, times = self._places(self._poses(past, blocks)), self._times(speech, blocks.shape[1])
-        return bool((fastest(places[:, :, :2], times) > FASTEST).all())
+        return bool((fastest(places[:, :, :4], times) > FASTEST).all())
 
     def _poses(self, past: Array, blocks: Array) -> Array:
         """[C, T, D_m] features in radians or metres, in the last frames before a block and in its candidates."""
@@ -182,32 +184,49 @@ class CandidateChooser:
 
 
 def fastest(hands: Array, times: Array) -> Array:
-    """[C] the greatest speed of a hand in each block, m/s.
+    """[C] the greatest speed of a hand, or of a hand and an elbow, in each block, m/s.
 
-    hands: [C, T, 2, 3] metres at times [T] seconds, the frames before the block and those of the block.
+    hands: [C, T, 2 or 4, 3] metres at times [T] seconds, the frames before the block and those of the block.
     """
     speed = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])[:, None]
     return np.asarray(speed.max((1, 2)))
 
 
 def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
-    """Indices of the candidates whose hands stay under `FASTEST`, or of the slowest one if none does; see `fastest`."""
+    """Indices of the candidates whose hands and elbows stay under `FASTEST`, or of the slowest one if none does; see
+    `fastest`."""
     speeds = fastest(hands, times)
     slow = np.flatnonzero(speeds <= FASTEST)
     return slow if len(slow) else np.array([speeds.argmin()])
 
 
 def depth(places: Array) -> Array:
-    """[C] how deep wrists and elbows are in the trunk, wrists in the sphere of a folded arm, and forearms in that of
-    the face, as shares of the radii, summed over the joints and averaged over the frames; places: as of
-    `CandidateChooser._places`."""
+    """[C] how deep wrists and elbows are in the trunk, and behind its front and its back, wrists in the sphere of a
+    folded arm, and forearms in that of the face, as shares of the radii, summed over the joints and averaged over the
+    frames; places: as of `CandidateChooser._places`."""
     chest = places[:, :, 6:7]
     share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
     radii = np.repeat(_RADII, 2)
+    behind = behind_trunk(places) / _RADII[0]
     folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
     near_face = 1.0 - _to_face(places) / _FACE
-    return np.asarray(sum(np.maximum(each, 0.0).sum(-1) for each in (1.0 - away / radii, folded, near_face)).mean(-1))
+    shares = 1.0 - away / radii, behind, folded, near_face
+    return np.asarray(sum(np.maximum(each, 0.0).sum(-1) for each in shares).mean(-1))
+
+
+def behind_trunk(places: Array) -> Array:
+    """[C, T, 4] metres by which each wrist is behind the front of the trunk and each elbow behind its back, negative
+    ahead of them; places: as of `CandidateChooser._places`."""
+    chest, right, left = places[:, :, 6], places[:, :, 4], places[:, :, 5]
+    up = chest / np.maximum(np.linalg.norm(chest, axis=-1, keepdims=True), 1e-9)
+    across = left - right - ((left - right) * up).sum(-1, keepdims=True) * up
+    across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
+    axes = np.stack([across, up, np.cross(across, up)], axis=-2)
+    x, y, z = np.moveaxis(np.einsum("ctij,cthj->cthi", axes, places[:, :, :4]), -1, 0)
+    x, height = x * np.tile([-1.0, 1.0], 2), 0.5 * ((left + right) * up).sum(-1)[..., None]
+    surfaces = np.concatenate([front_at(x[..., :2], y[..., :2], height), back_at(x[..., 2:], y[..., 2:], height)], -1)
+    return np.asarray(surfaces - z)
 
 
 def _to_face(places: Array) -> Array:

@@ -123,6 +123,8 @@ class Direction:
 FREE = Direction()
 """No instructions: the models decide everything."""
 
+_CALM = 0.5
+"""Factor on the noise of further candidates, where arms are too fast in all."""
 _NEAREST = 1e-6
 """Least distance of a candidate to a lexeme, so that the ratio of two is finite."""
 LIVELINESS = (1.0, 0.5, 0.5, 0.0)
@@ -256,6 +258,10 @@ class FlowDrawer:
             if not self.chooser.too_fast(speech, *_shown(past, block, shift)):
                 return block, code
         coefficients, blocks = self._sample(speech.keyed_at, self.settings.candidates, context, pull, steps)
+        if self.chooser.too_fast(speech, *_shown(past, blocks, shift)):
+            # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
+            calm = self._sample(speech.keyed_at, self.settings.candidates, context[:1], pull[:0], steps, _CALM)
+            coefficients, blocks = torch.cat([coefficients, calm[0]]), torch.cat([blocks, calm[1]])
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
         control = None if features.control is None else features.control.cpu().numpy()
@@ -272,10 +278,11 @@ class FlowDrawer:
         waxing = self.settings.waxing * self.keys.activity(time) if self.settings.waxing else 0.0
         return self.settings.style * code + waxing * code.new_tensor(LIVELINESS)
 
-    def _sample(self, time: float, candidates: int, context: Tensor, pull: Tensor, steps: int) -> tuple[Tensor, Tensor]:
-        """Coefficients [C, n] of C candidates with the noise of this time, and the blocks [C, K, D_m] that they give.
-        """
-        keyed = self.keys.noise(time, (candidates, self.generator.basis.width))
+    def _sample(self, time: float, candidates: int, context: Tensor, pull: Tensor, steps: int,
+                amount: float = 1.0) -> tuple[Tensor, Tensor]:
+        """Coefficients [C, n] of C candidates with the noise of this time, times `amount`, and the blocks [C, K, D_m]
+        that they give."""
+        keyed = amount * self.keys.noise(time, (candidates, self.generator.basis.width))
         noise = torch.as_tensor(keyed, device=self.device) * self.noise
         coefficients = self.generator.draw(context[:, 0], pull, noise, steps)
         return coefficients, (self.base + self.generator.basis.expand(coefficients)) * self.generator.present
