@@ -2,18 +2,15 @@
 
 Processor time from the page's request to its answer (`LivePlans.answer`), in the order of an editor's session: after
 twenty edits of all kinds, a swap costs what it cost at first. With --minutes, the recordings are repeated up to that
-length. Calls do not depend on the machine: they are of functions of this project, of the json module, and of everything
-(numpy, torch and built-in functions included).
+length.
 """
 
 from __future__ import annotations
 
 import argparse
 import copy
-import cProfile
 import gc
 import json
-import pstats
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -34,37 +31,6 @@ ROOT = Path(__file__).resolve().parents[1]
 VIEW = 12.0
 """Seconds of the timeline that are visible."""
 Plain = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Calls:
-    """Calls of functions: project: defined in this repository; json: of the json module; every: all of them, those of
-    libraries and built-in ones too."""
-
-    project: int
-    json: int
-    every: int
-
-
-def calls_of(run: Callable[[], object]) -> Calls:
-    """The calls that `run` makes."""
-    profile = cProfile.Profile()
-    profile.runcall(run)
-    project = in_json = every = 0
-    for (file, _, name), (_, count, *_) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
-        every += count
-        # A virtual environment may lie in the checkout; what is installed in it is not ours.
-        project += count * (file.startswith(str(ROOT)) and "site-packages" not in file)
-        in_json += count * ("/json/" in file or "_json" in name)
-    return Calls(project, in_json, every)
-
-
-def swapped(plan: Plain, at: int) -> Plain:
-    """The plan with the next best lexeme in one block."""
-    edited = copy.deepcopy(plan)
-    block = edited["blocks"][at]
-    block["lexeme"] = next(one["lexeme"] for one in block["alternatives"] if one["lexeme"] != block["lexeme"])
-    return edited
 
 
 def headers(parts: Iterable[bytes]) -> list[Plain]:
@@ -160,6 +126,16 @@ def session(editor: Editor) -> None:
         editor.changed(f"{name} {value} of the whole take", _knob(**{name: value}))
         editor.changed(f"swap under {name} {value}", _swap(at[14]))
         editor.changed(f"{name} {other} again", _knob(**{name: other}))
+    before = editor.plan
+    speakers = [name for name in editor.plans.speakers if name != before["speaker"]]
+    settings = {**before["made_by"]["settings"], "legs": "standing"}
+    for what, parts in {
+            "another performer": {"speaker": speakers[0]}, "another variation": {"variation": before["variation"] + 1},
+            "a curve of the hands' height": {"curves": [{"knob": "height", "times": [0.0, 5.0], "values": [0.1, 0.3]}]},
+            "another interpreter": {"interpreter": "statistical"},
+            "legs": {"made_by": {**before["made_by"], "settings": settings}}}.items():
+        editor.edit(what, {**editor.plan, **parts})
+        editor.edit(f"{what}, undone", before)
 
 
 def _speech(files: list[Path], minutes: float | None) -> Speech:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,7 @@ from gesticulator.drawing.driver import (
     controls_at,
     requests,
 )
-from gesticulator.drawing.rollout import Sampling
+from gesticulator.drawing.rollout import BlockMotion, Sampling
 from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceArguments, InferenceOptions, interpreter_name
 from gesticulator.performance import Performance
@@ -215,6 +215,23 @@ class Gesticulator:
         """`perform` for speech that was resampled to `SAMPLE_RATE` and amplified (`_prepared`)."""
         if options.plan is not None:
             return self.render(speech, options, on_block=on_block)
+        blocks = self._performing(speech, options, encoded)
+        try:
+            while True:
+                cut, drawn = next(blocks)
+                if on_block is not None:
+                    on_block(len(drawn), len(cut))
+        except StopIteration as ended:
+            made: Performance = ended.value
+            return made
+
+    def performing(self, speech: Speech, options: InferenceOptions
+                   ) -> Generator[tuple[Blocks, Sequence[BlockMotion]], None, Performance]:
+        """`perform`, block by block: yields the blocks of the speech and those that are drawn, after each of them."""
+        return self._performing(_prepared(speech, options), options, None)
+
+    def _performing(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None
+                    ) -> Generator[tuple[Blocks, Sequence[BlockMotion]], None, Performance]:
         if any(word.marks for word in speech.words or ()):
             from gesticulator.directing.marks import with_mark_cues
 
@@ -229,11 +246,16 @@ class Gesticulator:
             directions = directing.directions(self.bundle, options, speech, encoded.blocks)
         driver = Driver(self.bundle, cast)
         driver.begin(encoded.text is not None)
-        states: list[Driver] | None = [] if self.keeps_drawings else None
-        blocks = driver.run(requests(encoded, self._control_rows(cast.controls, encoded.blocks), directions), on_block,
-                            states)
+        states, blocks = list[Driver](), list[BlockMotion]()
+        for request in requests(encoded, self._control_rows(cast.controls, encoded.blocks), directions):
+            if self.keeps_drawings:
+                states.append(driver.fork())
+            blocks.append(driver.draw(request))
+            yield encoded.blocks, blocks
         made = self._performance(speech, options, cast, GeneratedMotion(encoded.blocks, blocks, driver.motion(blocks)))
-        return made if states is None else replace(made, drawing=KeptDrawing(encoded, blocks, states, cutters or ()))
+        if not self.keeps_drawings:
+            return made
+        return replace(made, drawing=KeptDrawing(encoded, blocks, [*states, driver], cutters or ()))
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
                **options: Unpack[InferenceArguments]) -> Stream:
@@ -326,17 +348,17 @@ class Gesticulator:
 
         assert options.plan is not None
         directing.check_plan_of(self.bundle, options.plan, sound_hash(speech))
-        renderer = renderer or self.plan_renderer(speech, options, on_block)
+        renderer = renderer or self.plan_renderer(speech, options)
+        renderer.complete(on_block)
         rendering = renderer.render(options.plan)
         made = self._performance(speech, options, self.cast(options, self.reads_words_of(speech)), rendering)
         return replace(made, drawing=renderer.drawing) if self.keeps_drawings else made
 
-    def plan_renderer(self, speech: Speech, options: InferenceOptions, on_block: OnBlock | None = None,
-                      drawing: KeptDrawing | None = None) -> PlanRenderer:
+    def plan_renderer(self, speech: Speech, options: InferenceOptions, drawing: KeptDrawing | None = None
+                      ) -> PlanRenderer:
         """A renderer for all plans of one first generation; each then costs only its edited blocks. speech: at 16 kHz.
 
-        options: with a plan of that generation, as returned by `directing.planned`; drawing: the generation, if it was
-        kept.
+        options: with a plan of that generation, as returned by `directing.planned`; drawing: what was kept of it.
         """
         from gesticulator.directing import directions as directing
         from gesticulator.directing.editing import PlanRenderer, Redrawer
@@ -355,7 +377,7 @@ class Gesticulator:
             lambda blocks, cutters: self.encode_speech(speech, blocks, cutters),
             lambda cutters: Recutter(speech.samples, cutters),
             lambda times: controls_at(self.bundle.levels, cast.controls, times),
-            lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, on_block, drawing)
+            lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, drawing)
 
     def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
                 text: Text | None = None, before: SpeechInput | None = None, on_block: OnBlock | None = None
@@ -382,8 +404,9 @@ class Gesticulator:
         if None not in draft.plan.drawn.lexemes:
             return draft
         renderer = self.plan_renderer(directing.with_planned_words(recording, draft.plan),
-                                      directing.planned(InferenceOptions(plan=draft.plan)), on_block)
-        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.first), self.lexeme_names()))
+                                      directing.planned(InferenceOptions(plan=draft.plan)))
+        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.complete(on_block)),
+                                         self.lexeme_names()))
 
     def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, rendering: GeneratedMotion
                      ) -> Performance:

@@ -1,12 +1,14 @@
-"""An editor's session in a real browser: look, try, take, drag, search, undo, close the page and go on."""
+"""An editor's story in a real browser: look, try, drag, search, undo, shape, pin, export, close the page and go on."""
 
 from __future__ import annotations
 
 import base64
+import gc
 import json
 import os
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,15 +18,18 @@ import pytest
 import soundfile
 from browser import OpenedPage, chromium
 
+from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.directing.moving_figures import moving_figures
 from gesticulator.export import html
+from gesticulator.export.writers import check_output
 from gesticulator.performance import Performance
 from gesticulator.plan.plan_file import parse_plan, read_plan
 from gesticulator.serve.edits import LivePlans, directions_of, levels_of
 from gesticulator.serve.page_server import PageServer
 from gesticulator.serve.saved_edits import SavedEdits
+from gesticulator.serve.view_command import COMMAND, _job, _prepare
 
 PICTURES = Path(os.environ["PICTURES"]) if "PICTURES" in os.environ else None
 """The folder to keep the pictures in; those of docs/viewer.md are made so."""
@@ -70,7 +75,7 @@ def _rotations(page: Any) -> np.ndarray:
 
 def _rendered(page: Any) -> None:
     page.wait_for_function("() => preview.session.plan === preview.session.lane.rendered && "
-                           "document.getElementById('status').dataset.state === 'same'", timeout=60_000)
+                           "document.getElementById('status').dataset.state === 'same'", timeout=120_000)
 
 
 def _is(page: Any, plans: LivePlans, plan: dict[str, Any]) -> None:
@@ -78,80 +83,191 @@ def _is(page: Any, plans: LivePlans, plan: dict[str, Any]) -> None:
     np.testing.assert_array_equal(_rotations(page), np.frombuffer(base64.b64decode(made["rotations"]), "<i2"))
 
 
-def test_gestures_are_seen_tried_taken_dragged_and_there_again_tomorrow(
-        served: tuple[PageServer, LivePlans, Path]) -> None:
-    server, plans, folder = served
+@contextmanager
+def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, LivePlans]]:
+    """What `gesticulator view SOUND` does from the command to Ctrl C, without a window of its own."""
+    args = COMMAND.parser("gesticulator view").parse_args([str(sound), "--no-browser", *words])
+    with PageServer() as server:
+        _prepare(server, _job(args), args)
+        gc.unfreeze()  # more is done in this process after it
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        try:
+            yield server, server.render.__self__  # type: ignore[union-attr]
+        finally:
+            server.shutdown()
+            thread.join(10)
+            server.saved.save()  # type: ignore[union-attr]
+
+
+def _look(page: Any) -> int:
+    """Search the palette with the keyboard; the block that is meant."""
+    page.keyboard.press("p")
+    page.wait_for_selector("#palette-figures li", timeout=120_000)
+    assert page.locator("#palette-figures li:not([hidden])").count() > 250
+    assert page.locator("#palette-figures canvas").first.bounding_box()["height"] > 20, "small moving figures"
+    playing = page.evaluate("() => preview.session.plan.blocks[preview.inspector.stretch[0]].lexeme")
+    assert page.locator('#palette .figure[aria-pressed="true"]').inner_text().startswith(f"{playing} ·")
+    page.keyboard.type("both hands")
+    page.select_option("#palette-size", "far")
+    few = page.locator("#palette-figures li:not([hidden])")
+    assert 0 < few.count() < 150
+    names = few.locator(".called").all_inner_texts()
+    assert all("both hands" in name or ("right hand" in name and "left hand" in name) for name in names)
+    return int(page.evaluate("() => preview.inspector.stretch[0]"))
+
+
+def _draw_curve(page: Any) -> None:
+    """A curve of the size on the timeline: two clicks, and the second point is dragged down."""
+    page.click("#curve")
+    box = page.locator("#timeline").bounding_box()
+    row = page.evaluate("() => preview.timeline.rows.curve")
+    for second, share in ((1.0, 0.5), (3.0, 0.3)):
+        x = page.evaluate("(at) => preview.timeline.x(at)", second)
+        page.mouse.click(box["x"] + x, box["y"] + row["top"] + share * row["tall"])
+    page.mouse.move(box["x"] + x, box["y"] + row["top"] + 0.3 * row["tall"])
+    page.wait_for_timeout(500)  # a second click at once would remove the point
+    page.mouse.down()
+    page.mouse.move(box["x"] + x, box["y"] + row["top"] + 0.8 * row["tall"], steps=4)
+    page.mouse.up()
+
+
+def _pin(page: Any) -> None:
+    """The left hand of the figure, taken with the mouse and put higher."""
+    page.keyboard.press("g")
+    page.wait_for_selector('.handle[data-joint="LeftHand"]', state="visible")
+    box = page.locator('.handle[data-joint="LeftHand"]').bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 15, y - 35)
+    page.mouse.move(x + 30, y - 70)
+    page.mouse.up()
+
+
+def _exported(page: Any, plans: LivePlans, plan: dict[str, Any], folder: Path) -> None:
+    """The menu hands out the file of the command line: FBX where Blender is there to make it, else GLB."""
+    try:
+        check_output(folder / "talk.fbx")
+        suffix = ".fbx"
+    except InputError:
+        suffix = ".glb"
+    page.click("#file-menu summary")
+    page.select_option("#export-format", suffix)
+    with page.expect_download(timeout=180_000) as got:
+        page.click("#export-go")
+    made = Path(got.value.path()).read_bytes()
+    assert got.value.suggested_filename == f"talk{suffix}"
+    if suffix == ".glb":
+        assert made == plans.performance(plan).save(folder / "wanted.glb").read_bytes()
+    else:
+        assert made.startswith(b"Kaydara FBX Binary")
+    page.keyboard.press("Escape")
+
+
+def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_again_tomorrow(tmp_path: Path) -> None:
+    samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
+    sound, said = tmp_path / "talk.wav", tmp_path / "talk.srt"
+    soundfile.write(sound, samples, rate, subtype="FLOAT")
+    said.write_text("1\n00:00:00,200 --> 00:00:04,200\nhello, and welcome this is a voice that nobody has recorded\n")
     with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 800)
-        page = opened.page
-        opened.go_to(2.0)
-        first = _rotations(page)
-        # Look: the palette opens with the keyboard, and its figures can be searched and filtered.
-        page.keyboard.press("p")
-        page.wait_for_selector("#palette-figures li", timeout=60_000)
-        assert page.locator("#palette-figures li:not([hidden])").count() > 250
-        playing = page.evaluate("() => preview.session.plan.blocks[preview.inspector.stretch[0]].lexeme")
-        assert page.locator('#palette .figure[aria-pressed="true"]').inner_text().startswith(f"{playing} ·")
-        page.keyboard.type("both hands")
-        page.select_option("#palette-size", "far")
-        few = page.locator("#palette-figures li:not([hidden])")
-        assert 0 < few.count() < 150
-        names = few.locator(".called").all_inner_texts()
-        assert all("both hands" in name or ("right hand" in name and "left hand" in name) for name in names)
-        # Try: hovering plays it in its place, and leaving takes it back.
-        block = page.evaluate("() => preview.inspector.stretch[0]")
-        choice = few.locator('.figure[aria-pressed="false"]').first
-        lexeme = int(choice.locator(".called").inner_text().split(" ·")[0])
-        choice.hover()
-        page.wait_for_function("() => document.getElementById('status').textContent.startsWith('a try')",
-                               timeout=60_000)
-        assert (_rotations(page) != first).any()
-        assert opened.plan()["blocks"][block]["lexeme"] == playing, "nothing is taken"
-        page.screenshot(path=PICTURES / "palette.png" if PICTURES else folder / "palette.png")
-        page.mouse.move(700, 300)
-        page.wait_for_function("() => !document.getElementById('status').textContent.startsWith('a try')")
-        np.testing.assert_array_equal(_rotations(page), first)
-        # Take it; drag another one onto a later moment; a shrug at the playhead; a favourite.
-        choice.click()
-        _rendered(page)
-        assert opened.plan()["blocks"][block]["lexeme"] == lexeme
-        _is(page, plans, opened.plan())
-        other = few.locator('.figure[aria-pressed="false"]').nth(1)
-        dragged = int(other.locator(".called").inner_text().split(" ·")[0])
-        box = page.locator("#timeline").bounding_box()
-        other.drag_to(page.locator("#timeline"), target_position={"x": box["width"] * 0.8, "y": 60})
-        _rendered(page)
-        at = page.evaluate("() => preview.session.plan.blocks.findIndex((b) => b.end > preview.clock.time)")
-        assert opened.plan()["blocks"][at]["lexeme"] == dragged and at != block
-        page.select_option("#palette-size", "")
-        page.fill("#palette-search", "shrug")
-        page.select_option("#palette-kind", "gesture")
-        page.locator("#palette-figures li:not([hidden]) .star").first.click()
-        page.locator("#palette-figures li:not([hidden]) .figure").first.click()
-        _rendered(page)
-        assert opened.plan()["cues"][0]["gesture"].startswith("shrug")
-        page.fill("#palette-search", "")
-        page.click("#palette-favourites")
-        assert page.locator("#palette-figures li:not([hidden])").count() == 1
-        page.click("#palette-close")
-        _is(page, plans, opened.plan())
-        # Undo with the keyboard, and again.
-        edited = opened.plan()
-        for _ in range(3):
+        with _viewing(sound, "--text", str(said)) as (server, plans):
+            opened = OpenedPage(browser, server.url, 1280, 900)
+            page = opened.page
+            opened.go_to(1.0)
+            first, original = _rotations(page), opened.plan()
+            # The phrases are a row of gestures: a click on one selects its blocks.
+            unit = max(original["units"], key=lambda one: one["end"] - one["start"])
+            box = page.locator("#timeline").bounding_box()
+            x, row = page.evaluate("(at) => [preview.timeline.x(at), preview.timeline.rows.units]",
+                                   (unit["start"] + unit["end"]) / 2)
+            page.mouse.click(box["x"] + x, box["y"] + row["top"] + row["tall"] / 2)
+            begin, end = page.evaluate("() => preview.session.selection")
+            assert end > begin and original["blocks"][begin]["start"] <= unit["start"] + 0.01
+            page.keyboard.press("Escape")
+            speaks = next(one for one in original["blocks"] if one["start"] > 1.0 and not one["silent"])
+            opened.go_to((speaks["start"] + speaks["end"]) / 2)
+            # Another gesture is played in its place under the pointer, and taken back when that leaves.
+            block = _look(page)
+            playing = opened.plan()["blocks"][block]["lexeme"]
+            few = page.locator("#palette-figures li:not([hidden])")
+            choice = few.locator('.figure[aria-pressed="false"]').first
+            lexeme = int(choice.locator(".called").inner_text().split(" ·")[0])
+            choice.hover()
+            page.wait_for_function("() => document.getElementById('status').textContent.startsWith('a try')",
+                                   timeout=120_000)
+            assert (_rotations(page) != first).any()
+            assert opened.plan()["blocks"][block]["lexeme"] == playing, "nothing is taken"
+            page.screenshot(path=(PICTURES or tmp_path) / "palette.png")
+            page.mouse.move(700, 300)
+            page.wait_for_function("() => !document.getElementById('status').textContent.startsWith('a try')")
+            np.testing.assert_array_equal(_rotations(page), first)
+            # It is dragged onto the next word.
+            word = next(one for one in original["words"] if one["start"] > original["blocks"][block]["end"] + 0.3)
+            x = page.evaluate("(at) => preview.timeline.x(at)", (word["start"] + word["end"]) / 2)
+            choice.drag_to(page.locator("#timeline"), target_position={"x": x, "y": 60})
+            _rendered(page)
+            changed = [at for at, (now, was) in enumerate(zip(opened.plan()["blocks"], original["blocks"], strict=True))
+                       if now["lexeme"] != was["lexeme"]]
+            (at,) = changed
+            assert opened.plan()["blocks"][at]["lexeme"] == lexeme and at > block
+            assert original["blocks"][at]["start"] < word["end"] and original["blocks"][at]["end"] > word["start"]
+            # A named gesture by the search, a favourite, and back with the keyboard.
+            page.select_option("#palette-size", "")
+            page.fill("#palette-search", "shrug")
+            page.select_option("#palette-kind", "gesture")
+            few.locator(".star").first.click()
+            few.locator(".figure").first.click()
+            _rendered(page)
+            assert opened.plan()["cues"][0]["gesture"].startswith("shrug")
+            page.fill("#palette-search", "")
+            page.click("#palette-favourites")
+            assert few.count() == 1
+            page.click("#palette-close")
+            for keys in ("Control+z", "Control+z", "Control+Shift+z"):
+                page.keyboard.press(keys)
+            _rendered(page)
+            assert not opened.plan().get("cues") and opened.plan()["blocks"][at]["lexeme"] == lexeme
+            _is(page, plans, opened.plan())
+            # A curve of the size, and a pinned pose.
+            _draw_curve(page)
+            _rendered(page)
+            (curve,) = opened.plan()["curves"]
+            assert curve["knob"] == "intensity" and len(curve["times"]) == 2 and curve["values"][0] > curve["values"][1]
+            page.keyboard.press("f")
+            opened.go_to(2.004)
+            _pin(page)
+            _rendered(page)
+            (pin,) = opened.plan()["pins"]
+            assert pin["joint"] == "LeftHand" and abs(pin["time"] - 2.0) < 1e-3
+            page.keyboard.press("g")
+            _is(page, plans, opened.plan())
+            _exported(page, plans, opened.plan(), tmp_path)
+            # The page is loaded again, and goes on.
+            edited, there = opened.plan(), _rotations(page)
+            page.wait_for_timeout(600)
+            page.reload()
+            page.wait_for_function("() => document.body.dataset.ready === 'true'")
+            _rendered(page)
+            np.testing.assert_array_equal(_rotations(page), there)
+            opened.check_quiet(server.url)
+            page.close()
+        # Tomorrow, in another browser's memory: what was saved beside the sound.
+        assert read_plan(tmp_path / "talk.edits.plan.json").blocks[at].lexeme == lexeme
+        with _viewing(sound) as (server, plans):
+            opened = OpenedPage(browser, server.url, 1280, 900)
+            page = opened.page
+            now = opened.plan()
+            assert [now[name] for name in ("curves", "words")] == [edited[name] for name in ("curves", "words")]
+            assert now["pins"] == [{"hold": 0, **pin}], "a file says what the page leaves out"
+            assert [one["lexeme"] for one in now["blocks"]] == [one["lexeme"] for one in edited["blocks"]]
+            np.testing.assert_array_equal(_rotations(page), there)
+            opened.go_to(5.3)
+            page.keyboard.press("2")
+            _rendered(page)
+            assert (_rotations(page) != there).any()
+            _is(page, plans, opened.plan())
             page.keyboard.press("Control+z")
-        _rendered(page)
-        np.testing.assert_array_equal(_rotations(page), first)
-        for _ in range(3):
-            page.keyboard.press("Control+Shift+z")
-        _rendered(page)
-        assert opened.plan()["cues"] == edited["cues"]
-        # The page is loaded again, and goes on; the plan file beside the sound has it too.
-        page.wait_for_timeout(600)
-        page.reload()
-        page.wait_for_function("() => document.body.dataset.ready === 'true'")
-        _rendered(page)
-        assert opened.plan()["blocks"][block]["lexeme"] == lexeme
-        _is(page, plans, opened.plan())
-        server.saved.save()  # type: ignore[union-attr]
-        assert read_plan(folder / "talk.edits.plan.json").blocks[block].lexeme == lexeme
-        opened.check_quiet(server.url)
+            _rendered(page)
+            np.testing.assert_array_equal(_rotations(page), there)
+            opened.check_quiet(server.url)

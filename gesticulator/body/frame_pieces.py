@@ -18,7 +18,7 @@ from data_module.blocks import KnotPath
 from data_module.types import Array, Motion
 from gesticulator.body.clearance import cleared, cleared_poses
 from gesticulator.body.mirror import mirrored_motion
-from gesticulator.body.stance import seated
+from gesticulator.body.stance import Stance, seated
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
 from gesticulator.options import InferenceOptions
@@ -36,10 +36,14 @@ _MARGIN = 2
 
 
 class PosedBlock(Protocol):
-    """The poses of a block. times: [K] seconds; number: of their content."""
+    """The poses of a block. times: [K] seconds."""
 
-    number: int
     times: Array
+
+    @property
+    def number(self) -> int:
+        """The number of their content."""
+        ...
 
     @property
     def poses(self) -> Array:
@@ -147,10 +151,23 @@ class FramePieces:
     def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int],
                plan: GesturePlan | None = None) -> Iterator[tuple[int, FramePiece]]:
         """The number and the piece of each of the blocks in `order`, of N blocks with knots at `times` [N, K] seconds
-        and of these poses. plan: its pins are applied."""
+        and of these poses; of the first blocks alone where the pieces do not depend on others (`reach`). plan: its pins
+        are applied."""
         layout = self._layout(times, duration, plan)
         for at in order:
             yield at, self._remembered(layout, at, blocks, None)
+
+    def stretch(self, times: Array, blocks: Sequence[PosedBlock], duration: float, span: tuple[int, int],
+                legs: int | None = None) -> tuple[int, Motion]:
+        """The number of the first frame, and the frames, of the blocks of a span (first, last + 1), without pins. legs:
+        the seed of standing legs that are as at the start of a performance; None for no such legs."""
+        layout = self._layout(times, duration, None)
+        first, last = span[0], span[1] - 1
+        near, frames = blocks[layout.first[first]:layout.last[last] + 1], (layout.edges[first], layout.edges[last + 1])
+        body = self._upper_body(near, layout.begins[first], frames, layout.count)
+        if legs is not None:
+            body = Stance(legs, self.fps).step(body)
+        return frames[0], self._placed(body)
 
     def learn(self, times: Array, blocks: Sequence[PosedBlock], duration: float, rotations: Array,
               plan: GesturePlan | None = None) -> SignedPieces:
@@ -163,6 +180,12 @@ class FramePieces:
         """[N] whether the piece of each block is remembered."""
         layout = self._layout(times, duration, plan)
         return [layout.key(at, blocks) in self._known for at in range(len(times))]
+
+    def reach(self, times: Array, duration: float, plan: GesturePlan | None = None) -> list[int]:
+        """[N] the last block on whose poses each piece depends."""
+        layout = self._layout(times, duration, plan)
+        return [max([layout.last[at], *(layout.last[group] for group in layout.pinned_by(at))])
+                for at in range(len(times))]
 
     def _layout(self, times: Array, duration: float, plan: GesturePlan | None) -> _Layout:
         flat = np.concatenate([[0.0], times.ravel()])
@@ -230,9 +253,9 @@ class FramePieces:
     def _body(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock]) -> Motion:
         """The frames of a piece or group, without pins."""
         near = blocks[layout.first[at]:layout.last[at] + 1]
-        return self._frames(near, layout.begins[at], layout.frames(at), layout.count)
+        return self._placed(self._upper_body(near, layout.begins[at], layout.frames(at), layout.count))
 
-    def _frames(self, blocks: Sequence[PosedBlock], begins: bool, frames: tuple[int, int], count: int) -> Motion:
+    def _upper_body(self, blocks: Sequence[PosedBlock], begins: bool, frames: tuple[int, int], count: int) -> Motion:
         """Some frames of `count`; begins: whether the blocks are the first ones."""
         times = np.concatenate([block.times for block in blocks])
         poses = cleared_poses(np.concatenate([block.poses for block in blocks]), self._representation)
@@ -240,7 +263,10 @@ class FramePieces:
             times, poses = np.concatenate([[0.0], times]), np.concatenate([self._first[None], poses])
         path = KnotPath(self._first, self.fps, self._smoothing)
         path.rewind(times, poses, frames[0])
-        body = cleared(self._representation.motion(path.frames(*frames, count), self.fps))
+        return cleared(self._representation.motion(path.frames(*frames, count), self.fps))
+
+    def _placed(self, body: Motion) -> Motion:
+        """The body on its seat, and mirrored, where that is asked for."""
         body = seated(body) if self._seated else body
         return mirrored_motion(body) if self._mirrored else body
 

@@ -11,11 +11,16 @@ seconds:
 
 with d and v the differences in pose and velocity at the beat, and T = BLEND. Runs are independent of each other, so an
 edit changes nothing elsewhere, and costs only its run. Motion is [N, K, D_m], normalised, K frames per block.
+
+Generations are drawn block by block, as far as they are asked for. What has to be drawn from the start of the
+recording can be shown roughly before: a draft of a stretch begins shortly before it, in the pose that another
+generation has there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import cast
@@ -28,7 +33,7 @@ from gesticulator.bundle.features import SpeechBlock, SpeechFeatures
 from gesticulator.drawing.cutter import BlockCutter
 from gesticulator.drawing.drawer import Direction, Keys
 from gesticulator.drawing.drawn_blocks import DrawnBlock, DrawnTree
-from gesticulator.drawing.driver import BlockRequest, Driver, GeneratedMotion, KeptDrawing, OnBlock, requests
+from gesticulator.drawing.driver import BlockRequest, Driver, GeneratedMotion, KeptDrawing, OnBlock
 from gesticulator.drawing.recut import Recutter, window
 from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.plan import Block, GenerationKnobs, GesturePlan, PlanKnobs, edited_blocks, edited_themselves
@@ -108,68 +113,108 @@ class Fade:
     key: Hashable
 
 
-@dataclass(frozen=True)
-class _Generation:
-    """All blocks of the recording in one generation. before: the state before each of them; numbers: of their
-    contents."""
+class Generation:
+    """The blocks of the recording in one generation, in order; each is drawn when it is first asked for."""
 
-    kind: str
-    before: Sequence[DrawnBlock]
-    blocks: Sequence[BlockMotion]
-    numbers: Sequence[int]
+    def __init__(self, steps: list[DrawnBlock], draw: Callable[[int, DrawnBlock], DrawnBlock], begin: int = 0) -> None:
+        """steps: the state before block `begin`, and the blocks from there on that are known; draw: the number of the
+        next block and the one before it -> the next block."""
+        self._steps, self._draw, self._begin = steps, draw, begin
+
+    @property
+    def drawn(self) -> int:
+        """How far the recording has been drawn: the number of the first block that has not."""
+        return self._begin + len(self._steps) - 1
+
+    def before(self, at: int, on_block: Callable[[int], None] | None = None) -> DrawnBlock:
+        """The block before block `at`, with the state from which that one is drawn. on_block: called with the number of
+        finished blocks after each that is drawn."""
+        while self.drawn < at:
+            self._steps.append(self._draw(self.drawn, self._steps[-1]))
+            if on_block is not None:
+                on_block(self.drawn)
+        return self._steps[at - self._begin]
+
+    def block(self, at: int, on_block: Callable[[int], None] | None = None) -> DrawnBlock:
+        """Block `at`, with the state after it. on_block: see `before`."""
+        return self.before(at + 1, on_block)
+
+    def known(self, count: int) -> list[DrawnBlock]:
+        """The state before the first block, and at most `count` blocks that are drawn."""
+        return self._steps[:count + 1]
 
 
 class PlanRenderer:
     """Renders plans of one first generation; each plan then costs only its edited blocks."""
 
-    def __init__(self, redrawer: Redrawer, plan: GesturePlan, on_block: OnBlock | None = None,
-                 drawing: KeptDrawing | None = None) -> None:
-        """plan: any plan of this generation; its edits are ignored here. on_block: see `Driver.run`. drawing: the first
-        generation, if it was kept; it is made here otherwise."""
+    def __init__(self, redrawer: Redrawer, plan: GesturePlan, drawing: KeptDrawing | None = None) -> None:
+        """plan: any plan of this generation; its edits are ignored here. drawing: the first generation, or its first
+        blocks, or its speech alone; what is missing is drawn when it is needed."""
         self._redrawer, self._drawn = redrawer, plan.drawn
         self._seed = plan.seed, plan.variation
         # By the number of a block in `draw`; another number is a time of its own.
         self._keys = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
                               plan.drawn.keyed_at or plan.drawn.edges, strict=False))
         self._cut = redrawer.blocks(plan.drawn.edges, plan.drawn.flags, plan.drawn.silent)
+        self._times = self._cut.knot_times.reshape(len(self._cut), -1)
         self._edges, self._manner = plan.drawn.edges, plan.drawn_manner
         self._index = {edge: at for at, edge in enumerate(self._edges)}
-        self.drawing = drawing or self._draw(on_block)
-        self._encoded = self.drawing.encoded
-        count = len(self._cut)
-        self._tree = DrawnTree(max(LEAST_REMEMBERED, REMEMBERED * count))
-        numbers = [self._tree.new_number() for _ in range(count + 1)]
-        self._first = _Generation("first", [DrawnBlock(number, state, None) for number, state in zip(
-            numbers, self.drawing.states, strict=False)], self.drawing.blocks, numbers[1:])
-        self._windows: dict[Hashable, int] = {window(self._edges, at): at for at in range(count)}
+        if drawing is None:
+            cutters = list[BlockCutter]()
+            drawing = KeptDrawing(redrawer.encode(self._cut, cutters), (), (), cutters)
+        self._encoded, self._cutters = drawing.encoded, drawing.cutters
+        self._tree = DrawnTree(max(LEAST_REMEMBERED, REMEMBERED * len(self._cut)))
+        states = drawing.states or [self._begun(self._manner)]
+        self._first = Generation([DrawnBlock(self._tree.new_number(), state, block) for state, block in zip(
+            states, [None, *drawing.blocks], strict=True)], self._next_of_first)
+        self._windows: dict[Hashable, int] = {window(self._edges, at): at for at in range(len(self._cut))}
         self._complete: set[GenerationKnobs] = set()
         self._recut: dict[Hashable, SpeechBlock] = {}
         self._faded: dict[Hashable, tuple[int, Rows]] = {}
 
-    def _draw(self, on_block: OnBlock | None) -> KeptDrawing:
-        """The first generation, from the decisions in the plan."""
-        drawn, knobs, cutters = self._drawn, self._drawn.knobs, list[BlockCutter]()
-        encoded = self._redrawer.encode(self._cut, cutters)
-        driver = self._redrawer.drivers(knobs.share)
-        driver.begin(encoded.text is not None)
-        bias, times = self._redrawer.bias(knobs.handedness), self._cut.knot_times.reshape(len(self._cut), -1)
-        directions = [Direction(lexeme, still=still_frames(knobs, knots, float(start)), bias=bias)
-                      for lexeme, knots, start in zip(drawn.lexemes, times, self._cut.edges, strict=False)]
-        rows = [self._redrawer.control(knots) for knots in times]
-        control = None if rows[0] is None else np.stack([row for row in rows if row is not None])
-        following = [replace(request, speech=replace(request.speech, number=number, key=key)) for request, (number, key)
-                     in zip(requests(encoded, control, directions), self._keys.items(), strict=False)]
-        states: list[Driver] = []
-        return KeptDrawing(encoded, driver.run(following, on_block, states), states, cutters)
+    def _next_of_first(self, at: int, before: DrawnBlock) -> DrawnBlock:
+        """The next block of the first generation, from the decisions in the plan."""
+        state = before.state.fork()
+        return DrawnBlock(self._tree.new_number(), state, state.draw(self._as_first(at)))
+
+    def _as_first(self, at: int) -> BlockRequest:
+        """The request for a block of the first generation."""
+        drawn = self._drawn
+        still = still_frames(drawn.knobs, self._times[at], float(self._cut.edges[at]))
+        return self._asked(at, Direction(drawn.lexemes[at], still=still,
+                                         bias=self._redrawer.bias(drawn.knobs.handedness)))
+
+    def _asked(self, at: int, direction: Direction) -> BlockRequest:
+        number = self._drawn.numbers[at] if self._drawn.numbers else at
+        return BlockRequest(replace(self._encoded.block(at), number=number, key=self._keys[number]),
+                            self._redrawer.control(self._times[at]), direction)
+
+    def complete(self, on_block: OnBlock | None = None) -> Sequence[BlockMotion]:
+        """The blocks of the first generation, all of which are drawn. on_block: see `OnBlock`."""
+        count = len(self._cut)
+        self._first.before(count, None if on_block is None else lambda done: on_block(done, count))
+        return [cast("BlockMotion", step.block) for step in self._first.known(count)[1:]]
 
     @property
-    def first(self) -> Sequence[BlockMotion]:
-        """The blocks of the first generation."""
-        return self.drawing.blocks
+    def drawing(self) -> KeptDrawing:
+        """The first generation, all of which is drawn."""
+        return KeptDrawing(self._encoded, self.complete(), [step.state for step in self._first.known(len(self._cut))],
+                           self._cutters)
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether all of the first generation is drawn."""
+        return self._first.drawn == len(self._cut)
+
+    def speech_of(self, plan: GesturePlan) -> KeptDrawing | None:
+        """A drawing with the speech alone, for a plan that is cut as those of this renderer; None for another one."""
+        drawn, ours = plan.drawn, self._drawn
+        alike = (drawn.edges, drawn.flags, drawn.silent) == (ours.edges, ours.flags, ours.silent)
+        return KeptDrawing(self._encoded, (), (), self._cutters) if alike else None
 
     @cached_property
     def _recutter(self) -> Recutter:
-        cutters: Sequence[BlockCutter] = self.drawing.cutters
+        cutters = self._cutters
         if not cutters:
             cutters = list[BlockCutter]()
             self._redrawer.encode(self._cut, cutters)
@@ -179,8 +224,8 @@ class PlanRenderer:
         """The plan's motion. `plan.drawn` must be that of this renderer."""
         blocks = self.cut(plan)
         if not any(edited_blocks(plan)):
-            first = self.drawing.blocks
-            return GeneratedMotion(blocks, first, self.drawing.states[0].motion(first))
+            first = self.complete()
+            return GeneratedMotion(blocks, first, self._first.before(0).state.motion(first))
         played = self.played(plan)
         return GeneratedMotion(blocks, [one.block for one in played], np.stack([one.motion for one in played]))
 
@@ -189,37 +234,41 @@ class PlanRenderer:
         return self._redrawer.blocks([0.0, *(block.end for block in plan.blocks)],
                                      [block.flag for block in plan.blocks], [block.silent for block in plan.blocks])
 
-    def played(self, plan: GesturePlan, on_block: OnBlock | None = None) -> list[PlayedBlock]:
-        """The blocks of a plan as they are played. on_block: see `Driver.run`; it may raise an error to abandon the
-        rendering: what was drawn until then is remembered."""
+    def played(self, plan: GesturePlan) -> list[PlayedBlock]:
+        """The blocks of a plan as they are played."""
+        return list(self.playing(plan))
+
+    def playing(self, plan: GesturePlan, on_block: OnBlock | None = None) -> Iterator[PlayedBlock]:
+        """The blocks of a plan as they are played, one after the other as they are drawn. on_block: called after each
+        drawn block with the number of finished blocks and the total; it may raise an error to abandon the rendering:
+        what was drawn until then is remembered."""
         if plan.drawn != self._drawn:
             raise ValueError("the plan is of another generation")
-        return _PlanRun(self, plan, on_block).played()
+        return _PlanRun(self, plan, on_block).playing(0, len(plan.blocks))
 
     # ------------------------------------------------------------------------------------------ what runs are made of
 
-    def generation(self, manner: GenerationKnobs, on_block: OnBlock | None = None, count: int | None = None
-                   ) -> _Generation:
-        """The recording, or its first `count` blocks, generated in a manner, without edits: the first generation where
-        it is that of the first."""
+    def generation(self, manner: GenerationKnobs) -> Generation:
+        """The recording generated in a manner, without edits: the first generation where it is that of the first."""
         if manner == self._manner:
             return self._first
-        count = len(self._cut) if count is None else count
         begins = _begins(manner), manner.handedness
-        steps = [self._tree.beginning(begins, lambda: self._begun(manner))]
-        for at in range(count):
-            key = "knobs", at, _activity(manner, self._edges[at])
-            steps.append(self._tree.drawn(steps[-1], key, partial(self._with_manner, manner, at)))
-            if on_block is not None:
-                on_block(at + 1, count)
-        if count == len(self._cut):
-            self._complete.add(manner)
-        blocks = [step.block for step in steps[1:] if step.block is not None]
-        return _Generation("knobs", steps[:-1], blocks, [step.number for step in steps[1:]])
 
-    def knows(self, manner: GenerationKnobs) -> bool:
-        """Whether the whole recording has been generated in this manner, and most of it is remembered."""
-        return manner in self._complete
+        def draw(at: int, before: DrawnBlock) -> DrawnBlock:
+            key = "knobs", at, _activity(manner, self._edges[at])
+            drawn = self._tree.drawn(before, key, partial(self._with_manner, manner, at))
+            if at + 1 == len(self._cut):
+                self._complete.add(manner)
+            return drawn
+
+        return Generation([self._tree.beginning(begins, lambda: self._begun(manner))], draw)
+
+    def knows(self, plan: GesturePlan) -> bool:
+        """Whether the generations that a plan needs have been drawn as a whole, and most of them is remembered."""
+        locked = [block.locked for block in plan.blocks]
+        first = plan.manner == self._manner or any(locked)
+        return (not first or self.is_drawn) and (
+            plan.manner == self._manner or all(locked) or plan.manner in self._complete)
 
     def _begun(self, manner: GenerationKnobs) -> Driver:
         driver = self._redrawer.drivers(_begins(manner))
@@ -228,29 +277,44 @@ class PlanRenderer:
 
     def _with_manner(self, manner: GenerationKnobs, at: int) -> BlockRequest:
         """The request for a block of the first generation in another manner."""
-        number = self._drawn.numbers[at] if self._drawn.numbers else at
-        times = self._cut.knot_times.reshape(len(self._cut), -1)[at]
-        still = still_frames(self._drawn.knobs, times, float(self._cut.edges[at]))
+        still = still_frames(self._drawn.knobs, self._times[at], float(self._cut.edges[at]))
         # Under a curve, as in the first generation, which it is as long as the curve does not matter.
         keys = None if manner.curves else Keys(*self._seed)
-        return BlockRequest(replace(self._encoded.block(at), number=number, key=self._keys[number]),
-                            self._redrawer.control(times),
-                            Direction(None, keys, still, self._redrawer.bias(manner.handedness),
-                                      _activity(manner, self._edges[at])))
+        return self._asked(at, Direction(None, keys, still, self._redrawer.bias(manner.handedness),
+                                         _activity(manner, self._edges[at])))
 
-    def draft(self, manner: GenerationKnobs, view: tuple[float, float]) -> tuple[Blocks, list[PlayedBlock], list[int]]:
-        """The first generation, with the blocks of a stretch (seconds) roughly as they will be in another manner; its
-        blocks, and which of them. The models begin anew shortly before the stretch, in the pose that is there."""
-        first = max(int(np.searchsorted(self._cut.edges[1:], view[0])) - WARMS_UP, 0)
-        last = min(int(np.searchsorted(self._cut.edges[:-1], view[1])), len(self._cut))
-        driver = self._begun(manner)
-        driver.stand_as(self.drawing.states[first])
-        played = [PlayedBlock(block, block.motion, number) for block, number in
-                  zip(self.drawing.blocks, self._first.numbers, strict=True)]
-        for at in range(first, last):
-            block = driver.draw(self._with_manner(manner, at))
-            played[at] = PlayedBlock(block, block.motion, self._tree.new_number())
-        return self._cut, played, list(range(min(first + WARMS_UP, max(last - 1, first)), last))
+    def draft(self, plan: GesturePlan, view: tuple[float, float], other: PlanRenderer
+              ) -> tuple[list[PlayedBlock], tuple[int, int]] | None:
+        """The blocks of a plan, those of a stretch (seconds) roughly as they will be played; and which of them: the
+        first, and the one after the last.
+
+        The models begin anew shortly before the stretch, in the pose that the first generation of another renderer has
+        there, and sample at low cost. Before the stretch and after it, the body is still. None where the other renderer
+        cuts the recording elsewhere, or has not drawn as far.
+        """
+        blocks, count = plan.blocks, len(plan.blocks)
+        seen = bisect_right(blocks, view[0], key=lambda block: block.end)
+        last = bisect_left(blocks, view[1], key=lambda block: block.start)
+        first = max(min(seen, count - 1) - WARMS_UP, 0)
+        while first and blocks[first].start not in self._index:
+            first -= 1
+        begin = self._index[blocks[first].start]
+        if last <= first or other._edges != self._edges or other._first.drawn < begin:
+            return None
+        state = self._begun(plan.manner)
+        state.hurry(True)
+        state.stand_as(other._first.before(begin).state)
+        draft = Generation([DrawnBlock(self._tree.new_number(), state, None)],
+                           partial(self._next_of_draft, plan.manner), begin)
+        played = list(_PlanRun(self, plan, None, draft).playing(first, last))
+        before, after = (replace(one, motion=np.repeat(row, len(one.motion), axis=0), number=self._tree.new_number())
+                         for one, row in ((played[0], played[0].motion[:1]), (played[-1], played[-1].motion[-1:])))
+        return [before] * first + played + [after] * (count - last), (min(seen, last - 1), last)
+
+    def _next_of_draft(self, manner: GenerationKnobs, at: int, before: DrawnBlock) -> DrawnBlock:
+        state = before.state.fork()
+        request = self._as_first(at) if manner == self._manner else self._with_manner(manner, at)
+        return DrawnBlock(self._tree.new_number(), state, state.draw(request))
 
     def speech(self, edges: Sequence[float], flags: Sequence[BeatFlag], wanted: Sequence[int]
                ) -> dict[int, tuple[Hashable, SpeechBlock]]:
@@ -277,6 +341,10 @@ class PlanRenderer:
     def key_of(self, number: int) -> float:
         """Seconds that key the random numbers of the block with this number in its `draw`."""
         return self._keys.get(number, float(number))
+
+    def plays(self, block: BlockMotion) -> PlayedBlock:
+        """A block that was drawn elsewhere, as it is."""
+        return PlayedBlock(block, block.motion, self._tree.new_number())
 
     def bias(self, hand: str | None) -> NDArray[np.float64] | None:
         """[S] what a handedness adds to the scores of lexemes; None without one."""
@@ -316,10 +384,13 @@ class PlanRenderer:
 
 
 class _PlanRun:
-    """One rendering of one plan."""
+    """One rendering of one plan, or of a stretch of it."""
 
-    def __init__(self, renderer: PlanRenderer, plan: GesturePlan, on_block: OnBlock | None) -> None:
-        self._renderer, self._plan, self._on_block = renderer, plan, on_block
+    def __init__(self, renderer: PlanRenderer, plan: GesturePlan, on_block: OnBlock | None,
+                 draft: Generation | None = None) -> None:
+        """draft: takes the place of the generations that have not been drawn."""
+        self._renderer, self._plan = renderer, plan
+        self._on_block = None if on_block is None else lambda done: on_block(done, len(plan.drawn.lexemes))
         self._manner = plan.manner
         self._alike = self._manner == plan.drawn_manner
         self._edges = [0.0, *(block.end for block in plan.blocks)]
@@ -333,44 +404,47 @@ class _PlanRun:
         # Frames of a silence that the plan removed are not quiet.
         self._removed = [quiet.get(block.start, False) and not block.silent for block in plan.blocks]
         self._first = renderer.generation(plan.drawn_manner)
-        self._changed = self._first if self._alike or not self._needs_knobs() else \
-            renderer.generation(self._manner, on_block)
+        self._changed = self._first if self._alike else renderer.generation(self._manner)
+        if draft is not None:
+            self._changed = draft
+            self._first = draft if self._first.drawn < len(drawn.lexemes) else self._first
 
-    def _needs_knobs(self) -> bool:
-        return any(not block.locked for block in self._plan.blocks)
-
-    def played(self) -> list[PlayedBlock]:
+    def playing(self, first: int, last: int) -> Iterator[PlayedBlock]:
+        """The blocks from `first` to `last` - 1; the first of them begins where one of the first generation does."""
         blocks, fades = self._plan.blocks, list[Fade]()
         times = self._renderer.cut(self._plan).knot_times.reshape(len(blocks), -1)
-        sources: list[_Source] = []
-        out: list[PlayedBlock] = []
-        for at, block in enumerate(blocks):
+        before: _Source | None = None
+        for at in range(first, last):
+            block = blocks[at]
             fades = [fade for fade in fades if fade.begin + BLEND > block.start]
             if self._edited[at]:
-                source = self._run(at, sources[-1] if sources else None, times[at])
+                before = self._run(at, before, times[at])
             else:
-                source, fade = self._replayed(block, sources[-1] if sources else None)
+                before, fade = self._replayed(block, before)
                 fades += [] if fade is None else [fade]
-            sources.append(source)
-            number, motion = self._renderer.faded(source, tuple(fades), times[at])
-            out.append(PlayedBlock(source.block, motion, number))
-        return out
+            number, motion = self._renderer.faded(before, tuple(fades), times[at])
+            yield PlayedBlock(before.block, motion, number)
 
-    def _generation(self, block: Block) -> _Generation:
+    def _anew(self, block: Block) -> bool:
+        """Whether the new knobs apply to a block."""
+        return not self._alike and not block.locked
+
+    def _generation(self, block: Block) -> Generation:
         """The generation whose knobs apply to a block."""
-        return self._first if self._alike or block.locked else self._changed
+        return self._first if block.locked and not self._alike else self._changed
 
     def _replayed(self, block: Block, before: _Source | None) -> tuple[_Source, Fade | None]:
         """The source of an unedited block, and the difference to the block before that fades out."""
         generation, at = self._generation(block), self._renderer.index[block.start]
-        following = generation.before[at + 1] if at + 1 < len(generation.before) else None
-        source = _Source(generation.blocks[at], generation.numbers[at], self._renderer.duration(at),
-                         lambda: cast("DrawnBlock", following))
-        if before is None or before.number == generation.numbers[at - 1]:
+        drawn = generation.block(at, self._on_block)
+        assert drawn.block is not None
+        source = _Source(drawn.block, drawn.number, self._renderer.duration(at), lambda: drawn)
+        if before is None or before.number == generation.before(at).number:
             return source, None
-        there = generation.blocks[at - 1]
-        pose, velocity = _difference(before.block, before.duration, there, self._renderer.duration(at - 1))
-        return source, Fade(block.start, pose, velocity, (block.start, before.number, generation.numbers[at - 1]))
+        there = generation.before(at)
+        assert there.block is not None
+        pose, velocity = _difference(before.block, before.duration, there.block, self._renderer.duration(at - 1))
+        return source, Fade(block.start, pose, velocity, (block.start, before.number, there.number))
 
     def _run(self, at: int, before: _Source | None, times: Array) -> _Source:
         """The source of an edited block, generated after the block before."""
@@ -379,14 +453,13 @@ class _PlanRun:
         if before is not None and self._continues(at):
             state = before.after()
         else:
-            index = self._renderer.index[block.start]
-            state = generation.before[index]
-            if before is not None and before.number != generation.numbers[index - 1]:
+            state = generation.before(self._renderer.index[block.start], self._on_block)
+            if before is not None and before.number != state.number:
                 state = self._renderer.standing(state, before.after())
-        key, request = self._request(at, generation, times)
+        key, request = self._request(at, times)
         drawn = self._renderer.drawn(state, key, request)
         if self._on_block is not None:
-            self._on_block(at + 1, len(self._plan.blocks))
+            self._on_block(at + 1)
         assert drawn.block is not None
         return _Source(drawn.block, drawn.number, self._edges[at + 1] - self._edges[at], lambda: drawn)
 
@@ -395,16 +468,15 @@ class _PlanRun:
         blocks = self._plan.blocks
         if at == 0 or not self._edited[at - 1]:
             return False
-        alike = self._generation(blocks[at]) is self._generation(blocks[at - 1])
+        alike = self._anew(blocks[at]) == self._anew(blocks[at - 1])
         return alike or blocks[at].start not in self._renderer.index
 
-    def _request(self, at: int, generation: _Generation, times: Array
-                 ) -> tuple[Hashable, Callable[[], BlockRequest]]:
+    def _request(self, at: int, times: Array) -> tuple[Hashable, Callable[[], BlockRequest]]:
         """What is asked for in an edited block, and everything it depends on."""
         plan, block = self._plan, self._plan.blocks[at]
         lexeme, silent = self._decided.get((block.start, block.end), (None, False))
         # With new knobs the interpreter chooses again, unless the user set the lexeme or locked the block.
-        chosen = None if generation is not self._first and block.lexeme == lexeme else block.lexeme
+        chosen = None if self._anew(block) and block.lexeme == lexeme else block.lexeme
         still = None if block.locked else still_frames(plan.knobs, times, block.start)
         if block.silent and not silent:
             still = np.ones(len(times), bool)
@@ -413,7 +485,7 @@ class _PlanRun:
         last, count = min(at + 1, len(plan.blocks) - 1), len(plan.blocks)
         silence = plan.blocks[max(at - 1, 0)].silent, block.silent, plan.blocks[last].silent
         removed = self._removed[at], self._removed[last]
-        manner = plan.drawn_manner if generation is self._first else self._manner
+        manner = self._manner if self._anew(block) else plan.drawn_manner
         hand = manner.handedness
         # Beside blocks with activities of their own, the others are given theirs, too.
         activity = manner.share_at(block.start) if self._manner.curves else None

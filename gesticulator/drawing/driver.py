@@ -68,8 +68,9 @@ class GeneratedMotion:
 
 @dataclass(frozen=True)
 class KeptDrawing:
-    """A first generation, kept so that edits can start from it: the speech, its N blocks, the state before each of
-    them, and the cutter of the speech at some times (`BlockCutter.fork`)."""
+    """A first generation, or its beginning, kept so that edits can start from it: the speech; the first n of its N
+    blocks; the state before each of these and after the last, or no state where nothing is drawn; and the cutter of the
+    speech at some times (`BlockCutter.fork`)."""
 
     encoded: SpeechFeatures
     blocks: Sequence[BlockMotion]
@@ -118,17 +119,9 @@ class Driver:
             block = rollout.step(request.speech, request.control, replace(request.direction, lexeme=block.lexeme))
         return block
 
-    def run(self, blocks: Sequence[BlockRequest], on_block: OnBlock | None = None,
-            states: list[Driver] | None = None) -> list[BlockMotion]:
-        """The next blocks, one after the other. states: receives a copy of the state before each of them."""
-        generated = []
-        for count, request in enumerate(blocks, 1):
-            if states is not None:
-                states.append(self.fork())
-            generated.append(self.draw(request))
-            if on_block is not None:
-                on_block(count, len(blocks))
-        return generated
+    def run(self, blocks: Sequence[BlockRequest]) -> list[BlockMotion]:
+        """The next blocks, one after the other."""
+        return [self.draw(request) for request in blocks]
 
     def motion(self, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
         """[N, K, D_m] motion of all blocks of a performance."""
@@ -142,7 +135,9 @@ class Driver:
 
     def stand_as(self, other: Driver) -> None:
         """Take over the pose and the last block from another driver of the same bundle."""
-        for rollout, source in zip(self._rollouts, other._rollouts, strict=True):
+        alike = len(self._rollouts) == len(other._rollouts)  # with a variation or without one
+        sources = other._rollouts if alike else other._rollouts[-1:] * len(self._rollouts)
+        for rollout, source in zip(self._rollouts, sources, strict=True):
             rollout.stand_as(source)
 
     def hurry(self, on: bool) -> None:

@@ -10,9 +10,11 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+from bisect import bisect_left, bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,8 +29,7 @@ from gesticulator.bundle.features import representation_of
 from gesticulator.directing.directions import check_plan_of, planned
 from gesticulator.directing.editing import PlayedBlock
 from gesticulator.directing.record import fingerprinted, named, rendered_plan
-from gesticulator.directing.shaped_blocks import ShapedBlocks
-from gesticulator.drawing.driver import OnBlock
+from gesticulator.directing.shaped_blocks import ShapedBlock, ShapedBlocks
 from gesticulator.export.html import LONG, LONG_FPS, QUATERNION_STEPS, describe_shape, root_path, shown
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
@@ -38,9 +39,10 @@ from gesticulator.plan.schema import to_plain, written_parts
 from gesticulator.serve.page_server import AbandonedError, UnknownRenderingError
 
 if TYPE_CHECKING:
-    from data_module.types import Array, Motion
+    from data_module.types import Array, Blocks, Motion
     from gesticulator.bundle.bundle import Bundle
     from gesticulator.directing.editing import PlanRenderer
+    from gesticulator.drawing.rollout import BlockMotion
     from gesticulator.pipeline import Gesticulator
 
 MOST_DRAWINGS = 4
@@ -55,6 +57,9 @@ REPORTS = 24
 """Blocks between two reports of progress: about a second."""
 FIRST_SHOWN = 24
 """Pieces outside of the visible stretch from which on that stretch is sent first: they take a tenth of a second."""
+MANY = 120
+"""Blocks that knobs have changed from which on their poses are computed with the frames of their stretch; fewer are
+computed first, a tenth of a second, and most prove to be as they were."""
 STRETCH = 60
 """Pieces of a stretch that is sent as soon as it is made, after the visible one: about 20 s of motion, which take a
 quarter of a second."""
@@ -85,7 +90,8 @@ class _Maker:
 class _Asked:
     """plan, plain: the plan that the page asked for, and as plain values; have: the rendering that the page has; view:
     the visible stretch, seconds; abandoned: whether the page has asked for something else; done: takes the rendered
-    plan."""
+    plan; sent: by block, the pieces that were sent to the page last; rough: the frames (first, last + 1) of which it
+    was sent others before."""
 
     plan: GesturePlan
     plain: Mapping[str, Any]
@@ -93,11 +99,75 @@ class _Asked:
     view: tuple[float, float]
     abandoned: Callable[[], bool]
     done: Callable[[GesturePlan], None]
+    sent: dict[int, FramePiece] = field(default_factory=dict)
+    rough: list[tuple[int, int]] = field(default_factory=list)
 
     def check(self) -> None:
         """`AbandonedError` if the answer is not wanted any more."""
         if self.abandoned():
             raise AbandonedError
+
+    def on_block(self, done: int, total: int) -> None:
+        """`check` (`OnBlock`)."""
+        self.check()
+
+    @property
+    def has_legs(self) -> bool:
+        """Whether the page has a motion on standing legs."""
+        return self.have is not None and _legs_of(self.have.plain) == "standing"
+
+    @cached_property
+    def _known(self) -> dict[tuple[int, int], int]:
+        """The numbers of the pieces that the page had at first."""
+        return {} if self.have is None else {(piece.first, piece.last): piece.number
+                                             for piece in self.have.pieces.pieces}
+
+    def differs(self, piece: FramePiece) -> bool:
+        """Whether the page may have other frames than those of a piece, apart from signs."""
+        known = self._known.get((piece.first, piece.last)) == piece.number
+        return piece.last > piece.first and not (known and not self._was_rough(piece))
+
+    def _was_rough(self, piece: FramePiece) -> bool:
+        return any(first < piece.last and piece.first < last for first, last in self.rough)
+
+    def lacking(self, pieces: SignedPieces, have: KnownMotion | None) -> list[int]:
+        """The pieces that a page which began with the motion `have` lacks at the end of the answer."""
+        rough = {at for at, piece in enumerate(pieces.pieces) if self.rough and self._was_rough(piece)}
+        wanted = sorted({*pieces.changed(None if have is None else have.pieces), *rough})
+        sent = {at: piece.number for at, piece in self.sent.items()}
+        return [at for at in wanted if sent.get(at) != pieces.pieces[at].number or (pieces.signs[at] < 0).any()]
+
+    def now_rough(self) -> None:
+        """What was sent is not what will be there."""
+        ends = sorted((piece.first, piece.last) for piece in self.sent.values())
+        for first, last in ends:
+            if self.rough and self.rough[-1][1] == first:
+                self.rough[-1] = self.rough[-1][0], last
+            else:
+                self.rough.append((first, last))
+        self.sent.clear()
+
+
+def _noted(playing: Iterator[PlayedBlock], played: list[PlayedBlock]) -> Iterator[PlayedBlock]:
+    """The same blocks. played: receives them."""
+    for block in playing:
+        played.append(block)
+        yield block
+
+
+def _performed(performing: Generator[tuple[Blocks, Sequence[BlockMotion]], None, Performance], renderer: PlanRenderer,
+               asked: _Asked, made: list[Performance]) -> Iterator[PlayedBlock]:
+    """The blocks of a performance as they are drawn, as far as they are cut as those of the plan that was asked for.
+    made: receives the performance."""
+    edges = np.array([0.0, *(block.end for block in asked.plan.blocks)])
+    try:
+        while True:
+            cut, blocks = next(performing)
+            asked.check()
+            if np.array_equal(cut.edges, edges):
+                yield renderer.plays(blocks[-1])
+    except StopIteration as ended:
+        made.append(ended.value)
 
 
 class LivePlans:
@@ -118,6 +188,11 @@ class LivePlans:
         self._count = 0
         self._numbers = itertools.count()
 
+    @property
+    def speakers(self) -> tuple[str, ...]:
+        """The names of the performers."""
+        return self._system.speakers
+
     def render(self, plan: GesturePlan) -> Performance:
         """Render a plan; `InputError` with the line if it is invalid or of another recording."""
         options = planned(InferenceOptions(plan=plan))
@@ -130,6 +205,7 @@ class LivePlans:
 
     def opened(self, performance: Performance, plain: Mapping[str, Any]) -> int:
         """The number of the rendering that a page begins with. plain: its plan, as the page has it."""
+        self._exchange.read(dict(plain))  # so that the first edit need not read all blocks
         plan = performance.plan()
         options = planned(InferenceOptions(plan=plan))
         scene = performance.scene()
@@ -140,7 +216,7 @@ class LivePlans:
         maker = self._maker(options)
         assert options.plan is not None
         played, cut = maker.renderer.played(options.plan), maker.renderer.cut(options.plan)
-        posed = maker.shaped.blocks(played, cut, self._shaping(options, cut.edges))
+        posed = list(maker.shaped.blocks(played, cut, self._shaping(options, cut.edges)))
         times = cut.knot_times.reshape(len(cut), -1)
         pieces = self._frames(maker, options).learn(times, posed, float(cut.edges[-1]), motion.rotations, options.plan)
         return self._kept(plain, shape, pieces, root).number
@@ -165,10 +241,7 @@ class LivePlans:
         assert options.plan is not None
         check_plan_of(self._system.bundle, options.plan, self._sound)
         asked = _Asked(plan, plain, have, _view(request), abandoned, lambda made: self.on_edit(request, made))
-        if have is not None and _another_interpreter(plain, have.plain):
-            plan = self._chosen_anew(options, asked)
-            options = planned(InferenceOptions(plan=plan))
-        parts = self._messages(plan, options, asked)
+        parts = self._messages(options, asked)
         # What is wrong with a plan may be found after parts of the answer were sent.
         begun = False
         try:
@@ -180,14 +253,22 @@ class LivePlans:
                 raise
             yield message({"kind": "failed", "ranges": [], "error": one_line(error)})
 
-    def _chosen_anew(self, options: InferenceOptions, asked: _Asked) -> GesturePlan:
+    def _chosen_anew(self, options: InferenceOptions, asked: _Asked) -> Generator[bytes, None, GesturePlan]:
         """The plan of the options with the lexemes that its interpreter chooses. Locked blocks, and the size and side
-        of the others, stay where the beats are those that were found."""
-        plan, interpreter = asked.plan, asked.plan.interpreter
-        performance = self._system.perform(self._speech, replace(
-            options, plan=None, cues=(), interpreter=interpreter, variation=plan.variation, temperature=None, beta=None,
-            gain=0.0, legs=False, seated=False), on_block=lambda done, total: asked.check())
-        chosen, before = performance.plan(), {(block.start, block.end): block for block in plan.blocks}
+        of the others, stay where the beats are those that were found. Yields a draft of the visible stretch, and then
+        the frames as they are drawn, without what is locked."""
+        plan, before = asked.plan, {(block.start, block.end): block for block in asked.plan.blocks}
+        free = planned(InferenceOptions(plan=replace(plan, blocks=tuple(
+            [block if block.locked else replace(block, lexeme=None) for block in plan.blocks]))))
+        maker, made = self._new_maker(free), list[Performance]()
+        yield from self._drafted(maker, free, asked)
+        performing = self._system.performing(self._speech, replace(
+            options, plan=None, cues=(), interpreter=plan.interpreter, variation=plan.variation, temperature=None,
+            beta=None, gain=0.0, legs=False, seated=False))
+        yield from self._as_drawn(maker, free, asked, _performed(performing, maker.renderer, asked, made))
+        chosen = made[0].plan()
+        # What was sent is not what will be there, where blocks are locked.
+        asked.now_rough()
         settings = {**plan.made_by["settings"], **{
             name: value for name, value in chosen.made_by["settings"].items() if name in ("temperature", "beta")}}
         if "beta" not in chosen.made_by["settings"]:
@@ -199,24 +280,31 @@ class LivePlans:
                 return old or block
             return replace(block, intensity=old.intensity, mirror=old.mirror)
 
-        made = replace(chosen, made_by={**plan.made_by, "settings": settings}, sound=plan.sound, knobs=plan.knobs,
-                       blocks=tuple(kept(block) for block in chosen.blocks), cues=plan.cues, meanings=plan.meanings,
-                       pins=plan.pins, curves=plan.curves, notes=plan.notes, alignment=plan.alignment)
-        if performance.drawing is not None:
-            self._drawings = [*self._drawings, (_identity(made), performance.drawing)][-MOST_DRAWINGS:]
-        return made
+        decided = replace(chosen, made_by={**plan.made_by, "settings": settings}, sound=plan.sound, knobs=plan.knobs,
+                          blocks=tuple([kept(block) for block in chosen.blocks]), cues=plan.cues,
+                          meanings=plan.meanings, pins=plan.pins, curves=plan.curves, notes=plan.notes,
+                          alignment=plan.alignment)
+        if made[0].drawing is not None:
+            self._drawings = [*self._drawings, (_identity(decided), made[0].drawing)][-MOST_DRAWINGS:]
+        return decided
 
-    def _messages(self, plan: GesturePlan, options: InferenceOptions, asked: _Asked) -> Iterator[bytes]:
-        sent, drafted = dict[int, int](), list[tuple[int, int]]()
+    def _messages(self, options: InferenceOptions, asked: _Asked) -> Iterator[bytes]:
+        if asked.have is not None and _another_interpreter(asked.plain, asked.have.plain):
+            decided = yield from self._chosen_anew(options, asked)
+            options = planned(InferenceOptions(plan=decided))
+        plan = options.plan
+        assert plan is not None
+        maker = self._maker(options)
+        played: list[PlayedBlock] = []
+        if self._system.bundle.system.blocks:
+            yield from self._drafted(maker, options, asked)
+            played = yield from self._as_drawn(maker, options, asked, maker.renderer.playing(plan, asked.on_block))
         if self._in_pieces(options):
-            maker = self._maker(options, lambda done, total: asked.check())
-            assert options.plan is not None
-            yield from self._drafted(maker, options, asked, drafted)
-            played = maker.renderer.played(options.plan, lambda done, total: asked.check())
             made = self._decided(options, played)
-            pieces = yield from self._pieces(maker, options, played, asked, sent)
+            pieces = yield from self._pieces(maker, options, played, asked)
             shape, root = self._shape(options, pieces.frames)
         else:
+            asked.check()
             performance = self.render(plan)
             scene = performance.scene()
             made, motion = performance.plan(), shown(scene)
@@ -224,11 +312,7 @@ class LivePlans:
         have = asked.have if asked.have is not None and asked.have.shape == shape else None
         changes = changes_of(made, asked.plan)
         rendering = self._kept(plan_with(asked.plain, changes), shape, pieces, root)
-        over = {at for at, piece in enumerate(pieces.pieces)
-                if any(piece.first < end and begin < piece.last for begin, end in drafted)}
-        left = [at for at in sorted({*pieces.changed(None if have is None else have.pieces), *over})
-                if sent.get(at) != pieces.pieces[at].number or (pieces.signs[at] < 0).any()]
-        ranges, data = frames_of(pieces, left)
+        ranges, data = frames_of(pieces, asked.lacking(pieces, have))
         asked.done(made)
         rooted = have is not None and have.root == root
         yield message({"kind": "done", "rendering": rendering.number, "shape": None if have else shape,
@@ -245,60 +329,107 @@ class LivePlans:
         shape = {**describe_shape(body, self._speech.duration), "frames": frames}
         return shape, root_path(body)
 
-    def _drafted(self, maker: _Maker, options: InferenceOptions, asked: _Asked, drafted: list[tuple[int, int]]
-                 ) -> Iterator[bytes]:
-        """Where knobs have all of a recording generated again: a draft of the visible stretch, then the progress. What
-        was generated is remembered. drafted: receives the frames of the draft (first, last + 1), over which even
-        unchanged ones have to be sent again."""
+    def _drafted(self, maker: _Maker, options: InferenceOptions, asked: _Asked) -> Iterator[bytes]:
+        """A draft of the visible stretch, where the recording has to be drawn, or put on its legs, from its start."""
         plan, renderer = options.plan, maker.renderer
         assert plan is not None
-        count = len(plan.drawn.lexemes)
-        manner = plan.manner
-        if manner == plan.drawn_manner or all(block.locked for block in plan.blocks) or renderer.knows(manner):
+        standing = options.legs and not options.seated
+        drawn = renderer.knows(plan)
+        if drawn and not (standing and not asked.has_legs):
             return
-        cut, played, seen = renderer.draft(manner, asked.view)
-        times = cut.knot_times.reshape(len(cut), -1)
-        posed = maker.shaped.blocks(played, cut, self._shaping(replace(options, plan=replace(
-            plan, blocks=tuple(one.block.block for one in played))), cut.edges))
-        frames = self._frames(maker, options)
-        pieces = [piece for _, piece in frames.pieces(times, posed, float(cut.edges[-1]), seen)]
-        if pieces and self._streams(options, asked):
-            drafted += [(piece.first, piece.last) for piece in pieces]
-            yield _unsigned(pieces, 0.0)
-        for done in range(REPORTS, count, REPORTS):
-            renderer.generation(manner, lambda at, total: asked.check(), done)
-            yield message({"kind": "progress", "ranges": [], "share": done / count})
+        if not (self._is_short(options) and self._system.bundle.system.blocks if standing
+                else self._streams(options, asked)):
+            return
+        if drawn:
+            found = renderer.played(plan), _seen(plan, asked.view)
+        else:
+            others = [renderer, *(known.renderer for _, known in reversed(self._makers))]
+            found = next(filter(None, (renderer.draft(plan, asked.view, other) for other in others)), ([], (0, 0)))
+        played, seen = found
+        if seen[0] >= seen[1]:
+            return
+        cut = renderer.cut(plan)
+        posed = list(maker.shaped.blocks(played, cut, self._shaping(options, cut.edges)))
+        times, frames = cut.knot_times.reshape(len(cut), -1), self._frames(maker, options)
+        first, body = frames.stretch(times, posed, float(cut.edges[-1]), seen, options.seed if standing else None)
+        asked.rough.append((first, first + len(body)))
+        header: dict[str, Any] = {"kind": "frames", "ranges": [asked.rough[-1]], "share": 0.0}
+        root = b""
+        if standing:
+            frames_in_all = max(1, round(self._speech.duration * float(options.fps)))
+            shape, root = {**describe_shape(body, self._speech.duration), "frames": frames_in_all}, \
+                body.root_positions[:1].astype("<f4").tobytes()
+            header |= {"shape": shape, "root": len(root)}
+        yield message(header, np.round(body.rotations * QUATERNION_STEPS).astype("<i2").tobytes() + root)
+
+    def _as_drawn(self, maker: _Maker, options: InferenceOptions, asked: _Asked, playing: Iterator[PlayedBlock]
+                  ) -> Generator[bytes, None, list[PlayedBlock]]:
+        """All blocks of `playing`; where the recording has to be drawn, yields the frames as far as they are drawn, or
+        how far it is where a page cannot take them yet."""
+        plan, played = options.plan, list[PlayedBlock]()
+        assert plan is not None
+        if maker.renderer.knows(plan):
+            return list(playing)
+        cut, count, streams = maker.renderer.cut(plan), len(plan.blocks), self._streams(options, asked)
+        times, duration = cut.knot_times.reshape(len(cut), -1), float(cut.edges[-1])
+        frames, posed, ready = self._frames(maker, options), list[ShapedBlock](), 0
+        reach = frames.reach(times, duration, plan) if streams else []
+        for block in maker.shaped.blocks(_noted(playing, played), cut, self._shaping(options, cut.edges)):
+            posed.append(block)
+            if len(posed) % REPORTS or len(posed) == count:
+                continue
+            pieces: list[tuple[int, FramePiece]] = []
+            if streams:
+                end = next(at for at in range(ready, count) if reach[at] >= len(posed))
+                pieces = [(at, piece) for at, piece in frames.pieces(times, posed, duration, range(ready, end), plan)
+                          if asked.differs(piece)]
+                ready = end
+            asked.sent.update(pieces)
+            if pieces:
+                yield _unsigned([piece for _, piece in pieces], len(posed) / count)
+            else:
+                yield message({"kind": "progress", "ranges": [], "share": round(len(posed) / count, 3)})
+        return played
 
     def _streams(self, options: InferenceOptions, asked: _Asked) -> bool:
-        """Whether frames may be sent before the end of the answer: not to a page that has another number of them or of
-        joints, as after legs."""
+        """Whether frames may be sent before the end of the answer: not where they are made as a whole, nor to a page
+        that has another number of them or of joints, as after legs."""
+        if not self._in_pieces(options):
+            return False
         frames = max(1, round(self._speech.duration * float(options.fps)))
         return asked.have is None or asked.have.shape == self._shape(options, frames)[0]
 
-    def _pieces(self, maker: _Maker, options: InferenceOptions, played: Sequence[PlayedBlock], asked: _Asked,
-                sent: dict[int, int]) -> Generator[bytes, None, SignedPieces]:
+    def _pieces(self, maker: _Maker, options: InferenceOptions, played: Sequence[PlayedBlock], asked: _Asked
+                ) -> Generator[bytes, None, SignedPieces]:
         """The pieces of a plan; where they take long, yields those of the visible stretch first, and then stretch by
-        stretch, the nearest to it first. sent: receives the numbers of blocks and of the pieces sent for them."""
+        stretch, the nearest to it first."""
         assert options.plan is not None
         cut = maker.renderer.cut(options.plan)
         times, duration = cut.knot_times.reshape(len(cut), -1), float(cut.edges[-1])
-        posed = maker.shaped.blocks(played, cut, self._shaping(options, cut.edges))
+        posed = list(maker.shaped.blocks(played, cut, self._shaping(options, cut.edges)))
         frames = self._frames(maker, options)
-        lacking = [at for at, known in enumerate(frames.known(times, posed, duration, options.plan)) if not known]
+        fresh = [at for at, block in enumerate(posed) if not block.is_known]
+        if len(fresh) < MANY:
+            lacking = [at for at, known in enumerate(frames.known(times, posed, duration, options.plan)) if not known]
+        else:  # their poses are not computed before their turn
+            lacking = sorted({near for at in fresh for near in range(max(at - 2, 0), min(at + 3, len(cut)))})
         seen = [at for at in lacking if cut.edges[at + 1] > asked.view[0] and cut.edges[at] < asked.view[1]]
         stretches = [list(range(len(cut)))]
         if len(lacking) - len(seen) >= FIRST_SHOWN and seen and self._streams(options, asked):
             # The last stretch is sent with the end of the answer, which has what is left to say of all of them.
             stretches = [seen, *_nearest_first(lacking, seen), stretches[0]]
-        found = {}
+        found, done = dict[int, FramePiece](), 0
         for stretch in stretches:
             for at, piece in frames.pieces(times, posed, duration, stretch, options.plan):
                 found[at] = piece
                 if at % 8 == 0:
                     asked.check()
             if stretch is not stretches[-1]:
-                sent |= {at: found[at].number for at in stretch}
-                yield _unsigned([found[at] for at in stretch], len(sent) / len(lacking))
+                fresh = [at for at in stretch if asked.differs(found[at])]
+                asked.sent.update((at, found[at]) for at in fresh)
+                done += len(stretch)
+                if fresh:
+                    yield _unsigned([found[at] for at in fresh], done / len(lacking))
                 asked.check()
         return signed([found[at] for at in range(len(cut))])
 
@@ -321,8 +452,11 @@ class LivePlans:
         """Whether frames are made in pieces. Legs depend on everything before them."""
         bundle = self._system.bundle
         return (bundle.system.blocks and representation_of(bundle.config).name == "rotations"
-                and not (options.legs and not options.seated)
-                and (self._speech.duration <= LONG or float(options.fps) <= LONG_FPS))
+                and not (options.legs and not options.seated) and self._is_short(options))
+
+    def _is_short(self, options: InferenceOptions) -> bool:
+        """Whether the page gets all frames of the recording."""
+        return self._speech.duration <= LONG or float(options.fps) <= LONG_FPS
 
     def _kept(self, plain: Mapping[str, Any], shape: Mapping[str, Any], pieces: SignedPieces, root: bytes
               ) -> KnownMotion:
@@ -332,22 +466,26 @@ class LivePlans:
             self._renderings.popitem(last=False)
         return made
 
-    def _maker(self, options: InferenceOptions, on_block: OnBlock | None = None) -> _Maker:
-        """What renders the plan of the options. on_block: see `Driver.run`; called where its first generation is not
-        known, as with other curves of the hands."""
+    def _maker(self, options: InferenceOptions) -> _Maker:
+        """What renders the plan of the options."""
         plan = options.plan
         assert plan is not None
         key = _identity(plan)
         at = next((at for at, (known, _) in enumerate(self._makers) if known == key), None)
-        entry = (key, self._new_maker(options, on_block)) if at is None else self._makers.pop(at)
-        self._makers = [*self._makers, entry][-MOST_DRAWINGS:]
+        entry = (key, self._new_maker(options)) if at is None else self._makers.pop(at)
+        while len(self._makers) >= MOST_DRAWINGS:
+            # Those that were abandoned go first.
+            del self._makers[next((at for at, (_, one) in enumerate(self._makers) if not one.renderer.is_drawn), 0)]
+        self._makers.append(entry)
         return entry[1]
 
-    def _new_maker(self, options: InferenceOptions, on_block: OnBlock | None) -> _Maker:
+    def _new_maker(self, options: InferenceOptions) -> _Maker:
         plan, bundle = options.plan, self._system.bundle
         assert plan is not None
         drawing = next((drawing for known, drawing in self._drawings if known == _identity(plan)), None)
-        renderer = self._system.plan_renderer(self._speech, options, on_block, drawing)
+        for _, known in self._makers:
+            drawing = drawing or known.renderer.speech_of(plan)
+        renderer = self._system.plan_renderer(self._speech, options, drawing)
         speaker, count = self._system.speaker_index(options.speaker), len(plan.drawn.lexemes)
         return _Maker(renderer, ShapedBlocks(bundle.statistics, speaker, count), {})
 
@@ -384,10 +522,22 @@ def directions_of(system: Gesticulator) -> dict[str, list[str]]:
     return {"speakers": list(system.speakers), "interpreters": list(system.interpreters)}
 
 
+def _legs_of(plain: Mapping[str, Any]) -> Any:
+    """The legs of a plan in plain values; None without legs."""
+    settings = plain.get("made_by", {}).get("settings")
+    return settings.get("legs") if isinstance(settings, dict) else None
+
+
 def _another_interpreter(plain: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
     """Whether a plan wants another interpreter to choose the lexemes that were chosen in the plan before it; not where
     it has been there already, as after undo."""
     return plain.get("interpreter") != before.get("interpreter") and plain.get("drawn") == before.get("drawn")
+
+
+def _seen(plan: GesturePlan, view: tuple[float, float]) -> tuple[int, int]:
+    """The blocks of a plan in a stretch (seconds): the first, and the one after the last."""
+    return (bisect_right(plan.blocks, view[0], key=lambda block: block.end),
+            bisect_left(plan.blocks, view[1], key=lambda block: block.start))
 
 
 def _view(request: Mapping[str, Any]) -> tuple[float, float]:

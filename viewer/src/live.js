@@ -50,7 +50,7 @@ export class Live {
   constructor(session, told, say, view = () => [0, 0]) {
     Object.assign(this, { session, told, say, view, waiting: 0, number: 0, asking: null });
     this.page = Math.random().toString(36).slice(2);
-    session.lanes.forEach((lane, k) => { lane.known = { plan: lane.rendered, rendering: told?.renderings?.[k] ?? null }; });
+    session.lanes.forEach((lane, k) => { lane.known = { plan: lane.rendered, rendering: told?.renderings?.[k] ?? null, take: lane.take }; });
     session.on("edited", () => this.edited());
     this.edited();
   }
@@ -65,6 +65,7 @@ export class Live {
     clearTimeout(this.waiting);
     if (lane.history.present === lane.rendered) {
       this.asking?.abort();
+      this.goBack(lane);
       this.say("same", this.news ?? "");
       this.news = null;
       return;
@@ -103,6 +104,11 @@ export class Live {
     this.say("same", "");
   }
 
+  /** Back to the last motion that was drawn as a whole, where the one after it was abandoned. */
+  goBack(lane) {
+    if (lane.known?.take && lane.take !== lane.known.take) this.session.show(lane, lane.known.take);
+  }
+
   /** Ask for the motion of the present plan. What was asked for before is not wanted any more. */
   async send() {
     this.forget();
@@ -118,7 +124,7 @@ export class Live {
         return;
       }
       if (answer.status === GONE && known.rendering !== null) {
-        lane.known = { plan: null, rendering: null };
+        lane.known = { plan: null, rendering: null, take: lane.take };
         this.send();
         return;
       }
@@ -127,6 +133,7 @@ export class Live {
     } catch (error) {
       if (asking.signal.aborted) return;
       lane.rendered = asked; // not asked again before the next edit
+      this.goBack(lane);
       this.say("bad", error instanceof TypeError ? "gesticulator view does not answer: is it still running?" : error.message);
       if (!(error instanceof TypeError) && lane.history.present === asked) this.session.tell("unrendered");
     } finally {
@@ -154,18 +161,21 @@ export class Live {
   }
 
   async receive(lane, asked, answer, asking, begin) {
-    let ended = false;
+    let ended = false, take = lane.known?.take ?? lane.take;
     for await (const { header, data } of messagesOf(answer)) {
       if (asking.signal.aborted) return;
       if (header.kind === "failed") throw new Error(header.error);
-      this.session.patch(lane, header, data);
+      if (data.length || header.shape) {
+        take = take.patched(header, data);
+        this.session.show(lane, take);
+      }
       if (header.kind !== "done") {
         this.say("busy", header.share ? `drawing … ${Math.round(header.share * 100)} %` : "drawing …");
         continue;
       }
       ended = true;
       const plan = withChanges(asked, header.changes);
-      lane.known = { plan, rendering: header.rendering };
+      lane.known = { plan, rendering: header.rendering, take };
       this.news = `rendered in ${((performance.now() - begin) / 1000).toFixed(2)} s`;
       this.session.rendered(lane, plan, asked);
     }

@@ -30,7 +30,7 @@ export class Take {
    *  [T, J, 4], then `root` bytes of float32, the path of the root. shape: fps, frames and so on, where they are others. */
   patched({ ranges, shape, root = 0 }, data) {
     const told = shape ?? this, joints = told.skeleton.names.length, fresh = told.frames !== this.frames || joints !== this.joints;
-    const rotations = fresh ? new Float32Array(told.frames * joints * 4) : this.rotations.slice();
+    const rotations = fresh ? this.carriedOver(told) : this.rotations.slice();
     const steps = new Int16Array(data.buffer, data.byteOffset, (data.length - root) / 2);
     let from = 0;
     for (const [first, last] of ranges) {
@@ -40,6 +40,20 @@ export class Take {
     }
     const roots = root ? new Float32Array(data.slice(data.length - root).buffer) : this.roots;
     return Take.of({ ...this, ...(shape ?? {}), name: this.name, rotations, roots });
+  }
+
+  /** Rotations of these frames for another skeleton, [T * J * 4]: joints of the same name turn as here, others do not. */
+  carriedOver({ frames, skeleton: { names } }) {
+    const out = new Float32Array(frames * names.length * 4);
+    names.forEach((name, j) => {
+      const from = this.rows.get(name) ?? -1;
+      for (let t = 0; t < frames; t++) {
+        const to = (t * names.length + j) * 4, at = (t * this.joints + from) * 4;
+        if (from < 0 || t >= this.frames) out[to] = 1;
+        else for (let c = 0; c < 4; c++) out[to + c] = this.rotations[at + c];
+      }
+    });
+    return out;
   }
 
   has(joint) { return this.rows.has(joint); }
