@@ -251,6 +251,10 @@ class SelectionConfig:
     """Weight, relative to `timing`, of a smooth join to the block before."""
     clear: NotNegative = 0.0
     """Weight, relative to `timing`, of wrists and elbows outside the trunk, and of arms that are not folded."""
+    careful: bool = False
+    """Whether candidates with an elbow that is too fast are rejected, too, those with a hand behind the front of the
+    trunk or an elbow behind its back count as inside it (`clear`), and calmer candidates are added where all are too
+    fast."""
     as_asked: NotNegative = 0.0
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
     together: NotNegative = 0.0

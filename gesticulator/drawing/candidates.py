@@ -3,17 +3,18 @@ a small change of pose or sound rarely changes the choice:
 
 - Lexeme: -2 log(d / d_0), with d the squared distance of the candidate's movement to the lexeme to play, and d_0 that
   to its nearest lexeme.
-- Speed limit: a candidate in which a hand or an elbow is faster than people's hands are is rejected, unless all are.
-  One frame in a thousand of the corpus has such a jump, and a model trained on it samples one now and then.
+- Speed limit: a candidate in which a hand (with `careful`, or an elbow) is faster than people's hands are is rejected,
+  unless all are. One frame in a thousand of the corpus has such a jump, and a model trained on it samples one now and
+  then.
 - Timing: the hands' braking b(t) = max(0, -ds/dt), with s the summed speed of both hands, should lie near the onsets of
   the block's sound: sum b w / (sum b + b0). w(t) is a Gaussian of the time to the nearest onset, and b0 keeps blocks
   that hardly move from scoring high.
 - Seam: the hands' acceleration at the start over the mean within the block, at most 2, so that blocks that hardly move
   are not rejected for it.
-- Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest; how far a wrist is behind the
-  front of the trunk and an elbow behind its back, since `gesticulator.body.clearance` would have to move them; how deep
-  a wrist is in a sphere about its shoulder (a folded arm); and how near a forearm with its hand is to the middle of the
-  face; as shares of the radii, mean over the block.
+- Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest; with `careful`, how far a
+  wrist is behind the front of the trunk and an elbow behind its back, where `gesticulator.body.clearance` has to move
+  them; how deep a wrist is in a sphere about its shoulder (a folded arm); and how near a forearm with its hand is to
+  the middle of the face; as shares of the radii, mean over the block.
 - Style: sum over speed, height and reach of the hands of z m / s, with z the style code of the unit
   (`interpreters.planner`), m the mean over the block, and s its deviation in the training data.
 - Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
@@ -80,6 +81,8 @@ class CandidateChooser:
     def __init__(self, bundle: Bundle, speaker: int) -> None:
         self._settings: SelectionConfig = bundle.config.selection
         self._statistics, self._speaker = bundle.statistics, speaker
+        self._fast = 4 if self._settings.careful else 2
+        """How many of the places below must not be too fast: the hands, or the hands and the elbows."""
         self._representation = representation_of(bundle.config)
         skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
         chest = skeleton.parents[skeleton.index("RightShoulder")]
@@ -104,11 +107,11 @@ class CandidateChooser:
             return 0
         poses, times = self._poses(past, blocks), self._times(speech, blocks.shape[1])
         places = self._places(poses)
-        allowed = slow_enough(places[:, :, :4], times)
+        allowed = slow_enough(places[:, :, :self._fast], times)
         hands = places[allowed, :, :2]
         score = -_LEXEME * np.log(apart[allowed].astype(np.float64))
         if self._settings.clear:
-            score -= self._settings.clear * depth(places[allowed, _BEFORE:])
+            score -= self._settings.clear * depth(places[allowed, _BEFORE:], self._settings.careful)
         if self._settings.timing and len(speech.onsets) > 0:
             score += self._settings.timing * in_time(hands, times, speech.start, speech.onsets)
         if self._settings.together:
@@ -124,9 +127,9 @@ class CandidateChooser:
         return int(allowed[score.argmax()])
 
     def too_fast(self, speech: SpeechBlock, past: Array, blocks: Array) -> bool:
-        """Whether a hand or an elbow is faster than `FASTEST` in every candidate; shapes as in `choose`."""
+        """Whether a hand (`careful`: or an elbow) is faster than `FASTEST` in every candidate; shapes: see `choose`."""
         places, times = self._places(self._poses(past, blocks)), self._times(speech, blocks.shape[1])
-        return bool((fastest(places[:, :, :4], times) > FASTEST).all())
+        return bool((fastest(places[:, :, :self._fast], times) > FASTEST).all())
 
     def _poses(self, past: Array, blocks: Array) -> Array:
         """[C, T, D_m] features in radians or metres, in the last frames before a block and in its candidates."""
@@ -200,18 +203,21 @@ def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
     return slow if len(slow) else np.array([speeds.argmin()])
 
 
-def depth(places: Array) -> Array:
-    """[C] how deep wrists and elbows are in the trunk, and behind its front and its back, wrists in the sphere of a
-    folded arm, and forearms in that of the face, as shares of the radii, summed over the joints and averaged over the
-    frames; places: as of `CandidateChooser._places`."""
+def depth(places: Array, behind: bool = False) -> Array:
+    """[C] how deep wrists and elbows are in the trunk, wrists in the sphere of a folded arm, and forearms in that of
+    the face, as shares of the radii, summed over the joints and averaged over the frames.
+
+    places: as of `CandidateChooser._places`; behind: whether arms behind the trunk count, too, see `behind_trunk`.
+    """
     chest = places[:, :, 6:7]
     share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
     radii = np.repeat(_RADII, 2)
-    behind = behind_trunk(places) / _RADII[0]
     folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
     near_face = 1.0 - _to_face(places) / _FACE
-    shares = 1.0 - away / radii, behind, folded, near_face
+    shares = [1.0 - away / radii, folded, near_face]
+    if behind:
+        shares.append(behind_trunk(places) / _RADII[0])
     return np.asarray(sum(np.maximum(each, 0.0).sum(-1) for each in shares).mean(-1))
 
 

@@ -258,7 +258,7 @@ class FlowDrawer:
             if not self.chooser.too_fast(speech, *_shown(past, block, shift)):
                 return block, code
         coefficients, blocks = self._sample(speech.keyed_at, self.settings.candidates, context, pull, steps)
-        if self.chooser.too_fast(speech, *_shown(past, blocks, shift)):
+        if self.settings.careful and self.chooser.too_fast(speech, *_shown(past, blocks, shift)):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
             calm = self._sample(speech.keyed_at, self.settings.candidates, context[:1], pull[:0], steps, _CALM)
             coefficients, blocks = torch.cat([coefficients, calm[0]]), torch.cat([blocks, calm[1]])
