@@ -119,7 +119,8 @@ NO_CASE = {
         data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._reading
         data_module/corpora/ted.py:Ted.read eval/runner/ablate.py:ablate eval/runner/ablate.py:redraw
         eval/runner/rg.py:RgRows.clips eval/probes/face.py:run gesticulator/training/face.py:recordings_of
-        gesticulator/serve/edits.py:LivePlans.performance gesticulator/serve/page_export.py:exported
+        gesticulator/serve/edits.py:LivePlans.performance gesticulator/serve/edits.py:LivePlans.opened
+        gesticulator/serve/page_export.py:exported
         gesticulator/bundle/models.py:StoredParts.__getitem__ gesticulator/serve/connection.py:Connection._hello
         gesticulator/serve/connection.py:Connection._read gesticulator/serve/edits.py:LivePlans.answer
         gesticulator/serve/session.py:Session._add_words interpreters/base.py:opened""",

@@ -44,7 +44,7 @@ class ShapedBlock:
         """The number of this content."""
         if self._number is None:
             content = self.times.tobytes() + self.poses.tobytes()
-            self._number = int.from_bytes(hashlib.blake2b(content, digest_size=16).digest(), "little")
+            self._number = int(hashlib.blake2b(content, digest_size=16).hexdigest(), 16)
         return self._number
 
     @property

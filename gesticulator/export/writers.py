@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from data_module.errors import InputError
-from data_module.motion.skeletons import standing
 from data_module.registry import Registry, RegistryEntry, Requirement
-from data_module.types import Motion, Speech
 
 if TYPE_CHECKING:
     from data_module.face import FaceMotion
+    from data_module.types import Motion, Speech
     from gesticulator.characters.rig import CharacterMotion
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.nodes import NodeMotion
@@ -100,6 +99,8 @@ class Scene:
     @property
     def standing(self) -> Motion:
         """The motion on the default skeleton, standing on the floor."""
+        from data_module.motion.skeletons import standing
+
         return standing(self.motion)
 
     @property
