@@ -74,7 +74,7 @@ def test_a_blender_that_is_not_there_is_one_line(script: Path, monkeypatch: pyte
         done(script, "first")
 
 
-def test_jobs_that_nobody_waits_for_yet_are_done_in_their_order(script: Path) -> None:
+def test_jobs_that_are_not_awaited_yet_are_done_in_their_order(script: Path) -> None:
     targets = [script.with_name(f"{name}.json") for name in "abc"]
     jobs = [start_job(Path("rig.fbx"), script, str(target), argument)
             for target, argument in zip(targets, ("one", "fails", "three"), strict=True)]
@@ -96,8 +96,8 @@ def test_the_scene_that_blender_keeps_gives_the_file_that_the_character_gives(tm
     """And it is taken only while the file is the same."""
     try:
         check_blender(tmp_path)
-    except InputError:
-        pytest.skip("Blender is not installed")
+    except InputError as error:
+        pytest.skip(str(error))
     rig, other = tmp_path / "rig.fbx", tmp_path / "other.fbx"
     for seed, target in ((3, rig), (4, other)):
         glb = tmp_path / "rig.glb"

@@ -23,9 +23,9 @@ const numbers = (frames, joints, step) => Int16Array.from({ length: frames * joi
 const draw = { seed: 0, variation: 0, block: 0 };
 const block = { start: 0, end: 1, lexeme: 1, silent: false, draw, alternatives: [] };
 const shape = { fps: 4, frames: 4, duration: 1, steps: 32767, skeleton: skeleton("Hips", "LeftHand") };
-const told = { name: "one", ...shape, rotations: base64(numbers(4, 2, 10)), root: base64(new Float32Array([0, 1, 0])),
+const answers = { name: "one", ...shape, rotations: base64(numbers(4, 2, 10)), root: base64(new Float32Array([0, 1, 0])),
   plan: { blocks: [block], speaker: "a" } };
-const session = new Session({ takes: [told] });
+const session = new Session({ takes: [answers] });
 const shown = () => [...session.take.rotations].map((value) => Math.round(value * 32767));
 const message = (header, data = new Int16Array(0)) => {
   const bytes = new Uint8Array(data.buffer);
@@ -80,10 +80,10 @@ process.exit(0);
 """
 
 
-def _told() -> dict[str, Any]:
+def _answers() -> dict[str, Any]:
     program = shutil.which("node")
     if program is None:
-        pytest.skip("node is not installed")
+        pytest.skip("node, which runs the page's sources, is not installed: apt-get install nodejs")
     done = subprocess.run([program, "--input-type=module", "-e", SCRIPT], cwd=SOURCES, capture_output=True, text=True,
                           timeout=120)
     assert done.returncode == 0, done.stderr
@@ -91,17 +91,17 @@ def _told() -> dict[str, Any]:
 
 
 def test_a_draft_is_shown_and_goes_when_its_edit_is_abandoned() -> None:
-    told = _told()
+    answers = _answers()
     first = [10 * at for at in range(FRAMES * 2 * 4)]
-    assert told["first"] == first
+    assert answers["first"] == first
     draft = [-10 * at for at in range(16)]
-    assert told["draft"] == [*first[:8], *draft, *first[24:]], "the visible stretch; the rest stays"
-    assert told["undone"] == first
+    assert answers["draft"] == [*first[:8], *draft, *first[24:]], "the visible stretch; the rest stays"
+    assert answers["undone"] == first
     # Joints of the same name turn as before outside of the draft, and new ones hang straight.
-    legs = [told["legs"][at:at + 4] for at in range(0, FRAMES * 3 * 4, 4)]
+    legs = [answers["legs"][at:at + 4] for at in range(0, FRAMES * 3 * 4, 4)]
     assert legs[3:6] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]]
     assert legs[0] == first[:4] and legs[1] == [UNIT, 0, 0, 0] and legs[2] == first[4:8]
     assert legs[11] == first[28:32]
     # What was abandoned is forgotten: the answer is patched onto the last whole motion, which the page named.
-    assert told["done"] == [*(7 * at for at in range(8)), *first[8:]]
-    assert told["asked"] == [7, 7, 7] and told["same"]
+    assert answers["done"] == [*(7 * at for at in range(8)), *first[8:]]
+    assert answers["asked"] == [7, 7, 7] and answers["same"]

@@ -46,6 +46,8 @@ def halved(system: Gesticulator, first: Performance, intensity: float = 0.5) -> 
     return system(first.speech, plan=replace(plan, knobs=replace(plan.knobs, intensity=intensity)))
 
 
+# A known fault: the test runs, and fails the day it is mended. Poses with a hand behind the shoulder cause it, which
+# `selection.careful` avoids.
 SWUNG = pytest.mark.xfail(strict=True, reason="an arm folded to its shoulder is bent to the other side from one frame "
                                               "to the next where its hand is kept out of the trunk")
 

@@ -169,7 +169,7 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_
     samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
     sound, said = tmp_path / "talk.wav", tmp_path / "talk.srt"
     soundfile.write(sound, samples, rate, subtype="FLOAT")
-    said.write_text("1\n00:00:00,200 --> 00:00:04,200\nhello, and welcome this is a voice that nobody has recorded\n")
+    said.write_text("1\n00:00:00,200 --> 00:00:04,200\nhello, and welcome this is a voice that was never recorded\n")
     with chromium() as browser:
         with _viewing(sound, "--text", str(said)) as (server, plans):
             opened = OpenedPage(browser, server.url, 1280, 900)

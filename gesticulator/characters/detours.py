@@ -90,7 +90,7 @@ def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose, fps: float) 
     joints = body.mapping.joints
     outline, chest, origin = outline_of(body), ours.turns["Spine3"], ours.places["Hips"]
     neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
-    theirs, own = trunk_axes(neck, chest), trunk_axes(ours.places["Neck"] - origin, chest)
+    theirs, default = trunk_axes(neck, chest), trunk_axes(ours.places["Neck"] - origin, chest)
     for side in SIDES:
         chain = (joints[side + "Arm"], joints[side + "ForeArm"], joints[side + "Hand"])
         arm = float(sum(np.linalg.norm(body.place({}, below) - body.place({}, above))
@@ -99,7 +99,7 @@ def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose, fps: float) 
         for part in ("Hand", "HandMiddle1"):
             if (node := joints.get(side + part)) is not None:
                 place = body.place(turns, node)
-                limits.append(HandLimit.of(own.local(ours.places[side + part] - origin), theirs.local(place),
+                limits.append(HandLimit.of(default.local(ours.places[side + part] - origin), theirs.local(place),
                                            (theirs, outline), arm / _ARM_LENGTH))
                 points.append(HandPoint(place, limits[-1].margin))
         shoulder, wrist = body.place(turns, chain[0]), body.place(turns, chain[2])
