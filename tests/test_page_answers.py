@@ -23,9 +23,9 @@ const numbers = (frames, joints, step) => Int16Array.from({ length: frames * joi
 const draw = { seed: 0, variation: 0, block: 0 };
 const block = { start: 0, end: 1, lexeme: 1, silent: false, draw, alternatives: [] };
 const shape = { fps: 4, frames: 4, duration: 1, steps: 32767, skeleton: skeleton("Hips", "LeftHand") };
-const answers = { name: "one", ...shape, rotations: base64(numbers(4, 2, 10)), root: base64(new Float32Array([0, 1, 0])),
+const sent = { name: "one", ...shape, rotations: base64(numbers(4, 2, 10)), root: base64(new Float32Array([0, 1, 0])),
   plan: { blocks: [block], speaker: "a" } };
-const session = new Session({ takes: [answers] });
+const session = new Session({ takes: [sent] });
 const shown = () => [...session.take.rotations].map((value) => Math.round(value * 32767));
 const message = (header, data = new Int16Array(0)) => {
   const bytes = new Uint8Array(data.buffer);
