@@ -168,6 +168,19 @@ def test_hands_without_arms_are_refused_with_what_is_missing_alone(tmp_path: Pat
         Retargeter(read_character(write(tmp_path / "half.glb", body)))
 
 
+@pytest.mark.parametrize(("missing", "named"), [(("Arm", "ForeArm", "Hand"), "RightArm, RightForeArm, RightHand"),
+                                                (("ForeArm", "Hand"), "RightForeArm, RightHand"),
+                                                (("Hand",), "RightHand")])
+def test_a_missing_arm_is_named_and_no_leg_taken_for_it(missing: tuple[str, ...], named: str, tmp_path: Path) -> None:
+    """One refusal said that a thigh was both the left arm and the right thigh."""
+    body = figure(spelled({}, MIXAMO), "A", FINGERS)
+    for key in [key for key in body.places if key.startswith("Right") and (
+            key.removeprefix("Right") in missing or key.startswith("RightHand"))]:
+        del body.places[key], body.parents[key]
+    with pytest.raises(InputError, match=f"has the left arm, but no joint that could be {named}; gestures need both"):
+        Retargeter(read_character(write(tmp_path / "one_arm.glb", body)))
+
+
 def test_tails_wings_skirts_and_targets_are_no_limbs(tmp_path: Path) -> None:
     body = figure(spelled(ROBOT, "{part}_{side}", ("L", "R")), "T", ("Thumb", "Index", "Ring"))
     for number in range(5):

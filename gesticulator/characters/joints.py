@@ -17,7 +17,7 @@ from data_module.motion.skeletons import FINGERS, NAME_TABLES
 from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.conventions import conventional
-from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
+from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
 from gesticulator.characters.names import Label
 from gesticulator.characters.rig import UPS, Character
 
@@ -193,6 +193,10 @@ def _ends(search: Search) -> dict[str, int]:
         out["Head"] = min(heads, key=lambda node: (len(ancestors(search.character.parents, node)), node))
     if len(out) < 5:
         for name, node in shape.limb_ends(search.character, search.places, search.up).items():
+            other_limb = LEG_PARTS if name.endswith("Hand") else ARM_PARTS
+            if any(search.labels[above].parts[:1] in {(part,) for part in other_limb}
+                   for above in (node, *ancestors(search.character.parents, node))):
+                continue  # by name it ends a limb of the other kind
             pair = name.replace("Left", "?").replace("Right", "?")
             # Take both sides by the same method: one hand by name and the other by shape could be the same node.
             if not any(known.replace("Left", "?").replace("Right", "?") == pair for known in out if known != name) \
@@ -377,7 +381,7 @@ def _turned_round(search: Search, joints: dict[str, int], named: bool, doubts: l
 def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, float], doubts: list[str]) -> float:
     """Confidence, 0 to 1: the mean over the joints found, reduced for each implausible proportion."""
     if any(name not in joints for name in NEEDED):
-        doubts.append(f"it lacks {', '.join(name for name in NEEDED if name not in joints)}")
+        doubts.append(f"{LACKS}{', '.join(name for name in NEEDED if name not in joints)}")
         return 0.0
     value = float(np.mean([sure[name] for name in sure if name in joints]))
     for upper, lower in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
