@@ -142,7 +142,7 @@ def test_a_hand_folded_to_its_shoulder_takes_its_knuckles_out_of_the_trunk_by_th
     assert before.min() < -0.015 and after.min() > -0.01
     places = [positions_of(one) for one in (motion, free)]
     for joint in ("LeftForeArm", "LeftHand"):
-        np.testing.assert_allclose(*(place[:, FINGERED.index(joint)] for place in places), atol=0.003)
+        np.testing.assert_allclose(*(place[:, FINGERED.index(joint)] for place in places), atol=0.015)
     knuckles = FINGERED.index("LeftHandMiddle1")
     steps = [np.linalg.norm(np.diff(place[:, knuckles], axis=0), axis=1).max() for place in places]
     assert steps[1] < 1.5 * steps[0], "no jump"
