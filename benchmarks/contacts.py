@@ -207,7 +207,7 @@ def of_figure(motion: Motion) -> dict[str, float]:
 
 def of_bodies(motion: Motion, paths: list[Path], rig: Rig) -> dict[str, float]:
     """The worst figures of characters in files and of a rig."""
-    rows = [of_rig(rig, motion, framed=False), *(of_file(path, motion, framed=False) for path in paths)]
+    rows = [of_rig(rig, motion, controls=False), *(of_file(path, motion, controls=False) for path in paths)]
     return {name: max(row[column] for row in rows) for name, column in (
         ("bodies_over", "kept_over"), ("bodies_deep", "kept_deep"), ("bodies_hand", "kept_speed"),
         ("bodies_free", "free_speed"))}
@@ -232,8 +232,8 @@ def row(bare: tuple[Array, float], kept: tuple[Array, float], framed: float) -> 
             "kept_speed": kept[1], "framed_speed": framed}
 
 
-def of_file(path: Path, motion: Motion, framed: bool = True) -> dict[str, float]:
-    """The row of a character's file. framed: with the control."""
+def of_file(path: Path, motion: Motion, controls: bool = True) -> dict[str, float]:
+    """The row of a character's file. controls: with the depth without correction, and corrected frame by frame."""
     retargeter = Retargeter(read_character(path))
     if not len(retargeter.character.skin.triangles):
         raise InputError(path, "holds no mesh", "give a file with a mesh")
@@ -246,13 +246,13 @@ def of_file(path: Path, motion: Motion, framed: bool = True) -> dict[str, float]
     for contacts in (False, True):
         retargeter.contacts = contacts
         moved = retargeter(motion)
-        found.append((depths(retargeter, skin, moved), speed(moved)))
+        found.append((depths(retargeter, skin, moved) if contacts or controls else np.zeros(1), speed(moved)))
     with frame_by_frame():
-        return row(*found, speed(retargeter(motion)) if framed else 0.0)
+        return row(*found, speed(retargeter(motion)) if controls else 0.0)
 
 
-def of_rig(rig: Rig, motion: Motion, framed: bool = True) -> dict[str, float]:
-    """The row of a generated rig, whose trunk is known. framed: with the control."""
+def of_rig(rig: Rig, motion: Motion, controls: bool = True) -> dict[str, float]:
+    """The row of a generated rig, whose trunk is known. controls: with that corrected frame by frame."""
     found, hands = [], [rig.truth[side + "Hand"] for side in SIDES]
 
     def speed(moved: CharacterMotion) -> float:
@@ -262,7 +262,7 @@ def of_rig(rig: Rig, motion: Motion, framed: bool = True) -> dict[str, float]:
         moved = Retargeter(rig.character, contacts=contacts)(motion)
         found.append((inside(rig, moved, rig.torso) * min(rig.torso), speed(moved)))
     with frame_by_frame():
-        return row(*found, speed(Retargeter(rig.character)(motion)) if framed else 0.0)
+        return row(*found, speed(Retargeter(rig.character)(motion)) if controls else 0.0)
 
 
 def rigs(seed: int, count: int) -> Iterator[Rig]:
