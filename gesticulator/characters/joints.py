@@ -193,10 +193,8 @@ def _ends(search: Search) -> dict[str, int]:
         out["Head"] = min(heads, key=lambda node: (len(ancestors(search.character.parents, node)), node))
     if len(out) < 5:
         for name, node in shape.limb_ends(search.character, search.places, search.up).items():
-            other_limb = LEG_PARTS if name.endswith("Hand") else ARM_PARTS
-            if any(search.labels[above].parts[:1] in {(part,) for part in other_limb}
-                   for above in (node, *ancestors(search.character.parents, node))):
-                continue  # by name it ends a limb of the other kind
+            if _ends_another(search, name, node, out):
+                continue
             pair = name.replace("Left", "?").replace("Right", "?")
             # Take both sides by the same method: one hand by name and the other by shape could be the same node.
             if not any(known.replace("Left", "?").replace("Right", "?") == pair for known in out if known != name) \
@@ -207,6 +205,19 @@ def _ends(search: Search) -> dict[str, int]:
                 if out[other] != node:
                     out[name] = node
     return out
+
+
+def _ends_another(search: Search, name: str, node: int, ends: Mapping[str, int]) -> bool:
+    """Whether the end of a limb by position, a hand or a foot, is by name in a limb of the other kind: in one whose end
+    is known, or while the end on the other side is known by name. (Forelegs of animals may be named as legs.)"""
+    parts, kind, other = (LEG_PARTS, "Hand", "Foot") if name.endswith("Hand") else (ARM_PARTS, "Foot", "Hand")
+    limb = {above for above in (node, *ancestors(search.character.parents, node))
+            if search.labels[above].parts[:1] in {(part,) for part in parts}}
+    known = {above for side in SIDES for end in (ends.get(side + other, -1),)
+             for above in (end, *ancestors(search.character.parents, end))}
+    named = any(side + kind != name and side + kind in ends and kind in search.labels[ends[side + kind]].parts
+                for side in SIDES)
+    return bool(limb & known) or (bool(limb) and named)
 
 
 def _below(search: Search, top: int, end: int) -> list[int]:
