@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from data_module.types import Array
 from gesticulator.export.gltf import VERTICES, GltfDocument, open_gltf
-from tests.zoo import PACKAGES, folder, unpacked
+from tests.zoo import EDITION, PACKAGES, folder, unpacked
 from tests.zoo_makehuman import SCALE, MakeHuman, glb
 
 _LEFT, _RIGHT = "eye-left-closure", "eye-right-closure"
@@ -35,7 +35,7 @@ _WORN = ("helper-l-eye", "helper-r-eye", "helper-upper-teeth", "helper-lower-tee
 
 def human_vrm() -> Path:
     """The file, made if it is not there. `Unavailable` with the reason if the package cannot be had."""
-    out = folder() / "characters" / "makehuman_face.vrm"
+    out = folder() / f"characters-{EDITION}" / "makehuman_face.vrm"
     if out.exists():
         return out
     out.parent.mkdir(exist_ok=True)

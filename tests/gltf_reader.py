@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -89,3 +90,13 @@ class GlbFile:
             world[:, index] = above @ local[:, index]
             waiting += [(child, world[:, index]) for child in nodes[index].get("children", ())]
         return world
+
+
+def save(path: Path, document: dict[str, Any], binary: bytes) -> Path:
+    """Write a document and its binary chunk as GLB. Returns `path`."""
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    binary += bytes(-len(binary) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942)
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + len(binary)) + chunks + binary)
+    return path

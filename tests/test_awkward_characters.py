@@ -19,6 +19,7 @@ from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
 from gesticulator.characters.soundness import probe_motion
 from tests.awkward import SIDES, Figure, figure, write
+from tests.gltf_reader import GlbFile, save
 
 FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
 TURNED = Rotation.from_euler("Y", 45.0, degrees=True)
@@ -166,6 +167,86 @@ def test_hands_without_arms_are_refused_with_what_is_missing_alone(tmp_path: Pat
     body.parents |= {"LeftHand": "Spine2", "RightHand": "Spine2"}
     with pytest.raises(InputError, match=r"could be LeftArm, LeftForeArm, RightArm, RightForeArm \("):
         Retargeter(read_character(write(tmp_path / "half.glb", body)))
+
+
+@pytest.mark.parametrize(("missing", "named"), [(("Arm", "ForeArm", "Hand"), "RightArm, RightForeArm, RightHand"),
+                                                (("ForeArm", "Hand"), "RightForeArm, RightHand"),
+                                                (("Hand",), "RightHand")])
+def test_a_missing_arm_is_named_and_no_leg_taken_for_it(missing: tuple[str, ...], named: str, tmp_path: Path) -> None:
+    """One refusal said that a thigh was both the left arm and the right thigh."""
+    body = figure(spelled({}, MIXAMO), "A", FINGERS)
+    for key in [key for key in body.places if key.startswith("Right") and (
+            key.removeprefix("Right") in missing or key.startswith("RightHand"))]:
+        del body.places[key], body.parents[key]
+    with pytest.raises(InputError, match=f"has the left arm, but no joint that could be {named}; gestures need both"):
+        Retargeter(read_character(write(tmp_path / "one_arm.glb", body)))
+
+
+@pytest.mark.parametrize("given", ["no matrices", "the identity", "half the size"])
+def test_a_mesh_in_the_axes_of_its_joints_is_as_good_as_one_that_was_bound(given: str, tmp_path: Path) -> None:
+    """Inverse bind matrices may be left out, which is the identity for each joint: they say nothing of a bind pose."""
+    path, scale = write(tmp_path / "bound.glb", figure(spelled({}, MIXAMO), "A", FINGERS)), 1.0
+    bound = Retargeter(read_character(path))
+    file = GlbFile.parse(path.read_bytes())
+    skin, primitive = file.document["skins"][0], file.document["meshes"][0]["primitives"][0]["attributes"]
+    inverse = file.numbers(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
+    places, slots = (file.numbers(primitive[name]) for name in ("POSITION", "JOINTS_0"))
+    move = inverse[slots[:, 0]]
+    if given == "no matrices":
+        del skin["inverseBindMatrices"]
+    else:
+        scale = 0.5 if given == "half the size" else 1.0
+        file = with_numbers(file, skin["inverseBindMatrices"],
+                            np.tile(np.diag([scale] * 3 + [1.0]).ravel(), (len(inverse), 1)))
+    local = np.einsum("vij,vj->vi", move[:, :3, :3], places) + move[:, :3, 3]
+    file = with_numbers(file, primitive["POSITION"], local / scale)
+    found = Retargeter(read_character(save(tmp_path / "local.glb", file.document, file.binary)))
+    assert found.mapping.joints == bound.mapping.joints and found.doubts == ()
+    for mine, other in ((found.character.flesh, bound.character.flesh),
+                        (found.character.skin.points, bound.character.skin.points)):
+        np.testing.assert_allclose(mine, other, atol=1e-5)
+    np.testing.assert_allclose(found(probe_motion()).rotations, bound(probe_motion()).rotations, atol=1e-5)
+
+
+def test_a_mesh_that_lost_its_matrices_is_refused(tmp_path: Path) -> None:
+    """Its points are in the world, so that each joint takes them away: every viewer shows a heap."""
+    file = GlbFile.parse(write(tmp_path / "bound.glb", figure(spelled({}, MIXAMO), "A")).read_bytes())
+    del file.document["skins"][0]["inverseBindMatrices"]
+    with pytest.raises(InputError, match="mesh"):
+        Retargeter(read_character(save(tmp_path / "lost.glb", file.document, file.binary)))
+
+
+def test_a_second_skin_in_a_space_of_its_own_is_where_its_matrices_say(tmp_path: Path) -> None:
+    """A coat in centimetres over a body in metres, as exports of several meshes have it."""
+    path = write(tmp_path / "body.glb", figure(spelled({}, MIXAMO), "A"))
+    body, file = read_character(path), GlbFile.parse(path.read_bytes())
+    document, binary = file.document, file.binary
+    skin, primitive = document["skins"][0], document["meshes"][0]["primitives"][0]
+    for accessor, numbers in ((skin["inverseBindMatrices"], file.numbers(skin["inverseBindMatrices"])
+                               * np.tile([0.01, 0.01, 0.01, 1.0], (4, 1)).T.ravel()),
+                              (primitive["attributes"]["POSITION"],
+                               100.0 * file.numbers(primitive["attributes"]["POSITION"]))):
+        document["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": numbers.size * 4})
+        document["accessors"].append({**document["accessors"][accessor],
+                                      "bufferView": len(document["bufferViews"]) - 1})
+        binary += numbers.astype("<f4").tobytes()
+    document["buffers"][0]["byteLength"] = len(binary)
+    document["skins"].append({**skin, "inverseBindMatrices": len(document["accessors"]) - 2})
+    document["meshes"].append({"primitives": [{**primitive, "attributes": {
+        **primitive["attributes"], "POSITION": len(document["accessors"]) - 1}}]})
+    document["nodes"].append({"name": "Coat", "mesh": 1, "skin": 1})
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+    dressed = read_character(save(tmp_path / "dressed.glb", document, binary))
+    np.testing.assert_allclose(dressed.flesh, np.tile(body.flesh, (2, 1)), atol=1e-4)
+    np.testing.assert_allclose(dressed.skin.points, np.tile(body.skin.points, (2, 1)), atol=1e-4)
+
+
+def with_numbers(file: GlbFile, accessor: int, numbers: np.ndarray) -> GlbFile:
+    """The file with floats in place of those of an accessor, which has a view for itself."""
+    entry = file.document["accessors"][accessor]
+    start = file.document["bufferViews"][entry["bufferView"]]["byteOffset"]
+    data = numbers.astype("<f4").tobytes()
+    return GlbFile(file.document, file.binary[:start] + data + file.binary[start + len(data):])
 
 
 def test_tails_wings_skirts_and_targets_are_no_limbs(tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
-import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_reader import GlbFile
+from gltf_reader import GlbFile, save
 from numpy.typing import NDArray
 from performances import perform, write
 from small_characters import MIXAMO, write_character
@@ -24,15 +22,6 @@ from gesticulator.characters.gltf_compression import DRACO, MESHOPT
 from gesticulator.characters.reading import choose, read_character
 from gesticulator.characters.retarget import retarget
 from gesticulator.characters.several import note_of, skeletons_of
-
-
-def save(path: Path, document: dict[str, Any], binary: bytes) -> Path:
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    binary += bytes(-len(binary) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942)
-    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + len(binary)) + chunks + binary)
-    return path
 
 
 def view_of(file: GlbFile, accessor: int) -> tuple[dict[str, Any], dict[str, Any], NDArray[Any]]:

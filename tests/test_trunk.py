@@ -32,6 +32,14 @@ console.log(JSON.stringify(cases.map(([our, their, long]) => {
   return [x, z, lack];
 })));"""
 
+SPREADS = """import { spread } from "./src/contacts.js";
+import { readFileSync } from "node:fs";
+const { pushes, moments, trunk, fps, around } = JSON.parse(readFileSync(0, "utf8"));
+const at = (rows, t) => [...Array(2 * around + 1).keys()].map(
+  (k) => rows[Math.min(Math.max(t + k - around, 0), rows.length - 1)]);
+console.log(JSON.stringify([spread(pushes, moments, trunk, fps),
+  pushes.map((_, t) => spread(at(pushes, t), at(moments, t), trunk, fps)[around])]));"""
+
 
 def limited(our: Array, their: Array, outline: Outline, size: float = 1.0, length: Array | float = LENGTH) -> HandLimit:
     """The limit of points [3, T] left, up and ahead of the hips, of an upright body."""
@@ -182,3 +190,32 @@ def test_the_page_limits_hands_as_python_does() -> None:
     limit = limited(our, their, outline, size, length)
     expected = np.stack([limit.normal[:, 0], limit.normal[:, 2], limit.lack], axis=1)
     np.testing.assert_allclose(json.loads(done.stdout), expected, atol=1e-9)
+
+
+def test_the_page_spreads_displacements_as_python_does_and_needs_only_the_moments_around() -> None:
+    node = shutil.which("node")
+    if node is None or not (VIEWER / "node_modules").is_dir():
+        pytest.skip("node is not installed, or npm ci --prefix viewer has not been run")
+    fps, arm, count = 30.0, 1.5 * 0.53, 120
+    across = 0.35 - 0.55 / (1.0 + np.exp(-12.0 * (np.arange(count) / fps - 2.0)))
+    our = np.stack([across, np.full(count, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125
+                                                           - 0.5 * (np.abs(across) - OURS[0]))])
+    their = our * np.array([[0.9], [1.0], [0.5]])
+    stout = ellipse(*STOUT)
+    limit = limited(our, their, stout)
+    framed = limit.lack[:, None] * limit.normal
+    upright = TrunkAxes(np.tile(np.eye(3), (count, 1, 1)), np.full(count, LENGTH))
+    wanted = spread(framed, [HandPoint(their.T, limit.margin)], Obstacle(upright, stout, 1.5), (their.T, arm), fps)
+    moments = [{"reached": place, "side": [1, 0, 0], "up": [0, 1, 0], "ahead": [0, 0, 1], "long": LENGTH,
+                "points": [{"place": place, "margin": margin}]}
+               for place, margin in zip(their.T.tolist(), limit.margin.tolist(), strict=True)]
+    trunk = {"outline": {"steps": stout.steps.tolist(), "reach": stout.reach.tolist()}, "size": 1.5}
+    given = {"pushes": framed.tolist(), "moments": moments, "trunk": trunk, "fps": fps, "around": 18}
+    done = subprocess.run([node, "--input-type=module", "-e", SPREADS], cwd=VIEWER, input=json.dumps(given),
+                          capture_output=True, text=True, check=True)
+    whole, local = (np.array(rows) for rows in json.loads(done.stdout))
+    np.testing.assert_allclose(whole[10:-10], wanted[10:-10], atol=1e-3)
+    np.testing.assert_allclose(local[10:-10], wanted[10:-10], atol=0.01)
+    assert beside((their.T + local).T, *STOUT).min() > 0.99
+    speeds = [np.linalg.norm(np.diff(their.T + moved, axis=0), axis=1).max() for moved in (framed, wanted, local)]
+    assert speeds[2] < 1.05 * speeds[1] < speeds[0]

@@ -22,6 +22,8 @@ from scipy.spatial.transform import Rotation
 
 SCALE = 0.1
 """Metres per unit of the base mesh (decimetres)."""
+CLOSE = 0.5
+"""Distance from the vertices of clothes within which skin is beneath them, units of the base mesh."""
 BODIES: Mapping[str, Mapping[str, float]] = {
     "woman": {"caucasian-female-young": 1.0, "universal-female-young-averagemuscle-averageweight": 1.0},
     "man": {"african-male-young": 1.0, "universal-male-young-averagemuscle-averageweight": 1.0},
@@ -62,12 +64,23 @@ class MakeHuman:
                 faces.append([int(corner.split("/")[0]) - 1 for corner in line.split()[1:]])
                 worn.append(group != "body")
         self.vertices = np.array(vertices)
-        self.triangles = np.array([[face[0], *pair] for face in faces
-                                   for pair in zip(face[1:], face[2:], strict=False)])
+        tights = [face for face, clothes in zip(faces, worn, strict=True) if clothes]
         self.dressed = np.zeros(len(vertices), dtype=bool)  # in the tights that MakeHuman makes clothes from
-        self.dressed[np.unique([corner for face, tights in zip(faces, worn, strict=True) if tights for corner in face])
-                     ] = True
+        self.dressed[np.unique(np.concatenate(tights))] = True
+        covered = self._covered(tights)
+        self.triangles = np.array([[face[0], *pair] for face in faces if not covered[face].all()
+                                   for pair in zip(face[1:], face[2:], strict=False)])
         self.cubes = json.loads((data / "mesh_metadata" / "basemesh_vertex_groups.json").read_text())
+
+    def _covered(self, tights: list[list[int]]) -> np.ndarray:
+        """[V] which vertices of the body the tights hide: those that are nearest to one of theirs that is not at a
+        border. MakeHuman leaves such skin out, too: it would show through clothes that lie so close."""
+        edges = np.sort(np.concatenate([np.stack([face, np.roll(face, -1)], axis=1) for face in tights]), axis=1)
+        pairs, counts = np.unique(edges, axis=0, return_counts=True)
+        worn = np.unique(edges)
+        gap, near = cKDTree(self.vertices[worn]).query(self.vertices)
+        inner = ~np.isin(worn, pairs[counts == 1])
+        return np.asarray((gap < CLOSE) & inner[near] & ~self.dressed)
 
     def body(self, name: str) -> np.ndarray:
         """[V, 3] vertices of a body of `BODIES`, metres."""

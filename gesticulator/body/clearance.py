@@ -12,8 +12,8 @@ e = `SOFT`, a hand is moved by 0 for d < -e, (d + e)^2 / 4e for -e < d < e, and 
 path. An elbow that the trunk would hide swings outward about the line from shoulder to wrist, by the same rule and a
 plane behind the trunk that recedes beside it; the hand stays. A hand at its shoulder, where the models fold an elbow
 further than a person can, stays where only the slope of the field would move it: there a centimetre of the hand is ten
-of the elbow, which would turn round within a frame. Everything depends on the pose alone; a pose that needs no
-correction stays the same bit for bit.
+of the elbow, which would turn round within a frame. It turns about its wrist if its knuckles are in the trunk.
+Everything depends on the pose alone; a pose that needs no correction stays the same bit for bit.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ FOLDED, BESIDE = (0.13, 0.20), (0.12, 0.17)
 """Metres from a wrist to its shoulder, and across the trunk: a hand that is nearer than the first pair and farther
 across than the second is at its shoulder beside the trunk, and stays. Elbows that are bent by 152 and 136 degrees bring
 it there; people bend theirs by up to 150."""
+TIP_SOFT, FARTHEST_TIP = 0.01, 0.8
+"""Metres over which a hand is turned that stays at its shoulder with its knuckles in the trunk; radians at most."""
 HEAD_MIDDLE = np.array([0.0, 0.085, 0.025])
 """Middle of the face relative to the joint of the head, metres: the joint is at the top of the neck."""
 HEAD_RADIUS = 0.13
@@ -97,12 +99,34 @@ def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, flo
              np.linalg.norm(push, axis=-1) > _LEAST)
     for _ in range(_SWINGS):
         swivel(turns, limbs, chain, body.hidden(limbs.place(turns, chain[1]), sign))
+    if len(points) > 1:
+        _tip_hand(turns, limbs, (chain[2], points[1]), body, sign)
     for joint in chain:
         above = turns[skeleton.parents[joint]]
         local = np.swapaxes(above, -1, -2) @ turns[joint]
         new, old = Rotation.from_matrix(local).as_quat(scalar_first=True), rotations[at, joint]
         # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
         rotations[at, joint] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
+
+
+def _tip_hand(turns: dict[int, Array], limbs: OurLimbs, hand: tuple[int, int], body: _Body, sign: float) -> None:
+    """Turn a hand in `turns` about its wrist where its knuckles are still in the trunk: of a hand that stays at its
+    shoulder. hand: wrist and knuckles; sign: 1 for the left hand, -1 for the right."""
+    wrist, knuckles = (limbs.place(turns, node) for node in hand)
+    push = body.out_of_trunk(knuckles, sign, TIP_SOFT)
+    at = np.linalg.norm(push, axis=-1) > _LEAST
+    if not at.any():
+        return
+    before = (knuckles - wrist)[at]
+    after = before + push[at]
+    size = np.linalg.norm(before, axis=-1, keepdims=True)
+    before, after = before / size, after / np.maximum(np.linalg.norm(after, axis=-1, keepdims=True), 1e-9)
+    axis = np.cross(before, after)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = np.minimum(np.arctan2(sine, np.sum(before * after, axis=-1, keepdims=True)), FARTHEST_TIP)
+    turn = Rotation.from_rotvec(axis / np.maximum(sine, 1e-9) * angle).as_matrix()
+    turns[hand[0]] = turns[hand[0]].copy()
+    turns[hand[0]][at] = turn @ turns[hand[0]][at]
 
 
 class BelowShoulder(OurLimbs):
@@ -148,7 +172,7 @@ class _Body:
     def push(self, points: list[Array], sign: float) -> Array:
         """[T, 3] the displacement of a hand with points [T, 3] in the body; sign: 1 for the left hand, -1 for the
         right. Of several displacements the larger ones count more, so that none takes over at once."""
-        moves = np.stack([move for point in points for move in (self._out_of_trunk(point, sign),
+        moves = np.stack([move for point in points for move in (self.out_of_trunk(point, sign, SOFT),
                                                                 self._off_face(point))])
         weights = np.sum(moves ** 2, axis=-1, keepdims=True)
         return np.asarray(np.sum(weights * moves, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12))
@@ -165,9 +189,10 @@ class _Body:
         near = 1.0 - _ramp(np.linalg.norm(hand - shoulder, axis=-1), FOLDED)
         return np.asarray(near * _ramp(across, BESIDE))[:, None]
 
-    def _out_of_trunk(self, point: Array, sign: float) -> Array:
+    def out_of_trunk(self, point: Array, sign: float, over: float) -> Array:
+        """[T, 3] the displacement of a point [T, 3] of a hand in the trunk; over: metres in which it is rounded."""
         across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, point), -1, 0)
-        return self._axes[:, 2] * soft(front_at(across * sign, along, self._length) - ahead)[:, None]
+        return self._axes[:, 2] * soft(front_at(across * sign, along, self._length) - ahead, over)[:, None]
 
     def _off_face(self, point: Array) -> Array:
         x, y, z = np.moveaxis(np.einsum("tji,tj->ti", self._head, point - self._face), -1, 0)

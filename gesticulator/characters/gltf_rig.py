@@ -38,6 +38,8 @@ _AS_AT_REST = float(np.radians(60.0))
 """Largest median angle between trunk and legs at rest and in the bind pose: a stride turns them by 30 degrees."""
 _AS_TURNED = float(np.radians(100.0))
 """The same for a body whose joints all rest in the bind pose but for one that turns the whole of it."""
+_EQUAL = 1e-5
+"""Numbers of matrices that differ by less are equal."""
 _SKINNED = ("POSITION", "JOINTS_0", "WEIGHTS_0")
 """Attributes of a skinned mesh."""
 
@@ -77,13 +79,16 @@ def _character(file: GltfFile) -> Character:
         rest = character.world_matrices()
     if not (np.abs(rest) <= FARTHEST).all():
         raise InputError(file.path, f"has nodes farther away, or larger, than {FARTHEST:g}", AGAIN)
-    inverse = _inverse_bind(file, place)
-    if not inverse:
+    matrices = _inverse_matrices(file)
+    if not matrices:
         return character
-    bind, to_world = _bind(character, inverse, _mesh_nodes(file, place))
-    flesh, flesh_nodes = _flesh(file, place, to_world)
+    inverse = _inverse_bind(file, place, matrices)
+    # Matrices that are all the same say nothing of a pose: the mesh is in the axes of its joints, wherever they rest.
+    bind, to_world = _bind(character, inverse, _mesh_nodes(file, place)) if inverse else (rest, np.eye(4))
+    moves = _to_world(file, place, matrices, bind, to_world)
+    flesh, flesh_nodes = _flesh(file, place, moves)
     return Character(**{**vars(character), "bind": bind, "space": turns_of(to_world), "flesh": flesh,
-                        "flesh_nodes": flesh_nodes, "skin": read_skin(file, place, to_world)})
+                        "flesh_nodes": flesh_nodes, "skin": read_skin(file, place, moves)})
 
 
 def _mesh_nodes(file: GltfFile, place: Mapping[int, int]) -> list[int]:
@@ -132,25 +137,50 @@ def _vrm(file: GltfFile, place: Mapping[int, int]) -> tuple[str, dict[str, int]]
     return "", {}
 
 
-def _inverse_bind(file: GltfFile, place: Mapping[int, int]) -> dict[int, Array]:
+def _inverse_matrices(file: GltfFile) -> dict[int, Array]:
+    """Skin -> [J, 4, 4] its inverse bind matrices: the identity for each joint if it has none, as glTF defines."""
+    out = {}
+    for number, skin in enumerate(file.rows("skins")):
+        count = len(skin["joints"])
+        matrices = np.tile(np.eye(4), (count, 1, 1))
+        if "inverseBindMatrices" in skin:
+            numbers = file.array(skin["inverseBindMatrices"], most=count)
+            if not (np.abs(numbers) <= FARTHEST).all():
+                raise InputError(file.path, "has inverse bind matrices that are not finite numbers", AGAIN)
+            matrices[:len(numbers)] = numbers.reshape(-1, 4, 4).transpose(0, 2, 1)
+        if count:
+            out[number] = matrices
+    return out
+
+
+def _inverse_bind(file: GltfFile, place: Mapping[int, int], matrices: Mapping[int, Array]) -> dict[int, Array]:
     """Node -> [4, 4] inverse bind matrix, in the space of the skin with the most joints; other skins are aligned to it
-    by a shared joint, or omitted without one."""
-    skins = sorted((skin for skin in file.rows("skins") if "inverseBindMatrices" in skin),
-                   key=lambda skin: -len(skin["joints"]))
+    by a shared joint, or omitted without one. So are those of several joints that all have the same matrix."""
+    skins = file.rows("skins")
+    telling = [number for number, rows in matrices.items() if len(rows) == 1 or np.ptp(rows, axis=0).max() > _EQUAL]
     out: dict[int, Array] = {}
-    for skin in skins:
-        numbers = file.array(skin["inverseBindMatrices"], most=len(skin["joints"]))
-        if not (np.abs(numbers) <= FARTHEST).all():
-            raise InputError(file.path, "has inverse bind matrices that are not finite numbers", AGAIN)
-        matrices = numbers.reshape(-1, 4, 4).transpose(0, 2, 1)
-        inverse = {place[node]: matrix for node, matrix, size in zip(skin["joints"], matrices, np.linalg.det(matrices),
-                                                                 strict=False) if abs(size) > 1e-15}
+    for number in sorted(telling, key=lambda number: -len(matrices[number])):
+        rows = matrices[number]
+        inverse = {place[node]: matrix for node, matrix, size in zip(skins[number]["joints"], rows,
+                                                                 np.linalg.det(rows), strict=True) if abs(size) > 1e-15}
         shared = next((node for node in inverse if node in out), None)
         if out and shared is None:
             continue
         # Both give the place of the same joint, each in the space of its own mesh.
         change = np.eye(4) if shared is None else np.linalg.inv(inverse[shared]) @ out[shared]
         out |= {node: matrix @ change for node, matrix in inverse.items() if node not in out}
+    return out
+
+
+def _to_world(file: GltfFile, place: Mapping[int, int], matrices: Mapping[int, Array], bind: Array, to_world: Array
+              ) -> dict[int, Array]:
+    """Skin -> [J, 4, 4] what brings its mesh into the world of the bind pose, by joint; as a rule all are `to_world`.
+    """
+    out = {}
+    for number, rows in matrices.items():
+        moves = bind[[place[node] for node in file.rows("skins")[number]["joints"]]] @ rows
+        same = np.abs(moves - to_world).max() <= _EQUAL * max(1.0, np.abs(to_world).max())
+        out[number] = np.broadcast_to(to_world, moves.shape) if same else moves
     return out
 
 
@@ -233,9 +263,9 @@ def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, 
     return best
 
 
-def _flesh(file: GltfFile, place: Mapping[int, int], to_world: Array) -> tuple[Array, NDArray[np.int64]]:
+def _flesh(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array]) -> tuple[Array, NDArray[np.int64]]:
     """[V, 3] vertices of the skinned meshes in the bind pose's world, and [V] the node with the largest weight of
-    each."""
+    each. moves: skin -> [J, 4, 4] from the space of its mesh."""
     parts = list(_skinned_parts(file))
     counts = [file.count(attributes["POSITION"]) for _, attributes in parts]
     step = -(-sum(counts) // MOST_POINTS) or 1
@@ -254,12 +284,13 @@ def _flesh(file: GltfFile, place: Mapping[int, int], to_world: Array) -> tuple[A
         if where.shape[1] != 3 or which.shape != weights.shape or len(where) != len(which) or not which.shape[1]:
             raise InputError(file.path, "has a mesh whose positions, joints and weights do not match", AGAIN)
         most = np.take_along_axis(which, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-        points.append(where)
         # An index out of range becomes the last joint, NaN the first.
-        movers.append(joints[np.clip(np.nan_to_num(most), 0, len(joints) - 1).astype(np.int64)])
-    all_points, all_movers = np.concatenate(points), np.concatenate(movers)
-    good = (np.abs(all_points) <= FARTHEST).all(axis=1)  # also not NaN
-    return all_points[good] @ to_world[:3, :3].T + to_world[:3, 3], all_movers[good]
+        mover = np.clip(np.nan_to_num(most), 0, len(joints) - 1).astype(np.int64)
+        good = (np.abs(where) <= FARTHEST).all(axis=1)  # also not NaN
+        move = moves[skin][mover[good]]
+        points.append(np.einsum("vij,vj->vi", move[:, :3, :3], where[good]) + move[:, :3, 3])
+        movers.append(joints[mover[good]])
+    return np.concatenate(points), np.concatenate(movers)
 
 
 def _skinned_parts(file: GltfFile) -> Iterator[tuple[int, dict[str, int]]]:

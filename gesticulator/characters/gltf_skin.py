@@ -20,8 +20,9 @@ _TRIANGLES = 4
 """glTF's mode of separate triangles."""
 
 
-def read_skin(file: GltfFile, place: Mapping[int, int], to_world: Array) -> Skin:
-    """A sample of the skinned triangles. place: node of the file -> node; to_world: [4, 4] from mesh space."""
+def read_skin(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array]) -> Skin:
+    """A sample of the skinned triangles. place: node of the file -> node; moves: skin -> [J, 4, 4] from the space of
+    its mesh into the world of the bind pose, by joint."""
     parts = list(_parts(file))
     sizes = [file.count(primitive["indices"] if "indices" in primitive else primitive["attributes"]["POSITION"]) // 3
              for _, primitive in parts]
@@ -40,15 +41,24 @@ def read_skin(file: GltfFile, place: Mapping[int, int], to_world: Array) -> Skin
         used, back = np.unique(chosen, return_inverse=True)
         nodes = np.array([place[node] for node in file.rows("skins")[skin]["joints"]])
         which, shares = _influences(file, attributes, used, len(nodes))
-        points.append(file.array(attributes["POSITION"])[used])
+        points.append(_placed(file.array(attributes["POSITION"])[used], moves[skin], which, shares))
         joints.append(nodes[which])
         weights.append(shares)
         triangles.append(back.reshape(-1, 3) + before)
         before += len(used)
     if not points:
         return Skin()
-    return _clean(np.concatenate(points) @ to_world[:3, :3].T + to_world[:3, 3], np.concatenate(joints),
-                  np.concatenate(weights), np.concatenate(triangles))
+    return _clean(np.concatenate(points), np.concatenate(joints), np.concatenate(weights), np.concatenate(triangles))
+
+
+def _placed(points: Array, moves: Array, which: NDArray[np.int64], shares: Array) -> Array:
+    """[V, 3] vertices in the world of the bind pose, each moved by [J, 4, 4] of its joints [V, 4], by their shares."""
+    shares = shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-9)
+    with np.errstate(invalid="ignore", over="ignore"):  # those far away or not finite are left out afterwards
+        if (moves == moves[:1]).all():
+            return np.asarray(points @ moves[0, :3, :3].T + moves[0, :3, 3])
+        move = np.einsum("vk,vkij->vij", shares, moves[which])
+        return np.asarray(np.einsum("vij,vj->vi", move[:, :3, :3], points) + move[:, :3, 3])
 
 
 def _parts(file: GltfFile) -> Iterator[tuple[int, dict[str, Any]]]:

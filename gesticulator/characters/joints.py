@@ -17,7 +17,7 @@ from data_module.motion.skeletons import FINGERS, NAME_TABLES
 from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.conventions import conventional
-from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
+from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
 from gesticulator.characters.names import Label
 from gesticulator.characters.rig import UPS, Character
 
@@ -193,6 +193,8 @@ def _ends(search: Search) -> dict[str, int]:
         out["Head"] = min(heads, key=lambda node: (len(ancestors(search.character.parents, node)), node))
     if len(out) < 5:
         for name, node in shape.limb_ends(search.character, search.places, search.up).items():
+            if _ends_another(search, name, node, out):
+                continue
             pair = name.replace("Left", "?").replace("Right", "?")
             # Take both sides by the same method: one hand by name and the other by shape could be the same node.
             if not any(known.replace("Left", "?").replace("Right", "?") == pair for known in out if known != name) \
@@ -203,6 +205,19 @@ def _ends(search: Search) -> dict[str, int]:
                 if out[other] != node:
                     out[name] = node
     return out
+
+
+def _ends_another(search: Search, name: str, node: int, ends: Mapping[str, int]) -> bool:
+    """Whether the end of a limb by position, a hand or a foot, is by name in a limb of the other kind: in one whose end
+    is known, or while the end on the other side is known by name. (Forelegs of animals may be named as legs.)"""
+    parts, kind, other = (LEG_PARTS, "Hand", "Foot") if name.endswith("Hand") else (ARM_PARTS, "Foot", "Hand")
+    limb = {above for above in (node, *ancestors(search.character.parents, node))
+            if search.labels[above].parts[:1] in {(part,) for part in parts}}
+    known = {above for side in SIDES for end in (ends.get(side + other, -1),)
+             for above in (end, *ancestors(search.character.parents, end))}
+    named = any(side + kind != name and side + kind in ends and kind in search.labels[ends[side + kind]].parts
+                for side in SIDES)
+    return bool(limb & known) or (bool(limb) and named)
 
 
 def _below(search: Search, top: int, end: int) -> list[int]:
@@ -377,7 +392,7 @@ def _turned_round(search: Search, joints: dict[str, int], named: bool, doubts: l
 def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, float], doubts: list[str]) -> float:
     """Confidence, 0 to 1: the mean over the joints found, reduced for each implausible proportion."""
     if any(name not in joints for name in NEEDED):
-        doubts.append(f"it lacks {', '.join(name for name in NEEDED if name not in joints)}")
+        doubts.append(f"{LACKS}{', '.join(name for name in NEEDED if name not in joints)}")
         return 0.0
     value = float(np.mean([sure[name] for name in sure if name in joints]))
     for upper, lower in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):

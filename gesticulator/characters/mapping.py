@@ -28,6 +28,8 @@ NEEDED = ("Hips", "Head", *(side + part for side in SIDES for part in ("Arm", "F
 SURE = 0.6
 """Confidence below which a detected mapping is rejected unless the user provides it. Known names throughout give 1, a
 body-shaped tree without known names 0.7; each doubt subtracts a fifth or more."""
+LACKS = "it lacks "
+"""How the doubt begins that lists the missing joints of `NEEDED`."""
 _ADVICE = "correct the mapping, or save a new one with --save-mapping"
 
 
@@ -70,8 +72,15 @@ def check(mapping: RigMapping, character: Character) -> None:
     """`InputError` if the mapping lacks required joints, uses a node twice, or has too low a confidence."""
     lacking = [name for name in NEEDED if name not in mapping.joints]
     if lacking:
+        doubts = [doubt for doubt in mapping.doubts if not doubt.startswith(LACKS)]
+        for side, other in zip(SIDES, SIDES[::-1], strict=True):
+            if all(name.startswith(side) for name in lacking):
+                raise InputError(character.path, f"has the {other.lower()} arm, but no joint that could be "
+                                 f"{', '.join(lacking)}", "gestures need both arms: add these bones (they need no "
+                                 "mesh), or name them in a mapping (--save-mapping writes one to fill in, --mapping "
+                                 "reads it)")
         raise InputError(character.path, f"has no joint that could be {', '.join(lacking)}"
-                         + (f" ({'; '.join(mapping.doubts)})" if mapping.doubts else ""),
+                         + (f" ({'; '.join(doubts)})" if doubts else ""),
                          "name its joints in a mapping (--save-mapping writes one to fill in, --mapping reads it)")
     used: dict[int, str] = {}
     for name, node in [*mapping.joints.items(), *(("Spine", node) for node in mapping.spine),

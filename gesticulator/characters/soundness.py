@@ -60,6 +60,8 @@ _EVEN = (0.7, 1.43)
 """Lengths of a bone on the left and on the right, against each other: a longer one is another bone."""
 _FAR = 1.5
 """Distance of the middle of a bone's mesh from the bone beyond that of the bind pose, as a share of its length."""
+_APART = 0.2
+"""The same in the bind pose itself, as a share of the height: where it is more for most bones, the mesh is a heap."""
 _STRETCH, _LONG, _TORN = 4.0, 0.08, 0.01
 """An edge of the mesh is torn if it is this many times as long as in the bind pose, and by this share of the height; a
 mesh is torn if this share of its edges (by number) is."""
@@ -312,6 +314,7 @@ class _Seen:
         if not len(self.skin.points):
             return
         movers = self._movers()
+        apart: list[bool] = []
         for top, low in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot"), ("Head", "Head")):
             for side in SIDES if top != "Head" else ("",):
                 if side + top not in self.joints or side + low not in self.joints:
@@ -324,12 +327,16 @@ class _Seen:
                 if own.sum() < 8:  # too few to tell where they are
                     continue
                 before = self._gap(self.mesh_bound[own], self.bound, side + top, side + low)
+                apart.append(before > _APART * self.height)
                 after = max(self._gap(self.mesh[frame][own], self.places[frame], side + top, side + low)
                             for frame in range(len(self.mesh)))
                 length = max(self.length(side + top, side + low) if top != "Head" else 0.1 * self.height, 1e-9)
                 if after - before > _FAR * length:
                     yield (True, f"the mesh of its {_SIDE.get(side[:4], '')}{_PLAIN[top]} is not where the bone is",
                            (side + top, side + low))
+        if 2 * sum(apart) > len(apart):
+            yield (True, "its mesh is not where its bones are in the pose that it was bound in: its inverse bind "
+                   "matrices are missing or of another skeleton", "export it again, with its skin")
 
     def tears(self) -> Check:
         """Edges of the mesh do not become much longer."""

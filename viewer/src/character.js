@@ -85,7 +85,7 @@ class VrmCharacter extends Character {
     return Object.keys(this.vrm.humanoid.humanBones).map((bone) => this.vrm.humanoid.getRawBoneNode(bone)).filter(Boolean);
   }
 
-  show(poser) {
+  pose(poser) {
     const { humanoid } = this.vrm, { take, root } = poser;
     if (this.take !== take) {
       this.take = take;
@@ -101,6 +101,11 @@ class VrmCharacter extends Character {
     const size = this.hipsHeight / take.skeleton.height, way = this.old ? -1 : 1;
     this.hips.position.set(this.rest.x + way * root[0] * size, this.rest.y + (root[1] - take.skeleton.height) * size, this.rest.z + way * root[2] * size);
     if (!take.has("LeftUpLeg")) this.keepLegs(poser);
+  }
+
+  show(poser) {
+    this.contacts.foresee(poser, (other) => this.pose(other));
+    this.pose(poser);
     this.contacts.repair(poser);
     if (poser.face) showFace(this.vrm, poser.face);
     const now = performance.now();
@@ -202,7 +207,7 @@ class NamedCharacter extends Character {
     return out;
   }
 
-  show(poser) {
+  pose(poser) {
     const { take, root } = poser;
     if (this.take !== take) {
       for (const [node, { local }] of this.rest) node.quaternion.copy(local);
@@ -228,6 +233,11 @@ class NamedCharacter extends Character {
     const high = take.skeleton.height, size = (this.size ?? high) / high;
     const at = new Vector3(root[0], root[1] - high, root[2]).multiplyScalar(size).applyQuaternion(this.back).add(this.restHips);
     this.hips.position.copy(at.applyMatrix4(this.above.clone().invert()));
+  }
+
+  show(poser) {
+    this.contacts.foresee(poser, (other) => this.pose(other));
+    this.pose(poser);
     this.contacts.repair(poser);
     this.face?.show(poser.face);
   }

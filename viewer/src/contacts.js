@@ -1,9 +1,12 @@
 // Hands kept out of the trunk of a character, as gesticulator/characters/trunk.py does it: our hand says on which side of
-// the trunk the character's belongs, and the arm is bent until it is as far outside (and no farther than MARGIN).
+// the trunk the character's belongs, and the arm is bent until it is as far outside (and no farther than MARGIN). Where
+// the frames to come are known, a hand sets out early, as in gesticulator/characters/detours.py: of a few tenths of a
+// second around the moment that is shown.
 
 import { Quaternion, Vector3 } from "three";
 
 import { clamp } from "./numbers.js";
+import { Poser } from "./take.js";
 
 /** Metres: within this a hand counts as near, of an arm as long as ours (upper arm and forearm). */
 const MARGIN = 0.03, ARM = 0.53;
@@ -13,9 +16,18 @@ const OURS = { width: 0.145, depth: 0.115, shoulders: 0.36, height: 0.62 };
 const ANGLES = 36, LOWEST = -6, SLICES = 12, OUTER = 0.98, FEWEST = 8, MOST_POINTS = 20000;
 /** Metres: of slowing, and how the surface recedes beyond the ends. */
 const SOFT = 0.05, CAP = 0.2, RECEDES = 0.5;
+const SIDES = ["Left", "Right"];
 const ROUNDS = 12, REACH = 0.999, LEAST = 1e-5, STANDS = 0.85;
 /** Share of an arm's length beyond which it is not stretched. */
 const STRETCHED = 0.9995;
+
+/** Moments per second that are looked at, and how many before and after the one shown: three of the deviations below. */
+const HZ = 30, AROUND = 18;
+/** Seconds over which a displacement is spread (standard deviation), in so many turns; seconds around a moment whose
+ *  fastest is the pace of the hand; metres per second below which none is hasty; projections in a turn. */
+const AHEAD = 0.2, TURNS = 16, NEAR = 0.1, SLOW = 0.3, PROJECTIONS = 3;
+/** Moments that are kept of a take. */
+const MOST_KEPT = 4000;
 
 const directions = [...Array(ANGLES).keys()].map((k) => [Math.cos((k * 2 * Math.PI) / ANGLES), Math.sin((k * 2 * Math.PI) / ANGLES)]);
 
@@ -60,10 +72,96 @@ export function limit(our, their, outline, long, size) {
   const { width, depth } = OURS, n = [our[0] / width ** 2, our[2] / depth ** 2], norm = Math.max(Math.hypot(...n), 1e-9);
   const [x, z] = n.map((value) => value / norm), slim = Math.hypot(width * x, depth * z);
   const gap = clamp(x * our[0] + z * our[2] - slim, 0, 2 * MARGIN), reach = support(outline, their[1] / long, [x, z]);
-  const beyond = Math.max(outline.steps[0] * long - their[1], their[1] - long, 0) / (CAP * size);
-  const near = gap - gap ** 2 / (4 * MARGIN), soft = clamp(reach - size * slim, 1e-6, SOFT * size);
-  const lack = reach - size * RECEDES * beyond ** 2 + size * near - (x * their[0] + z * their[2]);
-  return { x, z, lack: lack > soft ? lack : clamp(lack + soft, 0, 2 * soft) ** 2 / (4 * soft) };
+  const margin = size * (gap - gap ** 2 / (4 * MARGIN)), soft = clamp(reach - size * slim, 1e-6, SOFT * size);
+  const lack = reach - receding(their[1], long, outline, size) + margin - (x * their[0] + z * their[2]);
+  return { x, z, margin, lack: lack > soft ? lack : clamp(lack + soft, 0, 2 * soft) ** 2 / (4 * soft) };
+}
+
+/** Metres to the tangents in all directions at a height. */
+function rowAt({ steps, reach }, share) {
+  let k = 0;
+  while (k < steps.length - 1 && steps[k + 1] < share) k++;
+  if (k === steps.length - 1 || share <= steps[0]) return reach[share <= steps[0] ? 0 : k];
+  const on = (share - steps[k]) / (steps[k + 1] - steps[k]);
+  return reach[k].map((value, column) => (1 - on) * value + on * reach[k + 1][column]);
+}
+
+/** Weights of a Gaussian over neighbours, its middle first. */
+function gaussian(width) {
+  const weights = [...Array(Math.ceil(4 * width) + 1).keys()].map((k) => Math.exp(-0.5 * (k / width) ** 2));
+  const sum = 2 * weights.reduce((a, b) => a + b) - weights[0];
+  return weights.map((weight) => weight / sum);
+}
+
+/** Rows of numbers, each the mean of its neighbours; the ends go on. */
+function smoothed(rows, weights) {
+  const last = rows.length - 1;
+  return rows.map((row, t) => row.map((value, c) => {
+    let sum = weights[0] * value;
+    for (let k = 1; k < weights.length; k++) sum += weights[k] * (rows[Math.max(t - k, 0)][c] + rows[Math.min(t + k, last)][c]);
+    return sum;
+  }));
+}
+
+/** The largest of each number and its `reach` neighbours on both sides. */
+const largest = (values, reach) => values.map((_, t) => Math.max(...values.slice(Math.max(t - reach, 0), t + reach + 1)));
+
+/** Metres that rows [x, y, z] move from one to the next, by central differences. */
+const speeds = (rows) => rows.map((_, t) => {
+  const a = Math.max(t - 1, 0), b = Math.min(t + 1, rows.length - 1);
+  return b > a ? Math.hypot(...rows[b].map((value, c) => value - rows[a][c])) / (b - a) : 0;
+});
+
+const plus = (a, b, share = 1) => a.map((value, c) => value + share * b[c]);
+
+/** Metres by which the surface recedes at a height, above or below a trunk of a length. */
+function receding(height, long, outline, size) {
+  const beyond = Math.max(outline.steps[0] * long - height, height - long, 0) / (CAP * size);
+  return size * RECEDES * beyond ** 2;
+}
+
+/** A displacement [x, y, z] of a hand, and what it lacks so that all points of the hand are outside of the trunk. */
+function outside(push, { points, side, up, ahead, long }, { outline, size }) {
+  let out = push;
+  for (const { place: [x, y, z], margin } of points) {
+    const across = x + dot(out, side), high = y + dot(out, up), along = z + dot(out, ahead);
+    const row = rowAt(outline, high / long);
+    let gap = -Infinity, nearest = 0;
+    for (let k = 0; k < ANGLES; k++) {
+      const value = directions[k][0] * across + directions[k][1] * along - row[k];
+      if (value > gap) [gap, nearest] = [value, k];
+    }
+    const lack = margin - gap - receding(high, long, outline, size), [a, b] = directions[nearest];
+    if (lack > 0) out = out.map((value, c) => value + lack * (a * side[c] + b * ahead[c]));
+  }
+  return out;
+}
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+
+/** Displacements [[x, y, z]] of a hand spread over time. moments: { reached: the wrist from its shoulder, points: [{ place:
+ *  [left, up, ahead] of the hips, margin: metres that it belongs outside }], side, up, ahead, long: axes and length of the
+ *  trunk }; trunk: { outline, size: of an arm, of ours }. */
+export function spread(pushes, moments, trunk, fps) {
+  const weights = gaussian((AHEAD * fps) / Math.sqrt(TURNS)), reached = moments.map((moment) => moment.reached);
+  const calm = smoothed(reached, weights), pace = largest(speeds(reached), Math.round(NEAR * fps));
+  const longest = reached.map((row) => Math.max(Math.hypot(...row), REACH * ARM * trunk.size));
+  let out = pushes;
+  for (let turn = 0; turn < TURNS; turn++) {
+    const fast = speeds(out.map((push, t) => plus(reached[t], push)));
+    const hasty = smoothed(largest(fast.map((speed, t) => clamp(speed / Math.max(pace[t], SLOW / fps) - 1, 0, 1)),
+      Math.round(AHEAD * fps)).map((value) => [value]), weights);
+    out = smoothed(out, weights).map((push, t) => {
+      let next = plus(push, plus(calm[t], reached[t], -1), hasty[t][0]);
+      for (let k = 0; k < PROJECTIONS; k++) {
+        const far = plus(reached[t], next), length = Math.max(Math.hypot(...far), 1e-9);
+        next = plus(far.map((value) => value * Math.min(longest[t] / length, 1)), reached[t], -1);
+        next = outside(next, moments[t], trunk);
+      }
+      return next;
+    });
+  }
+  return out;
 }
 
 /** The outline of the points of a skin, or null where there are too few. */
@@ -112,6 +210,20 @@ function ourPlaces({ take, world }, names) {
   return names.filter((name) => take.has(name)).map((name) => place(take.row(name)));
 }
 
+/** The last moment of a take. */
+const lastOf = (take) => Math.max(Math.floor(((take.frames - 1) / take.fps) * HZ), 0);
+
+/** Whether two takes have the same pose at a time, wherever it stands. */
+function isSame(a, b, time) {
+  if (a.fps !== b.fps || a.joints !== b.joints || a.frames !== b.frames) return false;
+  const [first, second] = a.around(time), begin = first * a.joints * 4, end = (second + 1) * a.joints * 4;
+  for (let k = begin; k < end; k++) if (a.rotations[k] !== b.rotations[k]) return false;
+  return true;
+}
+
+/** Whether a take has the joints that say where a hand belongs. */
+const knows = (take) => ["Neck", "Spine3", "LeftHand", "RightHand"].every((joint) => take.has(joint));
+
 export class Contacts {
   /** bones: our joint -> the node that is posed, at rest and facing +Z; trunk: the nodes of hips and spine that the skin
    *  hangs on, thighs: those of the thighs; limbs: those of all other joints. */
@@ -128,12 +240,14 @@ export class Contacts {
 
   /** Whether the thighs hang down, and so continue the column of the trunk. */
   stands() {
-    return ["Left", "Right"].every((side) => {
+    return SIDES.every((side) => {
       if (!this.bones.has(`${side}UpLeg`) || !this.bones.has(`${side}Leg`)) return false;
       const thigh = this.place(`${side}Leg`).sub(this.place(`${side}UpLeg`));
       return -thigh.y > STANDS * thigh.length();
     });
   }
+
+  get trunk() { return { outline: this.outline, size: this.arm / ARM }; }
 
   get top() { return this.bones.has("Neck") ? "Neck" : "Head"; }
 
@@ -144,21 +258,69 @@ export class Contacts {
     return arm.distanceTo(fore) + fore.distanceTo(hand);
   }
 
-  /** Bend the arms where a hand is nearer than ours, in the pose that the character has now. */
-  repair(poser) {
-    const { take } = poser;
-    if (!["Neck", "Spine3", "LeftHand", "RightHand"].every((joint) => take.has(joint))) return;
-    const origin = new Vector3(), [ourNeck] = ourPlaces(poser, ["Neck"]);
+  /** Look at the moments around the one that is to be shown, for which `pose` poses the character. Without a time, as of
+   *  frames that come one by one, none are known. */
+  foresee({ take, time }, pose) {
+    if (time === undefined || !knows(take)) return;
+    if (this.seen?.take !== take || this.seen.outline !== this.outline || this.seen.moments.size > MOST_KEPT) {
+      const kept = this.seen?.outline === this.outline ? [...this.seen.moments].filter(([k]) => isSame(this.seen.take, take, k / HZ)) : [];
+      this.seen = { take, outline: this.outline, poser: null, moments: new Map(kept.length > MOST_KEPT ? [] : kept), pushes: new Map() };
+    }
+    const { moments } = this.seen, last = lastOf(take), at = clamp(Math.floor(time * HZ), 0, last);
+    for (let k = at - AROUND; k <= at + 1 + AROUND; k++) {
+      const moment = clamp(k, 0, last);
+      if (moments.has(moment)) continue;
+      this.seen.poser ??= new Poser(take);
+      pose(this.seen.poser.set(moment / HZ));
+      moments.set(moment, this.moment(this.seen.poser));
+    }
+  }
+
+  /** Side -> the displacement of its hand at a time, spread over the moments around it. */
+  foreseen({ take, time }) {
+    const { moments, pushes } = this.seen, last = lastOf(take);
+    const solved = (k) => {
+      if (pushes.has(k)) return pushes.get(k);
+      const around = [...Array(2 * AROUND + 1).keys()].map((j) => moments.get(clamp(k + j - AROUND, 0, last)));
+      const out = {};
+      for (const side of SIDES) {
+        const hand = around.map((moment) => moment[side]), bare = hand.map((moment) => moment.push);
+        out[side] = bare.some((push) => Math.hypot(...push) > LEAST) ? spread(bare, hand, this.trunk, HZ)[AROUND] : bare[AROUND];
+      }
+      pushes.set(k, out);
+      return out;
+    };
+    const at = Math.floor(time * HZ), share = time * HZ - at, [one, other] = [solved(clamp(at, 0, last)), solved(clamp(at + 1, 0, last))];
+    return Object.fromEntries(SIDES.map((side) => [side, plus(one[side].map((value) => value * (1 - share)), other[side], share)]));
+  }
+
+  /** Side -> { push: what its hand lacks in the pose that the character has now, and what `spread` needs }. */
+  moment(poser) {
+    const { take } = poser, origin = new Vector3(), [ourNeck] = ourPlaces(poser, ["Neck"]);
     const left = new Vector3(1, 0, 0).applyQuaternion(poser.turn("Spine3", new Quaternion()));
     const hips = this.place("Hips"), ours = frame(origin, ourNeck, left), theirs = frame(hips, this.place(this.top), left);
-    for (const side of ["Left", "Right"]) {
-      const limits = [`${side}Hand`, `${side}HandMiddle1`].filter((joint) => this.bones.has(joint) && take.has(joint)).map((joint) => {
-        const [our] = ourPlaces(poser, [joint]);
-        const { x, z, lack } = limit(local(our, origin, ours), local(this.place(joint), hips, theirs), this.outline, theirs.long, this.arm / ARM);
+    return Object.fromEntries(SIDES.map((side) => {
+      const points = [], limits = [`${side}Hand`, `${side}HandMiddle1`].filter((joint) => this.bones.has(joint) && take.has(joint)).map((joint) => {
+        const [our] = ourPlaces(poser, [joint]), their = local(this.place(joint), hips, theirs);
+        const { x, z, lack, margin } = limit(local(our, origin, ours), their, this.outline, theirs.long, this.trunk.size);
+        points.push({ place: their, margin });
         return { normal: theirs.side.clone().multiplyScalar(x).addScaledVector(theirs.ahead, z), lack };
       });
-      const wrist = this.place(`${side}Hand`), push = this.displacement(limits, wrist.clone().sub(this.place(`${side}Arm`)));
-      if (push.length() > LEAST) this.bend(side, push.add(wrist));
+      const reached = this.place(`${side}Hand`).sub(this.place(`${side}Arm`)), push = this.displacement(limits, reached);
+      const [across, up, ahead] = [theirs.side, theirs.up, theirs.ahead].map((axis) => axis.toArray());
+      return [side, { push: push.toArray(), reached: reached.toArray(), points, side: across, up, ahead, long: theirs.long }];
+    }));
+  }
+
+  /** Bend the arms where a hand is nearer than ours, in the pose that the character has now; as foreseen, where the take
+   *  was looked at. */
+  repair(poser) {
+    const { take, time } = poser;
+    if (!knows(take)) return;
+    const foreseen = time !== undefined && this.seen?.take === take ? this.foreseen(poser) : null, now = foreseen ? null : this.moment(poser);
+    for (const side of SIDES) {
+      const push = new Vector3(...(foreseen?.[side] ?? now[side].push));
+      if (push.length() > LEAST) this.bend(side, push.add(this.place(`${side}Hand`)));
     }
   }
 

@@ -137,6 +137,7 @@ export class Poser {
   }
 
   set(time) {
+    this.time = time;
     this.take.poseAt(time, this.local);
     worldRotations(this.take.skeleton.parents, this.local, this.world);
     this.take.rootAt(time, this.root);
