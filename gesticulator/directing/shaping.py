@@ -177,6 +177,11 @@ class Shaper:
             arm.large.push(times, poses)
             arm.fine.push(times, poses)
 
+    def ways(self, before: Array, poses: Array, times: Array) -> tuple[float, ...]:
+        """By how much large strokes of each arm lengthen its path in poses [K, 3 J] after another one [1, 3 J]; times:
+        [1 + K] seconds of all of them (`strokes`)."""
+        return tuple([arm.large.way(before, poses, times) for arm in self._arms])
+
     def shaped(self, poses: Array, times: Array, scales: ArmScales) -> Array:
         """Scale the next poses [M, 3 J] at rising seconds [M]. Poses without change stay the same bit for bit. If the
         times go back, later poses are forgotten."""
@@ -195,11 +200,11 @@ class Shaper:
             pose, share = before[:, arm.columns], scales.share[at, side, None]
             step = np.maximum(intensity[:, side, None], RESTING) - 1.0
             large = (stroke + echo) * step * np.where(step > 0.0, STRONGER, WEAKER)
-            fine = arm.fine.at(times[at]) * np.minimum(step, 0.0) * FINER
             lifted = arm.lifted(pose)
             if (step < 0.0).any():
+                large = large + arm.fine.at(times[at]) * np.minimum(step, 0.0) * FINER
                 lifted = np.where(step < 0.0, arm.calmly_lifted(times[at]), lifted)
-            changed = self._within(pose, echo + lifted * (large + fine), arm.columns)
+            changed = self._within(pose, echo + lifted * large, arm.columns)
             out[:, arm.columns] = _towards(arm.rest, changed, share)
             out[:, arm.fingers] = _towards(arm.resting_fingers, before[:, arm.fingers], share)
         most = intensity.max(axis=1, keepdims=True)
