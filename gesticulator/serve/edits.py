@@ -311,7 +311,9 @@ class LivePlans:
             pieces, shape, root = whole_motion(motion), describe_shape(motion, scene.duration), root_path(motion)
         have = asked.have if asked.have is not None and asked.have.shape == shape else None
         changes = changes_of(made, asked.plan)
-        rendering = self._kept(plan_with(asked.plain, changes), shape, pieces, root)
+        plain = plan_with(asked.plain, changes)
+        self._exchange.know(plain, made)
+        rendering = self._kept(plain, shape, pieces, root)
         ranges, data = frames_of(pieces, asked.lacking(pieces, have))
         asked.done(made)
         rooted = have is not None and have.root == root
