@@ -151,28 +151,33 @@ class FramePieces:
         self._pinned: dict[Hashable, Array] = {}
 
     def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int],
-               plan: GesturePlan | None = None) -> Iterator[tuple[int, FramePiece]]:
+               plan: GesturePlan | None = None, keys: Sequence[Hashable] | None = None
+               ) -> Iterator[tuple[int, FramePiece]]:
         """The number and the piece of each of the blocks in `order`, of N blocks with knots at `times` [N, K] seconds
         and of these poses; of the first blocks alone where the pieces do not depend on others (`reach`). plan: its pins
-        are applied."""
+        are applied; keys: see `keys`."""
         layout, left = self._layout(times, duration, plan), deque(order)
+
+        def key_of(at: int) -> Hashable:
+            return layout.key(at, blocks) if keys is None else keys[at]
+
         while left:
             at = left.popleft()
-            key = layout.key(at, blocks)
+            key = key_of(at)
             if self._is_known(key):
                 yield at, self._known[key]
                 continue
-            keys = [key]
-            while left and left[0] == at + len(keys) and len(keys) < _TOGETHER:
-                key = layout.key(left[0], blocks)
+            lacking = [key]
+            while left and left[0] == at + len(lacking) and len(lacking) < _TOGETHER:
+                key = key_of(left[0])
                 if key in self._known:
                     break
-                keys.append(key)
+                lacking.append(key)
                 left.popleft()
             # Neighbours share most of what is computed for them.
-            body = self._body(layout, range(at, at + len(keys)), blocks).rotations
+            body = self._body(layout, range(at, at + len(lacking)), blocks).rotations
             begin = layout.frames(at)[0]
-            for number, key in enumerate(keys, at):
+            for number, key in enumerate(lacking, at):
                 first, last = layout.frames(number)
                 turns = self._pinned_turns(layout, number, blocks, body[first - begin:last - begin])
                 yield number, self._remember(key, (first, last), turns)
@@ -200,11 +205,15 @@ class FramePieces:
                         self._remember(key, frames, rotations[slice(*frames)]))
         return signed(made)
 
-    def known(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None = None
-              ) -> list[bool]:
-        """[N] whether the piece of each block is remembered."""
+    def keys(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None = None
+             ) -> list[Hashable]:
+        """[N] everything that each piece depends on."""
         layout = self._layout(times, duration, plan)
-        return [layout.key(at, blocks) in self._known for at in range(len(times))]
+        return [layout.key(at, blocks) for at in range(len(times))]
+
+    def knows(self, key: Hashable) -> bool:
+        """Whether the piece is remembered that depends on this alone."""
+        return key in self._known
 
     def reach(self, times: Array, duration: float, plan: GesturePlan | None = None) -> list[int]:
         """[N] the last block on whose poses each piece depends."""
