@@ -12,7 +12,7 @@ from data_module.types import Array, Blocks
 from gesticulator import Gesticulator
 from gesticulator.directing import shaped_blocks
 from gesticulator.directing.directions import Shaping
-from gesticulator.directing.editing import PlayedBlock
+from gesticulator.directing.editing import PlayedBlock, Rows
 from gesticulator.directing.shaped_blocks import ShapedBlock, ShapedBlocks
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, StrokeScale
 from gesticulator.drawing.rollout import BlockMotion
@@ -28,17 +28,17 @@ def system() -> Gesticulator:
     return Gesticulator.from_pretrained()
 
 
-def moving(liveliness: float) -> Array:
+def moving(liveliness: float) -> Rows:
     """[N, K, D_m] normalised motion of a body that swings its limbs, and now and then is still."""
     rng, width = np.random.default_rng(7), len(system().bundle.statistics.deviation)
     times = np.arange(COUNT * FRAMES)[:, None] * SECONDS / FRAMES
-    waves = sum(np.sin(2.0 * np.pi * (rng.uniform(0.2, 1.2, width) * times + rng.uniform(size=width)))
-                for _ in range(4))
+    waves = np.sum([np.sin(2.0 * np.pi * (rng.uniform(0.2, 1.2, width) * times + rng.uniform(size=width)))
+                    for _ in range(4)], axis=0)
     awake = np.clip(3.0 * np.sin(times / 3.0) + 1.5, 0.0, 1.0)
-    return np.asarray(liveliness * awake * waves, np.float32).reshape(COUNT, FRAMES, width)
+    return (liveliness * awake * waves).astype(np.float32).reshape(COUNT, FRAMES, width)
 
 
-def played(motion: Array, numbers: list[int]) -> list[PlayedBlock]:
+def played(motion: Rows, numbers: list[int]) -> list[PlayedBlock]:
     nothing = cast("BlockMotion", None)
     return [PlayedBlock(nothing, rows, number) for rows, number in zip(motion, numbers, strict=True)]
 
@@ -47,7 +47,7 @@ def shaping(options: InferenceOptions) -> Shaping:
     return Shaping(system().bundle, options, 0, (), CUT.edges)
 
 
-def at_once(motion: Array, options: InferenceOptions) -> Array:
+def at_once(motion: Rows, options: InferenceOptions) -> Array:
     """[N, K, D_m] by one shaper, block by block as a recording is rendered."""
     statistics, whole = system().bundle.statistics, shaping(options)
     times = CUT.knot_times.reshape(COUNT, -1)
@@ -85,7 +85,7 @@ def test_after_an_edit_what_does_not_remember_it_is_not_computed_again(monkeypat
     for liveliness in (0.02, 0.5):
         motion, blocks = moving(liveliness), ShapedBlocks(system().bundle.statistics, 0, COUNT)
 
-        def posed(rows: Array, numbers: list[int], blocks: ShapedBlocks = blocks) -> list[ShapedBlock]:
+        def posed(rows: Rows, numbers: list[int], blocks: ShapedBlocks = blocks) -> list[ShapedBlock]:
             made = list(blocks.blocks(played(rows, numbers), CUT, shaping(options)))
             assert all(len(one.poses) for one in made)
             return made
