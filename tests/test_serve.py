@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import logging
 import os
@@ -11,6 +12,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
@@ -33,10 +35,12 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
 from gesticulator.serve import schema
 from gesticulator.serve import server as server_module
+from gesticulator.serve.memory import freeze_loaded
 from gesticulator.serve.metrics import ServerMetrics, exposition
 from gesticulator.serve.protocol import CloseCode, StreamRequest, published
 from gesticulator.serve.scheduler import Member
 from gesticulator.serve.server import LiveServer, ServerAddress
+from gesticulator.serve.session import Session
 from gesticulator.serve.settings import ServerLimits
 
 RATE = 16000
@@ -832,6 +836,52 @@ def test_a_quarter_of_an_hour_of_silence_leaves_nothing_behind() -> None:
             assert at.server.metrics.numbers["waiting_seconds"] == pytest.approx(0, abs=1e-6)
 
     run(test)
+
+
+def test_ended_streams_are_freed_though_the_collector_does_not_run_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However they ended: a stream holds a minute of poses, and its tasks, their errors and their frames hold it."""
+    monkeypatch.setattr(server_module, "RELEASE_SECONDS", 0.02)
+    sessions: weakref.WeakSet[Session] = weakref.WeakSet()
+
+    async def end(url: str, how: str) -> None:
+        with suppress(ConnectionClosed):
+            async with open_socket(url) as ws:
+                await ws.send(json.dumps(json.loads(Hello(RATE).text()) | {"resumable": how == "parked"}))
+                await ws.send(pcm(0.5))
+                await ws.recv()
+                if how in ("broken", "parked"):
+                    ws.transport.abort()
+                else:
+                    await ws.send({"finished": '{"type":"finish"}', "odd": b"\0", "quiet": '{"type":"idle"}'}[how])
+                while True:
+                    await ws.recv()
+
+    async def test() -> None:
+        async with running(replace(LIMITS, resume_seconds=0.1, quiet_seconds=0.2)) as at:
+            open_session = at.server.open_session
+
+            def opened(name: str, request: StreamRequest) -> Session:
+                session = open_session(name, request)
+                sessions.add(session)
+                return session
+
+            at.server.open_session = opened
+            for how in ("finished", "broken", "parked", "odd", "quiet"):
+                await end(at.url, how)
+            assert at.server.metrics.numbers["streams_total"] == 5
+            for _ in range(200):
+                await asyncio.sleep(0.02)
+                if not sessions:
+                    break
+        assert not sessions
+
+    freeze_loaded()
+    gc.disable()
+    try:
+        run(test)
+    finally:
+        gc.enable()
+        gc.unfreeze()
 
 
 # ---------------------------------------------------------------- health, figures, the end
