@@ -185,7 +185,8 @@ class LiveServer:
         self.scheduler.start()
         server = await self._listen(listening, self._answer)
         inner = None if figures is None else await self._listen(figures, self._tell)
-        tasks = [asyncio.create_task(keep()) for keep in (self._keep_saving, self._keep_reviewing, self._keep_releasing)]
+        kept = (self._keep_saving(), self._keep_reviewing(), self._keep_releasing())
+        tasks = [asyncio.create_task(one) for one in kept]
         try:
             if ready is not None:
                 ready()
