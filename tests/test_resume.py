@@ -73,19 +73,21 @@ class Came:
     """The frames that came: the next one, and whatever did not follow the last one."""
 
     def __init__(self) -> None:
-        self.next, self.replaced, self.source = 0, -1, 0
+        self.next, self.replaced, self.last_cut, self.source = 0, -1, -1, 0
         self.gaps: list[tuple[int, int]] = []
 
     def cut(self, frame: int) -> None:
         """Frames are taken back from this one on; until it comes, others are on their way."""
-        self.next = self.replaced = frame
+        self.next = self.replaced = self.last_cut = frame
 
     async def read(self, stream: ResumingStream) -> None:
         async for message in stream:
             if isinstance(message, Poses):
                 self.source = message.source
             if isinstance(message, Poses) and self.replaced in (-1, message.first):
-                if message.first != self.next:
+                # Of several interruptions that reach back before the present session, each is answered, and the answer
+                # to the next one replaces it.
+                if message.first != self.next and not (message.source and message.first == self.last_cut):
                     self.gaps.append((self.next, message.first))
                 self.next, self.replaced = message.first + len(message), -1
 

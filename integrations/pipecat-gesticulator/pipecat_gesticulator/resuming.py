@@ -83,7 +83,8 @@ class ResumingStream:
         """Frames before this session's first one, for what comes; sessions before it."""
         self._said_offset = 0
         """The same for what is sent: another one from an interruption that reaches back before the session until its
-        packet, which is the session's first frame again."""
+        packet, which is the session's first frame again. Of several of them in a row, each packet gets the number of
+        the last one, and replaces the one before."""
         self._end = 0
         """Number of the first frame that has not come, or that an interruption took back."""
         self._cut: float = math.inf

@@ -1,0 +1,549 @@
+"""Clients that come back: a connection that breaks and a server that is killed, in mid-sentence."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_double import TURN, opener
+from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlayer, Welcome, connect_resuming
+from pipecat_gesticulator.resuming import RefusedError
+from websockets.asyncio.client import connect as open_socket
+from websockets.asyncio.server import ServerConnection, serve
+
+from data_module.motion import rotation
+from data_module.motion.kinematics import positions_of
+from data_module.speech.audio import SAMPLE_RATE, load_speech
+from data_module.types import Motion
+from gesticulator.pipeline import Gesticulator
+from gesticulator.serve.resume import SentMessages
+from gesticulator.serve.server import LiveServer, ServerAddress
+from gesticulator.serve.session import session_opener
+from gesticulator.serve.settings import ServerLimits
+
+LIMITS = ServerLimits(streams=8, drain_seconds=0.2, resume_seconds=20.0, core_share=100.0, address_opens=1e4)
+EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
+FASTEST, HARDEST = 3.5, 100.0
+"""m/s and m/s^2 of a hand: what the example does within a stroke is 2.2 and 31; a jump of 3 cm would be 108 m/s^2."""
+Opener = Callable[[ServerLimits], Any]
+
+
+@asynccontextmanager
+async def running(port: int = 0, limits: ServerLimits = LIMITS, make: Opener = opener, token: str = ""
+                  ) -> AsyncIterator[tuple[LiveServer, int, asyncio.Task[None]]]:
+    address = ServerAddress(port=port, token=token)
+    listening = address.listen()
+    server = LiveServer(address, limits, make(limits))
+    ended = asyncio.create_task(server.run(listening))
+    try:
+        yield server, listening.getsockname()[1], ended
+    finally:
+        server.stop()
+        server.stop()
+        await asyncio.gather(ended, return_exceptions=True)
+        listening.close()
+
+
+def run(test: Callable[[], Awaitable[None]]) -> None:
+    async def bounded() -> None:
+        async with asyncio.timeout(300):  # a broken loop ends; a slow machine does not
+            await test()
+
+    asyncio.run(bounded())
+
+
+def pcm(seconds: float) -> bytes:
+    return (np.sin(np.arange(int(seconds * SAMPLE_RATE)) * 0.1) * 8000).astype("<i2").tobytes()
+
+
+def break_connections(server: LiveServer) -> None:
+    for connection in server.connections:
+        connection.socket.transport.abort()
+
+
+class Came:
+    """The frames that came: the next one, and whatever did not follow the last one."""
+
+    def __init__(self) -> None:
+        self.next, self.replaced, self.source = 0, -1, 0
+        self.gaps: list[tuple[int, int]] = []
+
+    def cut(self, frame: int) -> None:
+        """Frames are taken back from this one on; until it comes, others are on their way."""
+        self.next = self.replaced = frame
+
+    async def read(self, stream: ResumingStream) -> None:
+        async for message in stream:
+            if isinstance(message, Poses):
+                self.source = message.source
+            if isinstance(message, Poses) and self.replaced in (-1, message.first):
+                if message.first != self.next:
+                    self.gaps.append((self.next, message.first))
+                self.next, self.replaced = message.first + len(message), -1
+
+
+def assert_whole(poses: list[Poses], seconds: float) -> None:
+    """Every frame once, and each the one that it says."""
+    numbers = np.concatenate([np.arange(one.first, one.first + len(one)) for one in poses])
+    np.testing.assert_array_equal(numbers, np.arange(round(seconds * 60)))
+    hips = np.concatenate([one.rotations[:, 0] for one in poses]).astype(np.float64)
+    np.testing.assert_allclose(rotation.to_exponential_map(hips)[:, 1], numbers * TURN, atol=1e-6)
+
+
+@pytest.mark.parametrize("breaks", [1, 5])
+def test_a_broken_connection_costs_no_frame_and_no_sound(breaks: int) -> None:
+    """The state is kept: every frame comes once, wherever the connection broke, on both ways."""
+    async def test() -> None:
+        async with running() as (server, port, _), \
+                connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE)) as stream:
+            poses: list[Poses] = []
+            events: list[dict[str, Any]] = []
+
+            async def speak() -> None:
+                for number in range(100):
+                    if number % (100 // breaks) == 10:
+                        break_connections(server)
+                    await stream.send(pcm(0.1))
+                    await asyncio.sleep(0.005)
+                await stream.idle(0.5)
+                await stream.finish()
+
+            speaking = asyncio.create_task(speak())
+            async for message in stream:
+                poses.append(message) if isinstance(message, Poses) else events.append(message)
+            await speaking
+            assert_whole(poses, 10.5)
+            backs = [event["resumed"] for event in events if event["type"] == "back"]
+            assert backs and all(backs)
+            assert server.metrics.numbers["resumed_total"] == len(backs)
+            assert events[-1] == {"type": "done", "frames": 630}
+            assert {one.source for one in poses} == {0}
+        assert server.metrics.numbers["parked"] == server.metrics.numbers["streams"] == 0
+
+    run(test)
+
+
+def test_a_stream_that_nobody_comes_back_to_is_given_up() -> None:
+    async def test() -> None:
+        limits = replace(LIMITS, resume_seconds=0.1)
+        async with running(limits=limits) as (server, port, _):
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE))
+            await stream.open()
+            await stream.send(pcm(1.0))
+            break_connections(server)
+            while server.connections:
+                await asyncio.sleep(0.01)
+            assert server.metrics.coded["closed_total"] == {"1006": 1}
+
+    run(test)
+
+
+def test_a_parked_stream_gives_way_to_a_client_that_is_there() -> None:
+    async def test() -> None:
+        async with running(limits=replace(LIMITS, streams=1)) as (server, port, _):
+            url = f"ws://127.0.0.1:{port}/stream"
+            lost = ResumingStream(url, Hello(SAMPLE_RATE))
+            await lost.open()
+            with pytest.raises(RefusedError, match="1 streams"):
+                await ResumingStream(url, Hello(SAMPLE_RATE)).open()
+            break_connections(server)
+            while not any(one.parked for one in server.connections):
+                await asyncio.sleep(0.01)
+            async with connect_resuming(url, Hello(SAMPLE_RATE)) as other:
+                await other.finish()
+                assert [message async for message in other][-1]["type"] == "done"  # type: ignore[index]
+
+    run(test)
+
+
+@pytest.mark.parametrize("resume", [{"session": "guessed", "messages": 0}, {"session": "", "messages": 10**15}])
+def test_a_session_that_is_not_there_is_a_new_stream(resume: dict[str, Any]) -> None:
+    async def test() -> None:
+        async with running() as (_, port, _), open_socket(f"ws://127.0.0.1:{port}/stream") as ws:
+            await ws.send(json.dumps(json.loads(Hello(SAMPLE_RATE).text()) | {"resumable": True, "resume": resume}))
+            told = json.loads(await ws.recv())
+            assert told["type"] == "hello" and told["resumed"] is False and len(told["session"]) > 20
+
+    run(test)
+
+
+def test_what_is_wrong_is_not_tried_again() -> None:
+    async def test() -> None:
+        async with running(token="sesame") as (server, port, _):
+            url = f"ws://127.0.0.1:{port}/stream"
+            with pytest.raises(RefusedError, match="token") as refused:
+                await ResumingStream(url, Hello(SAMPLE_RATE, token="wrong")).open()
+            assert refused.value.code == 4401
+            stream = ResumingStream(url, Hello(SAMPLE_RATE, token="sesame"))
+            await stream.open()
+            await stream.add_words([("not", 0, 1)])  # without the option text
+            with pytest.raises(RefusedError, match="text"):
+                async for _ in stream:
+                    pass
+            await stream.close()
+            while server.connections:
+                await asyncio.sleep(0.01)
+
+    run(test)
+
+
+def test_a_server_that_does_not_come_back_is_given_up() -> None:
+    async def test() -> None:
+        async with running() as (_, port, _):
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), patience=0.3)
+            await stream.open()
+        with pytest.raises(ConnectionError, match="did not come back"):
+            async for _ in stream:
+                pass
+
+    run(test)
+
+
+class Time:
+    """Time that goes by only where it is waited for."""
+
+    def __init__(self) -> None:
+        self.now, self.waits = 0.0, list[float]()
+
+    async def pause(self, seconds: float) -> None:
+        self.now += seconds
+        self.waits.append(seconds)
+        await asyncio.sleep(0)
+
+
+async def _visits(time: Time, break_it: Callable[[int, ServerConnection], Awaitable[None]], patience: float = 300.0
+                  ) -> tuple[list[float], Exception | None]:
+    """When a server that greets and breaks each connection is visited, until it is given up, or 40 times."""
+    visits: list[float] = []
+
+    async def greet_and_break(socket: ServerConnection) -> None:
+        await socket.recv()
+        visits.append(time.now)
+        await socket.send(json.dumps(GREETING | {"resumed": True}))
+        while not stream.connected:
+            await asyncio.sleep(0)
+        await break_it(len(visits), socket)
+        socket.transport.abort()
+
+    async with serve(greet_and_break, "127.0.0.1", 0) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), patience, chance=lambda: 0.0,
+                                clock=lambda: time.now, pause=time.pause)
+        await stream.open()
+        try:
+            async for _ in stream:
+                if len(visits) >= 40:
+                    break
+        except ConnectionError as error:
+            return visits, error
+        finally:
+            await stream.close()
+    return visits, None
+
+
+def test_a_server_that_greets_and_breaks_is_visited_ever_less_often_and_given_up() -> None:
+    async def test() -> None:
+        async def at_once(number: int, socket: ServerConnection) -> None:
+            pass
+
+        visits, error = await _visits(Time(), at_once, patience=60.0)
+        assert visits[:3] == [0.0, 0.0, 0.125] and sum(at < 10 for at in visits) == 8
+        np.testing.assert_allclose(np.diff(visits)[1:7], 0.125 * 2.0 ** np.arange(6))
+        np.testing.assert_allclose(np.diff(visits)[7:], 5.0)
+        assert isinstance(error, ConnectionError) and 45 < visits[-1] <= 60
+
+    run(test)
+
+
+def test_the_first_return_after_a_connection_that_lasted_is_quick() -> None:
+    time = Time()
+
+    async def after_a_while(number: int, socket: ServerConnection) -> None:
+        time.now += 6.0 if number % 5 == 0 else 4.0
+
+    async def test() -> None:
+        visits, error = await _visits(time, after_a_while)
+        assert error is None and len(visits) == 40
+        held = [6.0 if number % 5 == 0 else 4.0 for number in range(1, 40)]
+        waits = np.diff(visits) - held
+        np.testing.assert_allclose(waits[4::5], 0.0, atol=1e-9)
+        np.testing.assert_allclose(waits[5:9], [0.125, 0.25, 0.5, 1.0])
+
+    run(test)
+
+
+def test_no_client_is_back_before_the_server_asks_for_it() -> None:
+    async def busy(number: int, socket: ServerConnection) -> None:
+        await socket.send(json.dumps({"type": "error", "code": 4429, "message": "full", "retry_after": 7.0}))
+        await socket.close(4429)
+
+    async def test() -> None:
+        visits, error = await _visits(Time(), busy, patience=60.0)
+        assert np.diff(visits).min() >= 7.0 and len(visits) >= 5 and isinstance(error, ConnectionError)
+
+    run(test)
+
+
+GREETING = {"type": "hello", "protocol": 1, "stream": "a", "fps": 60.0, "output": "joints", "look_ahead": 0.0,
+            "joints": [], "limits": {"message_bytes": 1e6}, "session": "a", "resumed": False, "messages": 0}
+
+
+def packet(first: int, count: int) -> bytes:
+    head = json.dumps({"type": "poses", "first": first, "count": count, "time": first / 60, "fps": 60.0, "joints": 1,
+                       "state": "idle", "received": 0.0}).encode()
+    head += b" " * (-len(head) % 4)
+    return len(head).to_bytes(4, "little") + head + bytes(28 * count)
+
+
+def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> None:
+    """Poses are on their way when the client interrupts; then the server is lost, and its state too. The next session
+    begins where the interruption was, with what was sent after it."""
+    async def test() -> None:
+        heard: list[Any] = []
+
+        async def first_and_second(socket: ServerConnection) -> None:
+            heard.append(json.loads(await socket.recv()))
+            await socket.send(json.dumps(GREETING))
+            if len(heard) > 1:
+                heard.append(json.loads(await socket.recv()))
+                heard.append(await socket.recv())
+                await socket.send(packet(0, 10))
+                await socket.wait_closed()
+                return
+            await socket.recv()
+            await socket.send(packet(0, 60))
+            while json.loads(await socket.recv())["type"] != "interrupt":
+                pass
+            await socket.send(packet(60, 30))
+            await socket.send(json.dumps({"type": "state", "state": "idle", "time": 1.0}))
+            socket.transport.abort()
+
+        async with serve(first_and_second, "127.0.0.1", 0) as server:
+            port = next(iter(server.sockets)).getsockname()[1]
+            async with connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE)) as stream:
+                await stream.send(pcm(2.0))
+                firsts = []
+                async for message in stream:
+                    if isinstance(message, Poses):
+                        firsts.append((message.first, message.source))
+                        if len(firsts) == 1:
+                            await stream.interrupt(0.75)
+                            await stream.send(pcm(0.5))
+                        if len(firsts) == 3:
+                            break
+                assert stream.time == pytest.approx(1.25)
+        assert firsts == [(0, 0), (60, 0), (45, 1)]
+        assert heard[2] == {"type": "interrupt", "time": 0.0} and heard[3] == pcm(0.5)
+
+    run(test)
+
+
+@pytest.mark.parametrize("seed", range(200, 300))
+def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
+    """Sound, waits and interruptions, while connections break and servers forget: each frame follows the last one or is
+    where an interruption was, and in the end there are as many as the media time that was asked for."""
+    rng = np.random.default_rng(seed)
+
+    async def test() -> None:
+        async with running() as (server, port, _):
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), chance=lambda: 0.0,
+                                    pause=lambda _: asyncio.sleep(0.001))
+            await stream.open()
+            log: list[str] = []
+            came = Came()
+            reading = asyncio.create_task(came.read(stream))
+            for _ in range(60):
+                op = str(rng.choice(["send", "send", "idle", "interrupt", "interrupt", "forget", "wait", "wait", "wait"]))
+                log.append(op)
+                if op == "send":
+                    await stream.send(pcm(float(rng.uniform(0.0, 0.6))))
+                elif op == "idle":
+                    await stream.idle(float(rng.choice([0.0, rng.uniform(0, 0.5)])))
+                elif op == "interrupt" and came.next > 1 and came.source == stream._source:
+                    came.cut(int(rng.integers(1, came.next)))
+                    await stream.interrupt(came.next / 60)
+                elif op in ("break", "forget"):
+                    break_connections(server)
+                    if op == "forget":
+                        before = list(server.connections)
+                        while any(not one.parked for one in before if one in server.connections):
+                            await asyncio.sleep(0)
+                        for connection in before:
+                            connection.give_up()
+                else:
+                    await asyncio.sleep(float(rng.choice([0.0, 0.02])))
+            await stream.finish()
+            await reading
+            assert came.gaps == [], log
+            assert abs(came.next - stream.time * 60) <= 1.0, log
+            await stream.close()
+
+    run(test)
+
+
+def test_sent_messages_are_taken_back_in_order_and_bounded() -> None:
+    sent = SentMessages(100)
+    for number in range(50):
+        sent.add(b"%09d" % number)
+    assert sent.since(38) is None and sent.since(51) is None and sent.count == 50
+    assert sent.since(47) == [b"%09d" % number for number in (47, 48, 49)]
+    assert sent.count == 47 and sent.since(47) == [] and len(sent.since(40) or []) == 7
+
+
+# ---------------------------------------------------------------- on screen
+
+
+@lru_cache(maxsize=1)
+def system() -> Gesticulator:
+    return Gesticulator.from_pretrained()
+
+
+def hands(shown: list[tuple[np.ndarray, np.ndarray]], skeleton: Any) -> tuple[float, float]:
+    """Greatest speed and acceleration of the hands, of poses at 60 Hz."""
+    motion = Motion(skeleton, np.stack([pose[0] for pose in shown]), np.stack([pose[1] for pose in shown]), 60.0)
+    wrists = positions_of(motion)[:, [skeleton.index(f"{side}Hand") for side in ("Left", "Right")]]
+    speeds = np.diff(wrists, axis=0) * 60
+    return float(np.linalg.norm(speeds, axis=-1).max()), float(np.linalg.norm(np.diff(speeds, axis=0), axis=-1).max()
+                                                               * 60)
+
+
+def test_the_server_is_killed_in_mid_sentence_and_no_hand_leaps() -> None:
+    """Another one is there a second and a half later, without the state of the first. On screen there is a pose for
+    every picture, the hands go to rest and back without a jump, and the sound goes on meanwhile."""
+    sound = (load_speech(EXAMPLE).samples[:9 * SAMPLE_RATE] * 32767).astype("<i2").tobytes()
+    killed_at, back_at, shown_late = 4.0, 5.5, 1.3
+
+    async def test() -> None:
+        stop = asyncio.Event()
+
+        async def first(ports: asyncio.Queue[int]) -> None:
+            address = ServerAddress(port=0)
+            listening = address.listen()
+            server = LiveServer(address, LIMITS, session_opener(system(), LIMITS))
+            serving = asyncio.create_task(server.run(listening))
+            ports.put_nowait(listening.getsockname()[1])
+            await stop.wait()
+            break_connections(server)
+            while any(not one.parked for one in server.connections):
+                await asyncio.sleep(0)  # longer, and a quick client is back on the dying server
+                break_connections(server)
+            for connection in list(server.connections):
+                connection.give_up()  # nothing outlives a process that is killed
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
+
+        ports: asyncio.Queue[int] = asyncio.Queue()
+        dying = asyncio.create_task(first(ports))
+        port = await ports.get()
+        stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE, options={"latency": "low"}))
+        await stream.open()
+        player = SteadyPlayer(stream.welcome)
+        events: list[str] = []
+
+        async def read() -> None:
+            async for message in stream:
+                if isinstance(message, Poses):
+                    player.add(message)
+                else:
+                    events.append(message["type"])
+
+        reading = asyncio.create_task(read())
+        shown, idled, speaking = [], [], []
+        second = None
+        for picture in range(60 * 9):
+            now = picture / 60
+            if picture % 3 == 0 and now < 9.0:
+                start = round(now * SAMPLE_RATE) * 2
+                await stream.send(sound[start:start + SAMPLE_RATE // 20 * 2])
+            if now >= killed_at and not stop.is_set():
+                stop.set()
+                await dying
+            if now >= back_at and second is None:
+                opened = running(port, make=lambda limits: session_opener(system(), limits))
+                second = await opened.__aenter__()
+                while not stream.connected:
+                    await asyncio.sleep(0.01)
+            pose = player.pose_at(now - shown_late)
+            # Where there is a server, what it answers to sound that was sent is waited for.
+            connected = stream.connected
+            while connected and stream.connected and not stop.is_set() and player.end < now - shown_late + 1 / 60:
+                await asyncio.sleep(0.005)
+            if second is not None:
+                while player.end < min(now, 9.0) - shown_late + 1 / 60:
+                    await asyncio.sleep(0.005)
+            if pose is not None and now >= shown_late:
+                shown.append(pose)
+                idled.append(player.idling)
+                speaking.append(now)
+            await asyncio.sleep(0)
+        assert len(shown) == round(60 * (9 - shown_late)), "there is a pose at every moment"
+        fastest, hardest = hands(shown, system().stream().skeleton)
+        assert fastest < FASTEST and hardest < HARDEST
+        assert "back" in events and any(idled) and not idled[0] and not idled[-1]
+        # Once another server is there, the rest of the sentence is gestured.
+        late = [pose[0] for pose, when in zip(shown, speaking, strict=True) if when > 7.5]
+        assert np.abs(np.diff(np.stack(late), axis=0)).max() > 1e-3
+        reading.cancel()
+        await stream.close()
+        await opened.__aexit__(None, None, None)
+
+    run(test)
+
+
+def _walk(seed: int, joints: int, count: int) -> np.ndarray:
+    """[count, joints, 4] of a smooth wandering."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(count) / 60
+    waves = sum(rng.normal(0, 0.3, (1, joints, 3)) * np.sin(2 * np.pi * f * t[:, None, None] + rng.uniform(0, 6, 3))
+                for f in (0.2, 0.5, 0.9))
+    return rotation.from_exponential_map(waves)
+
+
+def _packets(turns: np.ndarray, first: int, source: int) -> Iterator[Poses]:
+    for at in range(0, len(turns), 20):
+        piece = turns[at:at + 20].astype(np.float32)
+        yield Poses(first + at, 60.0, piece, np.zeros((len(piece), 3), np.float32), "speaking", 0.0, source)
+
+
+@pytest.mark.parametrize(("gap", "seed"), [(0, 1), (30, 2), (120, 3)])
+def test_the_steady_player_shows_the_stream_and_joins_its_parts(gap: int, seed: int) -> None:
+    """Before the break it is the stream to the last bit of a float32; around it, no joint jumps; a while after, it is
+    the stream again."""
+    joints = tuple(Joint(f"{k}", k - 1, (0, 0, 0)) for k in range(4))
+    player = SteadyPlayer(Welcome("", 60.0, "joints", 0.0, joints, {}))
+    one, other = _walk(seed, 4, 200), _walk(seed + 10, 4, 300)
+    for packet in _packets(one, 0, 0):
+        player.add(packet)
+    shown = []
+    for picture in range(200 + gap + 250):
+        if picture == 200 + gap:
+            for packet in _packets(other, 200 + gap, 1):
+                player.add(packet)
+        pose = player.pose_at(picture / 60 + 1e-4)
+        assert pose is not None
+        shown.append(pose[0])
+    turns = np.stack(shown)
+    np.testing.assert_allclose(turns[:200], one, atol=1e-6)
+    steps = rotation.to_exponential_map(_relative(turns))
+    natural = max(np.abs(rotation.to_exponential_map(_relative(walk))).max() for walk in (one, other))
+    assert np.abs(steps).max() < 3.0 * natural + 0.02, "no jump"
+    assert np.abs(np.diff(steps, axis=0)).max() * 3600 < 80, "rad/s^2"
+    near = rotation.to_exponential_map(_between(turns[200 + gap + 200:200 + gap + 250], other[200:250]))
+    assert np.abs(near).max() < 1e-3
+
+
+def _relative(turns: np.ndarray) -> np.ndarray:
+    return _between(turns[1:], turns[:-1])
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    found = rotation.multiply(a, b * [1, -1, -1, -1])
+    return np.where(found[..., :1] < 0, -found, found)
