@@ -46,14 +46,8 @@ def halved(system: Gesticulator, first: Performance, intensity: float = 0.5) -> 
     return system(first.speech, plan=replace(plan, knobs=replace(plan.knobs, intensity=intensity)))
 
 
-# A known fault: the test runs, and fails the day it is mended. Poses with a hand behind the shoulder cause it, which
-# `selection.careful` avoids.
-SWUNG = pytest.mark.xfail(strict=True, reason="an arm folded to its shoulder is bent to the other side from one frame "
-                                              "to the next where its hand is kept out of the trunk")
-
-
-@pytest.mark.parametrize("speaker", ["brad2", "connor", "conversation", "lesson", "story", "traffic",
-                                     *(pytest.param(name, marks=SWUNG) for name in ("brad", "garza", "presenter"))])
+@pytest.mark.parametrize("speaker", ["brad", "brad2", "connor", "conversation", "garza", "lesson", "presenter", "story",
+                                     "traffic"])
 def test_no_hand_of_a_performer_is_faster_at_half_the_intensity(system: Gesticulator, speech: Speech, speaker: str
                                                                 ) -> None:
     first = system(speech, seed=SEED, speaker=speaker)
@@ -62,7 +56,7 @@ def test_no_hand_of_a_performer_is_faster_at_half_the_intensity(system: Gesticul
 
 def test_with_a_lift_that_changes_within_a_stroke_one_is_half_as_fast_again(
         system: Gesticulator, speech: Speech, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = system(speech, seed=SEED, speaker="garza")
+    first = system(speech, seed=SEED, speaker="lesson")
     monkeypatch.setattr(shaping, "CALM", 1e-6)
     assert (peaks(halved(system, first)) / peaks(first)).max() > 1.4
 

@@ -41,14 +41,16 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 FPS = 60.0
 SHORT = 2.83
 """Seconds of the pieces that are fed again and again: nine blocks, and no whole number of frames."""
-FASTEST, HARDEST = 3.5, 60.0
-"""m/s and m/s^2 that no hand passes at a seam; the same hands do up to 2.2 and 31 within a stroke."""
+FASTEST, HARDEST = 3.5, 72.0
+"""m/s and m/s^2 that no hand passes at a seam: a jump of 2 cm between two frames would be 72. Within strokes the same
+hands do up to 2.3 and 35 in the example, and up to 76 on other voices."""
 HURRIED = 4.0
 """m/s after hurried blocks: of the few frames of a candidate none is over 3.5 from the one before, but between them a
 hand may be a little faster."""
 HURRIED_HARDEST = 100.0
 """m/s^2 of one chosen performance with hurried blocks; a jump of 3 cm between two frames would be 108."""
-HEAD_FASTEST, HEAD_HARDEST = 0.65, 10.0
+HEAD_FASTEST, HEAD_HARDEST = 0.85, 10.0
+"""The same for the head, which does up to .75 and 8 where nothing is changed, waited for or passed over."""
 
 
 @lru_cache(maxsize=1)
@@ -407,7 +409,8 @@ def test_who_hurries_draws_again_what_throws_a_hand(monkeypatch: pytest.MonkeyPa
         with asked_of_the_head() as rows:
             blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
         counts.append(sum(rows) / len(blocks))
-    assert counts == [4, 4 * (1 + chosen.candidates)], "as many as when there is time, but without guidance"
+    # As many as when there is time, but without guidance; and where all of them throw it, as many calmer ones.
+    assert counts == [4, 4 * (1 + 2 * chosen.candidates)]
 
 
 def test_what_nobody_sees_is_not_drawn_and_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -490,7 +493,9 @@ def test_what_was_played_stays_and_speech_goes_on_after_an_interruption() -> Non
                     stream.finish()])
     assert cut.first == 150 and len(again) == round(3.4 * FPS)
     found = moves(np.concatenate([before[:150], again]), stream)["hands"]
-    assert found[0].max() < FASTEST and found[1].max() < HARDEST
+    joint = slice(150 - 3, 150 + round((0.4 + 1.0) * FPS))  # the cut, the wait, and the first second of the answer
+    assert found[0].max() < FASTEST and found[1][joint].max() < HARDEST
+    assert found[1].max() < HURRIED_HARDEST, "strokes that are drawn later are as hard as drawn strokes may be"
 
 
 def test_what_is_remembered_longer_can_be_taken_back_longer(monkeypatch: pytest.MonkeyPatch) -> None:

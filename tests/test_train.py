@@ -56,19 +56,19 @@ def work(tiny_bundle: Path) -> Path:
 
 
 def test_every_stage_learned(work: Path) -> None:
-    # The generator is fed the truth at first and its own past later, so its training loss rises; what it does on
-    # unseen speech, always with its own past, must get better.
+    # The generator is fed the truth at first and its past output later, so its reconstruction gets worse, and what it
+    # gains on a minute of unseen speech is within chance. That its blocks become those of their lexemes is not.
     for stage, term in (("speech", "predictive"), ("contrast", "contrast"), ("lexicon", "reconstruction"),
-                        ("generator", "val_reconstruction"), ("interpreter", "nll"),
+                        ("generator", "lexeme"), ("interpreter", "nll"),
                         ("interpreter_text", "nll"), ("style", "code"), ("style_text", "code"),
                         ("gate", "activity"), ("planner", "phase"), ("reward", "contrast"),
                         ("reward_judge", "contrast"), ("q_network", "conservative")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
         rows = [json.loads(line) for line in log.read_text().splitlines()]
         values = [row[term] for row in rows if term in row]
-        few = 1 if term.startswith("val_") else min(5, len(values) // 4)
+        few = min(5, len(values) // 4)
         # Twenty steps are enough for the first two to have begun, eighty for the interpreters to lose a few per cent.
-        most = 0.99 if stage in ("speech", "contrast", "generator") else 0.97
+        most = {"speech": 0.99, "contrast": 0.99, "generator": 0.7}.get(stage, 0.97)
         assert np.mean(values[-few:]) < most * np.mean(values[:few]), f"{stage}: {values[0]} to {values[-1]}"
         assert [row["step"] for row in rows] == list(range(len(rows)))
 

@@ -3,8 +3,8 @@ voice.
 
 The look-ahead is at most `LOOK_AHEAD` seconds, and nothing depends on what is loudest later in the recording, so a
 stream gives the same result as a file. All limits are relative to the loudest 0.1 s so far, so the same recording at
-another level gives the same result; the absolute ones, `QUIETEST` and below, only matter before the first word and in
-a recording that is about 20 dB too low.
+another level gives the same result; the absolute ones, `QUIETEST` and below, only matter for what is silent before the
+first word and in a recording that is about 20 dB too low.
 """
 
 from __future__ import annotations
@@ -81,12 +81,15 @@ def frame_levels(samples: Samples, sample_rate: int) -> Array:
 @dataclass(frozen=True)
 class LoudnessStep:
     """Some frames [F] of sound: their levels in dBFS, the noise floor, the level below which everything is silent
-    (`BELOW_LOUDEST`), the silent frames, and the level that the voice should have, judging by the loudest 0.1 s so far.
+    (`BELOW_LOUDEST`), the level from which a rise is counted, the silent frames, and the level that the voice should
+    have, judging by the loudest 0.1 s so far. While there is little evidence of a voice, a rise is counted from the
+    noise: from an absolute level, the first onsets would depend on the gain.
     """
 
     levels: Array
     floor: Array
     limit: Array
+    ground: Array
     silent: NDArray[np.bool_]
     expected: Array
 
@@ -114,10 +117,13 @@ class LoudnessTracker:
         count = self._heard + np.cumsum(levels > floor + MARGIN)
         self._heard = int(count[-1])
         under = max(self._loudest - BELOW_LOUDEST, FAINTEST_SPEECH)
-        limit = np.where(count * FRAME >= FAINT_EVIDENCE, under, max(under, QUIETEST))
+        heard = count * FRAME >= FAINT_EVIDENCE
+        limit = np.where(heard, under, max(under, QUIETEST))
+        noise = floor if floor > FAINTEST_SPEECH else QUIETEST  # without noise there is no other measure
+        ground = np.where(heard, under, max(under, noise))
         expected = self._loudest + (-_VOICE_BELOW if spoken else _VOICE_ABOVE)
-        return LoudnessStep(levels, np.full(len(levels), floor), limit, levels <= np.maximum(floor + MARGIN, limit),
-                            np.full(len(levels), expected))
+        silent = levels <= np.maximum(floor + MARGIN, limit)
+        return LoudnessStep(levels, np.full(len(levels), floor), limit, ground, silent, np.full(len(levels), expected))
 
 
 def _step_mean(levels: Array) -> float:
@@ -129,7 +135,7 @@ def loudness(levels: Array) -> LoudnessStep:
     tracker = LoudnessTracker()
     steps = [tracker.step(levels[start:start + STEP]) for start in range(0, len(levels), STEP)]
     return LoudnessStep(levels, *(np.concatenate(part) for part in zip(
-        *((step.floor, step.limit, step.silent, step.expected) for step in steps), strict=True)))
+        *((step.floor, step.limit, step.ground, step.silent, step.expected) for step in steps), strict=True)))
 
 
 
