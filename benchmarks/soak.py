@@ -200,8 +200,6 @@ class Client:
         self.next, self._moved, self._source = 0, asyncio.Event(), 0
         self._replaced: int | None = None
         """The frame from which an interruption replaces frames, until its packet comes."""
-        self._cut = -1
-        """The frame of the last interruption."""
 
     async def run(self, until: float) -> None:
         """Streams of 20 s to five minutes of media time, one after the other."""
@@ -215,7 +213,7 @@ class Client:
                 await asyncio.sleep(1.0)
 
     async def _one(self, seconds: float) -> None:
-        self.next, self._replaced, self._cut, self._source = 0, None, -1, 0
+        self.next, self._replaced, self._source = 0, None, 0
         async with connect_resuming(self.processes.url, self.hello, patience=600.0) as stream:
             self.stream = stream
             reading = asyncio.create_task(self._read(stream))
@@ -244,10 +242,7 @@ class Client:
                     continue  # it was on its way when the interruption was sent
                 self._replaced = None
                 self.count.lost += max(0, message.first - self.next)
-                # Of several interruptions that reach back before the present session, each is answered, and the answer
-                # to the next one replaces it: they have the same number, the session's first frame.
-                if not (message.source and message.first == self._cut):
-                    self.count.doubled += max(0, self.next - message.first)
+                self.count.doubled += max(0, self.next - message.first)
                 self.next = message.first + len(message)
                 self._moved.set()
             elif message["type"] == "back":
@@ -284,7 +279,7 @@ class Client:
             # Another frame than that of an interruption which is not answered, nor of the first packet of a session.
             at = self.next / self.hello.fps
             await stream.interrupt(at - min(0.5, at / 2))
-            self.next = self._replaced = self._cut = min(self.next, math.ceil(stream.time * self.hello.fps - 1e-6))
+            self.next = self._replaced = min(self.next, math.ceil(stream.time * self.hello.fps - 1e-6))
             self.count.interruptions += 1
             await stream.idle(0.8)
         else:

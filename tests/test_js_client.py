@@ -168,11 +168,23 @@ def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> N
         sockets[1].hello();
         sockets[1].poses(0, 10);
         ends.push(stream.end);
-        console.log(JSON.stringify({ ends, sent: sockets[1].sent, frames: [...stream.frames.keys()] }));
+        const { sent } = sockets[1], frames = [...stream.frames.keys()];
+        // Two interruptions that reach back before the session leave it, with what it sends after them.
+        stream.interrupt(0.7);
+        stream.interrupt(0.5);
+        stream.send(new Float32Array(1600));
+        const kept = [...stream.frames.keys()].length, ears = sockets[1].onmessage;
+        await pause(400);
+        sockets[2].hello();
+        sockets[2].poses(0, 12);
+        console.log(JSON.stringify({ ends, sent, frames, kept, ears, hellos: sockets.length, end: stream.end,
+          source: stream.source, last: sockets[2].sent.at(-1), first: stream.offset }));
         stream.close();
     """)
     assert got["ends"] == [45, 55] and got["frames"] == list(range(55))
     assert got["sent"] == [{"type": "interrupt", "time": 0}, 8000]
+    assert got["kept"] == 30 and got["ears"] is None and got["hellos"] == 3
+    assert got["first"] == 30 and got["end"] == 42 and got["source"] == 2 and got["last"] == 1600
 
 
 @pytest.mark.parametrize(("held", "retry_after"), [(0, None), (4, None), (6, None), (0, 7)])
