@@ -80,8 +80,9 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     the run."""
     groups = {name: p.add_argument_group(name, about or None) for name, about in _GROUPS.items()}
     audio = groups["audio and transcript"]
-    audio.add_argument("--text", metavar="FILE", help="transcript: plain text, TextGrid, SRT, VTT, TSV or JSON with "
-                       "word times; or a folder of transcripts named like the recordings")
+    audio.add_argument("--text", metavar="FILE", help="transcript, in which cue phrases choose gestures with a meaning "
+                       "(--meaning): plain text, TextGrid, SRT, VTT, TSV or JSON with word times; or a folder of "
+                       "transcripts named like the recordings")
     audio.add_argument("--any-length", action="store_true", help="accept recordings longer than an hour")
     for field in fields(InferenceOptions):
         if "flag" in field.metadata:

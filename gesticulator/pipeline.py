@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
@@ -377,7 +377,7 @@ class Gesticulator:
             lambda blocks, cutters: self.encode_speech(speech, blocks, cutters),
             lambda cutters: Recutter(speech.samples, cutters),
             lambda times: controls_at(self.bundle.levels, cast.controls, times),
-            lambda hand: directing.bias_of(self.bundle, hand), rhythm.frames, rhythm.fps), plan, drawing)
+            cache(partial(directing.bias_of, self.bundle)), rhythm.frames, rhythm.fps), plan, drawing)
 
     def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
                 text: Text | None = None, before: SpeechInput | None = None, on_block: OnBlock | None = None

@@ -538,6 +538,7 @@ class Stream:
             np.zeros((0, 3)) if motion is None else motion.root_positions, () if block is None else (block,))
         if self._face is None:
             return frames
+        self._face.history = 2 * self._path.history  # knots are dropped some at a time, at most as many again late
         self._face.blocks(frames.blocks)
         return replace(frames, face=self._face.frames(frames.first, frames.motion())) if len(frames) else frames
 

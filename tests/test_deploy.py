@@ -224,6 +224,21 @@ def test_the_image_is_named_once_and_every_manifest_is_applied() -> None:
     assert backend["port"]["name"] == service["spec"]["ports"][0]["name"]
 
 
+def test_images_of_others_have_a_version_and_may_be_named_by_digest() -> None:
+    lines = (DEPLOY / "Dockerfile").read_text()
+    assert "syntax=" not in lines, "the frontend would be an image, too"
+    named = re.findall(r"(?m)^ARG (\w+)=(\S+:\S+)$", lines)
+    own = set(re.findall(r"(?m)^FROM \S+ AS (\w+)", lines))
+    outside = set(re.findall(r"(?m)^FROM (\S+)", lines)) - own
+    (base,) = [value for name, value in named if outside == {f"${{{name}}}"}]
+    services = yaml.safe_load((DEPLOY / "compose.yaml").read_text())["services"]
+    used = [services["server"]["build"]["args"]["BASE"], services["balancer"]["image"]]
+    found = [re.fullmatch(r"\$\{([A-Z_]+):-([a-z]+:\d[\w.-]+)\}", one) for one in used]
+    assert found[0] is not None and found[1] is not None and found[0][2] == base
+    page = (ROOT / "docs" / "deploy.md").read_text()
+    assert all(f"{one[1]}=$(digest {one[2]})" in page for one in found if one is not None)
+
+
 def test_the_autoscaler_asks_for_a_figure_that_is_told() -> None:
     own = manifest("hpa.yaml")["spec"]
     adapter = yaml.safe_load((KUBERNETES / "prometheus-adapter-values.yaml").read_text())["rules"]["custom"][0]

@@ -513,15 +513,16 @@ def test_performer_variation_interpreter_and_legs_are_edits(system: Gesticulator
     # Another interpreter chooses all lexemes but the locked ones; size and side of the others stay.
     page.edit(original)
     asked = copy.deepcopy(original)
-    asked["blocks"][3].update(locked=True)
+    anew = system(speech, seed=SEED, interpreter="statistical").plan().to_dict()
+    locked = next(at for at, block in enumerate(anew["blocks"]) if at != 5 and block["lexeme"] != lexemes[at])
+    asked["blocks"][locked].update(locked=True)
     asked["blocks"][5].update(intensity=0.6)
     page.edit(asked)
     page.edit({**page.plan, "interpreter": "statistical"})
     chosen = page.plan
-    anew = system(speech, seed=SEED, interpreter="statistical").plan().to_dict()
-    assert [block["lexeme"] for at, block in enumerate(chosen["blocks"]) if at != 3] == [
-        block["lexeme"] for at, block in enumerate(anew["blocks"]) if at != 3]
-    assert chosen["blocks"][3]["lexeme"] == lexemes[3] != anew["blocks"][3]["lexeme"]
+    assert [block["lexeme"] for at, block in enumerate(chosen["blocks"]) if at != locked] == [
+        block["lexeme"] for at, block in enumerate(anew["blocks"]) if at != locked]
+    assert chosen["blocks"][locked]["lexeme"] == lexemes[locked]
     assert chosen["blocks"][5]["intensity"] == 0.6 and chosen["drawn"] == anew["drawn"]
     is_the_plan_rendered_anew()
     page.edit(original)

@@ -93,7 +93,7 @@ def test_a_stream_and_its_player_hand_on_the_face() -> None:
     got = node("""import { GestureStream, SteadyPlayer } from "./integrations/gesticulator-client/src/index.js";
         const stream = Object.create(GestureStream.prototype);
         const welcome = { joints: [{ name: "Hips", parent: -1, offset: [0, 0, 0] }] };
-        const empty = { frames: new Map(), fps: 60, end: 0, offset: 0, saidOffset: 0, total: 0, source: 0 };
+        const empty = { frames: new Map(), fps: 60, end: 0, offset: 0, total: 0, source: 0 };
         Object.assign(stream, { ...empty, cut: Infinity, welcome, onEvent() {} });
         const text = JSON.stringify({ type: "poses", first: 0, count: 30, joints: 1, state: "speaking", face: 20 });
         const head = text.padEnd(Math.ceil(text.length / 4) * 4);

@@ -14,6 +14,7 @@ import pytest
 from browser import chromium
 from live_double import TURN, served
 from pipecat_gesticulator import Joint, Poses, SteadyPlayer, Welcome
+from pipecat_gesticulator.messages import LONGEST, MessageReader, hello_messages, pose_messages, to_rtvi
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER
@@ -167,11 +168,23 @@ def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> N
         sockets[1].hello();
         sockets[1].poses(0, 10);
         ends.push(stream.end);
-        console.log(JSON.stringify({ ends, sent: sockets[1].sent, frames: [...stream.frames.keys()] }));
+        const { sent } = sockets[1], frames = [...stream.frames.keys()];
+        // Two interruptions that reach back before the session leave it, with what it sends after them.
+        stream.interrupt(0.7);
+        stream.interrupt(0.5);
+        stream.send(new Float32Array(1600));
+        const kept = [...stream.frames.keys()].length, ears = sockets[1].onmessage;
+        await pause(400);
+        sockets[2].hello();
+        sockets[2].poses(0, 12);
+        console.log(JSON.stringify({ ends, sent, frames, kept, ears, hellos: sockets.length, end: stream.end,
+          source: stream.source, last: sockets[2].sent.at(-1), first: stream.offset }));
         stream.close();
     """)
     assert got["ends"] == [45, 55] and got["frames"] == list(range(55))
     assert got["sent"] == [{"type": "interrupt", "time": 0}, 8000]
+    assert got["kept"] == 30 and got["ears"] is None and got["hellos"] == 3
+    assert got["first"] == 30 and got["end"] == 42 and got["source"] == 2 and got["last"] == 1600
 
 
 @pytest.mark.parametrize(("held", "retry_after"), [(0, None), (4, None), (6, None), (0, 7)])
@@ -263,6 +276,54 @@ def test_its_player_shows_what_the_reference_player_shows() -> None:
     """)
     np.testing.assert_allclose(np.array(theirs), np.array(ours), atol=1e-5)
     assert np.abs(np.diff(np.array(ours)[:, 12:], axis=0)).max() < 0.12
+
+
+@pytest.mark.parametrize("face", [False, True])
+def test_poses_through_a_data_channel_are_those_that_were_sent(face: bool) -> None:
+    """In messages of bounded size, read again by us and by the browser's client; what an interruption took back is
+    replaced."""
+    rng = np.random.default_rng(5)
+    joints = tuple(Joint(f"Joint{number}", number - 1, tuple(rng.normal(0, 0.2, 3))) for number in range(46))
+    welcome = Welcome("1", 60.0, "joints", 1.63, joints, {})
+
+    def packet(first: int, count: int, source: int) -> Poses:
+        turns = rotation.from_exponential_map(rng.normal(0, 1.0, (count, 46, 3))).astype(np.float32)
+        return Poses(first, 60.0, turns, rng.normal(0, 1, (count, 3)).astype(np.float32), "speaking", 0.0, source,
+                     rng.uniform(0, 1, (count, 20)).astype(np.float32) if face else None)
+
+    packets = [packet(0, 100, 0), packet(100, 1, 0), packet(60, 30, 1)]
+    sent = [to_rtvi(one) for one in hello_messages(welcome)]
+    sent += [to_rtvi(one) for k, poses in enumerate(packets) for one in pose_messages(poses, 2.5 + k)]
+    assert max(len(json.dumps(one)) for one in sent) <= LONGEST
+    reader = MessageReader()
+    read = [poses for one in sent if (poses := reader.take(json.dumps(one))) is not None]
+    assert reader.welcome is not None and [one.name for one in reader.welcome.joints] == [one.name for one in joints]
+    np.testing.assert_allclose([one.offset for one in reader.welcome.joints], [one.offset for one in joints], atol=6e-6)
+    numbers = [k for one in read for k in range(one.first, one.first + len(one))]
+    assert numbers == [*range(101), *range(60, 90)]
+    whole = np.concatenate([one.rotations for one in packets])
+    np.testing.assert_allclose(np.concatenate([one.rotations for one in read]), whole, atol=4e-5)
+    np.testing.assert_array_equal(np.concatenate([one.root_positions for one in read]),
+                                  np.concatenate([one.root_positions for one in packets]))
+    got = node(f"""
+        import {{ MessageStream }} from "./src/index.js";
+        let now = 10;
+        const stream = new MessageStream({{ clock: () => now }});
+        if (stream.take({{ type: "metrics" }}) || stream.time !== 0) throw new Error("not ours");
+        for (const one of {json.dumps(sent)}) if (!stream.take(one)) throw new Error("ours");
+        now += 0.25;
+        const shown = [...stream.frames].map(([k, {{ turns, root, source, face }}]) =>
+          [k, source, [...turns], [...root], [...(face ?? [])]]);
+        console.log(JSON.stringify([stream.welcome.joints, stream.end, stream.time, shown]));
+    """)
+    assert [one["name"] for one in got[0]] == [one.name for one in joints] and got[1] == 90
+    assert got[2] == pytest.approx(4.75)
+    assert [row[0] for row in got[3]] == list(range(90)) and {row[1] for row in got[3][60:]} == {1}
+    ours = np.concatenate([packets[0].rotations[:60], packets[2].rotations])
+    np.testing.assert_allclose([row[2] for row in got[3]], ours.reshape(90, -1), atol=4e-5)
+    if face:
+        assert packets[0].face is not None and packets[2].face is not None
+        np.testing.assert_allclose([row[4] for row in got[3]], np.concatenate([packets[0].face[:60], packets[2].face]))
 
 
 def test_a_vrm_character_is_turned_as_our_skeleton_is() -> None:

@@ -245,8 +245,12 @@ def test_labels_are_the_nearest_lexemes(made: Path) -> None:
     rows = np.arange(len(gaps))
     np.testing.assert_allclose(gaps[rows, own.labels], gaps.min(axis=1), rtol=1e-3, atol=1e-5)
     result = json.loads((made / "map" / "lexicon.json").read_text())
-    shares = [e["shares"][bundle.speakers[0]] for e in result["lexemes"]]
-    np.testing.assert_allclose(shares, np.bincount(own.labels, minlength=len(vectors)) / len(own.labels))
+    counts = np.array([e["shares"][bundle.speakers[0]] for e in result["lexemes"]]) * len(gaps)
+    np.testing.assert_allclose(counts.sum(), len(gaps))
+    # Of a block that is equally near to two lexemes, rounding decides.
+    near = gaps <= gaps.min(axis=1, keepdims=True) * 1.001 + 1e-5
+    only = near & (near.sum(axis=1, keepdims=True) == 1)
+    assert (counts > only.sum(axis=0) - 1e-6).all() and (counts < near.sum(axis=0) + 1e-6).all()
 
 
 def test_an_unknown_performer_is_centred_on_their_own_pose(made: Path) -> None:

@@ -138,7 +138,8 @@ def test_the_shipped_bundle_is_small_and_says_what_it_was_trained_on() -> None:
     index = read_index(folder)
     assert from_dict(Config, index["config"]) == preset("paper"), "the preset makes this bundle"
     default = read_index(NAMED["default"])
-    for key in ("licence", "store", "hours", "seed"):
+    assert index["provenance"]["licence"] in default["provenance"]["licence"], "the default's corpus has more parts"
+    for key in ("store", "seed"):
         assert index["provenance"][key] == default["provenance"][key]
     card = (folder / CARD).read_text()
     assert index["provenance"]["fingerprint"] in card and "## Limits" in card

@@ -77,6 +77,6 @@ def test_its_own_tests_pass_in_a_real_pipeline() -> None:
     server = f'{sys.executable} -c "{run}"'
     done = subprocess.run([python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"], cwd=FOLDER, text=True,
                           env={**os.environ, "PYTHONPATH": str(FOLDER), "GESTICULATOR_COMMAND": server,
-                               "GESTICULATOR_ROOT": str(ROOT)}, capture_output=True, timeout=200)
+                               "GESTICULATOR_ROOT": str(ROOT)}, capture_output=True, timeout=600)
     assert done.returncode == 0, done.stdout[-3000:]
     assert "skipped" not in done.stdout.splitlines()[-1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,6 +18,7 @@ from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlay
 from pipecat_gesticulator.resuming import RefusedError
 from websockets.asyncio.client import connect as open_socket
 from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
@@ -342,6 +343,62 @@ def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> N
                 assert stream.time == pytest.approx(1.25)
         assert firsts == [(0, 0), (60, 0), (45, 1)]
         assert heard[2] == {"type": "interrupt", "time": 0.0} and heard[3] == pcm(0.5)
+
+    run(test)
+
+
+def test_an_interruption_that_reaches_back_before_the_session_leaves_it() -> None:
+    """Its packets that are on their way are not taken for answers, of however many such interruptions in a row."""
+    async def test() -> None:
+        sessions: list[list[Any]] = []
+        closed: list[int | None] = []
+
+        async def server(socket: ServerConnection) -> None:
+            sessions.append([json.loads(await socket.recv())])
+            number = len(sessions)
+            await socket.send(json.dumps(GREETING))
+            if number == 1:
+                await socket.recv()
+                await socket.send(packet(0, 60))
+                socket.transport.abort()
+                return
+            with suppress(ConnectionClosed):
+                await socket.send(packet(0, 10 * number))
+                await socket.send(packet(10 * number, 10))
+                async for message in socket:
+                    sessions[number - 1].append(message if isinstance(message, bytes) else json.loads(message))
+                    if number == 2:
+                        await socket.send(packet(0, 5))  # whatever comes, an answer that may come too late
+            closed.append(socket.close_code)
+
+        async with serve(server, "127.0.0.1", 0) as at:
+            port = next(iter(at.sockets)).getsockname()[1]
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE),
+                                    pause=lambda _: asyncio.sleep(0))
+            await stream.open()
+            await stream.send(pcm(2.0))
+            came = []
+            async for message in stream:
+                if not isinstance(message, Poses):
+                    continue
+                came.append((message.source, message.first, len(message)))
+                if came[-1] == (1, 60, 20):
+                    await stream.interrupt(0.75)  # the first frame of this session is 60
+                    await stream.send(pcm(0.1))
+                    await stream.interrupt(0.5)
+                    await stream.send(pcm(0.3))
+                if message.source == 2:
+                    break
+            await stream.close()
+            assert came == [(0, 0, 60), (1, 60, 20), (2, 30, 30)]
+            assert "resume" in sessions[1][0] and "resume" not in sessions[2][0]
+            assert stream.time == pytest.approx(0.8)
+            for _ in range(500):
+                if len(closed) == 2:
+                    break
+                await asyncio.sleep(0.01)
+            assert sessions[2][-1] == pcm(0.3)
+            assert closed[0] == 1000, "the server need not keep what is left"
 
     run(test)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import logging
 import os
@@ -11,6 +12,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
@@ -20,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from live_double import LOOK_AHEAD, TURN, TellingStream, opener
@@ -29,17 +32,24 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from data_module.errors import InputError
 from data_module.motion import rotation
+from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
+from data_module.speech.audio import load_speech
+from data_module.types import Motion
 from gesticulator.serve import schema
 from gesticulator.serve import server as server_module
+from gesticulator.serve.memory import freeze_loaded
 from gesticulator.serve.metrics import ServerMetrics, exposition
-from gesticulator.serve.protocol import CloseCode, StreamRequest, published
+from gesticulator.serve.protocol import CloseCode, StreamRequest, published, read_hello
 from gesticulator.serve.scheduler import Member
 from gesticulator.serve.server import LiveServer, ServerAddress
+from gesticulator.serve.session import Session
 from gesticulator.serve.settings import ServerLimits
+from gesticulator.serve.vmc import VmcFrames
 
 RATE = 16000
+EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 LIMITS = ServerLimits(streams=8, address_opens=1e4, stream_seconds=100.0, message_bytes=2**16, waiting_seconds=10.0,
                       unread_bytes=2**16, unread_seconds=1.0, hello_seconds=0.5, quiet_seconds=5.0, drain_seconds=0.5)
 
@@ -172,6 +182,38 @@ def test_smplx_poses_are_those_of_an_smplx_file() -> None:
             np.testing.assert_allclose(np.concatenate([one.root_positions for one in poses]), truth["trans"], atol=1e-6)
 
     run(test)
+
+
+@pytest.mark.parametrize("output", ["joints", "smplx"])
+def test_a_stream_may_stand_on_legs(output: str) -> None:
+    """Its frames are those of a stream with legs, and VMC sends them, too."""
+    from gesticulator.pipeline import Gesticulator
+    from gesticulator.serve.session import session_opener
+
+    torch.set_num_threads(1)
+    system = Gesticulator.from_pretrained()
+    hello = Hello(RATE, output=output, options={"legs": True, "latency": "low"})
+    session = session_opener(system, LIMITS)("a", read_hello(hello.text()))
+    sound = load_speech(EXAMPLE).samples[:4 * RATE]
+    answers = [*session.feed(sound), *session.obey({"type": "finish"})]
+    poses = [Poses.unpack(one) for answer in answers for one in answer.messages if isinstance(one, bytes)]
+    stream = system.stream(RATE, legs=True, latency="low")
+    parts = [part for part in (stream.feed(sound), stream.finish()) if len(part)]
+    motion = Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
+                    np.concatenate([part.root_positions for part in parts]), 60.0)
+    got = np.concatenate([one.rotations for one in poses])
+    if output == "smplx":
+        truth = smplx_arrays(motion)["poses"].reshape(len(got), 55, 3)
+        assert np.abs(truth[:, 1:9]).max() > 0.01, "knees and ankles bend"
+    else:
+        truth = motion.rotations
+        told = [joint["name"] for joint in session.welcome()["joints"]]
+        assert told == list(motion.skeleton.names) and "LeftFoot" in told
+        feet = positions_of(motion)[:, [told.index("LeftFoot"), told.index("RightFoot")]]
+        assert np.abs(feet - feet[0]).max() < 0.005, "they stay where they are"
+        bones = b"".join(VmcFrames(motion).bundles(100, 0.0))
+        assert b"LeftUpperLeg" in bones and b"RightFoot" in bones
+    np.testing.assert_allclose(got, truth, atol=2e-6)
 
 
 def test_every_message_fits_the_published_schema() -> None:
@@ -832,6 +874,52 @@ def test_a_quarter_of_an_hour_of_silence_leaves_nothing_behind() -> None:
             assert at.server.metrics.numbers["waiting_seconds"] == pytest.approx(0, abs=1e-6)
 
     run(test)
+
+
+def test_ended_streams_are_freed_though_the_collector_does_not_run_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However they ended: a stream holds a minute of poses, and its tasks, their errors and their frames hold it."""
+    monkeypatch.setattr(server_module, "RELEASE_SECONDS", 0.02)
+    sessions: weakref.WeakSet[Session] = weakref.WeakSet()
+
+    async def end(url: str, how: str) -> None:
+        with suppress(ConnectionClosed):
+            async with open_socket(url) as ws:
+                await ws.send(json.dumps(json.loads(Hello(RATE).text()) | {"resumable": how == "parked"}))
+                await ws.send(pcm(0.5))
+                await ws.recv()
+                if how in ("broken", "parked"):
+                    ws.transport.abort()
+                else:
+                    await ws.send({"finished": '{"type":"finish"}', "odd": b"\0", "quiet": '{"type":"idle"}'}[how])
+                while True:
+                    await ws.recv()
+
+    async def test() -> None:
+        async with running(replace(LIMITS, resume_seconds=0.1, quiet_seconds=0.2)) as at:
+            open_session = at.server.open_session
+
+            def opened(name: str, request: StreamRequest) -> Session:
+                session = open_session(name, request)
+                sessions.add(session)
+                return session
+
+            at.server.open_session = opened
+            for how in ("finished", "broken", "parked", "odd", "quiet"):
+                await end(at.url, how)
+            assert at.server.metrics.numbers["streams_total"] == 5
+            for _ in range(200):
+                await asyncio.sleep(0.02)
+                if not sessions:
+                    break
+        assert not sessions
+
+    freeze_loaded()
+    gc.disable()
+    try:
+        run(test)
+    finally:
+        gc.enable()
+        gc.unfreeze()
 
 
 # ---------------------------------------------------------------- health, figures, the end

@@ -522,11 +522,11 @@ def test_only_what_was_made_can_be_interrupted() -> None:
 
 # ---------------------------------------------------------------------------------------------------- for ever
 
-@pytest.mark.parametrize("what", ["speech", "silence", "idling", "interruptions"])
+@pytest.mark.parametrize("what", ["speech", "silence", "idling", "interruptions", "face"])
 def test_memory_does_not_grow(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream_module, "HISTORY", 2.0)
     sound = np.zeros(SAMPLE_RATE, np.float32) if what == "silence" else example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]
-    stream, sizes = system().stream(), []
+    stream, sizes = system().stream(face="full" if what == "face" else "off"), []
     tracemalloc.start()
     try:
         for second in range(16):

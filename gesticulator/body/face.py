@@ -62,7 +62,7 @@ class Face:
 
     def __init__(self, settings: FaceSettings, history: float = math.inf) -> None:
         """history: seconds before the last frame to which `interrupt` may go back."""
-        self._settings, self._history = settings, history
+        self._settings, self.history = settings, history
         self._lips: deque[Lips] = deque()
         self._states: deque[tuple[float, str]] = deque([(0.0, "idle")])
         self._life = FaceLife(settings.seed)
@@ -168,10 +168,12 @@ class Face:
         return next((name for at, name in reversed(self._states) if at <= time), self._states[0][1])
 
     def _forget(self, now: float) -> None:
-        oldest = now - self._history
+        oldest = now - self.history
         self._cues.forget(oldest)
         while len(self._lips) > 1 and self._lips[1].start < oldest:
             self._lips.popleft()
+        if self._lips and math.isfinite(oldest):
+            self._lips[0].forget(oldest)
         while len(self._states) > 1 and self._states[1][0] < oldest:
             self._states.popleft()
         while len(self._steps) > 2 and (self._first + 1) / RATE < oldest:

@@ -34,6 +34,8 @@ _ABOVE, _SOFT = 1.0, 2.0
 alone leaves the mouth at 18 % in the silences of readings with a noisy room, with this it is at 2 %."""
 _KERNEL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
 """Smoothing over 5 frames of 20 ms: nothing above about 10 Hz remains, faster than lips move."""
+_FORGOTTEN_AT_ONCE = 250
+"""Rows of the curve: a list that loses its beginning is moved as a whole."""
 REACH = max(LOOK_AHEAD, STEP * FRAME) + (len(_KERNEL) // 2 + 1) / RATE
 """Seconds of sound after an instant that the mouth at that instant depends on."""
 
@@ -69,6 +71,8 @@ class Lips:
         self._gate = _Gate()
         self._curve: list[NDArray[np.float32]] = []
         self._opens: list[float] = []
+        self._forgotten = 0
+        """Rows before those of the curve."""
 
     def feed(self, samples: Samples) -> None:
         """Take more of the sound at 16 kHz."""
@@ -88,13 +92,21 @@ class Lips:
 
     def cut(self, at: float) -> None:
         """Forget what comes after `at` seconds of media time; the mouth shuts."""
-        last = max(math.floor((at - self.start) * RATE), 0)
+        last = max(math.floor((at - self.start) * RATE) - self._forgotten, 0)
         del self._curve[last:], self._opens[last:]
         self._features, self._gate = LipFeatures(), _Gate()
 
+    def forget(self, before: float) -> None:
+        """Forget what comes before that many seconds of media time, a few seconds at a time; it is not drawn again."""
+        old = math.floor((before - self.start) * RATE) - len(_KERNEL) - self._forgotten
+        old = min(old, len(self._curve), len(self._opens))
+        if old >= _FORGOTTEN_AT_ONCE:
+            del self._curve[:old], self._opens[:old]
+            self._forgotten += old
+
     @property
     def weights(self) -> Array:
-        """[M, 15] what the network gave so far; row m is centred at start + (m + 0.5) / RATE."""
+        """[M, 15] what the network gave so far; row m is centred at start + (m + 0.5) / RATE. Not after `forget`."""
         return np.array(self._curve, dtype=np.float64).reshape(-1, len(VISEMES))
 
     def rows(self, first: int, last: int) -> Array:
@@ -102,9 +114,11 @@ class Lips:
         half = len(_KERNEL) // 2
         raw = np.zeros((last - first + 2 * half, len(VISEMES)))
         raw[:, SILENT] = 1.0
-        begin, end = max(first - half, 0), min(last + half, len(self._curve), len(self._opens))
+        old = self._forgotten
+        begin, end = max(first - half, old), min(last + half, old + min(len(self._curve), len(self._opens)))
         if end > begin:
-            heard = np.array(self._curve[begin:end]) * np.array(self._opens[begin:end])[:, None]
+            opened = np.array(self._opens[begin - old:end - old])
+            heard = np.array(self._curve[begin - old:end - old]) * opened[:, None]
             heard[:, SILENT] += 1.0 - heard.sum(axis=1)
             raw[begin - first + half:end - first + half] = heard
         smooth = sum(share * raw[place:place + last - first] for place, share in enumerate(_KERNEL))

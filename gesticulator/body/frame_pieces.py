@@ -6,7 +6,7 @@ Numbers are as in the page (`gesticulator.export.html`): quaternions as int16.
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
@@ -31,6 +31,8 @@ _LEAST, _EACH = 4000, 6
 """Pieces in memory: at least, and for each block of the recording. A piece takes 10 kB."""
 MOST_GROUPS = 200
 """Groups of pins whose frames are in memory. One of 1.2 s at 60 frames a second takes 60 kB."""
+_TOGETHER = 12
+"""Neighbouring pieces that are made together: that takes little longer than to make one of them."""
 _MARGIN = 2
 """Knots on either side of those between which a frame lies that its slopes depend on, and one to spare."""
 
@@ -149,13 +151,36 @@ class FramePieces:
         self._pinned: dict[Hashable, Array] = {}
 
     def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int],
-               plan: GesturePlan | None = None) -> Iterator[tuple[int, FramePiece]]:
+               plan: GesturePlan | None = None, keys: Sequence[Hashable] | None = None
+               ) -> Iterator[tuple[int, FramePiece]]:
         """The number and the piece of each of the blocks in `order`, of N blocks with knots at `times` [N, K] seconds
         and of these poses; of the first blocks alone where the pieces do not depend on others (`reach`). plan: its pins
-        are applied."""
-        layout = self._layout(times, duration, plan)
-        for at in order:
-            yield at, self._remembered(layout, at, blocks, None)
+        are applied; keys: see `keys`."""
+        layout, left = self._layout(times, duration, plan), deque(order)
+
+        def key_of(at: int) -> Hashable:
+            return layout.key(at, blocks) if keys is None else keys[at]
+
+        while left:
+            at = left.popleft()
+            key = key_of(at)
+            if self._is_known(key):
+                yield at, self._known[key]
+                continue
+            lacking = [key]
+            while left and left[0] == at + len(lacking) and len(lacking) < _TOGETHER:
+                key = key_of(left[0])
+                if key in self._known:
+                    break
+                lacking.append(key)
+                left.popleft()
+            # Neighbours share most of what is computed for them.
+            body = self._body(layout, range(at, at + len(lacking)), blocks).rotations
+            begin = layout.frames(at)[0]
+            for number, key in enumerate(lacking, at):
+                first, last = layout.frames(number)
+                turns = self._pinned_turns(layout, number, blocks, body[first - begin:last - begin])
+                yield number, self._remember(key, (first, last), turns)
 
     def stretch(self, times: Array, blocks: Sequence[PosedBlock], duration: float, span: tuple[int, int],
                 legs: int | None = None) -> tuple[int, Motion]:
@@ -173,13 +198,22 @@ class FramePieces:
               plan: GesturePlan | None = None) -> SignedPieces:
         """Remember the pieces of a motion that is known: [T, J, 4] rotations, w first."""
         layout = self._layout(times, duration, plan)
-        return signed([self._remembered(layout, at, blocks, rotations) for at in range(len(times))])
+        made = list[FramePiece]()
+        for at in range(len(times)):
+            key, frames = layout.key(at, blocks), layout.frames(at)
+            made.append(self._known[key] if self._is_known(key) else
+                        self._remember(key, frames, rotations[slice(*frames)]))
+        return signed(made)
 
-    def known(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None = None
-              ) -> list[bool]:
-        """[N] whether the piece of each block is remembered."""
+    def keys(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None = None
+             ) -> list[Hashable]:
+        """[N] everything that each piece depends on."""
         layout = self._layout(times, duration, plan)
-        return [layout.key(at, blocks) in self._known for at in range(len(times))]
+        return [layout.key(at, blocks) for at in range(len(times))]
+
+    def knows(self, key: Hashable) -> bool:
+        """Whether the piece is remembered that depends on this alone."""
+        return key in self._known
 
     def reach(self, times: Array, duration: float, plan: GesturePlan | None = None) -> list[int]:
         """[N] the last block on whose poses each piece depends."""
@@ -209,15 +243,15 @@ class FramePieces:
 
         return pin_groups(plan, self.fps, count)
 
-    def _remembered(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock], rotations: Array | None
-                    ) -> FramePiece:
-        key = layout.key(at, blocks)
-        known = self._known.get(key)
-        if known is not None:
-            self._known.move_to_end(key)
-            return known
-        frames = layout.frames(at)
-        turns = self._made(layout, at, blocks) if rotations is None else rotations[slice(*frames)]
+    def _is_known(self, key: Hashable) -> bool:
+        """Whether a piece is remembered, and then it stays so for longer."""
+        if key not in self._known:
+            return False
+        self._known.move_to_end(key)
+        return True
+
+    def _remember(self, key: Hashable, frames: tuple[int, int], turns: Array) -> FramePiece:
+        """The piece with these frames (first, last + 1) and rotations [T, J, 4], from now on."""
         ends = turns[[0, -1]] if len(turns) else np.zeros((2, *turns.shape[1:]))
         made = FramePiece(*frames, next(self._numbers), np.round(turns * self._steps).astype("<i2"), ends)
         self._known[key] = made
@@ -225,9 +259,8 @@ class FramePieces:
             self._known.popitem(last=False)
         return made
 
-    def _made(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock]) -> Array:
-        """[T, J, 4] rotations of the frames of a piece."""
-        turns = self._body(layout, at, blocks).rotations
+    def _pinned_turns(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock], turns: Array) -> Array:
+        """The rotations [T, J, 4] of a piece with those of its pins."""
         (first, last), near = layout.frames(at), layout.pinned_by(at)
         for number in near:
             group, moved = layout.groups[number - layout.size], self._with_pins(layout, number, blocks)
@@ -244,16 +277,19 @@ class FramePieces:
 
         key = layout.group_key(number, blocks)
         if key not in self._pinned:
-            made = with_group(self._body(layout, number, blocks), layout.groups[number - layout.size]).rotations
+            body = self._body(layout, range(number, number + 1), blocks)
+            made = with_group(body, layout.groups[number - layout.size]).rotations
             while len(self._pinned) >= MOST_GROUPS:
                 self._pinned.pop(next(iter(self._pinned)))
             self._pinned[key] = made
         return self._pinned[key]
 
-    def _body(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock]) -> Motion:
-        """The frames of a piece or group, without pins."""
-        near = blocks[layout.first[at]:layout.last[at] + 1]
-        return self._placed(self._upper_body(near, layout.begins[at], layout.frames(at), layout.count))
+    def _body(self, layout: _Layout, numbers: range, blocks: Sequence[PosedBlock]) -> Motion:
+        """The frames of neighbouring pieces, or of a group, without pins."""
+        first = min([layout.first[at] for at in numbers])
+        near, begins = blocks[first:layout.last[numbers[-1]] + 1], any(layout.begins[at] for at in numbers)
+        frames = layout.frames(numbers[0])[0], layout.frames(numbers[-1])[1]
+        return self._placed(self._upper_body(near, begins, frames, layout.count))
 
     def _upper_body(self, blocks: Sequence[PosedBlock], begins: bool, frames: tuple[int, int], count: int) -> Motion:
         """Some frames of `count`; begins: whether the blocks are the first ones."""

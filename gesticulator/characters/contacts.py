@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.characters.inverse_kinematics import Limbs, bend
+from gesticulator.characters.inverse_kinematics import bend
 
 MARGIN = 0.03
 """Metres from the trunk beyond which a hand is not corrected, for an adult."""
@@ -37,7 +37,8 @@ class Trunk:
     ahead: Array
 
     def distance(self, points: Array, hips: Array, neck: Array, chest: Array) -> tuple[Array, Array]:
-        """[T] metres from the surface (negative inside) and [T, 3] the outward direction, for points [T, 3].
+        """[..., T] metres from the surface (negative inside) and [..., T, 3] the outward direction, for points
+        [..., T, 3].
 
         hips, neck: [T, 3] the ends of the column; chest: [T, 3, 3] the character's axes there (columns left, up,
         ahead). The ends of the column are rounded.
@@ -61,7 +62,7 @@ class Trunk:
         # The ellipse's radius in the direction of the point.
         angle = np.arctan2(z, x)
         surface = width * depth / np.hypot(depth * np.cos(angle), width * np.sin(angle))
-        out = np.cos(angle)[:, None] * left + np.sin(angle)[:, None] * fore
+        out = np.cos(angle)[..., None] * left + np.sin(angle)[..., None] * fore
         return np.where(beyond > 0.0, np.hypot(np.maximum(radius - surface, 0.0), beyond), radius - surface), out
 
 
@@ -109,12 +110,16 @@ def our_distances(ours: Pose) -> dict[str, Array]:
     """Side -> [T] metres from the default character's trunk to the nearer of wrist and knuckles; negative inside."""
     trunk = plain_trunk(*OURS)
     column = ours.places["Hips"], ours.places["Neck"], ours.turns["Spine3"]
-    return {side: np.min([trunk.distance(ours.places[side + name], *column)[0] for name in ("Hand", "HandMiddle1")
-                          if side + name in ours.places], axis=0) for side in SIDES}
+    return {side: trunk.distance(_places(ours, side, _PALM), *column)[0].min(axis=0) for side in SIDES}
 
 
-def push_out(turns: dict[int, Array], limbs: Limbs, chain: tuple[int, int, int], points: Sequence[int], wanted: Array,
-             column: tuple[Trunk, Array, Array, Array]) -> None:
+def _places(ours: Pose, side: str, parts: Sequence[str]) -> Array:
+    """[P, T, 3] metres, the places of those parts of a side that the body has."""
+    return np.stack([ours.places[side + part] for part in parts if side + part in ours.places])
+
+
+def push_out(turns: dict[int, Array], limbs: OurLimbs, chain: tuple[int, int, int], points: Sequence[int],
+             wanted: Array, column: tuple[Trunk, Array, Array, Array]) -> None:
     """Bend an arm in `turns` where one of its points is nearer to the trunk than `wanted` [T] metres.
 
     chain: shoulder, elbow, wrist; column: the trunk and the arguments of `Trunk.distance`.
@@ -123,8 +128,7 @@ def push_out(turns: dict[int, Array], limbs: Limbs, chain: tuple[int, int, int],
     for _ in range(_STEPS):
         push = np.zeros_like(place[0])
         most = np.zeros(len(wanted))
-        for node in points:
-            gap, out = trunk.distance(limbs.place(turns, node), *place)
+        for gap, out in zip(*trunk.distance(limbs.places(turns, points), *place), strict=True):
             depth = np.maximum(wanted - gap, 0.0)
             push = np.where((depth > most)[:, None], depth[:, None] * out, push)
             most = np.maximum(most, depth)
@@ -146,6 +150,18 @@ class OurLimbs:
             return np.zeros((1, 3))
         return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
 
+    def places(self, turns: Mapping[int, Array], nodes: Sequence[int]) -> Array:
+        """[P, T, 3] positions of joints as `place` gives them; those above them are computed once."""
+        known = {0: self.place(turns, 0)}
+
+        def place(node: int) -> Array:
+            if node not in known:
+                above = self.skeleton.parents[node]
+                known[node] = place(above) + turns[above] @ self.skeleton.offsets[node]
+            return known[node]
+
+        return np.stack([place(node) for node in nodes])
+
 
 def kept_out_of_us(motion: Motion, near: Mapping[str, Array]) -> Motion:
     """A motion on the default skeleton, root at the origin, with hands kept at the distances `near` from the trunk.
@@ -161,8 +177,8 @@ def kept_out_of_us(motion: Motion, near: Mapping[str, Array]) -> Motion:
 def head_distances(ours: Pose) -> dict[str, Array]:
     """Side -> [T] metres from the default character's head to the nearest of wrist, knuckles and fingertips; negative
     inside."""
-    return {side: np.min([OUR_HEAD.distance(ours.places[side + name], *_head_of(ours))[0] for name in _HAND
-                          if side + name in ours.places], axis=0) for side in SIDES}
+    head = _head_of(ours)
+    return {side: OUR_HEAD.distance(_places(ours, side, _HAND), *head)[0].min(axis=0) for side in SIDES}
 
 
 def kept_off_our_head(motion: Motion, near: Mapping[str, Array]) -> Motion:

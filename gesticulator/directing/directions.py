@@ -301,6 +301,14 @@ class ShapeLevels:
         arms = self.arms
         return ShapeLevels(ArmScales(arms.intensity[rows], arms.share[rows], arms.both[rows]), self.mirrored[rows])
 
+    @staticmethod
+    def joined(parts: Sequence[ShapeLevels]) -> ShapeLevels:
+        """The levels of consecutive times."""
+        arms = [part.arms for part in parts]
+        scales = ArmScales(*(np.concatenate(rows) for rows in (
+            [each.intensity for each in arms], [each.share for each in arms], [each.both for each in arms])))
+        return ShapeLevels(scales, np.concatenate([part.mirrored for part in parts]))
+
 
 class Shaping:
     """Applies intensity, mirroring and named gestures to generated poses [M, D_m] at rising seconds [M]."""

@@ -158,6 +158,7 @@ class PlanRenderer:
         self._cut = redrawer.blocks(plan.drawn.edges, plan.drawn.flags, plan.drawn.silent)
         self._times = self._cut.knot_times.reshape(len(self._cut), -1)
         self._edges, self._manner = plan.drawn.edges, plan.drawn_manner
+        self._durations = self._cut.durations.tolist()
         self._index = {edge: at for at, edge in enumerate(self._edges)}
         if drawing is None:
             cutters = list[BlockCutter]()
@@ -369,7 +370,7 @@ class PlanRenderer:
 
     def duration(self, at: int) -> float:
         """Seconds of a block of the first generation."""
-        return float(self._cut.durations[at])
+        return float(self._durations[at])
 
     def faded(self, source: _Source, fades: tuple[Fade, ...], times: Array) -> tuple[int, Rows]:
         """The number and the motion [K, D_m] of a block at `times` [K] with fading differences."""

@@ -135,21 +135,15 @@ class _ScaledArm:
         self.large, self.fine = StrokeMemory(columns, LARGE), StrokeMemory(columns, FINE)
 
     def lifted(self, poses: Array) -> Array:
-        """[M, 1] h of the module for poses [M, D]."""
+        """[M] h of the module for poses [M, D]."""
         up = self.mean - self.rest
-        lift = (poses - self.rest) @ up / max(float(up @ up), 1e-9)
-        return smooth_step((lift - _HANGS) / (_LIFTED - _HANGS))[:, None]
+        # Sums along rows have the same bits for any number of rows, which products of matrices have not.
+        lift = ((poses - self.rest) * up).sum(axis=1) / max(float(up @ up), 1e-9)
+        return smooth_step((lift - _HANGS) / (_LIFTED - _HANGS))
 
     def calmly_lifted(self, times: Array) -> Array:
-        """[M, 1] the mean of h over `CALM` seconds before each of the times [M] of poses that were pushed."""
-        up = self.mean - self.rest
-
-        def lifted(poses: Array) -> Array:
-            # Sums along rows have the same bits for any number of rows, which products of matrices have not.
-            lift = ((poses - self.rest) * up).sum(axis=1) / max(float(up @ up), 1e-9)
-            return smooth_step((lift - _HANGS) / (_LIFTED - _HANGS))
-
-        return self.large.averaged(times, CALM, lifted)[:, None]
+        """[M] the mean of h over `CALM` seconds before each of the times [M] of poses that were pushed."""
+        return self.large.averaged(times, CALM, self.lifted)
 
 
 class Shaper:
@@ -177,6 +171,11 @@ class Shaper:
             arm.large.push(times, poses)
             arm.fine.push(times, poses)
 
+    def ways(self, before: Array, poses: Array, times: Array) -> tuple[float, ...]:
+        """By how much large strokes of each arm lengthen its path in poses [K, 3 J] after another one [1, 3 J]; times:
+        [1 + K] seconds of all of them (`strokes`)."""
+        return tuple([arm.large.way(before, poses, times) for arm in self._arms])
+
     def shaped(self, poses: Array, times: Array, scales: ArmScales) -> Array:
         """Scale the next poses [M, 3 J] at rising seconds [M]. Poses without change stay the same bit for bit. If the
         times go back, later poses are forgotten."""
@@ -195,11 +194,11 @@ class Shaper:
             pose, share = before[:, arm.columns], scales.share[at, side, None]
             step = np.maximum(intensity[:, side, None], RESTING) - 1.0
             large = (stroke + echo) * step * np.where(step > 0.0, STRONGER, WEAKER)
-            fine = arm.fine.at(times[at]) * np.minimum(step, 0.0) * FINER
-            lifted = arm.lifted(pose)
+            lifted = arm.lifted(pose)[:, None]
             if (step < 0.0).any():
-                lifted = np.where(step < 0.0, arm.calmly_lifted(times[at]), lifted)
-            changed = self._within(pose, echo + lifted * (large + fine), arm.columns)
+                large = large + arm.fine.at(times[at]) * np.minimum(step, 0.0) * FINER
+                lifted = np.where(step < 0.0, arm.calmly_lifted(times[at])[:, None], lifted)
+            changed = self._within(pose, echo + lifted * large, arm.columns)
             out[:, arm.columns] = _towards(arm.rest, changed, share)
             out[:, arm.fingers] = _towards(arm.resting_fingers, before[:, arm.fingers], share)
         most = intensity.max(axis=1, keepdims=True)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,9 @@ _STORED = 640.0
 
 _GRAIN = 2.0 ** -36
 """Radians, to which the ways between knots are rounded: far less than a tenth of a degree per hour."""
+Amount = TypeVar("Amount", float, Array)
+_TOGETHER = 16
+"""Knots whose sums are computed together: as many as share most of the movements that they remember."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +75,26 @@ class StrokeMemory:
         rows, arm = self._rows, poses[:, self._columns]
         before = self._poses[known - 1:known] if known else arm[:1]
         since = rows.times[known - 1] if known else times[0] - 1.0
-        steps = np.diff(np.concatenate([before, arm]), axis=0)
-        speeds = np.linalg.norm(steps, axis=1) / np.diff(np.concatenate([[since], times]))
-        moved = steps * smooth_step((speeds - self._scale.slow) / (self._scale.fast - self._scale.slow))[:, None]
+        moved, ways = self._movement(before, arm, np.concatenate([[since], times]))
         path = rows.paths[known - 1] if known else 0.0
-        # Sums of multiples of a power of two are exact, so a path does not depend on where the memory begins.
-        ways = np.round(np.linalg.norm(moved, axis=1) / _GRAIN) * _GRAIN
         paths = np.cumsum(np.concatenate([[path], ways]))[1:]
         stored = slice(old, known)
         self._rows = _KnotRows(*(np.concatenate([earlier[stored], new]) for earlier, new in (
             (rows.times, times), (rows.paths, paths), (rows.moved, moved))))
         self._poses = np.concatenate([self._poses[stored], arm])
+
+    def way(self, before: Array, poses: Array, times: Array) -> float:
+        """How far the path goes in poses [K, 3 J] after another one, [1, 3 J]; times: [1 + K] seconds of all of them.
+        Nothing is added to the memory."""
+        return float(self._movement(before[:, self._columns], poses[:, self._columns], times)[1].sum())
+
+    def _movement(self, before: Array, arm: Array, times: Array) -> tuple[Array, Array]:
+        """w [K, D] and |w| [K] of an arm's poses [K, D] after another one, [1, D], at times [1 + K]."""
+        steps = np.diff(np.concatenate([before, arm]), axis=0)
+        speeds = np.linalg.norm(steps, axis=1) / np.diff(times)
+        moved = steps * smooth_step((speeds - self._scale.slow) / (self._scale.fast - self._scale.slow))[:, None]
+        # Sums of multiples of a power of two are exact, so a path does not depend on where the memory begins.
+        return moved, np.round(np.linalg.norm(moved, axis=1) / _GRAIN) * _GRAIN
 
     def at(self, times: Array) -> Array:
         """[K, D] S at times [K], interpolated linearly between knots; zero before the first knot."""
@@ -91,7 +104,7 @@ class StrokeMemory:
         width = np.maximum(rows.times[right] - rows.times[left], 1e-9)
         share = np.clip((times - rows.times[left]) / width, 0.0, 1.0)
         knots = np.unique(np.concatenate([left[share < 1.0], right]))
-        sums = np.stack([self._sum(int(knot)) for knot in knots])
+        sums = np.concatenate([self._sums(knots[at:at + _TOGETHER]) for at in range(0, len(knots), _TOGETHER)])
         # Where `left` is not among the knots, its weight is zero.
         early, late = (sums[np.minimum(np.searchsorted(knots, ends), len(knots) - 1)] for ends in (left, right))
         return np.where((share == 1.0)[:, None], late, early + share[:, None] * (late - early))
@@ -112,12 +125,28 @@ class StrokeMemory:
             out[at] = weights @ values[inside] / total if total > 0.0 else values[inside][-1]
         return out
 
-    def _sum(self, knot: int) -> Array:
-        rows, now = self._rows, self._rows.times[knot]
-        recent = slice(int(np.searchsorted(rows.times, now - REMEMBERED)), knot + 1)
-        age = (rows.paths[knot] - rows.paths[recent]) / self._scale.path + (now - rows.times[recent]) / REMEMBERED
-        total: Array = (0.5 + 0.5 * np.cos(np.pi * np.minimum(age, 1.0))) @ rows.moved[recent]
+    def _sums(self, knots: NDArray[np.int64]) -> Array:
+        """[K, D] S at rising knots [K]."""
+        rows, first = self._rows, int(knots[0])
+        begin = int(np.searchsorted(rows.times, rows.times[first] - REMEMBERED))
+        # What has been forgotten at the first of the knots has been at the others.
+        counts = self._ages(knots[:1], slice(begin, first + 1))[0] < 1.0
+        since = slice(begin + int(np.argmax(counts)), int(knots[-1]) + 1)
+        weights = 0.5 + 0.5 * np.cos(np.pi * np.minimum(self._ages(knots, since), 1.0))
+        weights[np.arange(since.start, since.stop) > knots[:, None]] = 0.0
+        # Summed knot by knot, so that movements with a weight of 0 do not change a bit: products of matrices would.
+        total: Array = np.add.reduce(weights[:, :, None] * rows.moved[since], axis=1)
         return total
+
+    def _ages(self, knots: NDArray[np.int64], since: slice) -> Array:
+        """[K, M] the arguments of c for movements [M] at knots [K], which fall along M."""
+        rows, knots = self._rows, knots[:, None]
+        return stroke_age(rows.paths[knots] - rows.paths[since], rows.times[knots] - rows.times[since], self._scale)
+
+
+def stroke_age(path: Amount, seconds: Amount, scale: StrokeScale) -> Amount:
+    """The argument of c, 1 and more for a movement that is forgotten; path, seconds: since then, path in radians."""
+    return path / scale.path + seconds / REMEMBERED
 
 
 def smooth_step(s: Array) -> Array:

@@ -53,7 +53,8 @@ _SAME = 1e-6
 """Largest difference of two equal times, seconds."""
 _WORDS_NEAR = 30.0
 """Seconds around a block in which words are considered: no bridged pause is longer."""
-_NOTHING = LoudnessStep(*[np.zeros(0)] * 4, np.zeros(0, bool), np.zeros(0))
+_NONE = np.zeros(0)
+_NOTHING = LoudnessStep(_NONE, _NONE, _NONE, _NONE, np.zeros(0, bool), _NONE)
 
 
 @dataclass(frozen=True)

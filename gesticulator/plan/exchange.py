@@ -8,6 +8,7 @@ distinguishes 1, 1.0 and true as JSON does.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from data_module.errors import InputError
@@ -69,6 +70,13 @@ class PlanExchange:
         if self._frozen:
             self._rows = rows
         return tuple([block for _, _, block in found]), [text for _, text, _ in found]
+
+    def know(self, plain: Mapping[str, Any], plan: GesturePlan) -> None:
+        """Take note of the plain values of a plan, so that its blocks need not be read; only where values are
+        `frozen`."""
+        for row, block in zip(plain[_BLOCKS], plan.blocks, strict=True):
+            if id(row) not in self._rows:
+                self._rows[id(row)] = row, repr(row), block
 
     def plain(self, plan: GesturePlan) -> dict[str, Any]:
         """`GesturePlan.to_dict`, in new objects that the caller may modify."""

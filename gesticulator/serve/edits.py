@@ -311,7 +311,9 @@ class LivePlans:
             pieces, shape, root = whole_motion(motion), describe_shape(motion, scene.duration), root_path(motion)
         have = asked.have if asked.have is not None and asked.have.shape == shape else None
         changes = changes_of(made, asked.plan)
-        rendering = self._kept(plan_with(asked.plain, changes), shape, pieces, root)
+        plain = plan_with(asked.plain, changes)
+        self._exchange.know(plain, made)
+        rendering = self._kept(plain, shape, pieces, root)
         ranges, data = frames_of(pieces, asked.lacking(pieces, have))
         asked.done(made)
         rooted = have is not None and have.root == root
@@ -409,8 +411,9 @@ class LivePlans:
         posed = list(maker.shaped.blocks(played, cut, self._shaping(options, cut.edges)))
         frames = self._frames(maker, options)
         fresh = [at for at, block in enumerate(posed) if not block.is_known]
-        if len(fresh) < MANY:
-            lacking = [at for at, known in enumerate(frames.known(times, posed, duration, options.plan)) if not known]
+        keys = frames.keys(times, posed, duration, options.plan) if len(fresh) < MANY else None
+        if keys is not None:
+            lacking = [at for at, key in enumerate(keys) if not frames.knows(key)]
         else:  # their poses are not computed before their turn
             lacking = sorted({near for at in fresh for near in range(max(at - 2, 0), min(at + 3, len(cut)))})
         seen = [at for at in lacking if cut.edges[at + 1] > asked.view[0] and cut.edges[at] < asked.view[1]]
@@ -420,7 +423,7 @@ class LivePlans:
             stretches = [seen, *_nearest_first(lacking, seen), stretches[0]]
         found, done = dict[int, FramePiece](), 0
         for stretch in stretches:
-            for at, piece in frames.pieces(times, posed, duration, stretch, options.plan):
+            for at, piece in frames.pieces(times, posed, duration, stretch, options.plan, keys):
                 found[at] = piece
                 if at % 8 == 0:
                     asked.check()

@@ -132,12 +132,14 @@ def serve_here(config: Launch, sockets: Sockets, worker: int = 0, folder: Path |
     import torch
 
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.serve.memory import freeze_loaded
     from gesticulator.serve.server import LiveServer
     from gesticulator.serve.session import session_opener
 
     torch.set_num_threads(config.threads)
     system = Gesticulator.from_pretrained(config.bundle)
     cost = _warm_up_in_turn(system, folder)
+    freeze_loaded()
     listening = sockets.listening
 
     async def serve() -> None:

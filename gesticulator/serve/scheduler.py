@@ -141,6 +141,7 @@ class Scheduler:
                 turn = self._take()
             if turn is not None:
                 self._serve(turn)
+            del turn  # it holds its stream, which may be the last one for hours
 
     def _take(self) -> _Turn | None:
         """The turn of whoever has used least. Called with the lock held."""

@@ -30,6 +30,7 @@ from data_module.errors import InputError
 from gesticulator.serve.connection import CLOSE_SECONDS, Connection, Workplace
 from gesticulator.serve.door import Door, Tenant, TenantKeys, network_of
 from gesticulator.serve.governor import PRIOR_COST, RETRY_SECONDS, REVIEW_SECONDS, Governor, Room
+from gesticulator.serve.memory import RELEASE_SECONDS, release_ended
 from gesticulator.serve.metrics import CONTENT_TYPE, ServerMetrics, exposition, read_figures, write_figures
 from gesticulator.serve.pace import Effort
 from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, published
@@ -159,6 +160,8 @@ class LiveServer:
         self._accounts: dict[str, Account] = {}
         self._numbers = itertools.count(1)
         self._stop = asyncio.Event()
+        self._left = 0
+        """Connections that ended since memory was released."""
         self._save_failed = False
         """Whether the last attempt to write the metrics failed."""
 
@@ -182,7 +185,8 @@ class LiveServer:
         self.scheduler.start()
         server = await self._listen(listening, self._answer)
         inner = None if figures is None else await self._listen(figures, self._tell)
-        tasks = [asyncio.create_task(self._keep_saving()), asyncio.create_task(self._keep_reviewing())]
+        kept = (self._keep_saving(), self._keep_reviewing(), self._keep_releasing())
+        tasks = [asyncio.create_task(one) for one in kept]
         try:
             if ready is not None:
                 ready()
@@ -285,6 +289,13 @@ class LiveServer:
                           DEAD_SECONDS)
                 os._exit(70)
 
+    async def _keep_releasing(self) -> None:
+        while True:
+            await asyncio.sleep(RELEASE_SECONDS)
+            if self._left:
+                self._left = 0
+                release_ended()
+
     async def _serve_one(self, ws: ServerConnection) -> None:
         number = next(self._numbers)
         place = Workplace(self.limits, self.metrics, self.scheduler, self.open_session, self, self.output)
@@ -300,6 +311,7 @@ class LiveServer:
             if connection in self.connections:
                 self.connections.discard(connection)
                 self.metrics.add("streams", -1)
+            self._left += 1
             self._log(connection)
 
     def _address_of(self, ws: ServerConnection, request: Request | None) -> str:

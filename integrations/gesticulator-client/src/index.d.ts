@@ -55,9 +55,23 @@ export class GestureStream {
   /** The frame of a media time, if it has come. */
   frameAt(time: number): Frame | undefined;
 }
+/** Poses that come through the data channel of a call, such as Pipecat's with `GesticulatorProcessor(messages=True)`. */
+export class MessageStream {
+  constructor(settings?: { onEvent?: (event: GestureEvent) => void; clock?: () => number });
+  readonly welcome: Welcome | null;
+  readonly fps: number;
+  /** Number of the frame after the last. */
+  readonly end: number;
+  /** Media time that is heard now, seconds. */
+  readonly time: number;
+  /** Take a message, an object or its text; whether it was one of ours. */
+  take(message: unknown): boolean;
+  at(time: number): Frame | undefined;
+  frameAt(time: number): Frame | undefined;
+}
 /** A pose for every moment, without a jump where poses are late or lost. */
 export class SteadyPlayer {
-  constructor(stream: GestureStream);
+  constructor(stream: GestureStream | MessageStream);
   readonly idling: boolean;
   poseAt(time: number): Pose | null;
 }

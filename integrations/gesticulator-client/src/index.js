@@ -1,4 +1,5 @@
 export { GestureStream } from "./stream.js";
+export { MessageStream } from "./messages.js";
 export { SteadyPlayer } from "./steady.js";
 export { feedMicrophone, feedTrack } from "./microphone.js";
 export { expressionsOf, showFace } from "./face.js";

@@ -22,8 +22,8 @@ export class GestureStream {
     this.time = 0; // media time of what was sent, seconds
     this.welcome = null;
     this.source = 0; // sessions before this one
-    this.offset = 0; // frames before this session's first one, for what comes
-    this.saidOffset = 0; // for what is sent: another one from an interruption that reaches back before the session until its packet
+    this.offset = 0; // frames before this session's first one
+    this.anewNext = false; // whether the next connection begins a new session, though there is one that could be resumed
     this.journal = [];
     this.numbered = 0; // messages that this session sent, or will
     this.got = 0; // messages of the server in this session
@@ -60,11 +60,20 @@ export class GestureStream {
     const at = Math.min(time, this.time);
     this.end = Math.min(this.end, Math.ceil(at * this.fps - 1e-6));
     this.cut = Math.min(this.cut, this.end);
-    this.saidOffset = Math.min(this.saidOffset, this.end);
     for (const k of this.frames.keys()) if (k >= this.end) this.frames.delete(k);
     this.journal = this.journal.map((sent) => cutEnd(sent, at, this.sampleRate));
     this.time = at;
+    if (this.end < this.offset) this.leaveSession(); // which knows nothing of what was before it
     this.record({ type: "interrupt", time: at }, 0);
+  }
+
+  /** Go on with a new session, at the first frame that did not come or was taken back. */
+  leaveSession() {
+    this.anewNext = true;
+    if (!this.live) return;
+    this.socket.onclose = this.socket.onmessage = null;
+    this.socket.close(1000);
+    this.lost(1001, "an interruption reached back before the session");
   }
 
   /** Let go of the server. */
@@ -112,7 +121,7 @@ export class GestureStream {
 
   /** A command with its times in this session's media time. */
   shifted(message) {
-    const back = this.saidOffset / this.fps, moved = { ...message };
+    const back = this.offset / this.fps, moved = { ...message };
     if (moved.time !== undefined) moved.time = Math.max(0, moved.time - back);
     if (moved.words) {
       moved.words = moved.words.filter((word) => word.end >= back)
@@ -128,7 +137,7 @@ export class GestureStream {
     socket.binaryType = "arraybuffer";
     socket.onopen = () => socket.send(JSON.stringify({
       type: "hello", protocol: 1, sample_rate: this.sampleRate, format: "float32", fps: this.fps, seed: this.seed, options: this.options, resumable: true,
-      ...(this.token ? { token: this.token } : {}), ...(this.session ? { resume: { session: this.session, messages: this.got } } : {}),
+      ...(this.token ? { token: this.token } : {}), ...(this.session && !this.anewNext ? { resume: { session: this.session, messages: this.got } } : {}),
     }));
     socket.onmessage = ({ data }) => {
       if (socket !== this.socket) return;
@@ -162,8 +171,9 @@ export class GestureStream {
   anew(session, again) {
     this.session = session;
     this.got = 0;
+    this.anewNext = false;
     if (!again) return;
-    this.offset = this.saidOffset = this.end;
+    this.offset = this.end;
     this.cut = Infinity;
     this.source++;
     const begin = this.offset / this.fps;
@@ -199,7 +209,6 @@ export class GestureStream {
     const size = new DataView(packet).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(packet, 4, size)));
     const numbers = new Float32Array(packet, 4 + size);
-    if (head.first === 0) this.offset = this.saidOffset;
     const roots = head.count * head.joints * 4, faces = roots + head.count * 3, wide = head.face ?? 0, first = head.first + this.offset;
     if (first > this.cut) return; // taken back while it was on its way
     this.cut = Infinity;

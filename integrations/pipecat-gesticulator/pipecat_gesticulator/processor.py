@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ from pipecat.frames.frames import (
     Frame,
     InputAudioRawFrame,
     InterruptionFrame,
+    OutputTransportMessageUrgentFrame,
     StartFrame,
     TTSAudioRawFrame,
     TTSStoppedFrame,
@@ -34,6 +36,7 @@ from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 from websockets.exceptions import WebSocketException
 
 from pipecat_gesticulator.marks import timed_words, without_marks
+from pipecat_gesticulator.messages import hello_messages, pose_messages, to_rtvi
 from pipecat_gesticulator.protocol import Hello, Poses, Welcome
 from pipecat_gesticulator.resuming import ResumingStream, connect_resuming
 
@@ -47,6 +50,8 @@ MOST_WORDS = 500
 """Words in one message."""
 FEW_LETTERS = 12
 """Letters below which a sentence says little about the voice."""
+HELLO_SECONDS = 10.0
+"""How often the skeleton is sent to the client, who may come later, with the poses."""
 LETTER_SECONDS = 0.065
 """How long a voice takes for a letter, before it is known."""
 _Order = Callable[[ResumingStream], Awaitable[None]]
@@ -72,15 +77,19 @@ class GesticulatorProcessor(FrameProcessor):
     (`TTSTextFrame` with a time) has its times passed on; for others, they are estimated before their sound from how
     fast the voice spoke so far. Gesture marks in them are made. The voice leaves the marks out if the synthesiser has
     the text transform `marks.spoken_text`.
+
+    With `messages`, the poses also go to the client by the transport's data channel, as RTVI messages (`messages.py`).
     """
 
     def __init__(self, url: str = "ws://127.0.0.1:8765/stream", *, fps: float = 60.0, seed: int = 0,
                  options: dict[str, Any] | None = None, token: str | None = None, patience: float = 300.0,
-                 **kwargs: Any) -> None:
+                 messages: bool = False, **kwargs: Any) -> None:
         """url: of the server. options: as in the schema, such as {"activity": 0.6}; `keep_up` is true unless told.
-        patience: seconds for which a lost server is waited for."""
+        patience: seconds for which a lost server is waited for. messages: send the poses to the client, too."""
         super().__init__(**kwargs)
-        self._url, self._patience = url, patience
+        self._url, self._patience, self._messages = url, patience, messages
+        self._greeted = -math.inf
+        """time.monotonic() at which the skeleton was sent to the client."""
         self._asked = {"fps": fps, "seed": seed, "options": {"keep_up": True, **(options or {})}, "token": token}
         self._rate = 24000
         self._pipeline_clock: Any = None
@@ -223,6 +232,8 @@ class GesticulatorProcessor(FrameProcessor):
                     async for message in stream:
                         if isinstance(message, Poses):
                             await self.push_frame(PoseFrame(message, stream.welcome))
+                            if self._messages:
+                                await self._message(message, stream.welcome)
                 finally:
                     await self.cancel_task(sending)
         except (WebSocketException, OSError, ValueError) as error:
@@ -230,6 +241,15 @@ class GesticulatorProcessor(FrameProcessor):
         finally:
             self._lost = True
             self._ended.set()
+
+    async def _message(self, poses: Poses, welcome: Welcome) -> None:
+        """Send poses to the client. They are urgent: in their turn they would wait until the sound before is played."""
+        told = list(pose_messages(poses, self.media_time()))
+        if time.monotonic() - self._greeted > HELLO_SECONDS:
+            self._greeted = time.monotonic()
+            told = [*hello_messages(welcome), *told]
+        for one in told:
+            await self.push_frame(OutputTransportMessageUrgentFrame(message=to_rtvi(one)))
 
     async def _obey(self, stream: ResumingStream) -> None:
         with contextlib.suppress(WebSocketException):  # whoever receives hears of it too

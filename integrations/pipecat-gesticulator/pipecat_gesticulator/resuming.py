@@ -80,10 +80,11 @@ class ResumingStream:
         """Messages of the server that came in this session, after its hello."""
         self._session: str | None = None
         self._offset, self._source = 0, 0
-        """Frames before this session's first one, for what comes; sessions before it."""
-        self._said_offset = 0
-        """The same for what is sent: another one from an interruption that reaches back before the session until its
-        packet, which is the session's first frame again."""
+        """Frames before this session's first one; sessions before it."""
+        self._anew_next = False
+        """Whether the next connection begins a new session, though there is one that could be resumed."""
+        self._closing: set[asyncio.Task[None]] = set()
+        """Connections that are let go of."""
         self._end = 0
         """Number of the first frame that has not come, or that an interruption took back."""
         self._cut: float = math.inf
@@ -136,11 +137,13 @@ class ResumingStream:
         at = self._end / self._hello.fps if time is None else min(time, self._time)
         self._end = min(self._end, math.ceil(at * self._hello.fps - 1e-6))
         self._cut = min(self._cut, self._end)
-        self._said_offset = min(self._said_offset, self._end)
         self._time = at
         # What was sent for later is not to be said again; the messages are still counted.
         self._journal = deque(_cut_end(one, at, self._hello) for one in self._journal)
         self._journal_bytes = sum(_size(one.message) for one in self._journal)
+        if self._end < self._offset:
+            # The server's session knows nothing of what was before it.
+            self._leave_session()
         await self._say({"type": "interrupt", "time": at}, 0.0)
 
     async def add_words(self, words: Iterable[tuple[str, float, float]]) -> None:
@@ -172,6 +175,8 @@ class ResumingStream:
                 continue
             try:
                 async for message in socket:
+                    if self._socket is not socket:
+                        break  # the session was left
                     self._got += 1
                     found = self._read(message)
                     if isinstance(found, dict) and found.get("type") == "error":
@@ -185,7 +190,7 @@ class ResumingStream:
                         return
             except ConnectionClosed:
                 pass
-            if not self._done:
+            if not self._done and self._socket is socket:
                 self._socket = None
 
     # --------------------------------------------------------------------------------------------------- internals
@@ -193,8 +198,6 @@ class ResumingStream:
     def _read(self, message: str | bytes) -> Poses | dict[str, Any]:
         if isinstance(message, bytes):
             poses = Poses.unpack(message)
-            if poses.first == 0:
-                self._offset = self._said_offset
             poses = replace(poses, first=poses.first + self._offset, source=self._source)
             if poses.first <= self._cut:
                 self._end, self._cut = poses.first + len(poses), math.inf
@@ -204,6 +207,15 @@ class ResumingStream:
             if name in event:
                 event[name] += self._offset / self._hello.fps
         return event
+
+    def _leave_session(self) -> None:
+        """Go on with a new session, at the first frame that did not come or was taken back."""
+        self._anew_next = True
+        if self._socket is not None:
+            closing = asyncio.create_task(self._socket.close())
+            self._closing.add(closing)
+            closing.add_done_callback(self._closing.discard)
+            self._socket = None
 
     async def _say(self, message: bytes | dict[str, Any], seconds: float) -> None:
         self._journal.append(_Sent(message, self._time, seconds, self._heard))
@@ -223,7 +235,7 @@ class ResumingStream:
 
     def _shifted(self, message: dict[str, Any]) -> str:
         """A command with its times in this session's media time."""
-        back = self._said_offset / self._hello.fps
+        back = self._offset / self._hello.fps
         if back and "time" in message:
             message = {**message, "time": max(0.0, message["time"] - back)}
         if back and "words" in message:
@@ -262,7 +274,7 @@ class ResumingStream:
                                    compression=None)
         try:
             greeting = json.loads(self._hello.text()) | {"resumable": True}
-            if self._session is not None:
+            if self._session is not None and not self._anew_next:
                 greeting["resume"] = {"session": self._session, "messages": self._got}
             await socket.send(json.dumps(greeting))
             text = await socket.recv(decode=True)
@@ -286,10 +298,10 @@ class ResumingStream:
     def _anew(self, session: str | None) -> None:
         """Begin a new session at the first frame that did not come."""
         first = self._session is None
-        self._session, self._got = session, 0
+        self._session, self._got, self._anew_next = session, 0, False
         if first:
             return
-        self._offset = self._said_offset = self._end
+        self._offset = self._end
         self._cut = math.inf
         self._source += 1
         begin = self._offset / self._hello.fps

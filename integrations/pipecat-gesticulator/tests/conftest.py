@@ -13,8 +13,33 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
+
+
+@contextmanager
+def started(*options: str, workers: int = 1) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """A server at a free port: its URL and its process, once all workers are ready."""
+    command = os.environ.get("GESTICULATOR_COMMAND") or shutil.which("gesticulator")
+    if command is None:
+        pytest.skip("no gesticulator on the path, and GESTICULATOR_COMMAND is not set")
+    place = os.environ.get("GESTICULATOR_ROOT")
+    server = subprocess.Popen([*shlex.split(command), "serve", "--port", "0", "--workers", str(workers), *options],
+                              stderr=subprocess.PIPE, text=True, cwd=place,
+                              env={**os.environ, "PYTHONPATH": place} if place else None)
+    assert server.stderr is not None
+    found, ready = None, 0
+    for line in server.stderr:
+        found = found or re.search(r"ws://\S+/stream", line)
+        ready += "is ready" in line
+        if ready == workers:
+            break
+    if found is None:
+        pytest.skip("the server did not start")
+    yield found.group(), server
+    server.send_signal(signal.SIGTERM)
+    assert server.wait(60) == 0
 
 
 @pytest.fixture(scope="session")
@@ -23,20 +48,5 @@ def url() -> Iterator[str]:
     if told:
         yield told
         return
-    command = os.environ.get("GESTICULATOR_COMMAND") or shutil.which("gesticulator")
-    if command is None:
-        pytest.skip("no gesticulator on the path, and GESTICULATOR_URL is not set")
-    place = os.environ.get("GESTICULATOR_ROOT")
-    server = subprocess.Popen([*shlex.split(command), "serve", "--port", "0"], stderr=subprocess.PIPE, text=True,
-                              cwd=place, env={**os.environ, "PYTHONPATH": place} if place else None)
-    assert server.stderr is not None
-    found = None
-    for line in server.stderr:
-        found = found or re.search(r"ws://\S+/stream", line)
-        if "is ready" in line:
-            break
-    if found is None:
-        pytest.skip("the server did not start")
-    yield found.group()
-    server.send_signal(signal.SIGTERM)
-    assert server.wait(30) == 0
+    with started() as (found, _):
+        yield found
