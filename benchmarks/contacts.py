@@ -241,7 +241,7 @@ def of_file(path: Path, motion: Motion, controls: bool = True) -> dict[str, floa
     skin, hands, found = body_skin(retargeter), [retargeter.mapping.joints[side + "Hand"] for side in SIDES], []
 
     def speed(moved: CharacterMotion) -> float:
-        return fastest(moved.world_matrices()[:, hands, :3, 3] * unit, motion.fps)
+        return fastest(moved.world_matrices()[:, hands][..., :3, 3] * unit, motion.fps)
 
     for contacts in (False, True):
         retargeter.contacts = contacts
