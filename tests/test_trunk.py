@@ -16,8 +16,10 @@ from data_module.types import Array, Motion
 from gesticulator.body.clearance import cleared
 from gesticulator.characters.contacts import MARGIN, OURS, our_distances, pose_of
 from gesticulator.characters.detours import HandPoint, Obstacle, spread
+from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import CharacterMotion, Retargeter
 from gesticulator.characters.trunk import HandLimit, Outline, TrunkAxes, displacement, ellipse, outline_of
+from tests.awkward import figure, write
 from tests.rig_errors import inside, places_of
 from tests.rigs import Rig, draw
 
@@ -219,3 +221,21 @@ def test_the_page_spreads_displacements_as_python_does_and_needs_only_the_moment
     assert beside((their.T + local).T, *STOUT).min() > 0.99
     speeds = [np.linalg.norm(np.diff(their.T + moved, axis=0), axis=1).max() for moved in (framed, wanted, local)]
     assert speeds[2] < 1.05 * speeds[1] < speeds[0]
+
+
+def test_the_outline_of_a_figure_of_few_large_triangles_has_no_gaps(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A trunk of one box, whose corners are all at its ends: between them hands were 2 cm inside of such a body. The
+    control measures the corners alone."""
+    body = figure(lambda key: f"mixamorig:{key}", "A")
+    body.widths |= {key: 0.0 for key in body.places if key.startswith("Spine")}
+    body.places["Spine"] = body.places["Neck"] - [0.0, 0.3, 0.0]  # the box of the hips reaches up to here
+    retargeter = Retargeter(read_character(write(tmp_path / "boxes.glb", body)))
+    outline = outline_of(retargeter.body)
+    step = np.diff(outline.steps)
+    np.testing.assert_allclose(step, 1.0 / 12.0)
+    length = float(body.places["Neck"][1] - body.places["Hips"][1])
+    inside_box = (outline.steps > 0.05) & (outline.steps < (body.places["Spine"][1] - body.places["Hips"][1]) / length)
+    assert inside_box.sum() >= 3 and (outline.reach[inside_box].min(axis=1) > 0.12).all(), "a box of 28 cm"
+    monkeypatch.setattr("gesticulator.characters.trunk._SPARSE", 0)
+    assert len(outline_of(retargeter.body).steps) < len(outline.steps)

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array
@@ -32,6 +33,7 @@ from gesticulator.characters.contacts import MARGIN, OURS
 
 if TYPE_CHECKING:
     from gesticulator.characters.frames import Body
+    from gesticulator.characters.rig import Skin
 
 ANGLES = np.arange(36) * (2.0 * np.pi / 36)
 """Directions in which a slice is measured: between them the surface of a round one is at most 0.4 % farther out."""
@@ -41,6 +43,8 @@ _STANDS = 0.85
 """Cosine between thighs and straight down above which they are part of the column."""
 _FEWEST, _FEWEST_IN_SLICE = 30, 8
 """Vertices of a trunk and of a slice without which they are not measured."""
+_SPARSE, _FINE = 1000, 8
+"""Vertices of a trunk below which its triangles are measured too, at points that divide their edges by so many."""
 _OUTER = 98.0
 """Percentile of the vertices of a slice taken as its surface, to ignore belt buckles."""
 _SOFT = 0.05
@@ -131,7 +135,19 @@ def _flesh(body: Body) -> Array:
     limbs[list(mapping.neck)] = True
     for node, parent in enumerate(character.parents):  # children of the trunk other than limbs move with it
         trunk[node] |= parent >= 0 and trunk[parent] and not limbs[node]
-    return np.asarray(character.flesh[trunk[character.flesh_nodes]] @ body.bind_axes.T * body.unit)
+    points = character.flesh[trunk[character.flesh_nodes]]
+    if len(points) < _SPARSE:  # the corners of a figure of blocks leave its middle out
+        points = np.concatenate([points, _surface(character.skin, trunk)])
+    return np.asarray(points @ body.bind_axes.T * body.unit)
+
+
+def _surface(skin: Skin, trunk: NDArray[np.bool_]) -> Array:
+    """[V, 3] points evenly over the triangles of a skin, where the nodes of the trunk [N] have half of the weight."""
+    share = (skin.weights * trunk[skin.joints]).sum(axis=1)
+    triangles = skin.triangles[(share[skin.triangles] >= 0.5).any(axis=1)]
+    steps = np.array([(a, b, _FINE - a - b) for a in range(_FINE + 1) for b in range(_FINE + 1 - a)]) / _FINE
+    moved = share[triangles] @ steps.T >= 0.5 - 1e-9
+    return np.asarray(np.einsum("sk,fki->fsi", steps, skin.points[triangles])[moved])
 
 
 def _stands(body: Body) -> bool:

@@ -14,6 +14,8 @@ const MARGIN = 0.03, ARM = 0.53;
 const OURS = { width: 0.145, depth: 0.115, shoulders: 0.36, height: 0.62 };
 /** Directions and slices in which a trunk is measured; slices below 0 are pelvis and thighs. */
 const ANGLES = 36, LOWEST = -6, SLICES = 12, OUTER = 0.98, FEWEST = 8, MOST_POINTS = 20000;
+/** Points of a trunk below which its triangles are measured too, at points that divide their edges by so many. */
+const SPARSE = 1000, FINE = 8;
 /** Metres: of slowing, and how the surface recedes beyond the ends. */
 const SOFT = 0.05, CAP = 0.2, RECEDES = 0.5;
 const SIDES = ["Left", "Right"];
@@ -181,20 +183,44 @@ function measured(points, hips, neck) {
   return outline.steps.length ? outline : null;
 }
 
-/** Places of a skin's points that move most with one of the nodes `own`, in the pose that it has now. */
+/** Places of a skin's points that move most with one of the nodes `own`, in the pose that it has now; of few, points over
+ *  the triangles too, where such nodes have half of the weight. */
 function skin(scene, own) {
-  const points = [];
-  scene.traverse((mesh) => {
-    if (!mesh.isSkinnedMesh) return;
+  const points = [], meshes = [], triangles = [];
+  scene.traverse((mesh) => { if (mesh.isSkinnedMesh) meshes.push(mesh); });
+  for (const mesh of meshes) {
     const { position, skinIndex, skinWeight } = mesh.geometry.attributes, every = Math.ceil(position.count / MOST_POINTS);
     for (let i = 0; i < position.count; i += every) {
       let most = 0;
       for (let c = 1; c < 4; c++) if (skinWeight.getComponent(i, c) > skinWeight.getComponent(i, most)) most = c;
-      if (!own.has(mesh.skeleton.bones[skinIndex.getComponent(i, most)])) continue;
-      points.push(mesh.getVertexPosition(i, new Vector3()).applyMatrix4(mesh.matrixWorld));
+      if (own.has(mesh.skeleton.bones[skinIndex.getComponent(i, most)])) points.push(placeOf(mesh, i));
     }
-  });
-  return points;
+  }
+  if (points.length >= SPARSE) return points;
+  for (const mesh of meshes) triangles.push(...surface(mesh, own));
+  return [...points, ...triangles];
+}
+
+const placeOf = (mesh, vertex) => mesh.getVertexPosition(vertex, new Vector3()).applyMatrix4(mesh.matrixWorld);
+
+/** Points evenly over the triangles of a mesh, where the nodes `own` have half of the weight. */
+function surface(mesh, own) {
+  const { attributes: { position, skinIndex, skinWeight }, index } = mesh.geometry, out = [];
+  const share = [...Array(position.count).keys()].map((i) => [0, 1, 2, 3].reduce((sum, c) => (
+    sum + (own.has(mesh.skeleton.bones[skinIndex.getComponent(i, c)]) ? skinWeight.getComponent(i, c) : 0)), 0));
+  for (let f = 0; f + 2 < (index ?? position).count; f += 3) {
+    const corners = [f, f + 1, f + 2].map((k) => (index ? index.getX(k) : k)), shares = corners.map((corner) => share[corner]);
+    if (Math.max(...shares) < 0.5) continue;
+    const places = corners.map((corner) => placeOf(mesh, corner));
+    for (let a = 0; a <= FINE; a++) {
+      for (let b = 0; a + b <= FINE; b++) {
+        const parts = [a, b, FINE - a - b].map((part) => part / FINE);
+        if (dot(parts, shares) < 0.5 - 1e-9) continue;
+        out.push(places.reduce((sum, place, k) => sum.addScaledVector(place, parts[k]), new Vector3()));
+      }
+    }
+  }
+  return out;
 }
 
 /** Where our joints are from the hips, in a poser's pose. */
