@@ -25,7 +25,7 @@ export class MessageStream {
 
   /** Take a message, an object or its text; whether it was one of ours. */
   take(message) {
-    const told = typeof message === "string" ? JSON.parse(message) : message, data = told?.data ?? told;
+    const parsed = typeof message === "string" ? JSON.parse(message) : message, data = parsed?.data ?? parsed;
     if (data?.type === "gestures-hello") this.greet(data);
     else if (data?.type === "gestures") this.add(data);
     else return false;

@@ -43,8 +43,8 @@ class GestureStream:
 
     async def add_words(self, words: Iterable[tuple[str, float, float]]) -> None:
         """What is said: text, start and end in seconds of media time; for a stream with the option text."""
-        told = [{"text": text, "start": start, "end": end} for text, start, end in words]
-        await self._say({"type": "words", "words": told})
+        times = [{"text": text, "start": start, "end": end} for text, start, end in words]
+        await self._say({"type": "words", "words": times})
 
     async def listen(self) -> None:
         """Sound that is sent from now on is another's voice."""

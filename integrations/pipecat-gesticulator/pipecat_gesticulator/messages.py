@@ -67,23 +67,23 @@ class MessageReader:
 
     def take(self, message: str | Mapping[str, Any]) -> Poses | None:
         """Poses, or None for another message. message: with or without its envelope, or its text."""
-        told = json.loads(message) if isinstance(message, str) else message
-        told = told.get("data", told)
-        if told.get("type") == "gestures-hello":
-            for number, (name, parent, *offset) in enumerate(told["part"], told["at"]):
+        data = json.loads(message) if isinstance(message, str) else message
+        data = data.get("data", data)
+        if data.get("type") == "gestures-hello":
+            for number, (name, parent, *offset) in enumerate(data["part"], data["at"]):
                 self._joints[number] = Joint(name, parent, tuple(offset))
-            if len(self._joints) == told["joints"]:
-                joints = tuple(self._joints[number] for number in range(told["joints"]))
-                self.welcome = Welcome("", told["fps"], "joints", told["look_ahead"], joints, {})
+            if len(self._joints) == data["joints"]:
+                joints = tuple(self._joints[number] for number in range(data["joints"]))
+                self.welcome = Welcome("", data["fps"], "joints", data["look_ahead"], joints, {})
             return None
-        if told.get("type") != "gestures":
+        if data.get("type") != "gestures":
             return None
-        count = told["count"]
-        turns = _numbers(told["turns"], "<i2").reshape(count, -1, 4).astype(np.float32)
+        count = data["count"]
+        turns = _numbers(data["turns"], "<i2").reshape(count, -1, 4).astype(np.float32)
         turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
-        face = _numbers(told["face"], "<f4").reshape(count, -1) if "face" in told else None
-        return Poses(told["first"], told["fps"], turns, _numbers(told["roots"], "<f4").reshape(count, 3),
-                     told["state"], 0.0, told["source"], face)
+        face = _numbers(data["face"], "<f4").reshape(count, -1) if "face" in data else None
+        return Poses(data["first"], data["fps"], turns, _numbers(data["roots"], "<f4").reshape(count, 3),
+                     data["state"], 0.0, data["source"], face)
 
 
 def _text(numbers: NDArray[Any]) -> str:

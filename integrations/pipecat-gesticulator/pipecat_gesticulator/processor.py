@@ -244,11 +244,11 @@ class GesticulatorProcessor(FrameProcessor):
 
     async def _message(self, poses: Poses, welcome: Welcome) -> None:
         """Send poses to the client. They are urgent: in their turn they would wait until the sound before is played."""
-        told = list(pose_messages(poses, self.media_time()))
+        messages = list(pose_messages(poses, self.media_time()))
         if time.monotonic() - self._greeted > HELLO_SECONDS:
             self._greeted = time.monotonic()
-            told = [*hello_messages(welcome), *told]
-        for one in told:
+            messages = [*hello_messages(welcome), *messages]
+        for one in messages:
             await self.push_frame(OutputTransportMessageUrgentFrame(message=to_rtvi(one)))
 
     async def _obey(self, stream: ResumingStream) -> None:

@@ -119,15 +119,15 @@ class Poses:
         (length,) = struct.unpack_from("<I", packet)
         if 4 + length > len(packet):
             raise ValueError("a packet of poses is cut off in its header")
-        told = json.loads(packet[4:4 + length])
-        if told.get("type") != "poses":
-            raise ValueError(f"a packet of {told.get('type')!r} is none of poses")
-        count, joints = told["count"], told["joints"]
+        header = json.loads(packet[4:4 + length])
+        if header.get("type") != "poses":
+            raise ValueError(f"a packet of {header.get('type')!r} is none of poses")
+        count, joints = header["count"], header["joints"]
         width = 3 if joints == SMPLX_JOINTS else 4
         numbers = np.frombuffer(packet, "<f4", offset=4 + length)
-        face = told.get("face", 0)
+        face = header.get("face", 0)
         if len(numbers) != count * (joints * width + 3 + face):
             raise ValueError(f"a packet of {count} poses of {joints} joints has {len(numbers)} numbers")
         rotations, root, values = np.split(numbers, [count * joints * width, count * (joints * width + 3)])
-        return cls(told["first"], told["fps"], rotations.reshape(count, joints, width), root.reshape(count, 3),
-                   told["state"], told["received"], face=values.reshape(count, face) if face else None)
+        return cls(header["first"], header["fps"], rotations.reshape(count, joints, width), root.reshape(count, 3),
+                   header["state"], header["received"], face=values.reshape(count, face) if face else None)

@@ -278,13 +278,13 @@ class ResumingStream:
                 greeting["resume"] = {"session": self._session, "messages": self._got}
             await socket.send(json.dumps(greeting))
             text = await socket.recv(decode=True)
-            told = json.loads(text)
-            if told.get("type") == "error":
-                raise RefusedError(told["message"], told["code"], told.get("retry_after"))
+            answer = json.loads(text)
+            if answer.get("type") == "error":
+                raise RefusedError(answer["message"], answer["code"], answer.get("retry_after"))
             self.welcome = Welcome.read(str(text))
-            heard = int(told["messages"]) if told.get("resumed") else 0
-            if not told.get("resumed"):
-                self._anew(told.get("session"))
+            heard = int(answer["messages"]) if answer.get("resumed") else 0
+            if not answer.get("resumed"):
+                self._anew(answer.get("session"))
             # Messages that are said meanwhile wait in the journal, and are sent in their turn.
             while heard < self._numbered:
                 message = self._journal[heard - self._numbered].message

@@ -44,9 +44,9 @@ def started(*options: str, workers: int = 1) -> Iterator[tuple[str, subprocess.P
 
 @pytest.fixture(scope="session")
 def url() -> Iterator[str]:
-    told = os.environ.get("GESTICULATOR_URL")
-    if told:
-        yield told
+    server = os.environ.get("GESTICULATOR_URL")
+    if server:
+        yield server
         return
     with started() as (found, _):
         yield found
