@@ -179,7 +179,7 @@ def test_the_committed_script_is_the_build_of_its_sources(tmp_path: Path) -> Non
     viewer = ROOT / "viewer"
     node = shutil.which("node")
     if node is None or not (viewer / "node_modules").exists() or not (viewer / "src" / "figure.js").exists():
-        pytest.skip("node is not installed, or npm ci --prefix viewer has not been run")
+        pytest.skip("install Node.js (apt-get install nodejs npm), and run npm ci --prefix viewer")
     subprocess.run([node, str(viewer / "build_live.mjs")], check=True, env={**os.environ, "LIVE_OUT": str(tmp_path)})
     for name in ("live.min.js", "licences.txt"):
         committed = ROOT / "gesticulator" / "assets" / "live" / name

@@ -15,6 +15,7 @@ from eval import report, report_claims
 from eval.commands import REPORT
 from eval.metrics import METRICS
 from eval.probes import PROBES
+from eval.runner.context import without_work
 from eval.stats import Interval
 from eval.table import (
     MOST_COLUMNS,
@@ -187,6 +188,16 @@ def test_a_stored_table_says_where_it_comes_from_and_fits_a_page(file: Path) -> 
     heads = [line for line in page.splitlines() if set(line) == {"|", "-"}]
     assert heads and all(line.count("---") <= MOST_COLUMNS for line in heads)
     assert all(table.title for table in tables)
+
+
+@pytest.mark.parametrize("table", sorted((DOCS / "results").rglob("*.md")), ids=lambda path: path.name)
+def test_the_command_of_a_table_names_no_place_of_one_machine(table: Path) -> None:
+    assert not re.search(r"[ =]/\w", table.read_text(encoding="utf-8").partition(" · commit ")[0].splitlines()[0])
+
+
+def test_a_command_is_kept_without_its_work_folder() -> None:
+    words = ["probe", "motion", "--work", "/a/b", "--limit", "16", "--work=/a/b", "--out", "motion.json"]
+    assert without_work(words) == ["probe", "motion", "--limit", "16", "--out", "motion.json"]
 
 
 def test_the_stored_results_are_all_shown(tmp_path: Path) -> None:

@@ -176,10 +176,16 @@ def test_an_arm_swung_across_a_stout_body_stays_outside_and_is_not_faster(
     assert changes[1] < 0.9 * changes[0] < changes[2]
 
 
-def test_the_page_limits_hands_as_python_does() -> None:
-    node = shutil.which("node")
-    if node is None or not (VIEWER / "node_modules").is_dir():
-        pytest.skip("node is not installed, or npm ci --prefix viewer has not been run")
+@pytest.fixture
+def node() -> str:
+    """The program that runs the page's sources."""
+    program = shutil.which("node")
+    if program is None or not (VIEWER / "node_modules").is_dir():
+        pytest.skip("install Node.js (apt-get install nodejs npm), and run npm ci --prefix viewer")
+    return program
+
+
+def test_the_page_limits_hands_as_python_does(node: str) -> None:
     rng = np.random.default_rng(7)
     outline = Outline(np.array([-0.3, 0.1, 0.5, 0.8]), rng.uniform(0.1, 0.3, (4, 36)))
     our, their = rng.uniform(-0.4, 0.4, (2, 3, 500)) + np.array([[0.0], [0.2], [0.0]])
@@ -194,10 +200,7 @@ def test_the_page_limits_hands_as_python_does() -> None:
     np.testing.assert_allclose(json.loads(done.stdout), expected, atol=1e-9)
 
 
-def test_the_page_spreads_displacements_as_python_does_and_needs_only_the_moments_around() -> None:
-    node = shutil.which("node")
-    if node is None or not (VIEWER / "node_modules").is_dir():
-        pytest.skip("node is not installed, or npm ci --prefix viewer has not been run")
+def test_the_page_spreads_displacements_as_python_does_and_needs_only_the_moments_around(node: str) -> None:
     fps, arm, count = 30.0, 1.5 * 0.53, 120
     across = 0.35 - 0.55 / (1.0 + np.exp(-12.0 * (np.arange(count) / fps - 2.0)))
     our = np.stack([across, np.full(count, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125

@@ -10,7 +10,7 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -201,10 +201,23 @@ def _reward_model(bundle: Bundle, folder: Path, name: str) -> RewardEnsemble:
     return model
 
 
+def without_work(words: Sequence[str]) -> list[str]:
+    """The words of a command without `--work DIR`: where what is between is kept is of this machine alone, and changes
+    no figure."""
+    left, words = list[str](), list(words)
+    while words:
+        word = words.pop(0)
+        if word == "--work":
+            words = words[1:]
+        elif not word.startswith("--work="):
+            left.append(word)
+    return left
+
+
 def provenance(arguments: argparse.Namespace) -> Provenance:
     """Where the figures of the command that is running come from: `--bundle` is measured, the shipped one where it is
     left out, and none where the command has no such option."""
     named = getattr(arguments, "bundle", None)
     index = bundle_folder(named) / INDEX
-    return Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]]),
+    return Provenance.now(shlex.join([PROGRAM, *without_work(sys.argv[1:])]),
                           index if hasattr(arguments, "bundle") and index.is_file() else None)

@@ -23,7 +23,7 @@ def started(*options: str, workers: int = 1) -> Iterator[tuple[str, subprocess.P
     """A server at a free port: its URL and its process, once all workers are ready."""
     command = os.environ.get("GESTICULATOR_COMMAND") or shutil.which("gesticulator")
     if command is None:
-        pytest.skip("no gesticulator on the path, and GESTICULATOR_COMMAND is not set")
+        pytest.skip("no server to test against: pip install gesticulator, or name its command in GESTICULATOR_COMMAND")
     place = os.environ.get("GESTICULATOR_ROOT")
     server = subprocess.Popen([*shlex.split(command), "serve", "--port", "0", "--workers", str(workers), *options],
                               stderr=subprocess.PIPE, text=True, cwd=place,

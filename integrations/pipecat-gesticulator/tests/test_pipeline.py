@@ -207,7 +207,7 @@ class Killing(GesticulatorProcessor):
         await super().push_frame(frame, *args)
 
 
-@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the system does not tell in /proc who has a connection")
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads /proc, which Linux has")
 def test_the_server_is_killed_in_mid_sentence_and_no_hand_leaps() -> None:
     with started("--drain-seconds", "1", workers=2) as (url, server):
         processor = Killing(url, server.pid)
