@@ -132,6 +132,7 @@ def test_a_telephone_on_its_side_shows_the_figure_the_timeline_and_the_panel(
         page.tap("#play")
         page.wait_for_function("() => preview.clock.playing")
         page.tap("#play")
+        page.wait_for_function("() => !preview.clock.playing")  # a tap can come in after `tap` has returned
         opened.go_to(2.2)
         at = page.evaluate("() => preview.inspector.stretch[0]")
         page.tap("#silence")
