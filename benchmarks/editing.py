@@ -1,4 +1,5 @@
-"""What edits of a plan cost: `python benchmarks/editing.py [--minutes 10] [--speech FILE ...] [--text FILE]`.
+"""What edits of a plan cost: `python benchmarks/editing.py [--minutes 10] [--speech FILE ...] [--text FILE]
+[--legs standing|seated] [--local]`.
 
 Processor time from the page's request to its answer (`LivePlans.answer`), in the order of an editor's session: after
 twenty edits of all kinds, a swap costs what it cost at first. With --minutes, the recordings are repeated up to that
@@ -102,8 +103,8 @@ def _knob(**values: Any) -> Callable[[list[Plain], Plain], None]:
     return lambda blocks, plan: plan["knobs"].update(values)
 
 
-def session(editor: Editor) -> None:
-    """The edits of the table."""
+def session(editor: Editor, local: bool = False) -> None:
+    """The edits of the table. local: those of blocks alone."""
     count = len(editor.plan["blocks"])
     at = [count * part // 20 for part in range(1, 20)]
     editor.changed("first swap", _swap(at[9]))
@@ -122,6 +123,11 @@ def session(editor: Editor) -> None:
     for number in range(12):
         editor.changed("", _swap(at[number]))
     editor.changed("swap after 20 edits", _swap(at[13]))
+    before = editor.plan
+    editor.changed("swap at the start", _swap(2))
+    editor.edit("undo", before)
+    if local:
+        return
     for name, value, other in (("intensity", 1.5, 1.0), ("activity", 0.5, 1.0)):
         editor.changed(f"{name} {value} of the whole take", _knob(**{name: value}))
         editor.changed(f"swap under {name} {value}", _swap(at[14]))
@@ -158,12 +164,14 @@ def main() -> None:
     p.add_argument("--speech", type=Path, nargs="+", default=[ROOT / "examples" / "speech.flac"])
     p.add_argument("--text", type=Path, help="what is said")
     p.add_argument("--minutes", type=float, help="length up to which the recordings are repeated")
+    p.add_argument("--legs", choices=("standing", "seated"), help="what the character does with its legs all along")
+    p.add_argument("--local", action="store_true", help="leave out changes of the whole take")
     asked = p.parse_args()
     torch.set_num_threads(1)
     speech, system = _speech(asked.speech, asked.minutes), Gesticulator.from_pretrained()
     system.keeps_drawings = True
     begin = time.process_time()
-    first = system(speech, text=asked.text, seed=1)
+    first = system(speech, text=asked.text, seed=1, legs=asked.legs == "standing", seated=asked.legs == "seated")
     drawn = time.process_time() - begin
     plan = describe(first.scene())["plan"]
     plans = LivePlans(system, first)
@@ -175,7 +183,7 @@ def main() -> None:
     print(f"{speech.duration:.0f} s, {len(plan['blocks'])} blocks; drawn in {drawn:.1f} s, "
           f"editable {opened:.2f} s after that")
     print("\n| edit | first frames, s | all, s | frames sent |\n|---|---|---|---|")
-    session(editor)
+    session(editor, asked.local)
 
 
 if __name__ == "__main__":

@@ -203,10 +203,21 @@ class KnotPath:
         if len(self._times) < 2:
             return self._values[:0]
         limit = self._times[-1] if self.prompt else self._times[-2]
-        # The first frame at or after the limit, or after the end of a recording that ends here.
-        certain = min(math.ceil(limit * self.fps - 1e-9), round(float(self._times[-1]) * self.fps))
-        certain -= self._half
+        certain = self._certain(float(limit), float(self._times[-1]))
         return self._given(max(certain if until is None else min(certain, until), self.next))
+
+    def _certain(self, limit: float, last: float) -> int:
+        """The number of frames before the first one at or after the limit, or after the end of a recording that ends at
+        the last knot, less half of the kernel."""
+        return min(math.ceil(limit * self.fps - 1e-9), round(last * self.fps)) - self._half
+
+    def steps(self, times: Array, count: int) -> list[int]:
+        """The numbers of frames that are given after each push of N blocks of knots at `times` [N, K], and at the end,
+        of `count` in all: [N + 1], without `prompt`."""
+        limits = np.concatenate([[0.0], times.ravel()])[times.shape[1] - 1:-1:times.shape[1]]
+        given = [max(self._certain(limit, last), 0) for limit, last in zip(limits.tolist(), times[:, -1].tolist(),
+                                                                        strict=True)]
+        return [*np.maximum.accumulate(given).tolist(), count]
 
     def finish(self, duration: float) -> Array:
         """[T, D] the remaining frames of a recording of `duration` seconds."""

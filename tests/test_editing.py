@@ -21,6 +21,7 @@ from data_module.errors import InputError
 from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator import Gesticulator
 from gesticulator.body.life import Shifts, ShiftStyle
+from gesticulator.body.stance import Stance
 from gesticulator.directing.directions import LONGEST_GESTURE
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.drawing.driver import Driver
@@ -62,6 +63,10 @@ def frames_of_take(performance: Performance) -> np.ndarray:
     return np.frombuffer(base64.b64decode(told["rotations"]), "<i2").reshape(told["frames"], -1, 4)
 
 
+def roots_of_take(performance: Performance) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(describe(performance.scene())["root"]), "<f4").reshape(-1, 3)
+
+
 def messages(parts: Iterable[bytes]) -> list[tuple[Plain, bytes]]:
     data, out = b"".join(parts), []
     while data:
@@ -78,7 +83,7 @@ class Page:
     def __init__(self, system: Gesticulator, first: Performance) -> None:
         self.plans = LivePlans(system, first)
         self.plan: Plain = describe(first.scene())["plan"]
-        self.frames = frames_of_take(first).copy()
+        self.frames, self.roots = frames_of_take(first).copy(), roots_of_take(first).copy()
         self.have = self.plans.opened(first, self.plan)
         self.sent = 0
 
@@ -98,19 +103,35 @@ class Page:
         return len(got)
 
     def edit(self, plan: Plain) -> None:
+        self.take(messages(self.plans.answer(self.request(plan))), plan)
+
+    def take(self, answer: Iterable[tuple[Plain, bytes]], plan: Plain) -> None:
+        """Put the frames and the plan of an answer in the place of what was there."""
         self.sent = 0
-        for header, data in messages(self.plans.answer(self.request(plan))):
-            if header.get("shape"):
-                self.frames = np.zeros((header["shape"]["frames"], *self.frames.shape[1:]), np.int16)
-            numbers = np.frombuffer(data[:len(data) - header.get("root", 0)], "<i2").reshape(-1, *self.frames.shape[1:])
+        for header, data in answer:
+            shape, rows, whole = header.get("shape"), header.get("roots", 0), header.get("root", 0)
+            if shape and self.frames.shape[:2] != (shape["frames"], len(shape["skeleton"]["names"])):
+                self.frames = np.zeros((shape["frames"], len(shape["skeleton"]["names"]), 4), np.int16)
+            tail = len(data) - rows - whole
+            numbers = np.frombuffer(data[:tail], "<i2").reshape(-1, *self.frames.shape[1:])
+            if whole:
+                self.roots = np.frombuffer(data[tail:], "<f4").reshape(-1, 3)
             at = 0
             for begin, end in header["ranges"]:
                 self.frames[begin:end] = numbers[at:at + end - begin]
                 at += end - begin
             assert at == len(numbers)
             self.sent += at
+            if rows:
+                self.put_roots(header["ranges"], np.frombuffer(data[tail:], "<f4").reshape(-1, 3))
             if header["kind"] == "done":
                 self.have, self.plan = header["rendering"], plan_with(plan, header["changes"])
+
+    def put_roots(self, ranges: list[tuple[int, int]], rows: np.ndarray) -> None:
+        """The path of the root in these frames."""
+        roots = self.roots.copy() if len(self.roots) == len(self.frames) else np.tile(rows[:1], (len(self.frames), 1))
+        roots[np.concatenate([np.arange(*one) for one in ranges])] = rows
+        self.roots = roots
 
 
 def _halved(blocks: list[Plain], at: int) -> None:
@@ -178,6 +199,9 @@ def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
         plan["speaker"] = ("solomon", "garza", "connor")[value % 3]
     elif what == "variation":
         plan["variation"] = value % 3
+    elif what == "legs":
+        settings = {**plan["made_by"]["settings"], "legs": (None, "standing", "seated")[value % 3]}
+        plan["made_by"] = {**plan["made_by"], "settings": {name: one for name, one in settings.items() if one}}
     elif what == "hands":
         begin = blocks[at]["start"]
         plan["curves"] = [{"knob": ("height", "speed", "radius")[value % 3], "times": [begin, begin + 1.0],
@@ -187,7 +211,7 @@ def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
     return plan
 
 
-WHOLE = ("speaker", "variation", "hands")
+WHOLE = ("speaker", "variation", "hands", "legs")
 EDITS = st.lists(st.tuples(st.sampled_from(
     ["undo", "cue", "curve", "course", "pin", "pin", *BLOCK, *BLOCK, *BEATS, *KNOBS, *WHOLE]), st.integers(0, 30),
     st.integers(0, 10_000), st.integers(0, 40)), min_size=3, max_size=7)
@@ -215,8 +239,60 @@ def test_any_edits_give_the_frames_of_the_plan_rendered_anew(
     # Everything anew, by an object that remembers nothing.
     made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(asked)))
     np.testing.assert_array_equal(page.frames, frames_of_take(made))
+    np.testing.assert_array_equal(page.roots, roots_of_take(made))
     again = parse_plan(json.dumps(page.plan))
     assert made.plan() == replace(again, sound=made.plan().sound)
+
+
+@settings(max_examples=3, phases=[Phase.generate])
+@given(st.lists(st.tuples(st.sampled_from(["undo", "pin", "swap", "silence", "move", "join", "legs", "intensity",
+                                           "mirror"]),
+                          st.integers(0, 30), st.integers(0, 10_000), st.integers(0, 40)), min_size=3, max_size=6))
+def test_legs_after_any_edits_are_those_of_the_plan_rendered_anew(
+        system: Gesticulator, speech: Speech, edits: list[tuple[str, int, int, int]]) -> None:
+    page = Page(system, system(speech, seed=SEED, legs=True))
+    before = [page.plan]
+    for what, at, value, abandoned in edits:
+        asked = before[value % len(before)] if what == "undo" else edited(page.plan, what, at, value)
+        if abandoned < 10:
+            page.abandon(asked, abandoned)
+        page.edit(asked)
+        before.append(page.plan)
+    made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(asked)))
+    np.testing.assert_array_equal(page.frames, frames_of_take(made))
+    np.testing.assert_array_equal(page.roots, roots_of_take(made))
+
+
+def test_legs_after_a_change_show_the_visible_stretch_first_and_are_forgotten_by_undo(
+        system: Gesticulator, speech: Speech, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gesticulator.serve.edits.FIRST_SHOWN", 5)
+    monkeypatch.setattr("gesticulator.serve.edits.STRETCH", 5)
+    page, stood = Page(system, system(speech, seed=SEED, legs=True)), list[int]()
+    original, frames, roots, put = page.plan, page.frames.copy(), page.roots, Stance.stood
+
+    def counted(self: Stance, turns: np.ndarray, *rest: Any) -> Any:
+        stood.append(len(turns))
+        return put(self, turns, *rest)
+
+    page.plans.render(parse_plan(json.dumps(original)))
+    monkeypatch.setattr(Stance, "stood", counted)
+    (draft, data), *others = messages(page.plans.answer(page.request(edited(original, "intensity", 0, 2))))
+    (begin, end), = draft["ranges"]
+    assert begin <= 2.0 * 60 and end >= 4.0 * 60 and draft["roots"] == (end - begin) * 3 * 4
+    shown = np.frombuffer(data[:-draft["roots"]], "<i2").reshape(-1, 54, 4)
+    page.edit(edited(original, "intensity", 0, 2))
+    exact = page.frames[begin:end]
+    cosine = np.abs(np.sum(shown * exact.astype(float), axis=-1)) / 32767.0**2
+    apart = 2.0 * np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
+    assert apart.max() < 20.0 and np.median(apart) < 1.0, "what is shown first is nearly there"
+    assert [one["kind"] for one, _ in others][-1] == "done" and len(others) > 2
+    stood.clear()
+    page.edit(original)
+    assert not stood, "what was there is remembered"
+    np.testing.assert_array_equal(page.frames, frames)
+    np.testing.assert_array_equal(page.roots, roots)
+    page.edit(edited(original, "swap", 14, 9))
+    assert sum(stood) < len(frames) - 200, "what was before stays"
 
 
 def _counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
@@ -455,7 +531,7 @@ def test_a_change_of_the_whole_take_shows_the_visible_stretch_first_and_then_wha
     assert begin <= 2.0 * 60 and end >= 4.0 * 60 and end - begin < 3.2 * 60, "the visible stretch"
     assert drawn[0] <= (0 if what == "legs" else 12) < count
     joints = len(header["shape"]["skeleton"]["names"]) if header.get("shape") else len(first.joints)
-    draft = np.frombuffer(data[:len(data) - header.get("root", 0)], "<i2").reshape(-1, joints, 4).astype(int)
+    draft = np.frombuffer(data[:len(data) - header.get("roots", 0)], "<i2").reshape(-1, joints, 4).astype(int)
     assert len(draft) == end - begin
     steps = np.abs(np.diff(draft, axis=0)).max(axis=(1, 2))
     assert steps.max() < 32767 * 0.25, "without a jump"
@@ -546,15 +622,14 @@ def test_legs_are_an_edit_and_draw_nothing(system: Gesticulator, first: Performa
         have, plan = page.have, {**original, "made_by": made_by}
         got = messages(page.plans.answer({"have": have, "view": [2.0, 3.0], "changes": {
             "blocks": [], "parts": {"made_by": made_by}}}))
-        *drafts, (header, data) = got
-        assert len(drafts) == (legs == "standing"), "seated, each frame stays as it is from the hips up"
-        shape = header["shape"] or shape  # the same body sits down
+        *drafts, (header, _) = got
+        assert bool(drafts) == (legs == "standing"), "seated, each frame stays as it is from the hips up"
+        shape = got[0][0].get("shape") or shape  # the same body sits down
         assert {"LeftFoot", "RightUpLeg"} <= set(shape["skeleton"]["names"])
-        numbers = np.frombuffer(data[:len(data) - header["root"]], "<i2").reshape(-1, 54, 4)
+        page.take(got, plan)
         made = page.plans.render(parse_plan(json.dumps(plan)))
-        np.testing.assert_array_equal(numbers, frames_of_take(made))
-        page.have, page.plan = header["rendering"], plan_with(plan, header["changes"])
-        page.frames = numbers.copy()
+        np.testing.assert_array_equal(page.frames, frames_of_take(made))
+        np.testing.assert_array_equal(page.roots, roots_of_take(made))
     back = messages(page.plans.answer({"have": page.have, "view": [2.0, 3.0], "changes": {
         "blocks": [], "parts": {"made_by": original["made_by"]}}}))
     (header, data), = back

@@ -5,6 +5,7 @@ A function of the seed and the time alone. The ball of a foot is placed; the ank
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +69,15 @@ class Steps:
         self._weight = weight_shifts(seed)
         self._next_shift = 0
         self._placed = [[(-1, self._places(foot, -1)[0])] for foot in range(len(SIDES))]
+
+    def since(self, before: float, until: float) -> Steps:
+        """A copy that has forgotten what was complete before a time, and knows the steps that begin by `until`,
+        seconds."""
+        self._extend(until)
+        twin = copy.copy(self)
+        twin._placed = [list(placed) for placed in self._placed]
+        twin.forget(before)
+        return twin
 
     def begins(self, shift: int) -> float:
         """Start of the step after a weight shift, seconds."""

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.blocks import KnotPath
+from data_module.motion.skeletons import resized
 from data_module.types import Array, Motion
 from gesticulator.body.clearance import cleared, cleared_poses
 from gesticulator.body.mirror import mirrored_motion
-from gesticulator.body.stance import Stance, seated
+from gesticulator.body.stance import WHOLE_BODY, Signals, Stance, seated
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
 from gesticulator.options import InferenceOptions
@@ -56,13 +57,16 @@ class PosedBlock(Protocol):
 @dataclass(frozen=True)
 class FramePiece:
     """Frames `first` to `last` - 1. number: of their content, but for signs; rotations: [T, J, 4] int16, w first;
-    ends: [2, J, 4] the first and the last frame, before rounding."""
+    ends: [2, J, 4] the first and the last frame, before rounding; root: [T, 3] its positions, where it moves; signals:
+    what legs follow of them."""
 
     first: int
     last: int
     number: int
     rotations: NDArray[np.int16]
     ends: Array
+    root: NDArray[np.float32] | None = None
+    signals: Signals | None = None
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,7 @@ class SignedPieces:
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Layout:
     """Of N pieces, and of the frames of G groups of pins. edges: [N + 1] frames of the pieces; first, last: [N + G] the
     blocks whose poses a piece or group depends on; begins: [N + G] whether it depends on the beginning; count: of all
     frames; groups: [G]."""
@@ -138,16 +142,16 @@ class FramePieces:
     """Makes the pieces of the motions of one performer."""
 
     def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, steps: int, blocks: int,
-                 numbers: Iterator[int]) -> None:
+                 numbers: Iterator[int], stance: Stance | None = None) -> None:
         """options: fps, seated and mirror are used; steps: of the int16 per unit; blocks: of a motion, about; numbers:
-        of the contents of pieces."""
+        of the contents of pieces; stance: legs that follow the pieces."""
         self._representation = representation_of(bundle.config)
         self._first: Array = bundle.statistics.rest_pose[speaker]
-        self._smoothing, self.fps = bundle.config.motion.smoothing, float(options.fps)
+        self.smoothing, self.fps = bundle.config.motion.smoothing, float(options.fps)
         self._seated, self._mirrored, self._steps = options.seated, options.mirrored, steps
         self._known: OrderedDict[Hashable, FramePiece] = OrderedDict()
-        self._most = max(_LEAST, _EACH * blocks)
-        self._numbers = numbers
+        self.most = max(_LEAST, _EACH * blocks)
+        self._numbers, self._stance = numbers, stance
         self._pinned: dict[Hashable, Array] = {}
 
     def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int],
@@ -156,7 +160,7 @@ class FramePieces:
         """The number and the piece of each of the blocks in `order`, of N blocks with knots at `times` [N, K] seconds
         and of these poses; of the first blocks alone where the pieces do not depend on others (`reach`). plan: its pins
         are applied; keys: see `keys`."""
-        layout, left = self._layout(times, duration, plan), deque(order)
+        layout, left = self.layout(times, duration, plan), deque(order)
 
         def key_of(at: int) -> Hashable:
             return layout.key(at, blocks) if keys is None else keys[at]
@@ -175,29 +179,25 @@ class FramePieces:
                 lacking.append(key)
                 left.popleft()
             # Neighbours share most of what is computed for them.
-            body = self._body(layout, range(at, at + len(lacking)), blocks).rotations
+            body = self.body(layout, range(at, at + len(lacking)), blocks)
+            signals = None if self._stance is None else self._stance.signals(resized(body, WHOLE_BODY))
             begin = layout.frames(at)[0]
             for number, key in enumerate(lacking, at):
                 first, last = layout.frames(number)
-                turns = self._pinned_turns(layout, number, blocks, body[first - begin:last - begin])
-                yield number, self._remember(key, (first, last), turns)
+                rows = slice(first - begin, last - begin)
+                turns = self._pinned_turns(layout, number, blocks, body.rotations[rows])
+                yield number, self._remember(key, (first, last), turns, signals and signals.part(rows))
 
-    def stretch(self, times: Array, blocks: Sequence[PosedBlock], duration: float, span: tuple[int, int],
-                legs: int | None = None) -> tuple[int, Motion]:
-        """The number of the first frame, and the frames, of the blocks of a span (first, last + 1), without pins. legs:
-        the seed of standing legs that are as at the start of a performance; None for no such legs."""
-        layout = self._layout(times, duration, None)
-        first, last = span[0], span[1] - 1
-        near, frames = blocks[layout.first[first]:layout.last[last] + 1], (layout.edges[first], layout.edges[last + 1])
-        body = self._upper_body(near, layout.begins[first], frames, layout.count)
-        if legs is not None:
-            body = Stance(legs, self.fps).step(body)
-        return frames[0], self._placed(body)
+    def stretch(self, times: Array, blocks: Sequence[PosedBlock], duration: float, span: tuple[int, int]
+                ) -> tuple[int, Motion]:
+        """The number of the first frame, and the frames, of the blocks of a span (first, last + 1), without pins."""
+        layout = self.layout(times, duration, None)
+        return layout.edges[span[0]], self.body(layout, range(*span), blocks)
 
     def learn(self, times: Array, blocks: Sequence[PosedBlock], duration: float, rotations: Array,
               plan: GesturePlan | None = None) -> SignedPieces:
         """Remember the pieces of a motion that is known: [T, J, 4] rotations, w first."""
-        layout = self._layout(times, duration, plan)
+        layout = self.layout(times, duration, plan)
         made = list[FramePiece]()
         for at in range(len(times)):
             key, frames = layout.key(at, blocks), layout.frames(at)
@@ -208,7 +208,7 @@ class FramePieces:
     def keys(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None = None
              ) -> list[Hashable]:
         """[N] everything that each piece depends on."""
-        layout = self._layout(times, duration, plan)
+        layout = self.layout(times, duration, plan)
         return [layout.key(at, blocks) for at in range(len(times))]
 
     def knows(self, key: Hashable) -> bool:
@@ -217,16 +217,16 @@ class FramePieces:
 
     def reach(self, times: Array, duration: float, plan: GesturePlan | None = None) -> list[int]:
         """[N] the last block on whose poses each piece depends."""
-        layout = self._layout(times, duration, plan)
+        layout = self.layout(times, duration, plan)
         return [max([layout.last[at], *(layout.last[group] for group in layout.pinned_by(at))])
                 for at in range(len(times))]
 
-    def _layout(self, times: Array, duration: float, plan: GesturePlan | None) -> _Layout:
+    def layout(self, times: Array, duration: float, plan: GesturePlan | None) -> Layout:
         flat = np.concatenate([[0.0], times.ravel()])
         knots, count = times.shape[1], max(1, round(duration * self.fps))
         edges = [0, *np.minimum(np.ceil(times[:-1, -1] * self.fps - 1e-9), count).astype(int).tolist(), count]
         groups = self._groups(plan, count)
-        half = round(KnotPath(self._first, self.fps, self._smoothing).reach * self.fps) + 1
+        half = round(KnotPath(self._first, self.fps, self.smoothing).reach * self.fps) + 1
         begins = np.maximum(np.array([*edges[:-1], *(group.first for group in groups)]) - half, 0) / self.fps
         stops = (np.array([*edges[1:], *(group.last for group in groups)]) - 1 + half) / self.fps
         # What is mirrored at the end of the recording lies before it.
@@ -234,7 +234,7 @@ class FramePieces:
         low = np.searchsorted(flat, begins, side="right") - 1 - _MARGIN
         high = np.minimum(np.searchsorted(flat, stops, side="right") + _MARGIN, len(flat))
         first, last = np.maximum(low - 1, 0) // knots, (high - 2) // knots
-        return _Layout(tuple(edges), first.tolist(), last.tolist(), (low <= 0).tolist(), count, groups)
+        return Layout(tuple(edges), first.tolist(), last.tolist(), (low <= 0).tolist(), count, groups)
 
     def _groups(self, plan: GesturePlan | None, count: int) -> Sequence[PinGroup]:
         if plan is None or not plan.pins:
@@ -250,16 +250,18 @@ class FramePieces:
         self._known.move_to_end(key)
         return True
 
-    def _remember(self, key: Hashable, frames: tuple[int, int], turns: Array) -> FramePiece:
+    def _remember(self, key: Hashable, frames: tuple[int, int], turns: Array, signals: Signals | None = None
+                  ) -> FramePiece:
         """The piece with these frames (first, last + 1) and rotations [T, J, 4], from now on."""
         ends = turns[[0, -1]] if len(turns) else np.zeros((2, *turns.shape[1:]))
-        made = FramePiece(*frames, next(self._numbers), np.round(turns * self._steps).astype("<i2"), ends)
+        made = FramePiece(*frames, next(self._numbers), np.round(turns * self._steps).astype("<i2"), ends,
+                          signals=signals)
         self._known[key] = made
-        while len(self._known) > self._most:
+        while len(self._known) > self.most:
             self._known.popitem(last=False)
         return made
 
-    def _pinned_turns(self, layout: _Layout, at: int, blocks: Sequence[PosedBlock], turns: Array) -> Array:
+    def _pinned_turns(self, layout: Layout, at: int, blocks: Sequence[PosedBlock], turns: Array) -> Array:
         """The rotations [T, J, 4] of a piece with those of its pins."""
         (first, last), near = layout.frames(at), layout.pinned_by(at)
         for number in near:
@@ -271,20 +273,20 @@ class FramePieces:
             turns[rows] = np.where(np.sum(part * turns[rows], axis=-1, keepdims=True) < 0.0, -part, part)
         return turns
 
-    def _with_pins(self, layout: _Layout, number: int, blocks: Sequence[PosedBlock]) -> Array:
+    def _with_pins(self, layout: Layout, number: int, blocks: Sequence[PosedBlock]) -> Array:
         """[T, J, 4] rotations of the frames of a group of pins."""
         from gesticulator.body.pins import with_group
 
         key = layout.group_key(number, blocks)
         if key not in self._pinned:
-            body = self._body(layout, range(number, number + 1), blocks)
+            body = self.body(layout, range(number, number + 1), blocks)
             made = with_group(body, layout.groups[number - layout.size]).rotations
             while len(self._pinned) >= MOST_GROUPS:
                 self._pinned.pop(next(iter(self._pinned)))
             self._pinned[key] = made
         return self._pinned[key]
 
-    def _body(self, layout: _Layout, numbers: range, blocks: Sequence[PosedBlock]) -> Motion:
+    def body(self, layout: Layout, numbers: range, blocks: Sequence[PosedBlock]) -> Motion:
         """The frames of neighbouring pieces, or of a group, without pins."""
         first = min([layout.first[at] for at in numbers])
         near, begins = blocks[first:layout.last[numbers[-1]] + 1], any(layout.begins[at] for at in numbers)
@@ -297,7 +299,7 @@ class FramePieces:
         poses = cleared_poses(np.concatenate([block.poses for block in blocks]), self._representation)
         if begins:
             times, poses = np.concatenate([[0.0], times]), np.concatenate([self._first[None], poses])
-        path = KnotPath(self._first, self.fps, self._smoothing)
+        path = KnotPath(self._first, self.fps, self.smoothing)
         path.rewind(times, poses, frames[0])
         return cleared(self._representation.motion(path.frames(*frames, count), self.fps))
 

@@ -16,6 +16,9 @@ continuously, so that a small change of the motion is a small change of the weig
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
+
 import numpy as np
 
 from data_module.types import Array
@@ -47,19 +50,36 @@ class LegWeight:
         self._running: list[tuple[float, float]] = []
         """Of every shift that began and is not complete: its start on the clock, and the change of weight."""
 
-    def step(self, times: Array, speed: Array) -> Array:
-        """[T] the weight at the next `times` [T] seconds. speed: [T] m/s of the chest over the hips, smoothed."""
+    def fork(self) -> LegWeight:
+        """A copy that continues independently."""
+        twin = copy.copy(self)
+        twin._running = list(self._running)
+        return twin
+
+    def step(self, times: Array, speed: Array, ends: Sequence[int] | None = None) -> Array:
+        """[T] the weight at the next `times` [T] seconds. speed: [T] m/s of the chest over the hips, smoothed; ends:
+        the numbers of frames, rising, after which a step of a performance ends, where these are frames of several steps
+        or of a part of one; the result is that of those steps, bit for bit."""
         before = self._time
         rate = _STILL + _QUICKEST * np.tanh(speed / _MOVING / _QUICKEST)
         clock = np.cumsum(np.concatenate([[self._clock], rate * np.diff(times, prepend=before)]))
         self._begin(np.concatenate([[before], times]), clock)
         self._time, self._clock = float(times[-1]), float(clock[-1])
-        weight = np.full(len(times), self._settled)
+        stops = np.array([len(times)] if ends is None else ends, np.int64)
+        weight, parts, complete = np.full(len(times), self._settled), list[tuple[int, float, float]](), 0
         for begin, change in self._running:
-            a = np.maximum(clock[1:] - begin, 0.0) / _TAU
-            weight += change * (1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a))
-        while self._running and self._clock - self._running[0][0] > _DONE * _TAU:
-            self._settled += self._running.pop(0)[1]
+            # A shift that is complete at the end of a step has settled from there on.
+            late = stops[max(int(np.searchsorted(clock[stops], begin + _DONE * _TAU)) - 1, 0):]
+            stop = int(next((at for at in late if clock[at] - begin > _DONE * _TAU), len(times) + 1))
+            parts.append((stop, begin, change))
+            if stop <= len(times):
+                self._settled += change
+                weight[stop:], complete = self._settled, complete + 1
+        del self._running[:complete]
+        for stop, begin, change in parts:
+            start = int(np.searchsorted(clock[1:], begin, side="right"))
+            a = np.maximum(clock[1 + start:1 + stop] - begin, 0.0) / _TAU
+            weight[start:stop] += change * (1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a))
         return weight
 
     def _begin(self, times: Array, clock: Array) -> None:

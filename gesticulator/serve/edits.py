@@ -21,10 +21,11 @@ import numpy as np
 
 from data_module.controls import FEATURES
 from data_module.errors import InputError, one_line
-from data_module.motion.skeletons import standing
+from data_module.motion.skeletons import resized, standing
 from gesticulator.body.frame_pieces import FramePiece, FramePieces, SignedPieces, signed
 from gesticulator.body.mirror import mirrored_motion
-from gesticulator.body.stance import seated
+from gesticulator.body.stance import WHOLE_BODY, seated
+from gesticulator.body.standing_pieces import StandingPieces
 from gesticulator.bundle.features import representation_of
 from gesticulator.directing.directions import check_plan_of, planned
 from gesticulator.directing.editing import PlayedBlock
@@ -83,7 +84,7 @@ class _Maker:
 
     renderer: PlanRenderer
     shaped: ShapedBlocks
-    pieces: dict[tuple[Any, ...], FramePieces]
+    pieces: dict[tuple[Any, ...], FramePieces | StandingPieces]
 
 
 @dataclass(frozen=True)
@@ -217,8 +218,12 @@ class LivePlans:
         assert options.plan is not None
         played, cut = maker.renderer.played(options.plan), maker.renderer.cut(options.plan)
         posed = list(maker.shaped.blocks(played, cut, self._shaping(options, cut.edges)))
-        times = cut.knot_times.reshape(len(cut), -1)
-        pieces = self._frames(maker, options).learn(times, posed, float(cut.edges[-1]), motion.rotations, options.plan)
+        times, frames = cut.knot_times.reshape(len(cut), -1), self._frames(maker, options)
+        if isinstance(frames, FramePieces):
+            pieces = frames.learn(times, posed, float(cut.edges[-1]), motion.rotations, options.plan)
+        else:
+            made = frames.pieces(times, posed, float(cut.edges[-1]), range(len(cut)), options.plan)
+            pieces = signed([piece for _, piece in made])
         return self._kept(plain, shape, pieces, root).number
 
     def answer(self, request: Mapping[str, Any], abandoned: Callable[[], bool] = lambda: False) -> Iterator[bytes]:
@@ -303,6 +308,7 @@ class LivePlans:
             made = self._decided(options, played)
             pieces = yield from self._pieces(maker, options, played, asked)
             shape, root = self._shape(options, pieces.frames)
+            root = _root_of(pieces.pieces) if _is_standing(options) else root
         else:
             asked.check()
             performance = self.render(plan)
@@ -327,6 +333,7 @@ class LivePlans:
         rest = self._system.bundle.statistics.rest_pose[self._system.speaker_index(options.speaker)]
         body = representation.motion(rest[None], float(options.fps))
         body = standing(seated(body) if options.seated else body)
+        body = resized(body, WHOLE_BODY) if _is_standing(options) else body
         body = mirrored_motion(body) if options.mirrored else body
         shape = {**describe_shape(body, self._speech.duration), "frames": frames}
         return shape, root_path(body)
@@ -335,12 +342,9 @@ class LivePlans:
         """A draft of the visible stretch, where the recording has to be drawn, or put on its legs, from its start."""
         plan, renderer = options.plan, maker.renderer
         assert plan is not None
-        standing = options.legs and not options.seated
+        stands = _is_standing(options) and not asked.has_legs
         drawn = renderer.knows(plan)
-        if drawn and not (standing and not asked.has_legs):
-            return
-        if not (self._is_short(options) and self._system.bundle.system.blocks if standing
-                else self._streams(options, asked)):
+        if (drawn and not stands) or not (self._in_pieces(options) if stands else self._streams(options, asked)):
             return
         if drawn:
             found = renderer.played(plan), _seen(plan, asked.view)
@@ -348,21 +352,28 @@ class LivePlans:
             others = [renderer, *(known.renderer for _, known in reversed(self._makers))]
             found = next(filter(None, (renderer.draft(plan, asked.view, other) for other in others)), ([], (0, 0)))
         played, seen = found
-        if seen[0] >= seen[1]:
-            return
-        cut = renderer.cut(plan)
-        posed = list(maker.shaped.blocks(played, cut, self._shaping(options, cut.edges)))
+        if seen[0] < seen[1]:
+            cut = renderer.cut(plan)
+            posed = list(maker.shaped.blocks(played, cut, self._shaping(options, cut.edges)))
+            yield self._draft(maker, options, asked, posed, seen)
+
+    def _draft(self, maker: _Maker, options: InferenceOptions, asked: _Asked, posed: Sequence[ShapedBlock],
+               seen: tuple[int, int]) -> bytes:
+        """The message with a draft of the blocks of a span."""
+        assert options.plan is not None
+        cut = maker.renderer.cut(options.plan)
         times, frames = cut.knot_times.reshape(len(cut), -1), self._frames(maker, options)
-        first, body = frames.stretch(times, posed, float(cut.edges[-1]), seen, options.seed if standing else None)
+        first, body = frames.stretch(times, posed, float(cut.edges[-1]), seen)
         asked.rough.append((first, first + len(body)))
         header: dict[str, Any] = {"kind": "frames", "ranges": [asked.rough[-1]], "share": 0.0}
-        root = b""
-        if standing:
-            frames_in_all = max(1, round(self._speech.duration * float(options.fps)))
-            shape, root = {**describe_shape(body, self._speech.duration), "frames": frames_in_all}, \
-                body.root_positions[:1].astype("<f4").tobytes()
-            header |= {"shape": shape, "root": len(root)}
-        yield message(header, np.round(body.rotations * QUATERNION_STEPS).astype("<i2").tobytes() + root)
+        data = np.round(body.rotations * QUATERNION_STEPS).astype("<i2").tobytes()
+        if not _is_standing(options):
+            return message(header, data)
+        roots = body.root_positions.astype("<f4").tobytes()
+        if not asked.has_legs:
+            count = max(1, round(self._speech.duration * float(options.fps)))
+            header["shape"] = self._shape(options, count)[0]
+        return message({**header, "roots": len(roots)}, data + roots)
 
     def _as_drawn(self, maker: _Maker, options: InferenceOptions, asked: _Asked, playing: Iterator[PlayedBlock]
                   ) -> Generator[bytes, None, list[PlayedBlock]]:
@@ -399,7 +410,8 @@ class LivePlans:
         if not self._in_pieces(options):
             return False
         frames = max(1, round(self._speech.duration * float(options.fps)))
-        return asked.have is None or asked.have.shape == self._shape(options, frames)[0]
+        shape = self._shape(options, frames)[0]
+        return asked.have is None or asked.have.shape == shape or bool(asked.rough and _is_standing(options))
 
     def _pieces(self, maker: _Maker, options: InferenceOptions, played: Sequence[PlayedBlock], asked: _Asked
                 ) -> Generator[bytes, None, SignedPieces]:
@@ -419,8 +431,13 @@ class LivePlans:
         seen = [at for at in lacking if cut.edges[at + 1] > asked.view[0] and cut.edges[at] < asked.view[1]]
         stretches = [list(range(len(cut)))]
         if len(lacking) - len(seen) >= FIRST_SHOWN and seen and self._streams(options, asked):
-            # The last stretch is sent with the end of the answer, which has what is left to say of all of them.
-            stretches = [seen, *_nearest_first(lacking, seen), stretches[0]]
+            if isinstance(frames, StandingPieces):  # legs come from what was before
+                if not asked.rough:
+                    yield self._draft(maker, options, asked, posed, (seen[0], seen[-1] + 1))
+                stretches = [*_in_order(lacking), stretches[0]]
+            else:
+                # The last stretch is sent with the end of the answer, which has what is left to say of all of them.
+                stretches = [seen, *_nearest_first(lacking, seen), stretches[0]]
         found, done = dict[int, FramePiece](), 0
         for stretch in stretches:
             for at, piece in frames.pieces(times, posed, duration, stretch, options.plan, keys):
@@ -452,10 +469,10 @@ class LivePlans:
         return self._system.shaping(self._speech, options, speaker, edges, options.plan.meanings)
 
     def _in_pieces(self, options: InferenceOptions) -> bool:
-        """Whether frames are made in pieces. Legs depend on everything before them."""
+        """Whether frames are made in pieces."""
         bundle = self._system.bundle
         return (bundle.system.blocks and representation_of(bundle.config).name == "rotations"
-                and not (options.legs and not options.seated) and self._is_short(options))
+                and self._is_short(options))
 
     def _is_short(self, options: InferenceOptions) -> bool:
         """Whether the page gets all frames of the recording."""
@@ -492,13 +509,13 @@ class LivePlans:
         speaker, count = self._system.speaker_index(options.speaker), len(plan.drawn.lexemes)
         return _Maker(renderer, ShapedBlocks(bundle.statistics, speaker, count), {})
 
-    def _frames(self, maker: _Maker, options: InferenceOptions) -> FramePieces:
-        key = options.fps, options.seated, options.mirrored
+    def _frames(self, maker: _Maker, options: InferenceOptions) -> FramePieces | StandingPieces:
+        key = options.fps, options.seated, options.mirrored, options.seed if _is_standing(options) else None
         if key not in maker.pieces:
             speaker = self._system.speaker_index(options.speaker)
             count = round(self._speech.duration / _USUAL_BLOCK)
-            maker.pieces[key] = FramePieces(self._system.bundle, speaker, options, QUATERNION_STEPS, count,
-                                            self._numbers)
+            kind = StandingPieces if _is_standing(options) else FramePieces
+            maker.pieces[key] = kind(self._system.bundle, speaker, options, QUATERNION_STEPS, count, self._numbers)
         return maker.pieces[key]
 
 
@@ -523,6 +540,11 @@ def _identity(plan: GesturePlan) -> tuple[Any, ...]:
 def directions_of(system: Gesticulator) -> dict[str, list[str]]:
     """What the page offers as directions of the whole take: the names of performers and interpreters."""
     return {"speakers": list(system.speakers), "interpreters": list(system.interpreters)}
+
+
+def _is_standing(options: InferenceOptions) -> bool:
+    """Whether the motion is on standing legs."""
+    return options.legs and not options.seated
 
 
 def _legs_of(plain: Mapping[str, Any]) -> Any:
@@ -574,7 +596,18 @@ def _unsigned(pieces: Sequence[FramePiece], share: float) -> bytes:
     """The message with frames of pieces whose signs are not known yet. share: of the frames to be sent, so far."""
     ranges, data = frames_of(SignedPieces(0, pieces, np.ones((len(pieces), pieces[0].ends.shape[1]), np.int16)),
                              range(len(pieces)))
-    return message({"kind": "frames", "ranges": ranges, "share": round(share, 3)}, data)
+    header, roots = {"kind": "frames", "ranges": ranges, "share": round(share, 3)}, _root_of(pieces)
+    return message({**header, "roots": len(roots)} if roots else header, data + roots)
+
+
+def _root_of(pieces: Sequence[FramePiece]) -> bytes:
+    """float32 [T, 3] the positions of the root in some pieces, where it moves."""
+    return b"".join(piece.root.tobytes() for piece in pieces if piece.root is not None)
+
+
+def _in_order(lacking: Sequence[int]) -> list[list[int]]:
+    """The pieces that are lacking, in order, in stretches of neighbours."""
+    return [list(lacking[at:at + STRETCH]) for at in range(0, len(lacking), STRETCH)]
 
 
 def _nearest_first(lacking: Sequence[int], seen: Sequence[int]) -> list[list[int]]:

@@ -26,20 +26,35 @@ export class Take {
     return this;
   }
 
-  /** The take with other frames. header: { ranges: [[first, last + 1]], shape, root }; data: their rotations as int16
-   *  [T, J, 4], then `root` bytes of float32, the path of the root. shape: fps, frames and so on, where they are others. */
-  patched({ ranges, shape, root = 0 }, data) {
+  /** The take with other frames. header: { ranges: [[first, last + 1]], shape, root, roots }; data: their rotations as
+   *  int16 [T, J, 4], then `root` bytes of float32, the path of the root, or `roots`, its path in these frames. shape:
+   *  fps, frames and so on, where they are others. */
+  patched({ ranges, shape, root = 0, roots: rows = 0 }, data) {
     const told = shape ?? this, joints = told.skeleton.names.length, fresh = told.frames !== this.frames || joints !== this.joints;
     const rotations = fresh ? this.carriedOver(told) : this.rotations.slice();
-    const steps = new Int16Array(data.buffer, data.byteOffset, (data.length - root) / 2);
+    const steps = new Int16Array(data.buffer, data.byteOffset, (data.length - root - rows) / 2);
     let from = 0;
     for (const [first, last] of ranges) {
       const to = first * joints * 4, count = (last - first) * joints * 4;
       for (let i = 0; i < count; i++) rotations[to + i] = steps[from + i] / STEPS;
       from += count;
     }
-    const roots = root ? new Float32Array(data.slice(data.length - root).buffer) : this.roots;
+    let roots = root ? new Float32Array(data.slice(data.length - root).buffer) : this.roots;
+    if (rows) roots = this.rootsWith(ranges, new Float32Array(data.slice(data.length - rows).buffer), told.frames);
     return Take.of({ ...this, ...(shape ?? {}), name: this.name, rotations, roots });
+  }
+
+  /** The path of the root [T * 3] with that of some frames. A root that was still, or of another motion, stays where it
+   *  is for the first of them. */
+  rootsWith(ranges, rows, frames) {
+    const out = new Float32Array(frames * 3), same = this.roots.length === out.length;
+    for (let i = 0; i < out.length; i++) out[i] = same ? this.roots[i] : rows[i % 3];
+    let from = 0;
+    for (const [first, last] of ranges) {
+      out.set(rows.subarray(from, from + (last - first) * 3), first * 3);
+      from += (last - first) * 3;
+    }
+    return out;
   }
 
   /** Rotations of these frames for another skeleton, [T * J * 4]: joints of the same name turn as here, others do not. */
