@@ -153,6 +153,7 @@ class FramePieces:
         self.most = max(_LEAST, _EACH * blocks)
         self._numbers, self._stance = numbers, stance
         self._pinned: dict[Hashable, Array] = {}
+        self._layouts: list[tuple[Array, float, GesturePlan | None, Layout]] = []
 
     def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int],
                plan: GesturePlan | None = None, keys: Sequence[Hashable] | None = None
@@ -222,6 +223,15 @@ class FramePieces:
                 for at in range(len(times))]
 
     def layout(self, times: Array, duration: float, plan: GesturePlan | None) -> Layout:
+        """The layout of blocks with knots at `times`. The last ones are remembered by these very objects."""
+        known = next((made for *asked, made in self._layouts if asked[0] is times and asked[1] == duration
+                      and asked[2] is plan), None)
+        if known is None:
+            known = self._laid_out(times, duration, plan)
+            self._layouts = [*self._layouts[-1:], (times, duration, plan, known)]
+        return known
+
+    def _laid_out(self, times: Array, duration: float, plan: GesturePlan | None) -> Layout:
         flat = np.concatenate([[0.0], times.ravel()])
         knots, count = times.shape[1], max(1, round(duration * self.fps))
         edges = [0, *np.minimum(np.ceil(times[:-1, -1] * self.fps - 1e-9), count).astype(int).tolist(), count]

@@ -70,6 +70,8 @@ class _Run:
     variants: list[_Variant]
     lead: Array
     states: dict[int, Follower] = field(default_factory=dict)
+    before: _Run | None = None
+    """The run that this one was like at first, until its pieces are made."""
 
     def shared(self, keys: Sequence[Hashable]) -> int:
         """How many pieces are the same from the start."""
@@ -79,13 +81,13 @@ class _Run:
     def cut(self, count: int) -> _Run:
         """A run that goes on after `count` pieces."""
         return _Run(self.keys[:count], self.variants[:count], self.lead.copy(),
-                    {at: state for at, state in self.states.items() if at <= count})
+                    {at: state for at, state in self.states.items() if at <= count}, replace(self, before=None))
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """The pieces that are asked for. blocks: all that they depend on; upper: their upper bodies; steps: the numbers of
-    frames, rising from 0, between which legs step in the whole motion."""
+    """The pieces that are asked for. blocks: all that they depend on; steps: the numbers of frames, rising from 0,
+    between which legs step in the whole motion."""
 
     layout: Layout
     blocks: Sequence[PosedBlock]
@@ -94,7 +96,9 @@ class _Asked:
     def span(self, at: int) -> tuple[int, int]:
         """The first frame that a piece depends on, and the one after the last."""
         first, last = self.layout.frames(at)
-        groups = [self.layout.frames(group) for group in self.layout.pinned_by(at)] if self.layout.groups else []
+        if not self.layout.groups:
+            return first, last
+        groups = [self.layout.frames(group) for group in self.layout.pinned_by(at)]
         return min([first, *(one[0] for one in groups)]), max([last, *(one[1] for one in groups)])
 
     def steps_of(self, first: int, last: int) -> tuple[tuple[int, int], ...]:
@@ -105,9 +109,9 @@ class _Asked:
             end += 1
         return tuple(zip(self.steps[begin:end], self.steps[begin + 1:end + 1], strict=True)) if first < last else ()
 
-    def key(self, at: int) -> Hashable:
-        """Everything that a piece depends on but for the lead."""
-        return self.layout.key(at, self.blocks), self.steps_of(*self.span(at))
+    def keys(self, count: int) -> list[Hashable]:
+        """Everything that the first pieces depend on but for the lead."""
+        return [(self.layout.key(at, self.blocks), self.steps_of(*self.span(at))) for at in range(count)]
 
     def following(self, end: int) -> int:
         """The piece after the last one on whose frames those before `end` depend."""
@@ -130,6 +134,7 @@ class StandingPieces:
         self._known: OrderedDict[Hashable, list[_Variant]] = OrderedDict()
         self._courses: dict[tuple[int, int], Course] = {}
         self._joined: OrderedDict[Hashable, Course] = OrderedDict()
+        self._steps_of: tuple[Layout, Sequence[int]] | None = None
         self._runs: list[_Run] = []  # the most recently used comes last
 
     def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int],
@@ -139,7 +144,7 @@ class StandingPieces:
         if not len(order):
             return
         asked, count = self._asked(times, blocks, duration, plan), max(order) + 1
-        wanted = [asked.key(at) for at in range(count)] if keys is None else keys[:count]
+        wanted = asked.keys(count) if keys is None else keys[:count]
         run = self._begun(wanted, asked.layout.count)
         if len(run.keys) < count:
             self._extend(run, wanted, asked, partial(self._upper.pieces, times, blocks, duration))
@@ -149,8 +154,7 @@ class StandingPieces:
     def keys(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None = None
              ) -> list[Hashable]:
         """[N] everything that each piece depends on, but for the body before it."""
-        asked = self._asked(times, blocks, duration, plan)
-        return [asked.key(at) for at in range(len(times))]
+        return self._asked(times, blocks, duration, plan).keys(len(times))
 
     def knows(self, key: Hashable) -> bool:
         """Whether a piece is remembered that depends on this, after any body."""
@@ -173,8 +177,10 @@ class StandingPieces:
 
     def _asked(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None) -> _Asked:
         layout = self._upper.layout(times, duration, plan)
-        steps = KnotPath(np.zeros(1), self._upper.fps, self._upper.smoothing).steps(times, layout.count)
-        return _Asked(layout, blocks, sorted({0, *steps}))
+        if self._steps_of is None or self._steps_of[0] is not layout:
+            steps = KnotPath(np.zeros(1), self._upper.fps, self._upper.smoothing).steps(times, layout.count)
+            self._steps_of = layout, sorted({0, *steps})
+        return _Asked(layout, blocks, self._steps_of[1])
 
     # ------------------------------------------------------------------------------------------------------- runs
 
@@ -200,8 +206,10 @@ class StandingPieces:
         start = max(at for at in run.states if at <= begin)
         bodies = dict(upper(range(start, asked.following(end))))
         self._follow(run, asked, bodies, end)
-        found, late = dict[int, _Variant](), list[int]()
+        found, late = _alike(run, keys, asked.layout), list[int]()
         for at in range(begin, end):
+            if at in found:
+                continue
             lead = run.lead[slice(*asked.span(at))]
             near = next((one for one in reversed(self._known.get(keys[at], ()))
                          if np.abs(one.lead - lead).max(initial=0.0) <= one.slack), None)
@@ -213,6 +221,7 @@ class StandingPieces:
         for some in _groups(late, asked.layout):
             for at, made in zip(some, self._made(run, asked, bodies, some), strict=True):
                 found[at] = self._remember(keys[at], made)
+        run.before = None
         run.keys[begin:], run.variants[begin:] = keys[begin:], [found[at] for at in range(begin, end)]
 
     def _follow(self, run: _Run, asked: _Asked, bodies: Mapping[int, FramePiece], end: int) -> None:
@@ -326,6 +335,22 @@ class StandingPieces:
         rotations[:, LEGGED], root = self._stance.stood(rotations[:, LEGGED[:2]], course, lead)
         made = on_legs(body, rotations, root, WHOLE_BODY, rotations[:0])
         return mirrored_motion(made) if self._mirrored else made
+
+
+def _alike(run: _Run, keys: Sequence[Hashable], layout: Layout) -> dict[int, _Variant]:
+    """The pieces of the run before that stay as they are."""
+    if run.before is None or layout.groups:
+        return {}
+    begin, old = len(run.keys), run.before
+    same = [at for at in range(begin, min(len(old.keys), len(keys))) if old.keys[at] == keys[at]]
+    some = [at for at in same if len(old.variants[at].lead)]
+    if not some:
+        return {}
+    there = np.concatenate([old.variants[at].lead for at in some])
+    here = np.concatenate([run.lead[layout.edges[at]:layout.edges[at + 1]] for at in some])
+    starts = np.cumsum([0, *(len(old.variants[at].lead) for at in some[:-1])])
+    apart = np.maximum.reduceat(np.abs(here - there).max(axis=1), starts).tolist()
+    return {at: old.variants[at] for at, far in zip(some, apart, strict=True) if far <= old.variants[at].slack}
 
 
 def _signals(piece: FramePiece) -> Signals:
