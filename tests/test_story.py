@@ -33,6 +33,9 @@ from gesticulator.serve.view_command import COMMAND, _job, _prepare
 
 PICTURES = Path(os.environ["PICTURES"]) if "PICTURES" in os.environ else None
 """The folder to keep the pictures in; those of docs/viewer.md are made so."""
+PATIENCE = 180_000
+"""Milliseconds that a step may take: without a GPU, on a machine that others use, a picture takes seconds, and a click
+waits for several."""
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 
 
@@ -75,7 +78,7 @@ def _rotations(page: Any) -> np.ndarray:
 
 def _rendered(page: Any) -> None:
     page.wait_for_function("() => preview.session.plan === preview.session.lane.rendered && "
-                           "document.getElementById('status').dataset.state === 'same'", timeout=120_000)
+                           "document.getElementById('status').dataset.state === 'same'", timeout=PATIENCE)
 
 
 def _is(page: Any, plans: LivePlans, plan: dict[str, Any]) -> None:
@@ -103,7 +106,7 @@ def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, LivePlans]]
 def _look(page: Any) -> int:
     """Search the palette with the keyboard; the block that is meant."""
     page.keyboard.press("p")
-    page.wait_for_selector("#palette-figures li", timeout=120_000)
+    page.wait_for_selector("#palette-figures li", timeout=PATIENCE)
     assert page.locator("#palette-figures li:not([hidden])").count() > 250
     assert page.locator("#palette-figures canvas").first.bounding_box()["height"] > 20, "small moving figures"
     playing = page.evaluate("() => preview.session.plan.blocks[preview.inspector.stretch[0]].lexeme")
@@ -154,7 +157,7 @@ def _exported(page: Any, plans: LivePlans, plan: dict[str, Any], folder: Path) -
         suffix = ".glb"
     page.click("#file-menu summary")
     page.select_option("#export-format", suffix)
-    with page.expect_download(timeout=180_000) as got:
+    with page.expect_download(timeout=2 * PATIENCE) as got:
         page.click("#export-go")
     made = Path(got.value.path()).read_bytes()
     assert got.value.suggested_filename == f"talk{suffix}"
@@ -174,6 +177,7 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_
         with _viewing(sound, "--text", str(said)) as (server, plans):
             opened = OpenedPage(browser, server.url, 1280, 900)
             page = opened.page
+            page.set_default_timeout(PATIENCE)
             opened.go_to(1.0)
             first, original = _rotations(page), opened.plan()
             # The phrases are a row of gestures: a click on one selects its blocks.
@@ -195,7 +199,7 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_
             lexeme = int(choice.locator(".called").inner_text().split(" ·")[0])
             choice.hover()
             page.wait_for_function("() => document.getElementById('status').textContent.startsWith('a try')",
-                                   timeout=120_000)
+                                   timeout=PATIENCE)
             assert (_rotations(page) != first).any()
             assert opened.plan()["blocks"][block]["lexeme"] == playing, "nothing is taken"
             page.screenshot(path=(PICTURES or tmp_path) / "palette.png")
@@ -257,6 +261,7 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_
         with _viewing(sound) as (server, plans):
             opened = OpenedPage(browser, server.url, 1280, 900)
             page = opened.page
+            page.set_default_timeout(PATIENCE)
             now = opened.plan()
             assert [now[name] for name in ("curves", "words")] == [edited[name] for name in ("curves", "words")]
             assert now["pins"] == [{"hold": 0, **pin}], "a file says what the page leaves out"

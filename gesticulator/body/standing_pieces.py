@@ -41,7 +41,7 @@ STEEPEST, STEEPEST_ROOT = 150.0, 5.0
 degrees or more, has 24, and the root 1.2."""
 RUNS = 8
 """Runs in memory. One of ten minutes at 60 frames a second takes 2 MB."""
-_MARK = 48
+_MARK = 128
 """Pieces between two states of a run that are kept."""
 _VARIANTS = 4
 """Pieces that are remembered of one upper body on different legs."""
@@ -280,7 +280,9 @@ class StandingPieces:
             course = course_of([(self._course(asked, one), slice(None)) for one in frames if one[0] < one[1]])
             before = np.concatenate([_signals(bodies[at]).turns for at in numbers])
             turns, root = self._stance.stood(before, course, lead)
-        begin, pinned = 0, dict[int, Array]()
+        turns, begin, pinned = rotation.continuous(turns), 0, dict[int, Array]()
+        steps, single = np.round(turns * self._steps).astype("<i2"), root.astype("<f4")
+        slack = _slack(turns, root, self._steps)
         for at, (first, last) in zip(numbers, frames, strict=True):
             rows = slice(begin, begin + last - first)
             begin = rows.stop
@@ -288,21 +290,19 @@ class StandingPieces:
             if asked.layout.groups and asked.layout.pinned_by(at):
                 yield _Variant(self._with_pins(run, asked, at, pinned), own, 0.0)
             else:
-                yield _Variant(self._piece(bodies[at], rotation.continuous(turns[rows]), root[rows]), own,
-                               _slack(turns[rows], root[rows], self._steps))
+                yield _Variant(self._piece(bodies[at], steps[rows], turns[rows][[0, -1] if first < last else []],
+                                           single[rows]), own, float(slack[rows].min(initial=np.inf)))
 
-    def _piece(self, body: FramePiece, turns: Array, root: Array) -> FramePiece:
-        """A piece with the rotations [T, 10, 4] of the joints that legs turn."""
-        rotations = _whole(body.rotations, self._steps)
-        rotations[:, LEGGED] = np.round(turns * self._steps).astype("<i2")
-        ends = _whole(body.ends, 1.0)
-        if len(turns):
-            ends[:, LEGGED] = turns[[0, -1]]
-        made = FramePiece(body.first, body.last, next(self._numbers), rotations, ends, root.astype("<f4"))
-        if not self._mirrored:
-            return made
-        return replace(made, rotations=rotations[:, _SWAPPED] * _TURNED, ends=ends[:, _SWAPPED] * _TURNED,
-                       root=(root * np.array([-1.0, 1.0, 1.0])).astype("<f4"))
+    def _piece(self, body: FramePiece, steps: NDArray[np.int16], ends: Array, root: NDArray[np.float32]) -> FramePiece:
+        """A piece with the rotations of the joints that legs turn: [T, 10, 4] as steps, and [2, 10, 4] at its ends."""
+        rotations, outer = _whole(body.rotations, self._steps), _whole(body.ends, 1.0)
+        rotations[:, LEGGED] = steps
+        if len(steps):
+            outer[:, LEGGED] = ends
+        if self._mirrored:
+            rotations, outer = rotations[:, _SWAPPED] * _TURNED, outer[:, _SWAPPED] * _TURNED
+            root = root * np.array([-1.0, 1.0, 1.0], np.float32)
+        return FramePiece(body.first, body.last, next(self._numbers), rotations, outer, root)
 
     def _with_pins(self, run: _Run, asked: _Asked, at: int, known: dict[int, Array]) -> FramePiece:
         """A piece under pins. known: [T, J, 4] rotations of groups of pins."""
@@ -377,15 +377,13 @@ def _root(piece: FramePiece) -> NDArray[np.float32]:
     return piece.root
 
 
-def _slack(turns: Array, root: Array, steps: int) -> float:
-    """By how much the lead may differ so that all numbers of rotations [T, J, 4] and of the root [T, 3] stay as they
+def _slack(turns: Array, root: Array, steps: int) -> Array:
+    """[T] by how much the lead may differ so that all numbers of rotations [T, J, 4] and the root [T, 3] stay as they
     are when they are rounded to steps, and to single precision."""
-    if not len(turns):
-        return float("inf")
     scaled, single = turns * steps, root.astype(np.float32)
-    away = 0.5 - float(np.abs(scaled - np.round(scaled)).max())
+    away = 0.5 - np.abs(scaled - np.round(scaled)).max(axis=(1, 2), initial=0.0)
     gaps = np.spacing(np.nextafter(np.abs(single), np.float32(0.0))) / 2.0 - np.abs(root - single)
-    return max(min(away / steps / STEEPEST, float(gaps.min()) / STEEPEST_ROOT), 0.0)
+    return np.maximum(np.minimum(away / steps / STEEPEST, gaps.min(axis=1) / STEEPEST_ROOT), 0.0)
 
 
 def _groups(numbers: Sequence[int], layout: Layout) -> Iterator[list[int]]:

@@ -71,7 +71,7 @@ export function buildHead(figure) {
   const head = figure.bone("Head");
   const tall = new Vector3().fromArray(figure.tree.tips.Head ?? [0, 0.17, 0.02]).length();
   const s = tall / 0.171, centre = [0, 0.092 * s, 0.016 * s], radii = [0.077 * s, 0.118 * s, 0.094 * s];
-  figure.skull = figure.ball(head, centre, radii, "skin");
+  figure.skull = figure.ball(head, centre, radii, "skin", [28, 20]); // the face is carved into it
   figure.headSize = s;
   carved(figure.skull.geometry);
   figure.ball(head, [0, 0.078 * s, 0.108 * s], [0.0105 * s, 0.019 * s, 0.014 * s], "skin");

@@ -87,7 +87,7 @@ function untangle(told) {
 
 /** Our own figure with its motion: the bytes of a GLB file. */
 export async function figureGlb(take) {
-  const figure = new Figure(take), times = timesOf(take), turns = take.skeleton.names.map(() => new Float32Array(take.frames * 4));
+  const figure = new Figure(take, false, true), times = timesOf(take), turns = take.skeleton.names.map(() => new Float32Array(take.frames * 4));
   const places = new Float32Array(take.frames * 3);
   everyFrame(take, (t, poser) => {
     figure.show(poser);

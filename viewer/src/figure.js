@@ -4,14 +4,21 @@ import { Bone, Group, LatheGeometry, Mesh, MeshStandardMaterial, SphereGeometry,
 
 import { buildArm, buildHead, buildLegs, buildTorso } from "./body_shape.js";
 import { Face } from "./face.js";
+import { processorDraws } from "./software.js";
 import { colours } from "./theme.js";
 
 const CLOTHES = ["shirt", "trousers", "skin", "shoe", "hair"];
 const UP = new Vector3(0, 1, 0);
 
+/** Sides of a limb and of a finger, steps of the round end of each, and columns and rows of a ball. The plain ones look the
+ *  same at half the height of a screen. */
+const FINE = { limb: [24, 7], finger: [24, 7], ball: [28, 20] }, PLAIN = { limb: [16, 4], finger: [8, 2], ball: [18, 12] };
+/** Metres: a finger is thinner. */
+const THIN = 0.02;
+
 /** A limb along +Y from 0 to `length`, round at both ends. */
-function limbGeometry(r0, r1, length) {
-  const points = [], quarter = 7;
+function limbGeometry(r0, r1, length, [sides, quarter]) {
+  const points = [];
   for (const [radius, y, way] of [[r0, 0, -1], [r1, length, 1]]) {
     for (let i = 0; i <= quarter; i++) {
       // From the pole to the rim at the lower end, and back at the upper one.
@@ -20,12 +27,14 @@ function limbGeometry(r0, r1, length) {
         : new Vector2(Math.cos(a) * radius, y + Math.sin(a) * radius));
     }
   }
-  return new LatheGeometry(points, 24);
+  return new LatheGeometry(points, sides);
 }
 
 export class Figure {
-  /** take: whose skeleton it has. second: it wears the other shirt. */
-  constructor(take, second = false) {
+  /** take: whose skeleton it has. second: it wears the other shirt. fine: with many triangles; by default where a GPU
+   *  draws them. */
+  constructor(take, second = false, fine = !processorDraws()) {
+    this.detail = fine ? FINE : PLAIN;
     this.tree = take.skeleton;
     this.second = second;
     this.group = new Group();
@@ -62,14 +71,14 @@ export class Figure {
 
   limb(parent, from, to, r0, r1, material) {
     const way = new Vector3().subVectors(to, from);
-    const mesh = this.mesh(parent, limbGeometry(r0, r1, way.length()), material);
+    const mesh = this.mesh(parent, limbGeometry(r0, r1, way.length(), this.detail[r0 < THIN ? "finger" : "limb"]), material);
     mesh.position.copy(from);
     mesh.quaternion.setFromUnitVectors(UP, way.normalize());
     return mesh;
   }
 
-  ball(parent, centre, radii, material) {
-    const mesh = this.mesh(parent, new SphereGeometry(1, 28, 20), material);
+  ball(parent, centre, radii, material, round = null) {
+    const mesh = this.mesh(parent, new SphereGeometry(1, ...(round ?? this.detail.ball)), material);
     mesh.position.set(...centre);
     mesh.scale.set(...radii);
     return mesh;
