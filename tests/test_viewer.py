@@ -474,6 +474,11 @@ def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> 
         assert max(np.abs(mine[bone] - made[bone]).max() for bone in mine) < 2e-3
     figure.write_bytes(opened.saved("#export-glb").read_bytes())
     file, truth = GlbFile.parse(figure.read_bytes()), kinematics.positions_of(motion)[25]
+    indices = {part["indices"] for mesh in file.document["meshes"] for part in mesh["primitives"]}
+    fine = sum(file.document["accessors"][number]["count"] // 3 for number in indices)
+    drawn = opened.page.evaluate("() => preview.stage.renderer.info.render.triangles")
+    assert drawn < 40_000, "plain where the processor draws, and twice, with the shadow"
+    assert fine > 1.2 * drawn, "fine in files"
     played, rest = _places(file), dict(zip(file.names(), file.worlds()[0, :, :3, 3], strict=True))
     for name, place in zip(motion.skeleton.names, truth, strict=True):
         assert np.abs(played[name] - place).max() < 3e-3
