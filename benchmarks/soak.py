@@ -257,7 +257,8 @@ class Client:
             done, _ = await asyncio.wait({moved, reading}, timeout=LONGEST_SILENCE, return_when=asyncio.FIRST_COMPLETED)
             moved.cancel()
             if not done:
-                raise RuntimeError(f"no frame came for {LONGEST_SILENCE:g} s")
+                raise RuntimeError(f"no frame came for {LONGEST_SILENCE:g} s "
+                                   f"({'connected' if stream.connected else 'not connected'})")
             if reading.done():
                 reading.result()
                 raise RuntimeError("the stream ended before it was finished")
