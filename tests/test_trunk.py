@@ -240,5 +240,5 @@ def test_the_outline_of_a_figure_of_few_large_triangles_has_no_gaps(
     length = float(body.places["Neck"][1] - body.places["Hips"][1])
     inside_box = (outline.steps > 0.05) & (outline.steps < (body.places["Spine"][1] - body.places["Hips"][1]) / length)
     assert inside_box.sum() >= 3 and (outline.reach[inside_box].min(axis=1) > 0.12).all(), "a box of 28 cm"
-    monkeypatch.setattr("gesticulator.characters.trunk._SPARSE", 0)
+    monkeypatch.setattr("gesticulator.characters.trunk.SPARSE", 0)
     assert len(outline_of(retargeter.body).steps) < len(outline.steps)
