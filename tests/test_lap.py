@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,48 +26,19 @@ from gesticulator.body.mirror import mirrored_motion
 from gesticulator.body.stance import seated, with_legs
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
-from gesticulator.characters.thighs import FINGERTIPS, OUR_RADII, Thigh, seated_thighs, tapering
-from gesticulator.characters.trunk import ANGLES
+from gesticulator.characters.thighs import OUR_RADII, Thigh, seated_thighs, tapering, thigh_margins
+from gesticulator.characters.trunk import ANGLES, Outline
 from tests.awkward import figure, write
 from tests.rig_errors import places_of
 from tests.rigs import Rig, draw
+from tests.sitting import FPS, WAY, out_of_thighs, swung
 
-FPS = 60.0
-PARTS = ("Hand", "HandMiddle1", *FINGERTIPS)
-
-
-def swung(ahead: Array, across: float = -1.75, elbow: float = 0.1) -> Motion:
-    """A left arm that hangs over the thigh and is swung ahead by `ahead` [T], radians; on the fingered skeleton."""
-    turns = np.zeros((len(ahead), len(FINGERED), 4))
-    turns[..., 0] = 1.0
-    down = rotation.from_exponential_map(np.tile([0.0, 0.0, across], (len(ahead), 1)))
-    swing = rotation.from_exponential_map(ahead[:, None] * [-1.0, 0.0, 0.0])
-    turns[:, FINGERED.index("LeftArm")] = rotation.multiply(swing, down)
-    turns[:, FINGERED.index("LeftForeArm")] = rotation.from_exponential_map(np.tile([0.0, -elbow, 0.0],
-                                                                                    (len(ahead), 1)))
-    turns[:, FINGERED.index("RightArm")] = rotation.from_exponential_map(np.tile([0.0, 0.0, 0.6], (len(ahead), 1)))
-    return Motion(FINGERED, turns, np.zeros((len(ahead), 3)), FPS)
-
-
-def out_of_thighs(places: Array, at: dict[str, int], radii: tuple[float, float] = OUR_RADII) -> Array:
-    """[T] metres from tapering round thighs to the nearest joint of a hand: the distance from the line of the bone."""
-    gaps = []
-    for side in SIDES:
-        hip, knee = places[:, at[side + "UpLeg"]], places[:, at[side + "Leg"]]
-        bone = knee - hip
-        for joint in [other + part for other in SIDES for part in PARTS if other + part in at]:
-            way = places[:, at[joint]] - hip
-            share = np.clip(np.sum(way * bone, axis=1) / np.sum(bone ** 2, axis=1), 0.0, 1.0)
-            gaps.append(np.linalg.norm(way - share[:, None] * bone, axis=1) - np.interp(share, [0.0, 1.0], radii))
-    return np.min(gaps, axis=0)
+VIEWER = Path(__file__).parent.parent / "viewer"
 
 
 def of_ours(motion: Motion) -> Array:
     """`out_of_thighs` of a motion on the whole skeleton."""
     return out_of_thighs(positions_of(motion), {name: joint for joint, name in enumerate(motion.skeleton.names)})
-
-
-WAY = 0.3 - 0.9 * np.cos(2.0 * np.pi * np.arange(120) / 120)
 
 
 def test_the_surface_of_a_round_thigh_by_hand() -> None:
@@ -215,3 +189,30 @@ def test_a_character_that_sits_in_its_file_keeps_its_hands_off_its_thighs() -> N
         moved = sitting(swung(WAY))
         gaps.append(out_of_thighs(places_of(rig, moved), rig.truth, tuple(0.9 * r * rig.size for r in OUR_RADII)).min())
     assert gaps[0] < -0.01 and gaps[1] > -0.002
+
+HEIGHTS = """import { depthIn, marginAbove, thighOf } from "./src/thighs.js";
+import { readFileSync } from "node:fs";
+const { hip, knee, outline, points } = JSON.parse(readFileSync(0, "utf8"));
+const thigh = thighOf(hip, knee, outline);
+console.log(JSON.stringify(points.map((point) => {
+  const { depth, up } = depthIn(thigh, point);
+  return [depth, ...up, marginAbove(thigh, point), marginAbove(null, point)];
+})));"""
+
+
+def test_the_page_measures_heights_over_thighs_as_python_does() -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("install Node.js (apt-get install nodejs npm), and run npm ci --prefix viewer")
+    rng = np.random.default_rng(3)
+    outline = Outline(np.array([-0.1, 0.3, 0.6, 0.9]), rng.uniform(0.06, 0.12, (4, 36)))
+    hip, knee = np.array([0.1, -0.05, 0.02]), np.array([0.16, -0.08, 0.41])
+    points = rng.uniform([-0.3, -0.3, -0.3], [0.5, 0.5, 0.7], (500, 3))
+    asked = {"hip": hip.tolist(), "knee": knee.tolist(), "points": points.tolist(),
+             "outline": {"steps": outline.steps.tolist(), "reach": outline.reach.tolist()}}
+    done = subprocess.run([node, "--input-type=module", "-e", HEIGHTS], cwd=VIEWER, check=True, capture_output=True,
+                          input=json.dumps(asked), text=True)
+    thigh = Thigh(hip[None], knee[None], outline)
+    depth, up = thigh.depth(points)
+    margins = [thigh_margins((thigh,), ours, points, 1.0)[0] for ours in ((thigh,), ())]
+    np.testing.assert_allclose(json.loads(done.stdout), np.column_stack([depth, up, *margins]), atol=1e-9)
