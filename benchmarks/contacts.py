@@ -66,8 +66,8 @@ SWEEP: dict[str, dict[str, Any]] = {
     "--cue, six at the body": {"cues": tuple(GestureCue(gesture, time=2.0 + 5.0 * k) for k, gesture in enumerate(
         ("hands over heart", "point self", "brush off", "cut off", "receive", "prayer hands")))},
     "--fps 120": {"fps": 120.0}}
-SITTING = ("none", "--activity .3", "--hand-height low", "--intensity 2", "--hand-radius .15 --intensity 2 --hold-still",
-           "--handedness left --mirror")
+SITTING = ("none", "--activity .3", "--hand-height low", "--intensity 2",
+           "--hand-radius .15 --intensity 2 --hold-still", "--handedness left --mirror")
 """Settings of `SWEEP` at which somebody sits."""
 FPS, CHECKED = 30.0, 10.0
 """Frames per second of the motion, and how many a second are held against a mesh."""
