@@ -96,7 +96,7 @@ AT_KNOBS = {"over": Column("over 1 cm inside", "%", 2, "low"), "deep": Column("d
 ON_A_SEAT = {"thigh": Column("over 1 cm in a thigh", "%", 2, "low"), "thigh_deep": Column("deepest", "mm", 1, "low"),
              **AT_KNOBS}
 STOUT = ("Mixamo, heavy man", "game engine, heavy man", "Mixamo, child", "Rigged Figure")
-SEATED_BODIES = ("Mixamo, heavy man", "Rigged Figure")
+SEATED_BODIES = ("Rigged Figure",)
 
 
 def winding(corners: Array, point: Array) -> float:
