@@ -298,9 +298,10 @@ export class Contacts {
     return arm.distanceTo(fore) + fore.distanceTo(hand);
   }
 
-  /** Look at the moments around the one that is to be shown, for which `pose` poses the character. Without a time, as of
-   *  frames that come one by one, none are known. */
-  foresee({ take, time }, pose) {
+  /** Look at the moments around the one that is to be shown, for which `pose` poses the character; of frames that come one
+   *  by one, at those that have come (`coming`). Without a time, none are known. */
+  foresee({ take, time, coming }, pose) {
+    if (coming && knows(take)) this.follow(coming, take, pose);
     if (time === undefined || !knows(take)) return;
     if (this.seen?.take !== take || this.seen.outline !== this.outline || this.seen.moments.size > MOST_KEPT) {
       const kept = this.seen?.outline === this.outline ? [...this.seen.moments].filter(([k]) => isSame(this.seen.take, take, k / HZ)) : [];
@@ -316,21 +317,51 @@ export class Contacts {
     }
   }
 
+  /** Look at the frames of a stream (`source`) around the one that is to be shown. time: of that, seconds; frame: of a time,
+   *  where it has come and was not let go of; probe: a poser for them. */
+  follow({ source, time, frame, probe }, take, pose) {
+    if (this.live?.source !== source || this.live.take !== take || this.live.outline !== this.outline) this.live = { source, take, outline: this.outline, moments: new Map() };
+    const { moments } = this.live, at = Math.floor(time * HZ);
+    for (const k of moments.keys()) if (k < at - AROUND || k > at + 1 + AROUND) moments.delete(k);
+    for (let k = at - AROUND; k <= at + 1 + AROUND; k++) {
+      const known = frame(k / HZ);
+      if (!known || moments.get(k)?.frame === known) continue; // an interruption takes frames back
+      probe.towards(known, 1);
+      pose(probe);
+      moments.set(k, { frame: known, ...this.moment(probe) });
+    }
+  }
+
+  /** Side -> the displacement of its hand at a time of a stream, spread over the moments around it that are known. The last
+   *  known one stands for those to come. */
+  followed({ time }) {
+    const known = [...this.live.moments].sort(([a], [b]) => a - b);
+    if (!known.length) return null;
+    const momentAt = (k) => (known.findLast(([number]) => number <= k) ?? known[0])[1];
+    return this.between(time, (k) => this.solved([...Array(2 * AROUND + 1).keys()].map((j) => momentAt(k + j - AROUND))));
+  }
+
   /** Side -> the displacement of its hand at a time, spread over the moments around it. */
   foreseen({ take, time }) {
     const { moments, pushes } = this.seen, last = lastOf(take);
-    const solved = (k) => {
-      if (pushes.has(k)) return pushes.get(k);
-      const around = [...Array(2 * AROUND + 1).keys()].map((j) => moments.get(clamp(k + j - AROUND, 0, last)));
-      const out = {};
-      for (const side of SIDES) {
-        const hand = around.map((moment) => moment[side]), bare = hand.map((moment) => moment.push);
-        out[side] = bare.some((push) => Math.hypot(...push) > LEAST) ? spread(bare, hand, this.trunk, HZ)[AROUND] : bare[AROUND];
-      }
-      pushes.set(k, out);
-      return out;
-    };
-    const at = Math.floor(time * HZ), share = time * HZ - at, [one, other] = [solved(clamp(at, 0, last)), solved(clamp(at + 1, 0, last))];
+    return this.between(time, (number) => {
+      const k = clamp(number, 0, last);
+      if (!pushes.has(k)) pushes.set(k, this.solved([...Array(2 * AROUND + 1).keys()].map((j) => moments.get(clamp(k + j - AROUND, 0, last)))));
+      return pushes.get(k);
+    });
+  }
+
+  /** Side -> the displacement of its hand in the middle one of moments. */
+  solved(around) {
+    return Object.fromEntries(SIDES.map((side) => {
+      const hand = around.map((moment) => moment[side]), bare = hand.map((moment) => moment.push);
+      return [side, bare.some((push) => Math.hypot(...push) > LEAST) ? spread(bare, hand, this.trunk, HZ)[AROUND] : bare[AROUND]];
+    }));
+  }
+
+  /** Side -> the displacement at a time, of those at the moments before and after it. */
+  between(time, solved) {
+    const at = Math.floor(time * HZ), share = time * HZ - at, [one, other] = [solved(at), solved(at + 1)];
     return Object.fromEntries(SIDES.map((side) => [side, plus(one[side].map((value) => value * (1 - share)), other[side], share)]));
   }
 
@@ -366,9 +397,10 @@ export class Contacts {
   /** Bend the arms where a hand is nearer than ours, in the pose that the character has now; as foreseen, where the take
    *  was looked at. */
   repair(poser) {
-    const { take, time } = poser;
+    const { take, time, coming } = poser;
     if (!knows(take)) return;
-    const foreseen = time !== undefined && this.seen?.take === take ? this.foreseen(poser) : null, now = foreseen ? null : this.moment(poser);
+    const known = time !== undefined && this.seen?.take === take ? this.foreseen(poser) : null;
+    const foreseen = coming && this.live?.take === take ? this.followed(coming) : known, now = foreseen ? null : this.moment(poser);
     for (const side of SIDES) {
       const push = new Vector3(...(foreseen?.[side] ?? now[side].push));
       if (push.length() > LEAST) this.bend(side, push.add(this.place(`${side}Hand`)));
