@@ -257,7 +257,8 @@ class Client:
             done, _ = await asyncio.wait({moved, reading}, timeout=LONGEST_SILENCE, return_when=asyncio.FIRST_COMPLETED)
             moved.cancel()
             if not done:
-                raise RuntimeError(f"no frame came for {LONGEST_SILENCE:g} s")
+                raise RuntimeError(f"no frame came for {LONGEST_SILENCE:g} s "
+                                   f"({'connected' if stream.connected else 'not connected'})")
             if reading.done():
                 reading.result()
                 raise RuntimeError("the stream ended before it was finished")
@@ -275,8 +276,9 @@ class Client:
             await stream.think(0.5)
             await stream.idle(0.7)
         elif self.kind == "interrupted" and chance < 0.2 and self.next > 1 and stream.connected \
-                and self._source == stream._source:
-            # Another frame than that of an interruption which is not answered, nor of the first packet of a session.
+                and self._source == stream._source and self._replaced is None:
+            # Only what was played is interrupted: never while an interruption is not answered, nor before the first
+            # packet of a session. One after the other would go back farther than the server remembers.
             at = self.next / self.hello.fps
             await stream.interrupt(at - min(0.5, at / 2))
             self.next = self._replaced = min(self.next, math.ceil(stream.time * self.hello.fps - 1e-6))

@@ -249,7 +249,17 @@ def test_partings_heal_where_the_hands_come_together_soon() -> None:
     apart[60:120] = apart[600:1000] = True
     assert stability.healed(apart, 5.0) == 50.0 and stability.healed(apart, 7.0) == 100.0
     assert math.isnan(stability.healed(np.zeros(100, bool), 5.0))
-    assert stability.other_lexemes([1, 2, 3, 4], [1, 2, 9, 4], [True, False, False, True]) == (25.0, 50.0)
+
+
+def test_other_lexemes_are_a_share_of_the_time_whatever_the_number_of_blocks() -> None:
+    one = np.array([0.0, 0.5, 1.0, 2.0, 2.5]), np.array([1, 2, 3, 4])
+    assert stability.other_lexemes(one, one) == 0.0
+    assert stability.other_lexemes(one, (one[0], np.array([1, 2, 9, 4]))) == pytest.approx(40.0)
+    cut = np.array([0.0, 0.3, 0.5, 1.0, 2.0, 2.5]), np.array([1, 7, 2, 3, 4])  # a beat more, and all the rest the same
+    assert stability.other_lexemes(one, cut) == stability.other_lexemes(cut, one) == pytest.approx(8.0)
+    late = np.array([0.5, 1.1, 2.0, 3.0]), np.array([2, 3, 5])
+    assert stability.other_lexemes(one, late) == pytest.approx(100.0 * (0.1 + 0.5) / 2.0)
+    assert math.isnan(stability.other_lexemes(one, (np.array([2.5, 3.0]), np.array([1]))))
 
 
 # ---------------------------------------------------------------------------------------------------------- pitch

@@ -88,7 +88,7 @@ def test_it_learns_what_can_be_heard_and_steps_as_it_was_trained() -> None:
         optimizer.step()
     model.eval()
     heard = loud_strokes(4, 12, rng)
-    assert float(sum(model.losses(heard).values())) < 0.1, "the sound alone decides"
+    assert sum(loss.item() for loss in model.losses(heard).values()) < 0.1, "the sound alone decides"
     state, right = model.start(0), []
     for k in range(12):
         decision, state = model.step(state, features(heard["audio_low"][0, k]), numbers(k), 0.0)
@@ -106,7 +106,7 @@ def test_losses_are_the_nats_of_its_own_distribution() -> None:
         logits = model.logits(state, level, batch["units"][:, 1:])
         assert logits.shape[-1] == CLASSES[level]
         own = torch.log_softmax(logits, -1).gather(-1, batch["units"][:, 1:, level:level + 1])
-        assert float(losses[name]) == pytest.approx(-float(own.mean()), rel=1e-5)
+        assert losses[name].item() == pytest.approx(-own.mean().item(), rel=1e-5)
 
 
 def test_a_decision_is_a_sample_of_its_distribution() -> None:

@@ -18,7 +18,7 @@ from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlay
 from pipecat_gesticulator.resuming import RefusedError
 from websockets.asyncio.client import connect as open_socket
 from websockets.asyncio.server import ServerConnection, serve
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
@@ -206,6 +206,51 @@ def test_a_server_that_does_not_come_back_is_given_up() -> None:
                 pass
 
     run(test)
+
+
+@pytest.mark.parametrize("broken", [0, 2, 3, 4])
+def test_a_first_connection_that_breaks_is_tried_again_and_no_server_is_an_error_at_once(broken: int) -> None:
+    async def test() -> None:
+        calls, time = 0, Time()
+
+        async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            nonlocal calls
+            calls += 1
+            if calls > broken:  # through to the server
+                far_reader, far_writer = await asyncio.open_connection("127.0.0.1", port)
+                await asyncio.gather(_pass_on(reader, far_writer), _pass_on(far_reader, writer))
+            elif calls == 2:
+                writer.transport.abort()
+            writer.close()
+
+        async with running() as (_, port, _):
+            between = await asyncio.start_server(answer, "127.0.0.1", 0)
+            url = f"ws://127.0.0.1:{between.sockets[0].getsockname()[1]}/stream"
+            stream = ResumingStream(url, Hello(SAMPLE_RATE), chance=lambda: 0.0, pause=time.pause)
+            if broken < 4:
+                await stream.open()
+                assert stream.connected and calls == broken + 1
+                await stream.close()
+            else:
+                with pytest.raises((ConnectionResetError, InvalidHandshake)):
+                    await stream.open()
+                assert calls == 4
+            assert time.waits == [0.125, 0.25, 0.5][:min(broken, 3)]
+            between.close()
+        time.waits.clear()
+        with pytest.raises(ConnectionRefusedError):
+            await ResumingStream(url, Hello(SAMPLE_RATE), pause=time.pause).open()
+        assert not time.waits
+
+    run(test)
+
+
+async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    with suppress(ConnectionError):
+        while piece := await reader.read(65536):
+            writer.write(piece)
+            await writer.drain()
+    writer.close()
 
 
 class Time:

@@ -46,7 +46,8 @@ _STUDIO_RATE, _MP3_RATE = 48000, 192000
 """Hertz of the second sampling rate, and bits a second."""
 COLUMNS = {
     "hands": Column("hands apart", "cm", 2, "low"), "joints": Column("joints apart", "cm", 2, "low"),
-    "lexemes": Column("other lexemes", "%", 1, "low"), "apart": Column("a hand over 2 cm apart", "% of time", 1, "low"),
+    "lexemes": Column("other lexemes", "% of time", 1, "low"),
+    "apart": Column("a hand over 2 cm apart", "% of time", 1, "low"),
     "healed": Column("together again within 5 s", "%", 0, "high"), "first": Column("first parting", "s", 2),
     "speed": Column("hand speeds, r", "", 2, "high")}
 
@@ -170,7 +171,7 @@ def moved(first: Performance, again: Performance) -> dict[str, float]:
     """The figures of `COLUMNS` of a rendering against the first one."""
     found = stability.difference(common_body(first.motion), common_body(again.motion))
     figures = asdict(found)
-    other, _ = stability.other_lexemes(first.lexemes.tolist(), again.lexemes.tolist())
+    other = stability.other_lexemes((first.blocks.edges, first.lexemes), (again.blocks.edges, again.lexemes))
     return {key: other if key == "lexemes" else figures[key] for key in COLUMNS}
 
 
@@ -209,9 +210,9 @@ def moved_by_word(first: Performance, again: Performance, time: float) -> dict[s
         if begin > 1.0 else math.nan
     if at + 2 >= len(units):
         return {"before": before, "after": math.nan}
-    late = first.blocks.edges[:-1] >= units[at + 2][0]
-    other, _ = stability.other_lexemes(first.lexemes[late].tolist(), again.lexemes[late].tolist())
-    return {"before": before, "after": other}
+    late = int(np.searchsorted(first.blocks.edges[:-1], units[at + 2][0]))
+    rest = first.blocks.edges[late:], first.lexemes[late:]
+    return {"before": before, "after": stability.other_lexemes(rest, (again.blocks.edges, again.lexemes))}
 
 
 WORD_COLUMNS = {"before": Column("hands apart before its unit", "cm", 2, "low"),

@@ -96,18 +96,21 @@ class CandidateChooser:
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
     def choose(self, speech: SpeechBlock, past: Array, blocks: Array, apart: Array,
-               control: Array | None = None, code: Array | None = None) -> int:
+               control: Array | None = None, code: Array | None = None, shift: Array | None = None) -> int:
         """The index of the best candidate; the first of equals.
 
         past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m] the candidates; apart: [C]
         squared distance of each candidate to the lexeme to play over that to its nearest lexeme; control: rows
-        [K, 2 F], or None; code: [d_z] the style code of the unit, or None.
+        [K, 2 F], or None; code: [d_z] the style code of the unit, or None; shift: [P + K, D_m] that is added to what is
+        shown (`gesticulator.drawing.rollout`), or None. Only the speed limit is about what is shown: a shift depends
+        on how the hands came here, so two takes that parted would go on choosing differently while it fades.
         """
         if len(blocks) == 1:
             return 0
         poses, times = self._poses(past, blocks), self._times(speech, blocks.shape[1])
         places = self._places(poses)
-        allowed = slow_enough(places[:, :, :self._fast], times)
+        shown = places if shift is None else self._places(self._poses(past, blocks, shift))
+        allowed = slow_enough(shown[:, :, :self._fast], times)
         hands = places[allowed, :, :2]
         score = -_LEXEME * np.log(apart[allowed].astype(np.float64))
         if self._settings.clear:
@@ -126,14 +129,17 @@ class CandidateChooser:
             score -= self._settings.as_asked * self._control_error(hands, times, control)
         return int(allowed[score.argmax()])
 
-    def too_fast(self, speech: SpeechBlock, past: Array, blocks: Array) -> bool:
-        """Whether a hand (`careful`: or an elbow) is faster than `FASTEST` in every candidate; shapes: see `choose`."""
-        places, times = self._places(self._poses(past, blocks)), self._times(speech, blocks.shape[1])
+    def too_fast(self, speech: SpeechBlock, past: Array, blocks: Array, shift: Array | None = None) -> bool:
+        """Whether a hand (`careful`: or an elbow) is faster than `FASTEST` in every candidate, as it is shown; see
+        `choose` for the shapes."""
+        places, times = self._places(self._poses(past, blocks, shift)), self._times(speech, blocks.shape[1])
         return bool((fastest(places[:, :, :self._fast], times) > FASTEST).all())
 
-    def _poses(self, past: Array, blocks: Array) -> Array:
+    def _poses(self, past: Array, blocks: Array, shift: Array | None = None) -> Array:
         """[C, T, D_m] features in radians or metres, in the last frames before a block and in its candidates."""
         frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
+        if shift is not None:
+            frames = frames + shift[-frames.shape[1]:]
         poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
         return np.asarray(poses.reshape(frames.shape))
 

@@ -17,7 +17,7 @@ import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, pi, sin
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast, overload
 
 import numpy as np
 import torch
@@ -255,19 +255,21 @@ class FlowDrawer:
             # One candidate, few steps, no guidance. The guidance states above advance all the same, for later blocks.
             steps, context, pull = min(steps, HURRIED_STEPS), context[:1], pull[:0]
             _, block = self._sample(speech.keyed_at, 1, context, pull, steps)
-            if not self.chooser.too_fast(speech, *_shown(past, block, shift)):
+            if not self._too_fast(speech, past, block, shift):
                 return block, code
         coefficients, blocks = self._sample(speech.keyed_at, self.settings.candidates, context, pull, steps)
-        if self.settings.careful and self.chooser.too_fast(speech, *_shown(past, blocks, shift)):
+        if self.settings.careful and self._too_fast(speech, past, blocks, shift):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
             calm = self._sample(speech.keyed_at, self.settings.candidates, context[:1], pull[:0], steps, _CALM)
             coefficients, blocks = torch.cat([coefficients, calm[0]]), torch.cat([blocks, calm[1]])
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
-        control = None if features.control is None else features.control.cpu().numpy()
-        style = None if self.style is None else code[0].cpu().numpy()
-        best = self.chooser.choose(speech, *_shown(past, blocks, shift), apart.cpu().numpy(), control, style)
+        best = self.chooser.choose(speech, _array(past[0]), _array(blocks), _array(apart), _array(features.control),
+                                   None if self.style is None else _array(code[0]), _array(shift))
         return blocks[best:best + 1], code
+
+    def _too_fast(self, speech: SpeechBlock, past: Tensor, blocks: Tensor, shift: Tensor | None) -> bool:
+        return self.chooser.too_fast(speech, _array(past[0]), _array(blocks), _array(shift))
 
     def _code(self, time: float, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
         """[1, d_z] the style code of the block's unit, as heard, and as activity waxes and wanes by itself; empty
@@ -326,9 +328,13 @@ class FlowDrawer:
             None if self.style is None else code[:, None]), list(gains.values())
 
 
-def _shown(past: Tensor, blocks: Tensor, shift: Tensor | None) -> tuple[Array, Array]:
-    """[P, D_m] and [C, K, D_m]: the past [1, P, D_m] and the blocks [C, K, D_m] as they are shown; shift: [P + K, D_m]
-    to add, or None."""
-    if shift is not None:
-        past, blocks = past + shift[:past.shape[1]], blocks + shift[past.shape[1]:]
-    return past[0].cpu().numpy(), blocks.cpu().numpy()
+@overload
+def _array(values: Tensor) -> Array: ...
+
+
+@overload
+def _array(values: None) -> None: ...
+
+
+def _array(values: Tensor | None) -> Array | None:
+    return None if values is None else values.cpu().numpy()

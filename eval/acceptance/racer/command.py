@@ -102,7 +102,7 @@ class RacerMeasures:
 
     def mean(self, key: str, row: str) -> float:
         """Of a row's clips."""
-        return float(np.nanmean(self.played[row].values[key]))
+        return stats.mean(self.played[row].values[key])
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:

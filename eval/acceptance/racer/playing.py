@@ -203,7 +203,7 @@ def figures(ours: BundleSystem, voices: Sequence[JudgedVoice], policy: PlayedPol
             looks.append(eye.figures(made.motion, voice.heard, made.edges, None))
             out.lexemes.append(made.lexemes)
             out.motions.append(made.motion)
-        rows.append({key: float(np.nanmean([own[key] for own in each])) for key in each[0]})
+        rows.append({key: stats.mean(np.array([own[key] for own in each])) for key in each[0]})
         seen.append({key: stats.mean(np.array([own[key] for own in looks])) for key in looks[0]})
     out.values = {key: np.array([row[key] for row in rows]) for key in rows[0]}
     out.eyes = {key: np.array([row[key] for row in seen]) for key in seen[0]}

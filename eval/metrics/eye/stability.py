@@ -9,7 +9,8 @@ motions on the common body, over the frames that both have, with d_j the distanc
 - healed: of the times at which they part, the percentage after which they are together again within so many seconds.
 - correlation of the hands' mean speeds.
 
-And of two plans with the same number of blocks: percentage of blocks with another lexeme, and of voiced ones.
+And of two plans: percentage of the time they have in common with another lexeme. Comparing the k-th blocks would call
+all blocks other after a beat that only one of the sounds has.
 
 Good: 0. What fools them: a system that ignores the sound is perfectly stable. They count only beside figures that say
 that the motion fits the sound.
@@ -21,12 +22,12 @@ that the motion fits the sound.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.types import Array
 from eval.metrics.eye.body import HZ, CommonBody
 from eval.metrics.eye.hands import correlation
 from eval.metrics.eye.together import hand_speeds
@@ -39,6 +40,10 @@ TOGETHER = 0.25
 UNIT = 5.0
 """Seconds: half of the gesture units of real speakers are shorter than 3.5 to 9.6."""
 _JOINTS = ("Head", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "LeftHand", "RightHand")
+
+
+Blocks = tuple[Array, NDArray[np.int64]]
+"""Edges of the blocks of a plan [N + 1], seconds, and their lexemes [N]."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +90,10 @@ def difference(one: CommonBody, two: CommonBody, within: float = UNIT) -> Differ
                       100.0 * float(apart.mean()), first, for_good, healed(apart, within), correlation(speeds))
 
 
-def other_lexemes(one: Sequence[int], two: Sequence[int], silent: Sequence[bool] = ()) -> tuple[float, float]:
-    """Percentages of blocks, and of voiced blocks, with another lexeme; over the blocks that both have. silent: of the
-    first."""
-    count = min(len(one), len(two))
-    other = np.array(one[:count]) != np.array(two[:count])
-    voiced = ~np.array(silent[:count], bool) if len(silent) else np.ones(count, bool)
-    return (100.0 * float(other.mean()) if count else math.nan,
-            100.0 * float(other[voiced].mean()) if voiced.any() else math.nan)
+def other_lexemes(one: Blocks, two: Blocks) -> float:
+    """Percentage of the time in common in which two plans have another lexeme; NaN without any."""
+    edges = np.union1d(one[0], two[0])
+    edges = edges[(edges >= max(one[0][0], two[0][0])) & (edges <= min(one[0][-1], two[0][-1]))]
+    lengths, middles = np.diff(edges), edges[:-1] + np.diff(edges) / 2.0
+    first, second = (lexemes[np.searchsorted(times, middles) - 1] for times, lexemes in (one, two))
+    return 100.0 * float(lengths[first != second].sum() / lengths.sum()) if len(lengths) else math.nan

@@ -21,7 +21,7 @@ from typing import Any
 
 from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.client import connect as open_socket
-from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage
 
 from pipecat_gesticulator.client import LONGEST_MESSAGE
 from pipecat_gesticulator.protocol import SUBPROTOCOL, Hello, Poses, Welcome
@@ -34,6 +34,9 @@ LASTED = 5.0
 goes on running out, so that a server that accepts and breaks is not visited again and again."""
 JOURNAL_BYTES = 2**23
 """Sent messages that are kept to be sent once more: 174 s of 16-bit sound at 24 kHz."""
+FIRST_TRIES = 4
+"""How often the first connection is tried where a server answers and then breaks it: its worker died, or is too
+busy."""
 FINAL = {4400, 4401, 4408, 4413}
 """Close codes after which it is no use to come back."""
 
@@ -104,8 +107,16 @@ class ResumingStream:
         return self._time
 
     async def open(self) -> None:
-        """Connect for the first time."""
-        await self._connect()
+        """Connect for the first time. A server that is not there, or says no, is an error at once; one that breaks the
+        connection before its hello is called again, `FIRST_TRIES` times in all."""
+        for tries in range(1, FIRST_TRIES + 1):
+            try:
+                await self._connect()
+                break
+            except (InvalidMessage, ConnectionClosed, ConnectionResetError, TimeoutError):
+                if tries == FIRST_TRIES:
+                    raise
+                await self._pause(FIRST_WAIT * 2 ** (tries - 1) * (0.5 + 0.5 * self._chance()))
         self._lost_since = self._opened
 
     async def close(self) -> None:
