@@ -11,7 +11,9 @@ inside of, and is left out.
 
 A second table goes through the knobs: the default figure, whose wrists and knuckles are held against its trunk (an
 ellipse of 29 by 23 cm) and against the shirt that pages show, and the worst of a few bodies, the stoutest of the zoo
-and one of the rigs.
+and one of the rigs. With `--sitting`, there is one table, of performances that sit, at the knobs that concern the
+hands: wrists, knuckles and the last joints of the fingers are held against the thighs of the default figure as well
+(cones with the radii of the page's), and the bodies sit.
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ from gesticulator.characters.mapping import SIDES, ancestors  # noqa: E402
 from gesticulator.characters.reading import read_character  # noqa: E402
 from gesticulator.characters.retarget import Retargeter  # noqa: E402
 from gesticulator.characters.rig import CharacterMotion, Skin  # noqa: E402
+from gesticulator.characters.thighs import FINGERTIPS, OUR_RADII  # noqa: E402
 from gesticulator.plan.plan import GestureCue  # noqa: E402
 from tests.rig_errors import inside, places_of  # noqa: E402
 from tests.rigs import Rig, draw  # noqa: E402
@@ -63,6 +66,9 @@ SWEEP: dict[str, dict[str, Any]] = {
     "--cue, six at the body": {"cues": tuple(GestureCue(gesture, time=2.0 + 5.0 * k) for k, gesture in enumerate(
         ("hands over heart", "point self", "brush off", "cut off", "receive", "prayer hands")))},
     "--fps 120": {"fps": 120.0}}
+SITTING = ("none", "--activity .3", "--hand-height low", "--intensity 2",
+           "--hand-radius .15 --intensity 2 --hold-still", "--handedness left --mirror")
+"""Settings of `SWEEP` at which somebody sits."""
 FPS, CHECKED = 30.0, 10.0
 """Frames per second of the motion, and how many a second are held against a mesh."""
 DEEP = 0.01
@@ -87,7 +93,10 @@ AT_KNOBS = {"over": Column("over 1 cm inside", "%", 2, "low"), "deep": Column("d
             "bodies_deep": Column("bodies: deepest", "mm", 1, "low"),
             "bodies_hand": Column("bodies: fastest hand", "m/s", 2, "low"),
             "bodies_free": Column("bodies: uncorrected", "m/s", 2)}
-STOUT = ("heavy man, Mixamo", "heavy man, game engine", "child, Mixamo", "Rigged Figure")
+ON_A_SEAT = {"thigh": Column("over 1 cm in a thigh", "%", 2, "low"), "thigh_deep": Column("deepest", "mm", 1, "low"),
+             **AT_KNOBS}
+STOUT = ("Mixamo, heavy man", "game engine, heavy man", "Mixamo, child", "Rigged Figure")
+SEATED_BODIES = ("Rigged Figure",)
 
 
 def winding(corners: Array, point: Array) -> float:
@@ -205,6 +214,24 @@ def of_figure(motion: Motion) -> dict[str, float]:
             "elbow": fastest_elbow(common_body(motion))}
 
 
+def in_thighs(motion: Motion) -> dict[str, float]:
+    """How far the hands of the default character are in its thighs, by the distance from the line of the bone."""
+    pose = pose_of(motion)
+    parts = ("Hand", "HandMiddle1", *FINGERTIPS)
+    hands = [side + part for side in SIDES for part in parts if side + part in pose.places]
+    depths = []
+    for side in SIDES:
+        hip, knee = pose.places[side + "UpLeg"], pose.places[side + "Leg"]
+        bone = knee - hip
+        for hand in hands:
+            way = pose.places[hand] - hip
+            share = np.clip(np.sum(way * bone, axis=-1) / np.sum(bone * bone, axis=-1), 0.0, 1.0)
+            depths.append(np.interp(share, [0.0, 1.0], OUR_RADII)
+                          - np.linalg.norm(way - share[:, None] * bone, axis=-1))
+    depth = np.max(depths, axis=0)
+    return {"thigh": 100.0 * float((depth > DEEP).mean()), "thigh_deep": 1000.0 * max(float(depth.max()), 0.0)}
+
+
 def of_bodies(motion: Motion, paths: list[Path], rig: Rig) -> dict[str, float]:
     """The worst figures of characters in files and of a rig."""
     rows = [of_rig(rig, motion, controls=False), *(of_file(path, motion, controls=False) for path in paths)]
@@ -278,13 +305,15 @@ def zoo(only: tuple[str, ...] = ()) -> list[Path]:
     """The characters of the zoo that are moved, as far as this machine has them, or those of some names."""
     from tests.zoo import ANIMALS, Unavailable, character_file
 
-    out = []
+    out, lacking = [], set(only) - {animal.name.removeprefix("MakeHuman ") for animal in ANIMALS}
+    if lacking:
+        raise ValueError(f"the zoo has no {', '.join(sorted(lacking))}")
     for animal in ANIMALS:
         if not animal.refused and (not only or animal.name.removeprefix("MakeHuman ") in only):
             try:
                 out.append(character_file(animal))
-            except Unavailable as lacking:
-                print(f"left out: {animal.name} ({lacking})", flush=True)
+            except Unavailable as why:
+                print(f"left out: {animal.name} ({why})", flush=True)
     return out
 
 
@@ -294,6 +323,7 @@ def main() -> None:
     p.add_argument("files", nargs="*", type=Path, metavar="FILE", help="characters (default: those of the zoo)")
     p.add_argument("--rigs", type=int, default=12, help="generated rigs")
     p.add_argument("--seed", type=int, default=1, help="of the rigs' seeds")
+    p.add_argument("--sitting", action="store_true", help="those who sit, alone")
     p.add_argument("--speech", type=Path, default=ROOT / "examples" / "speech.flac")
     p.add_argument("--bundle", default="default", help="the weights: default, paper, or a folder")
     p.add_argument("--out", metavar="FILE.json", help="a .md is written beside it")
@@ -304,27 +334,38 @@ def main() -> None:
     def motion_of(**options: Any) -> Motion:
         return system(speech.samples, speech.sample_rate, **{"fps": FPS, "legs": True, **options}).motion
 
-    motion, stout = motion_of(**KNOBS), list(rigs(a.seed, a.rigs))
-    rows: dict[str, dict[str, float]] = {}
-    for path in a.files or zoo():
-        try:
-            rows[path.stem.replace("_", " ")] = of_file(path, motion)
-        except InputError as error:
-            print(f"left out: {error}", flush=True)
-    for place, rig in enumerate(stout):
-        rows[f"rig {place + 1}: {rig.style}, {rig.size:g}"] = of_rig(rig, motion)
-    chosen, swept = zoo(STOUT), {}
-    for name, knobs in SWEEP.items():
-        moved = motion_of(**knobs)
-        swept[name] = {**of_figure(moved), **(of_bodies(moved, chosen, max(stout, key=lambda rig: rig.size))
-                                              if chosen and stout else {})}
-        print(name, {column: round(value, 2) for column, value in swept[name].items()}, flush=True)
-    tables = [Table("Hands inside the bodies of characters", COLUMNS, {**rows, "worst": worst(rows)}, "character",
-                    notes=(f"{len(motion) / FPS:.0f} s with --hand-radius .15 and --hold-still; stout rigs have a "
-                           "trunk of 48 by 50 cm at size 1.",), facts={"seed": a.seed}),
-              Table("Hands inside the default figure and the stoutest bodies, at each knob", AT_KNOBS,
-                    {**swept, "worst": worst(swept)}, "knobs", notes=(
-                        f"Bodies: {'; '.join(STOUT)}; the largest of the rigs.",))]
+    stout = list(rigs(a.seed, a.rigs))
+    names = SEATED_BODIES if a.sitting else STOUT
+    chosen, largest = zoo(names), max(stout, key=lambda rig: rig.size, default=None)
+
+    def row_of(name: str, motion: Motion) -> dict[str, float]:
+        out = {**of_figure(motion), **(of_bodies(motion, chosen, largest) if chosen and largest else {})}
+        print(name, {column: round(value, 2) for column, value in out.items()}, flush=True)
+        return out
+
+    bodies = f"Bodies: {'; '.join(names)}; the largest of the rigs."
+    if a.sitting:
+        swept = {}
+        for name in SITTING:
+            moved = motion_of(**{**SWEEP[name], "seated": True, "legs": False})
+            swept[name] = {**in_thighs(moved), **row_of(name, moved)}
+        tables = [Table("Hands of those who sit, at each knob", ON_A_SEAT, {**swept, "worst": worst(swept)}, "knobs",
+                        notes=(bodies,))]
+    else:
+        motion, rows = motion_of(**KNOBS), dict[str, dict[str, float]]()
+        for path in a.files or zoo():
+            try:
+                rows[path.stem.replace("_", " ")] = of_file(path, motion)
+            except InputError as error:
+                print(f"left out: {error}", flush=True)
+        for place, rig in enumerate(stout):
+            rows[f"rig {place + 1}: {rig.style}, {rig.size:g}"] = of_rig(rig, motion)
+        swept = {name: row_of(name, motion_of(**knobs)) for name, knobs in SWEEP.items()}
+        tables = [Table("Hands inside the bodies of characters", COLUMNS, {**rows, "worst": worst(rows)}, "character",
+                        notes=(f"{len(motion) / FPS:.0f} s with --hand-radius .15 and --hold-still; stout rigs have a "
+                               "trunk of 48 by 50 cm at size 1.",), facts={"seed": a.seed}),
+                  Table("Hands inside the default figure and the stoutest bodies, at each knob", AT_KNOBS,
+                        {**swept, "worst": worst(swept)}, "knobs", notes=(bodies,))]
     publish(tables, a.out, Provenance.now(shlex.join(["python", "benchmarks/contacts.py", *sys.argv[1:]])))
 
 

@@ -6,13 +6,16 @@ import json
 import os
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
 from gesticulator.characters.blender import VARIABLE, check_blender, job_in_blender, run_in_blender, start_job
 from gesticulator.characters.fbx_rig import kept_scene, read_ahead, read_fbx_character
+from gesticulator.export.fbx_child import needed, played, reduce_keys, turned_by
 from gesticulator.export.own_fbx import SCRIPT as WRITE
 from tests.rigs import as_glb, draw
 
@@ -116,3 +119,29 @@ def test_the_scene_that_blender_keeps_gives_the_file_that_the_character_gives(tm
     rig.write_bytes(other.read_bytes())
     assert kept.exists() and kept_scene(rig) != kept
     assert read_fbx_character(rig).names != character.names
+
+
+def test_the_turn_between_rotations_of_nearly_equal_angles_is_scipys() -> None:
+    rng = np.random.default_rng(0)
+    angles = rng.uniform(-170.0, 170.0, (3, 500))
+    others = angles + rng.normal(0.0, 0.05, (3, 500))
+    a, b = (Rotation.from_euler("xyz", rows.T, degrees=True) for rows in (angles, others))
+    truth = np.degrees((a.inv() * b).magnitude())
+    measured = [turned_by(angles[:, k:k + 1], others[:, k:k + 1]) for k in range(500)]
+    np.testing.assert_allclose(measured, truth, rtol=2e-3)
+
+
+def test_reduced_keys_keep_a_rotation_within_the_bound_and_are_fewer_than_a_third_of_it_for_each_angle_needs() -> None:
+    time = np.arange(721) / 60.0
+    values = np.stack([20.0 * np.sin(2.0 * time), 35.0 + 10.0 * np.sin(3.1 * time + 1.0), 15.0 * np.cos(1.3 * time)])
+    curves = SimpleNamespace(fbx_group=["Lcl Rotation"], default_values=(0.0, 0.0, 0.0), _frame_values_array=values,
+                             _frame_write_mask_array=np.ones(values.shape, dtype=bool))
+    reduce_keys(curves, 0.1)
+    masks = curves._frame_write_mask_array
+    a, b = (Rotation.from_euler("xyz", rows.T, degrees=True) for rows in (values, played(values, masks)))
+    assert 0.05 < np.degrees((a.inv() * b).magnitude()).max() <= 0.1
+    assert masks.sum() < 0.85 * sum(needed(row, 0.1 / 3.0).sum() for row in values)
+    curves.default_values = tuple(values[:, 0])
+    curves._frame_values_array = np.repeat(values[:, :1], 721, axis=1)
+    reduce_keys(curves, 0.1)
+    assert not curves._frame_write_mask_array.any(), "none where it stays at its default"

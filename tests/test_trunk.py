@@ -43,6 +43,26 @@ console.log(JSON.stringify([spread(pushes, moments, trunk, fps),
   pushes.map((_, t) => spread(at(pushes, t), at(moments, t), trunk, fps)[around])]));"""
 
 
+FOLLOWS = """import { Contacts } from "./src/contacts.js";
+import { readFileSync } from "node:fs";
+const { pushes, moments, arm, outline, known, fps } = JSON.parse(readFileSync(0, "utf8"));
+const contacts = Object.assign(Object.create(Contacts.prototype), { outline, arm });
+const frames = new Map(), take = {}, source = {};
+// Both hands of a frame are as its moment says; the probe carries the number of the frame.
+contacts.moment = ({ at }) => {
+  const hand = { push: pushes[at], ...moments[at] };
+  return { Left: hand, Right: hand };
+};
+const probe = { towards: ({ at }) => { probe.at = at; } };
+console.log(JSON.stringify(moments.map((_, k) => {
+  for (let j = 0; j <= Math.min(k + known, moments.length - 1); j++) frames.has(j) || frames.set(j, { at: j });
+  for (const j of frames.keys()) if (j < k) frames.set(j, undefined); // let go of
+  const coming = { source, time: k / fps + 1e-6, frame: (time) => frames.get(Math.round(time * fps)), probe };
+  contacts.follow(coming, take, () => {});
+  return contacts.followed(coming).Left;
+})));"""
+
+
 def limited(our: Array, their: Array, outline: Outline, size: float = 1.0, length: Array | float = LENGTH) -> HandLimit:
     """The limit of points [3, T] left, up and ahead of the hips, of an upright body."""
     frames = our.shape[1]
@@ -226,6 +246,36 @@ def test_the_page_spreads_displacements_as_python_does_and_needs_only_the_moment
     assert speeds[2] < 1.05 * speeds[1] < speeds[0]
 
 
+def test_the_page_of_a_stream_sets_out_early_for_the_frames_that_have_come(node: str) -> None:
+    """A hand that sweeps through a stout trunk; the control knows no frame to come."""
+    fps, arm, count = 30.0, 1.5 * 0.53, 120
+    across = 0.35 - 0.55 / (1.0 + np.exp(-12.0 * (np.arange(count) / fps - 2.0)))
+    our = np.stack([across, np.full(count, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125
+                                                           - 0.5 * (np.abs(across) - OURS[0]))])
+    their = our * np.array([[0.9], [1.0], [0.5]])
+    stout = ellipse(*STOUT)
+    limit = limited(our, their, stout)
+    framed = limit.lack[:, None] * limit.normal
+    upright = TrunkAxes(np.tile(np.eye(3), (count, 1, 1)), np.full(count, LENGTH))
+    wanted = spread(framed, [HandPoint(their.T, limit.margin)], Obstacle(upright, stout, 1.5), (their.T, arm), fps)
+    moments = [{"reached": place, "side": [1, 0, 0], "up": [0, 1, 0], "ahead": [0, 0, 1], "long": LENGTH,
+                "points": [{"place": place, "margin": margin}]}
+               for place, margin in zip(their.T.tolist(), limit.margin.tolist(), strict=True)]
+    speeds = {}
+    for known in (0, 6, 30):
+        given = {"pushes": framed.tolist(), "moments": moments, "arm": arm, "known": known, "fps": fps,
+                 "outline": {"steps": stout.steps.tolist(), "reach": stout.reach.tolist()}}
+        done = subprocess.run([node, "--input-type=module", "-e", FOLLOWS], cwd=VIEWER, input=json.dumps(given),
+                              capture_output=True, text=True, check=True)
+        push = np.array(json.loads(done.stdout))
+        assert beside((their.T + push).T, *STOUT).min() > 0.98, "outside, however little is known"
+        speeds[known] = np.linalg.norm(np.diff(their.T + push, axis=0), axis=1).max()
+        if known == 30:
+            np.testing.assert_allclose(push[10:-10], wanted[10:-10], atol=0.012)
+    by_itself = np.linalg.norm(np.diff(their.T + framed, axis=0), axis=1).max()
+    assert speeds[30] < speeds[6] < by_itself and speeds[0] < 1.05 * by_itself, speeds
+
+
 def test_the_outline_of_a_figure_of_few_large_triangles_has_no_gaps(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A trunk of one box, whose corners are all at its ends: between them hands were 2 cm inside of such a body. The
@@ -240,5 +290,5 @@ def test_the_outline_of_a_figure_of_few_large_triangles_has_no_gaps(
     length = float(body.places["Neck"][1] - body.places["Hips"][1])
     inside_box = (outline.steps > 0.05) & (outline.steps < (body.places["Spine"][1] - body.places["Hips"][1]) / length)
     assert inside_box.sum() >= 3 and (outline.reach[inside_box].min(axis=1) > 0.12).all(), "a box of 28 cm"
-    monkeypatch.setattr("gesticulator.characters.trunk._SPARSE", 0)
+    monkeypatch.setattr("gesticulator.characters.trunk.SPARSE", 0)
     assert len(outline_of(retargeter.body).steps) < len(outline.steps)

@@ -21,10 +21,16 @@ from small_characters import write_character
 from data_module.motion import kinematics
 from data_module.motion.relaxed_hands import with_relaxed_hands
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, resized, standing
-from gesticulator.characters.reading import choose
+from gesticulator.body.clearance import cleared
+from gesticulator.body.stance import seated
+from gesticulator.characters.reading import choose, read_character
+from gesticulator.characters.retarget import Retargeter
 from gesticulator.export import html
 from gesticulator.export.clip import EVERY_FRAME
 from gesticulator.export.vrma import vrm_animation
+from tests.awkward import figure
+from tests.awkward import write as write_figure
+from tests.sitting import swung
 
 SECONDS = 4.0
 
@@ -455,6 +461,35 @@ def test_hands_are_kept_out_of_a_wide_trunk_as_the_command_does(browser: Any, tm
             assert straight > 0.9995, f"{a} points {np.degrees(np.arccos(straight)):.1f} degrees elsewhere"
         moved[torso] = np.array([places[side + "Hand"] for side in ("Left", "Right")])
     assert np.linalg.norm(moved[None] - moved[0.6, 0.55], axis=1).max() > 0.05, "it had something to do"
+    opened.check_quiet()
+    page.close()
+
+
+def test_hands_are_kept_on_the_thighs_of_a_character_as_the_command_does(browser: Any, tmp_path: Path) -> None:
+    """The page sees 0.6 s of the motion before and after a moment, the command all of it."""
+    made = perform(seconds=SECONDS)
+    frames, fps = len(made.motion), made.motion.fps
+    motion = seated(cleared(replace(swung(0.3 - 0.9 * np.cos(2.0 * np.pi * np.arange(frames) / frames)), fps=fps),
+                            sits=True))
+    body = figure(lambda key: f"mixamorig:{key}", "A", fingers=("Middle",))
+    body.widths |= {side + "UpLeg": 0.12 for side in ("Left", "Right")}
+    rig = write_figure(tmp_path / "boxes.glb", body)
+    opened = OpenedPage(browser, write(tmp_path / "talk.html", replace(made, motion=motion)).as_uri())
+    page = opened.page
+    page.set_input_files("#pick-character", str(rig))
+    page.wait_for_function("() => preview.stage.performers[0].character !== null")
+    character = read_character(rig)
+    free, kept = (Retargeter(character, contacts=contacts)(motion) for contacts in (False, True))
+    hand, lifted = character.names.index("mixamorig:LeftHand"), []
+    for time in (1.0, 1.2, 1.5, 3.0):
+        opened.go_to(time)
+        page.evaluate("(time) => preview.stage.draw(time)", time)
+        places = page.evaluate(PLACES, list(BONES.items()))
+        frame = round(time * fps)
+        bare, theirs = (moved.world_matrices()[frame, hand, :3, 3] for moved in (free, kept))
+        assert np.linalg.norm(places["LeftHand"] - theirs) < 0.015
+        lifted.append(np.linalg.norm(places["LeftHand"] - bare))
+    assert max(lifted) > 0.1, "it had something to do"
     opened.check_quiet()
     page.close()
 

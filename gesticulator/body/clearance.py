@@ -13,12 +13,13 @@ path. An elbow that the trunk would hide swings outward about the line from shou
 plane behind the trunk that recedes beside it; the hand stays. A hand at its shoulder, where the models fold an elbow
 further than a person can, stays where only the slope of the field would move it: there a centimetre of the hand is ten
 of the elbow, which would turn round within a frame. It turns about its wrist if its knuckles are in the trunk.
-Everything depends on the pose alone; a pose that needs no correction stays the same bit for bit.
+Everything depends on the pose alone; a pose that needs no correction stays the same bit for bit. Thighs of a body that
+sits are `gesticulator.body.lap`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -57,25 +58,34 @@ HEAD_MIDDLE = np.array([0.0, 0.085, 0.025])
 """Middle of the face relative to the joint of the head, metres: the joint is at the top of the neck."""
 HEAD_RADIUS = 0.13
 """Metres from there within which a hand hides the face: the face is 0.09 deep, and a hand 0.04."""
-_LEAST = 1e-6
+LEAST = 1e-6
 """Metres below which a hand is not moved."""
 _STEPS = 4
 """Iterations: wrist and knuckles share a correction, and each corrects the one before."""
 _SWINGS = 7
 """Iterations of an elbow that swings outward."""
-_POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
+POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
 """Direction to which the elbow of a straight arm bends."""
 
 
-def cleared(motion: Motion) -> Motion:
-    """A motion on the default skeleton with the hands outside trunk and face."""
+def cleared(motion: Motion, sits: bool = False) -> Motion:
+    """A motion on the default skeleton with the hands outside trunk and face. sits: and above its thighs, those of a
+    body that sits; the motion may still lack them."""
+    if not sits:
+        return _off_trunk(motion)
+    from gesticulator.body.lap import kept_off_thighs
+
+    return kept_off_thighs(_off_trunk(kept_off_thighs(motion)))
+
+
+def _off_trunk(motion: Motion) -> Motion:
     pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))))
     body, rotations = _Body(pose), None
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
         points = [side + name for name in ("Hand", "HandMiddle1") if side + name in pose.places]
         push = body.push([pose.places[point] for point in points], sign)
         hidden = body.hidden(pose.places[side + "ForeArm"], sign)
-        at = np.flatnonzero((np.linalg.norm(push, axis=-1) > _LEAST) | (np.linalg.norm(hidden, axis=-1) > _LEAST))
+        at = np.flatnonzero((np.linalg.norm(push, axis=-1) > LEAST) | (np.linalg.norm(hidden, axis=-1) > LEAST))
         if len(at):
             rotations = motion.rotations.copy() if rotations is None else rotations
             _bend_arm(rotations, motion, pose, (side, sign), at)
@@ -95,13 +105,20 @@ def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, flo
     share = 1.0 - body.at_shoulder(pose.places[name + "Hand"], pose.places[name + "Arm"], sign)
     for _ in range(_STEPS):
         push = body.push([limbs.place(turns, point) for point in points], sign) * share
-        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, _POLE_OF_ELBOW,
-             np.linalg.norm(push, axis=-1) > _LEAST)
+        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, POLE_OF_ELBOW,
+             np.linalg.norm(push, axis=-1) > LEAST)
     for _ in range(_SWINGS):
         swivel(turns, limbs, chain, body.hidden(limbs.place(turns, chain[1]), sign))
     if len(points) > 1:
         _tip_hand(turns, limbs, (chain[2], points[1]), body, sign)
-    for joint in chain:
+    write_turns(rotations, skeleton, turns, chain, at)
+
+
+def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array], joints: Sequence[int],
+                at: NDArray[np.int64]) -> None:
+    """Write the world rotations `turns` of some joints, each above the next, into `rotations` [T, J, 4] at the frames
+    `at`."""
+    for joint in joints:
         above = turns[skeleton.parents[joint]]
         local = np.swapaxes(above, -1, -2) @ turns[joint]
         new, old = Rotation.from_matrix(local).as_quat(scalar_first=True), rotations[at, joint]
@@ -114,7 +131,7 @@ def _tip_hand(turns: dict[int, Array], limbs: OurLimbs, hand: tuple[int, int], b
     shoulder. hand: wrist and knuckles; sign: 1 for the left hand, -1 for the right."""
     wrist, knuckles = (limbs.place(turns, node) for node in hand)
     push = body.out_of_trunk(knuckles, sign, TIP_SOFT)
-    at = np.linalg.norm(push, axis=-1) > _LEAST
+    at = np.linalg.norm(push, axis=-1) > LEAST
     if not at.any():
         return
     before = (knuckles - wrist)[at]
@@ -144,10 +161,10 @@ class BelowShoulder(OurLimbs):
         return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
 
 
-def cleared_poses(poses: Array, representation: Representation) -> Array:
-    """Poses [K, D] of a representation by rotations with the hands outside trunk and face."""
+def cleared_poses(poses: Array, representation: Representation, sits: bool = False) -> Array:
+    """Poses [K, D] of a representation by rotations with the hands outside trunk and face; sits: see `cleared`."""
     motion = representation.motion(poses, 1.0)
-    free = cleared(motion)
+    free = cleared(motion, sits)
     if free is motion:
         return poses
     moved = (free.rotations != motion.rotations).any(axis=-1, keepdims=True)

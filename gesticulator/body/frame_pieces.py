@@ -306,12 +306,13 @@ class FramePieces:
     def _upper_body(self, blocks: Sequence[PosedBlock], begins: bool, frames: tuple[int, int], count: int) -> Motion:
         """Some frames of `count`; begins: whether the blocks are the first ones."""
         times = np.concatenate([block.times for block in blocks])
-        poses = cleared_poses(np.concatenate([block.poses for block in blocks]), self._representation)
+        poses = cleared_poses(np.concatenate([block.poses for block in blocks]), self._representation,
+                              self._seated)
         if begins:
             times, poses = np.concatenate([[0.0], times]), np.concatenate([self._first[None], poses])
         path = KnotPath(self._first, self.fps, self.smoothing)
         path.rewind(times, poses, frames[0])
-        return cleared(self._representation.motion(path.frames(*frames, count), self.fps))
+        return cleared(self._representation.motion(path.frames(*frames, count), self.fps), self._seated)
 
     def _placed(self, body: Motion) -> Motion:
         """The body on its seat, and mirrored, where that is asked for."""

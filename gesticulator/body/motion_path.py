@@ -108,7 +108,8 @@ class MotionPath:
         if not len(poses):
             return poses
         poses = poses if self._shaping is None else self._shaping(poses, times)
-        return poses if self._whole is not None else cleared_poses(poses, self._representation)
+        return poses if self._whole is not None else \
+            cleared_poses(poses, self._representation, self._options.seated)
 
     def _motion(self, frames: Array) -> Motion | None:
         if len(frames) == 0:
@@ -123,7 +124,7 @@ class MotionPath:
     def _moved(self, frames: Array) -> Motion:
         body = self._representation.motion(frames, self._knots.fps)
         if self._whole is None:
-            body = cleared(body)
+            body = cleared(body, self._options.seated)
         if self._stance is not None:
             first = self._knots.next - len(frames)
             self._stances.append((first, self._stance.fork()))

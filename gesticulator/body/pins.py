@@ -247,7 +247,7 @@ def _clear(made: Motion, before: Motion, share: Array, group: PinGroup) -> None:
     near = np.flatnonzero(share)
     if not len(near):
         return
-    free = cleared(made)
+    free = cleared(made, _sits(made))
     changed = np.flatnonzero((free.rotations != made.rotations).any(axis=(0, 2)))
     if not len(changed):
         return
@@ -264,6 +264,14 @@ def _clear(made: Motion, before: Motion, share: Array, group: PinGroup) -> None:
         new = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
         mixed = rotation.normalise(old + keep * (new - old))
         made.rotations[near, node] = np.where((new == old).all(axis=-1, keepdims=True), old, mixed)
+
+
+def _sits(motion: Motion) -> bool:
+    if "LeftUpLeg" not in motion.skeleton.names:
+        return False
+    from gesticulator.body.lap import is_seated
+
+    return is_seated(motion)
 
 
 # ------------------------------------------------------------------------------------------------- head and rotations

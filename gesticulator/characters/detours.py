@@ -12,6 +12,7 @@ ends where it began is smoothed as a loop; others keep the displacements at thei
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,15 @@ from data_module.motion.skeletons import SIDES
 from data_module.types import Array
 from gesticulator.characters.contacts import Pose
 from gesticulator.characters.inverse_kinematics import bend
+from gesticulator.characters.thighs import (
+    FINGERTIPS,
+    Thigh,
+    is_level,
+    our_thighs,
+    seated_thighs,
+    thigh_limits,
+    thigh_margins,
+)
 from gesticulator.characters.trunk import (
     ANGLES,
     HandLimit,
@@ -55,23 +65,25 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class HandPoint:
-    """A wrist or knuckle over T frames: places [T, 3] metres from the hips, without correction; margins [T] metres that
-    it belongs outside of the trunk."""
+    """A wrist, knuckle or fingertip over T frames: places [T, 3] metres from the hips, without correction; margins [T]
+    metres that it belongs outside of the trunk, above: [T] for each thigh, that it belongs above it."""
 
     places: Array
     margins: Array
+    above: Sequence[Array] = ()
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A trunk over T frames. size: the length of its character's arm relative to ours."""
+    """A trunk over T frames, with thighs where the character sits. size: the length of its arm relative to ours."""
 
     column: TrunkAxes
     outline: Outline
     size: float
+    thighs: Sequence[Thigh] = ()
 
     def lacking(self, point: HandPoint, push: Array) -> Array:
-        """[T, 3] what is to be added to a displacement [T, 3] of a point, so that it is outside by its margin."""
+        """[T, 3] what is to be added to a displacement [T, 3] of a point, so that it is outside by its margins."""
         x, y, z = self.column.local(point.places + push)
         share = y / self.column.length
         gaps = np.stack([np.cos(angle) * x + np.sin(angle) * z - self.outline.support(share, np.full(len(x), angle))
@@ -81,34 +93,67 @@ class Obstacle:
         lack = np.maximum(point.margins - gap, 0.0)
         normal = (np.cos(ANGLES[nearest])[:, None] * self.column.axes[:, 0]
                   + np.sin(ANGLES[nearest])[:, None] * self.column.axes[:, 2])
-        return np.asarray(lack[:, None] * normal)
+        added = lack[:, None] * normal
+        for thigh, margin in zip(self.thighs, point.above, strict=True):
+            depth, up = thigh.depth(point.places + push + added)
+            added = added + np.maximum(depth + margin, 0.0)[:, None] * up
+        return np.asarray(added)
 
 
 def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose, fps: float) -> None:
-    """Bend the arms in `turns` where a hand would be nearer to the character's trunk than on the default character.
-    fps: frames per second."""
-    joints = body.mapping.joints
-    outline, chest, origin = outline_of(body), ours.turns["Spine3"], ours.places["Hips"]
-    neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
-    theirs, default = trunk_axes(neck, chest), trunk_axes(ours.places["Neck"] - origin, chest)
+    """Bend the arms in `turns` where a hand would be nearer to the character's trunk, and to its thighs where it sits,
+    than on the default character. fps: frames per second."""
+    joints, bodies = body.mapping.joints, _Bodies(turns, body, ours)
     for side in SIDES:
         chain = (joints[side + "Arm"], joints[side + "ForeArm"], joints[side + "Hand"])
         arm = float(sum(np.linalg.norm(body.place({}, below) - body.place({}, above))
                         for above, below in zip(chain, chain[1:], strict=False)))
-        limits, points = [], []
-        for part in ("Hand", "HandMiddle1"):
-            if (node := joints.get(side + part)) is not None:
-                place = body.place(turns, node)
-                limits.append(HandLimit.of(default.local(ours.places[side + part] - origin), theirs.local(place),
-                                           (theirs, outline), arm / _ARM_LENGTH))
-                points.append(HandPoint(place, limits[-1].margin))
+        limits, points = bodies.limits(side, turns, arm / _ARM_LENGTH)
         shoulder, wrist = body.place(turns, chain[0]), body.place(turns, chain[2])
         push = displacement(limits, wrist - shoulder, arm)
         if (np.linalg.norm(push, axis=-1) > _LEAST).any():
-            push = spread(push, points, Obstacle(theirs, outline, arm / _ARM_LENGTH), (wrist - shoulder, arm), fps)
+            push = spread(push, points, bodies.obstacle(arm / _ARM_LENGTH), (wrist - shoulder, arm), fps)
         moved = np.linalg.norm(push, axis=-1) > _LEAST
         if moved.any():
             bend(turns, body, chain, wrist + push, np.array([0.0, -1.0, -0.5]), moved)
+
+
+class _Bodies:
+    """Trunk and thighs of a character and of the default character over T frames."""
+
+    def __init__(self, turns: Mapping[int, Array], body: Body, ours: Pose) -> None:
+        self._body, self._ours = body, ours
+        joints, chest, self._origin = body.mapping.joints, ours.turns["Spine3"], ours.places["Hips"]
+        neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
+        self._outline = outline_of(body)
+        self._theirs, self._default = (trunk_axes(neck, chest),
+                                       trunk_axes(ours.places["Neck"] - self._origin, chest))
+        self._thighs, self._our_thighs = seated_thighs(body, turns), tuple[Thigh, ...]()
+        if self._thighs:
+            ends = [[ours.places[side + part] - self._origin for side in SIDES] for part in ("UpLeg", "Leg")]
+            # A character that sits in its file may be given the motion of someone who stands.
+            self._our_thighs = our_thighs(*ends) if is_level(*ends) else ()
+
+    def obstacle(self, size: float) -> Obstacle:
+        """What the hands of an arm that is `size` times as long as ours are kept out of."""
+        return Obstacle(self._theirs, self._outline, size, self._thighs)
+
+    def limits(self, side: str, turns: Mapping[int, Array], size: float) -> tuple[list[HandLimit], list[HandPoint]]:
+        """Where the points of a hand belong, and the points."""
+        limits, points = [], []
+        for part in ("Hand", "HandMiddle1", *(FINGERTIPS if self._thighs else ())):
+            if (node := self._body.mapping.joints.get(side + part)) is None:
+                continue
+            place, our = self._body.place(turns, node), self._ours.places[side + part] - self._origin
+            margins = np.full(len(place), -np.inf)  # of fingertips, which are kept above the thighs alone
+            if part not in FINGERTIPS:
+                limits.append(HandLimit.of(self._default.local(our), self._theirs.local(place),
+                                           (self._theirs, self._outline), size))
+                margins = limits[-1].margin
+            above = thigh_margins(self._thighs, self._our_thighs, our, size)
+            limits.extend(thigh_limits(self._thighs, place, above))
+            points.append(HandPoint(place, margins, above))
+        return limits, points
 
 
 def spread(push: Array, points: list[HandPoint], trunk: Obstacle, arm: tuple[Array, float], fps: float) -> Array:

@@ -41,11 +41,11 @@ _STEPS = (np.arange(-6, 12) + 0.5) / 12.0
 """Heights of the slices, 0 at the hips and 1 at the neck: pelvis and thighs are below the hips."""
 _STANDS = 0.85
 """Cosine between thighs and straight down above which they are part of the column."""
-_FEWEST, _FEWEST_IN_SLICE = 30, 8
+FEWEST, FEWEST_IN_SLICE = 30, 8
 """Vertices of a trunk and of a slice without which they are not measured."""
-_SPARSE, _FINE = 1000, 8
+SPARSE, _FINE = 1000, 8
 """Vertices of a trunk below which its triangles are measured too, at points that divide their edges by so many."""
-_OUTER = 98.0
+OUTER = 98.0
 """Percentile of the vertices of a slice taken as its surface, to ignore belt buckles."""
 _SOFT = 0.05
 """Metres before and after the surface over which a hand is slowed, where the trunk is wider by as much."""
@@ -90,18 +90,24 @@ def outline_of(body: Body) -> Outline:
 
 
 def _scaled(body: Body) -> Outline:
-    """The default trunk scaled by the width of the shoulders and the length of the trunk."""
+    """The default trunk scaled to the skeleton."""
+    scale = scale_of(body)
+    return ellipse(OURS[0] * scale, OURS[1] * scale)
+
+
+def scale_of(body: Body) -> float:
+    """How large a character without a mesh is taken to be, relative to ours: by the width of the shoulders and the
+    length of the trunk."""
     joints, places = body.mapping.joints, body.rest_places
     shoulders = float(np.linalg.norm(places[joints["LeftArm"]] - places[joints["RightArm"]]))
     trunk = float(np.linalg.norm(places[joints["Head"]] - places[joints["Hips"]]))
-    scale = float(np.sqrt(shoulders / _SHOULDERS * trunk / _TRUNK))
-    return ellipse(OURS[0] * scale, OURS[1] * scale)
+    return float(np.sqrt(shoulders / _SHOULDERS * trunk / _TRUNK))
 
 
 def _measured(body: Body) -> Outline | None:
     """The outline of the vertices moved by hips, spine and chest; None if there are too few."""
     points = _flesh(body)
-    if len(points) < _FEWEST:
+    if len(points) < FEWEST:
         return None
     hips, neck = (places @ body.bind_axes.T * body.unit for places in _bind_ends(body))
     length = float(np.linalg.norm(neck - hips))
@@ -114,9 +120,9 @@ def _measured(body: Body) -> Outline | None:
     steps, rows = [], []
     for step in _STEPS:
         near = np.abs(share - step) < 1.0 / 12.0
-        if near.sum() >= _FEWEST_IN_SLICE:
+        if near.sum() >= FEWEST_IN_SLICE:
             steps.append(step)
-            rows.append(np.percentile(out[:, near], _OUTER, axis=1))
+            rows.append(np.percentile(out[:, near], OUTER, axis=1))
     return Outline(np.array(steps), np.array(rows)) if rows else None
 
 
@@ -136,12 +142,12 @@ def _flesh(body: Body) -> Array:
     for node, parent in enumerate(character.parents):  # children of the trunk other than limbs move with it
         trunk[node] |= parent >= 0 and trunk[parent] and not limbs[node]
     points = character.flesh[trunk[character.flesh_nodes]]
-    if len(points) < _SPARSE:  # the corners of a figure of blocks leave its middle out
-        points = np.concatenate([points, _surface(character.skin, trunk)])
+    if len(points) < SPARSE:  # the corners of a figure of blocks leave its middle out
+        points = np.concatenate([points, surface_of(character.skin, trunk)])
     return np.asarray(points @ body.bind_axes.T * body.unit)
 
 
-def _surface(skin: Skin, trunk: NDArray[np.bool_]) -> Array:
+def surface_of(skin: Skin, trunk: NDArray[np.bool_]) -> Array:
     """[V, 3] points evenly over the triangles of a skin, where the nodes of the trunk [N] have half of the weight."""
     share = (skin.weights * trunk[skin.joints]).sum(axis=1)
     triangles = skin.triangles[(share[skin.triangles] >= 0.5).any(axis=1)]
@@ -229,7 +235,7 @@ class HandLimit:
         slim = np.hypot(width * x, depth * z)
         gap = x * our[0] + z * our[2] - slim
         reach = outline.support(their[1] / column.length, np.arctan2(z, x))
-        margin = size * _near(gap)
+        margin = size * near(gap)
         lack = reach - receding(outline, column, their[1], size) + margin - (x * their[0] + z * their[2])
         soft = np.clip(reach - size * slim, 1e-6, _SOFT * size)
         lack = np.where(lack > soft, lack, np.clip(lack + soft, 0.0, 2.0 * soft) ** 2 / (4.0 * soft))
@@ -247,7 +253,7 @@ def receding(outline: Outline, column: TrunkAxes, height: Array, size: float) ->
     return np.asarray(size * _RECEDES * beyond ** 2)
 
 
-def _near(gap: Array) -> Array:
+def near(gap: Array) -> Array:
     """The smaller of a distance and `MARGIN`, metres, without a kink between them; 0 inside."""
     gap = np.clip(gap, 0.0, 2.0 * MARGIN)
     return np.asarray(gap - gap ** 2 / (4.0 * MARGIN))

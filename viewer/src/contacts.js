@@ -1,19 +1,21 @@
 // Hands kept out of the trunk of a character, as gesticulator/characters/trunk.py does it: our hand says on which side of
 // the trunk the character's belongs, and the arm is bent until it is as far outside (and no farther than MARGIN). Where
 // the frames to come are known, a hand sets out early, as in gesticulator/characters/detours.py: of a few tenths of a
-// second around the moment that is shown.
+// second around the moment that is shown. The hands of a character that sits are kept above its thighs too (thighs.js).
 
 import { Quaternion, Vector3 } from "three";
 
 import { clamp } from "./numbers.js";
+import { ANGLES, directions, ellipse, rowAt, support } from "./outline.js";
 import { Poser } from "./take.js";
+import { FINGERTIPS, OUR_RADII, THIGH_SLICES, depthIn, isLevel, marginAbove, tapering, thighAxes, thighOf } from "./thighs.js";
 
 /** Metres: within this a hand counts as near, of an arm as long as ours (upper arm and forearm). */
 const MARGIN = 0.03, ARM = 0.53;
 /** Of our own trunk: half the width, half the depth, from shoulder to shoulder, from hips to head. Metres. */
 const OURS = { width: 0.145, depth: 0.115, shoulders: 0.36, height: 0.62 };
-/** Directions and slices in which a trunk is measured; slices below 0 are pelvis and thighs. */
-const ANGLES = 36, LOWEST = -6, SLICES = 12, OUTER = 0.98, FEWEST = 8, MOST_POINTS = 20000;
+/** Slices in which a trunk is measured; those below 0 are pelvis and thighs. */
+const LOWEST = -6, SLICES = 12, OUTER = 0.98, FEWEST = 8, LEAST_POINTS = 30, MOST_POINTS = 20000;
 /** Points of a trunk below which its triangles are measured too, at points that divide their edges by so many. */
 const SPARSE = 1000, FINE = 8;
 /** Metres: of slowing, and how the surface recedes beyond the ends. */
@@ -30,30 +32,6 @@ const HZ = 30, AROUND = 18;
 const AHEAD = 0.2, TURNS = 16, NEAR = 0.1, SLOW = 0.3, PROJECTIONS = 3;
 /** Moments that are kept of a take. */
 const MOST_KEPT = 4000;
-
-const directions = [...Array(ANGLES).keys()].map((k) => [Math.cos((k * 2 * Math.PI) / ANGLES), Math.sin((k * 2 * Math.PI) / ANGLES)]);
-
-/** The outline of a column of constant half width and half depth: per height, metres from the line of the bones to the
- *  tangents with normals from left by ahead. */
-export function ellipse(width, depth) {
-  const row = directions.map(([x, z]) => Math.hypot(width * x, depth * z));
-  return { steps: [0, 1], reach: [row, row] };
-}
-
-/** The value of rows `values` at rising `steps`, on the straight line; constant beyond the ends. */
-function between(x, steps, values) {
-  let k = 0;
-  while (k < steps.length - 1 && steps[k + 1] < x) k++;
-  if (k === steps.length - 1 || x <= steps[0]) return values[x <= steps[0] ? 0 : k];
-  return values[k] + ((x - steps[k]) / (steps[k + 1] - steps[k])) * (values[k + 1] - values[k]);
-}
-
-/** Metres from the line of the bones to the tangent with a normal [left, ahead], at a height. */
-export function support({ steps, reach }, share, [x, z]) {
-  const turn = Math.atan2(z, x) / (2 * Math.PI), column = (turn - Math.floor(turn)) * ANGLES;
-  const first = Math.floor(column) % ANGLES, on = column - Math.floor(column);
-  return between(share, steps, reach.map((row) => (1 - on) * row[first] + on * row[(first + 1) % ANGLES]));
-}
 
 /** Along the spine, to the left and ahead, of length 1; and how long the spine is. */
 function frame(hips, neck, left) {
@@ -77,15 +55,6 @@ export function limit(our, their, outline, long, size) {
   const margin = size * (gap - gap ** 2 / (4 * MARGIN)), soft = clamp(reach - size * slim, 1e-6, SOFT * size);
   const lack = reach - receding(their[1], long, outline, size) + margin - (x * their[0] + z * their[2]);
   return { x, z, margin, lack: lack > soft ? lack : clamp(lack + soft, 0, 2 * soft) ** 2 / (4 * soft) };
-}
-
-/** Metres to the tangents in all directions at a height. */
-function rowAt({ steps, reach }, share) {
-  let k = 0;
-  while (k < steps.length - 1 && steps[k + 1] < share) k++;
-  if (k === steps.length - 1 || share <= steps[0]) return reach[share <= steps[0] ? 0 : k];
-  const on = (share - steps[k]) / (steps[k + 1] - steps[k]);
-  return reach[k].map((value, column) => (1 - on) * value + on * reach[k + 1][column]);
 }
 
 /** Weights of a Gaussian over neighbours, its middle first. */
@@ -123,9 +92,11 @@ function receding(height, long, outline, size) {
 }
 
 /** A displacement [x, y, z] of a hand, and what it lacks so that all points of the hand are outside of the trunk. */
-function outside(push, { points, side, up, ahead, long }, { outline, size }) {
+function outside(push, moment, { outline, size }) {
+  const { points, side, up, ahead, long, thighs } = moment;
   let out = push;
-  for (const { place: [x, y, z], margin } of points) {
+  for (const { place, margin, margins } of points) {
+    const [x, y, z] = place;
     const across = x + dot(out, side), high = y + dot(out, up), along = z + dot(out, ahead);
     const row = rowAt(outline, high / long);
     let gap = -Infinity, nearest = 0;
@@ -135,15 +106,27 @@ function outside(push, { points, side, up, ahead, long }, { outline, size }) {
     }
     const lack = margin - gap - receding(high, long, outline, size), [a, b] = directions[nearest];
     if (lack > 0) out = out.map((value, c) => value + lack * (a * side[c] + b * ahead[c]));
+    if (thighs) out = above(out, place, thighs, margins, moment);
   }
+  return out;
+}
+
+/** A displacement, and what it lacks so that a point, at a place left, up and ahead of the hips, is above the thighs. */
+function above(push, place, thighs, margins, { side, up, ahead }) {
+  const world = side.map((value, c) => place[0] * value + place[1] * up[c] + place[2] * ahead[c]);
+  let out = push;
+  thighs.forEach((thigh, k) => {
+    const found = depthIn(thigh, plus(world, out), margins[k]), lack = found.depth + margins[k];
+    if (lack > 0) out = plus(out, found.up, lack);
+  });
   return out;
 }
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 /** Displacements [[x, y, z]] of a hand spread over time. moments: { reached: the wrist from its shoulder, points: [{ place:
- *  [left, up, ahead] of the hips, margin: metres that it belongs outside }], side, up, ahead, long: axes and length of the
- *  trunk }; trunk: { outline, size: of an arm, of ours }. */
+ *  [left, up, ahead] of the hips, margin: metres that it belongs outside, margins: above each thigh }], side, up, ahead,
+ *  long: axes and length of the trunk, thighs: where it sits }; trunk: { outline, size: of an arm, of ours }. */
 export function spread(pushes, moments, trunk, fps) {
   const weights = gaussian((AHEAD * fps) / Math.sqrt(TURNS)), reached = moments.map((moment) => moment.reached);
   const calm = smoothed(reached, weights), pace = largest(speeds(reached), Math.round(NEAR * fps));
@@ -166,16 +149,16 @@ export function spread(pushes, moments, trunk, fps) {
   return out;
 }
 
-/** The outline of the points of a skin, or null where there are too few. */
-function measured(points, hips, neck) {
-  const axes = frame(hips, neck, new Vector3(1, 0, 0)), rows = points.map((point) => local(point, hips, axes));
+/** The outline of the points of a skin, rows [across, along, out] from where a column of a length begins, or null where
+ *  there are too few. slices: the first, the one after the last, and how many from end to end. */
+function measured(rows, length, [first, end, count]) {
   const rank = (values, share) => {
     const sorted = values.sort((a, b) => a - b), at = share * (sorted.length - 1), low = Math.floor(at);
     return sorted[low] + (at - low) * (sorted[Math.min(low + 1, sorted.length - 1)] - sorted[low]);
   };
   const outline = { steps: [], reach: [] };
-  for (let k = LOWEST; k < SLICES; k++) {
-    const step = (k + 0.5) / SLICES, near = rows.filter(([, y]) => Math.abs(y / axes.long - step) < 1 / SLICES);
+  for (let k = first; k < end; k++) {
+    const step = (k + 0.5) / count, near = rows.filter(([, y]) => Math.abs(y / length - step) < 1 / count);
     if (near.length < FEWEST) continue;
     outline.steps.push(step);
     outline.reach.push(directions.map(([a, b]) => rank(near.map(([x, , z]) => a * x + b * z), OUTER)));
@@ -236,6 +219,14 @@ function ourPlaces({ take, world }, names) {
   return names.filter((name) => take.has(name)).map((name) => place(take.row(name)));
 }
 
+/** Our own thighs where the body of the take sits, or null. */
+function ourSeat(poser) {
+  const ends = ["UpLeg", "Leg"].map((part) => ourPlaces(poser, SIDES.map((side) => side + part)).map((place) => place.toArray()));
+  if (ends.some((places) => places.length < SIDES.length)) return null;
+  const [hips, knees] = ends;
+  return hips.every((hip, k) => isLevel(hip, knees[k])) ? hips.map((hip, k) => thighOf(hip, knees[k], tapering(...OUR_RADII))) : null;
+}
+
 /** The last moment of a take. */
 const lastOf = (take) => Math.max(Math.floor(((take.frames - 1) / take.fps) * HZ), 0);
 
@@ -260,8 +251,31 @@ export class Contacts {
     scene.traverse((node) => { if (!other.has(node) && own.has(node.parent)) own.add(node); });
     const hips = this.place("Hips"), neck = this.place(this.top), points = skin(scene, own);
     this.arm = this.length("Left");
-    const size = Math.sqrt((this.place("LeftArm").distanceTo(this.place("RightArm")) / OURS.shoulders) * (hips.distanceTo(this.place("Head")) / OURS.height));
-    this.outline = (points.length >= 30 && measured(points, hips, neck)) || ellipse(OURS.width * size, OURS.depth * size);
+    Object.assign(this, { scene, thighs, limbs: other });
+    const size = this.size = Math.sqrt((this.place("LeftArm").distanceTo(this.place("RightArm")) / OURS.shoulders) * (hips.distanceTo(this.place("Head")) / OURS.height));
+    const axes = frame(hips, neck, new Vector3(1, 0, 0)), rows = points.map((point) => local(point, hips, axes));
+    this.outline = (points.length >= LEAST_POINTS && measured(rows, axes.long, [LOWEST, SLICES, SLICES])) || ellipse(OURS.width * size, OURS.depth * size);
+  }
+
+  /** The thighs of a character that sits in the pose that it has now, from its hips; null where it does not. */
+  seatedThighs() {
+    if (!SIDES.every((side) => this.bones.has(`${side}UpLeg`) && this.bones.has(`${side}Leg`))) return null;
+    const hips = this.place("Hips"), ends = SIDES.map((side) => [this.place(`${side}UpLeg`), this.place(`${side}Leg`)]);
+    if (!ends.every(([hip, knee]) => isLevel(hip.toArray(), knee.toArray()))) return null;
+    this.thighOutlines ??= ends.map(([hip, knee]) => this.thighOutline(hip, knee) ?? tapering(...OUR_RADII.map((radius) => radius * this.size)));
+    return ends.map(([hip, knee], k) => thighOf(hip.sub(hips).toArray(), knee.sub(hips).toArray(), this.thighOutlines[k]));
+  }
+
+  /** The outline of the skin of the thigh between two joints, in the pose that it has now. */
+  thighOutline(hip, knee) {
+    const far = (node) => node.getWorldPosition(new Vector3()).distanceTo(hip);
+    const own = new Set([...this.thighs].sort((a, b) => far(a) - far(b)).slice(0, 1));
+    this.scene.traverse((node) => { if (!this.limbs.has(node) && own.has(node.parent)) own.add(node); }); // twist bones
+    const points = own.size ? skin(this.scene, own) : [];
+    if (points.length < LEAST_POINTS) return null;
+    const { left, up, along, length } = thighAxes(hip.toArray(), knee.toArray()), from = hip.toArray();
+    const rows = points.map((point) => plus(point.toArray(), from, -1)).map((way) => [dot(way, left), dot(way, along), dot(way, up)]);
+    return measured(rows, length, THIGH_SLICES);
   }
 
   /** Whether the thighs hang down, and so continue the column of the trunk. */
@@ -284,9 +298,10 @@ export class Contacts {
     return arm.distanceTo(fore) + fore.distanceTo(hand);
   }
 
-  /** Look at the moments around the one that is to be shown, for which `pose` poses the character. Without a time, as of
-   *  frames that come one by one, none are known. */
-  foresee({ take, time }, pose) {
+  /** Look at the moments around the one that is to be shown, for which `pose` poses the character; of frames that come one
+   *  by one, at those that have come (`coming`). Without a time, none are known. */
+  foresee({ take, time, coming }, pose) {
+    if (coming && knows(take)) this.follow(coming, take, pose);
     if (time === undefined || !knows(take)) return;
     if (this.seen?.take !== take || this.seen.outline !== this.outline || this.seen.moments.size > MOST_KEPT) {
       const kept = this.seen?.outline === this.outline ? [...this.seen.moments].filter(([k]) => isSame(this.seen.take, take, k / HZ)) : [];
@@ -302,21 +317,51 @@ export class Contacts {
     }
   }
 
+  /** Look at the frames of a stream (`source`) around the one that is to be shown. time: of that, seconds; frame: of a time,
+   *  where it has come and was not let go of; probe: a poser for them. */
+  follow({ source, time, frame, probe }, take, pose) {
+    if (this.live?.source !== source || this.live.take !== take || this.live.outline !== this.outline) this.live = { source, take, outline: this.outline, moments: new Map() };
+    const { moments } = this.live, at = Math.floor(time * HZ);
+    for (const k of moments.keys()) if (k < at - AROUND || k > at + 1 + AROUND) moments.delete(k);
+    for (let k = at - AROUND; k <= at + 1 + AROUND; k++) {
+      const known = frame(k / HZ);
+      if (!known || moments.get(k)?.frame === known) continue; // an interruption takes frames back
+      probe.towards(known, 1);
+      pose(probe);
+      moments.set(k, { frame: known, ...this.moment(probe) });
+    }
+  }
+
+  /** Side -> the displacement of its hand at a time of a stream, spread over the moments around it that are known. The last
+   *  known one stands for those to come. */
+  followed({ time }) {
+    const known = [...this.live.moments].sort(([a], [b]) => a - b);
+    if (!known.length) return null;
+    const momentAt = (k) => (known.findLast(([number]) => number <= k) ?? known[0])[1];
+    return this.between(time, (k) => this.solved([...Array(2 * AROUND + 1).keys()].map((j) => momentAt(k + j - AROUND))));
+  }
+
   /** Side -> the displacement of its hand at a time, spread over the moments around it. */
   foreseen({ take, time }) {
     const { moments, pushes } = this.seen, last = lastOf(take);
-    const solved = (k) => {
-      if (pushes.has(k)) return pushes.get(k);
-      const around = [...Array(2 * AROUND + 1).keys()].map((j) => moments.get(clamp(k + j - AROUND, 0, last)));
-      const out = {};
-      for (const side of SIDES) {
-        const hand = around.map((moment) => moment[side]), bare = hand.map((moment) => moment.push);
-        out[side] = bare.some((push) => Math.hypot(...push) > LEAST) ? spread(bare, hand, this.trunk, HZ)[AROUND] : bare[AROUND];
-      }
-      pushes.set(k, out);
-      return out;
-    };
-    const at = Math.floor(time * HZ), share = time * HZ - at, [one, other] = [solved(clamp(at, 0, last)), solved(clamp(at + 1, 0, last))];
+    return this.between(time, (number) => {
+      const k = clamp(number, 0, last);
+      if (!pushes.has(k)) pushes.set(k, this.solved([...Array(2 * AROUND + 1).keys()].map((j) => moments.get(clamp(k + j - AROUND, 0, last)))));
+      return pushes.get(k);
+    });
+  }
+
+  /** Side -> the displacement of its hand in the middle one of moments. */
+  solved(around) {
+    return Object.fromEntries(SIDES.map((side) => {
+      const hand = around.map((moment) => moment[side]), bare = hand.map((moment) => moment.push);
+      return [side, bare.some((push) => Math.hypot(...push) > LEAST) ? spread(bare, hand, this.trunk, HZ)[AROUND] : bare[AROUND]];
+    }));
+  }
+
+  /** Side -> the displacement at a time, of those at the moments before and after it. */
+  between(time, solved) {
+    const at = Math.floor(time * HZ), share = time * HZ - at, [one, other] = [solved(at), solved(at + 1)];
     return Object.fromEntries(SIDES.map((side) => [side, plus(one[side].map((value) => value * (1 - share)), other[side], share)]));
   }
 
@@ -325,25 +370,37 @@ export class Contacts {
     const { take } = poser, origin = new Vector3(), [ourNeck] = ourPlaces(poser, ["Neck"]);
     const left = new Vector3(1, 0, 0).applyQuaternion(poser.turn("Spine3", new Quaternion()));
     const hips = this.place("Hips"), ours = frame(origin, ourNeck, left), theirs = frame(hips, this.place(this.top), left);
+    const thighs = this.seatedThighs(), ourThighs = thighs && ourSeat(poser);
+    const [across, up, ahead] = [theirs.side, theirs.up, theirs.ahead].map((axis) => axis.toArray());
     return Object.fromEntries(SIDES.map((side) => {
-      const points = [], limits = [`${side}Hand`, `${side}HandMiddle1`].filter((joint) => this.bones.has(joint) && take.has(joint)).map((joint) => {
-        const [our] = ourPlaces(poser, [joint]), their = local(this.place(joint), hips, theirs);
-        const { x, z, lack, margin } = limit(local(our, origin, ours), their, this.outline, theirs.long, this.trunk.size);
-        points.push({ place: their, margin });
-        return { normal: theirs.side.clone().multiplyScalar(x).addScaledVector(theirs.ahead, z), lack };
-      });
+      const points = [], limits = [], parts = ["Hand", "HandMiddle1", ...(thighs ? FINGERTIPS : [])].map((part) => side + part);
+      for (const joint of parts.filter((name) => this.bones.has(name) && take.has(name))) {
+        const [our] = ourPlaces(poser, [joint]), place = this.place(joint), their = local(place, hips, theirs);
+        const point = { place: their, margin: -Infinity };
+        if (/Hand(Middle1)?$/.test(joint)) {
+          const { x, z, lack, margin } = limit(local(our, origin, ours), their, this.outline, theirs.long, this.trunk.size);
+          point.margin = margin;
+          limits.push({ normal: theirs.side.clone().multiplyScalar(x).addScaledVector(theirs.ahead, z), lack });
+        }
+        if (thighs) point.margins = thighs.map((_, k) => this.trunk.size * marginAbove(ourThighs?.[k], our.toArray()));
+        thighs?.forEach((thigh, k) => {
+          const found = depthIn(thigh, place.clone().sub(hips).toArray());
+          limits.push({ normal: new Vector3(...found.up), lack: found.depth + point.margins[k] });
+        });
+        points.push(point);
+      }
       const reached = this.place(`${side}Hand`).sub(this.place(`${side}Arm`)), push = this.displacement(limits, reached);
-      const [across, up, ahead] = [theirs.side, theirs.up, theirs.ahead].map((axis) => axis.toArray());
-      return [side, { push: push.toArray(), reached: reached.toArray(), points, side: across, up, ahead, long: theirs.long }];
+      return [side, { push: push.toArray(), reached: reached.toArray(), points, side: across, up, ahead, long: theirs.long, thighs }];
     }));
   }
 
   /** Bend the arms where a hand is nearer than ours, in the pose that the character has now; as foreseen, where the take
    *  was looked at. */
   repair(poser) {
-    const { take, time } = poser;
+    const { take, time, coming } = poser;
     if (!knows(take)) return;
-    const foreseen = time !== undefined && this.seen?.take === take ? this.foreseen(poser) : null, now = foreseen ? null : this.moment(poser);
+    const known = time !== undefined && this.seen?.take === take ? this.foreseen(poser) : null;
+    const foreseen = coming && this.live?.take === take ? this.followed(coming) : known, now = foreseen ? null : this.moment(poser);
     for (const side of SIDES) {
       const push = new Vector3(...(foreseen?.[side] ?? now[side].push));
       if (push.length() > LEAST) this.bend(side, push.add(this.place(`${side}Hand`)));

@@ -117,12 +117,13 @@ function tick(now) {
   const seconds = (now - last) / 1000;
   last = now;
   if (stream?.welcome && stream.end && performer) {
-    const frame = stream.at(voice.time());
+    const time = voice.time(), frame = stream.at(time);
     if (voice.skipped) {
       performer.blend = 0; // from the pose that was shown, as to another stream's
       voice.skipped = false;
     }
     if (frame) performer.move(frame, seconds);
+    performer.expect(stream, time);
     $("latency").textContent = voice.latency();
     $("frames").textContent = stream.total;
   }

@@ -9,18 +9,22 @@ import { Poser, Take, worldRotations } from "../take.js";
 const BLEND = 0.35; // seconds from the pose that was shown to those of a new stream
 const HIPS = 0.95; // metres that they stand high on the skeleton at rest
 
+/** A take of one pose, of a stream's joints. */
+const takeOf = (joints) => Take.of({
+  name: "live", fps: 60, frames: 1, duration: 0, rotations: new Float32Array(joints.length * 4), roots: new Float32Array([0, HIPS, 0]),
+  skeleton: {
+    names: joints.map(({ name }) => name), parents: joints.map(({ parent }) => parent), offsets: joints.map(({ offset }) => offset),
+    tips: Object.fromEntries(joints.filter(({ tip }) => tip).map(({ name, tip }) => [name, tip])), height: HIPS,
+  },
+});
+
 /** Holds the one pose that is shown, as the parts of the viewer read it. */
 class LivePoser extends Poser {
-  constructor(joints) {
-    super(Take.of({
-      name: "live", fps: 60, frames: 1, duration: 0, rotations: new Float32Array(joints.length * 4), roots: new Float32Array([0, HIPS, 0]),
-      skeleton: {
-        names: joints.map(({ name }) => name), parents: joints.map(({ parent }) => parent), offsets: joints.map(({ offset }) => offset),
-        tips: Object.fromEntries(joints.filter(({ tip }) => tip).map(({ name, tip }) => [name, tip])), height: HIPS,
-      },
-    }));
+  constructor(take) {
+    super(take);
     this.root[1] = HIPS;
-    for (let j = 0; j < joints.length; j++) this.local[j * 4] = 1;
+    for (let j = 0; j < take.joints; j++) this.local[j * 4] = 1;
+    this.coming = null;
   }
 
   /** Go a share of the way to a frame. */
@@ -48,7 +52,8 @@ class LivePoser extends Poser {
 export class LivePerformer {
   constructor(joints) {
     this.group = new Group();
-    this.poser = new LivePoser(joints);
+    this.poser = new LivePoser(takeOf(joints));
+    this.probe = new LivePoser(this.poser.take);
     this.figure = new Figure(this.poser.take);
     this.group.add(this.figure.group);
     this.character = null;
@@ -69,6 +74,12 @@ export class LivePerformer {
   move(frame, seconds) {
     this.blend = Math.min(1, this.blend + seconds / BLEND);
     this.poser.towards(frame, this.blend < 1 ? 0.2 : 1);
+  }
+
+  /** Where the pose that is shown is that of a time of a stream, hands set out early for the frames that have come. */
+  expect(stream, time) {
+    const frame = (when) => (when < 0 ? undefined : stream.frames.get(Math.floor(when * stream.fps + 1e-6)));
+    this.poser.coming = this.blend < 1 ? null : { source: stream, time: Math.min(time, (stream.end - 1) / stream.fps), frame, probe: this.probe };
   }
 
   paint() { this.figure.paint(); }

@@ -1,0 +1,174 @@
+"""Keeps the hands of the default character above its thighs while it sits.
+
+The models know no legs: a hand that hangs or sweeps low would pass through the thighs. A hand is lifted by bending its
+arm until wrist and knuckles are on the thighs (`gesticulator.characters.thighs`), is turned about its wrist as far as
+its fingertips are lower, and is lifted by what still lacks. As with the trunk, a hand is slowed before it touches, and
+everything depends on the pose alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from data_module.motion.skeletons import CHARACTER, SIDES
+from data_module.types import Array, Motion
+from gesticulator.body.clearance import LEAST, POLE_OF_ELBOW, BelowShoulder, soft, write_turns
+from gesticulator.body.stance import seated
+from gesticulator.characters.contacts import Pose, pose_of
+from gesticulator.characters.inverse_kinematics import bend, swivel
+from gesticulator.characters.thighs import FINGERTIPS, Thigh, is_level, our_thighs
+
+WRIST, KNUCKLES, TIP = 0.024, 0.018, 0.009
+"""Metres from the joints of a hand to its underside: half the thickness of wrist, palm and fingers."""
+SOFT, TIP_SOFT = 0.03, 0.015
+"""Metres above and below the thighs over which a hand is slowed, and turned."""
+FARTHEST_TIP = 0.5
+"""Radians by which a hand is turned at most."""
+_PALM = np.array([[0.086, 0.004, 0.003], [0.17, -0.02, 0.0]])
+"""Knuckles and fingertips of a left hand without fingers, metres from its wrist in a T-pose."""
+_LAST_BONE = 0.022
+"""Metres from the last joint of a finger to its tip."""
+NATURAL, STRAIGHT = np.array([0.5, -0.5, -0.7]), 0.003
+"""Direction in which the left elbow goes as far as its arm is bent more; metres beside the line from shoulder to wrist
+at which an elbow is taken to be at least."""
+_LIFTS = 3
+"""Iterations: the thighs are of another height where the hand is moved to."""
+
+
+def kept_off_thighs(motion: Motion) -> Motion:
+    """A motion on the default skeleton, seated or about to be, with its hands above its thighs."""
+    pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))))
+    lap, rotations = _Lap(pose), None
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        hand = _Hand(pose, side, sign)
+        lacks = lap.push(hand.points(pose.places[side + "Hand"], pose.turns[side + "Hand"]), hand.margins, TIP_SOFT)
+        slowed = lap.push(hand.points(pose.places[side + "Hand"], pose.turns[side + "Hand"])[:2], hand.margins, SOFT)
+        at = np.flatnonzero((np.linalg.norm(lacks, axis=-1) > LEAST) | (np.linalg.norm(slowed, axis=-1) > LEAST))
+        if len(at):
+            rotations = motion.rotations.copy() if rotations is None else rotations
+            _lift(rotations, motion, pose, side, sign, at)
+    return motion if rotations is None else replace(motion, rotations=rotations)
+
+
+def is_seated(motion: Motion) -> bool:
+    """Whether a motion on the default skeleton has legs, and they are those of someone who sits."""
+    if "LeftUpLeg" not in motion.skeleton.names or not len(motion):
+        return False
+    first = replace(motion, rotations=motion.rotations[:1], root_positions=np.zeros((1, 3)))
+    return is_level(*_ends(pose_of(first)))
+
+
+def _lift(rotations: Array, motion: Motion, pose: Pose, side: str, sign: float, at: NDArray[np.intp]) -> None:
+    """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where its hand is in the thighs."""
+    skeleton = motion.skeleton
+    pose = Pose({joint: turn[at] for joint, turn in pose.turns.items()},
+                {joint: place[at] for joint, place in pose.places.items()})
+    turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
+    shoulder, elbow, wrist = (skeleton.index(side + part) for part in ("Arm", "ForeArm", "Hand"))
+    limbs, lap, hand = BelowShoulder(skeleton, shoulder, pose.places[side + "Arm"]), _Lap(pose), _Hand(pose, side, sign)
+
+    def lift(count: int, over: float) -> None:
+        place = limbs.place(turns, wrist)
+        push = lap.push(hand.points(place, turns[wrist])[:count], hand.margins, over)
+        chain, moved = (shoulder, elbow, wrist), np.linalg.norm(push, axis=-1) > LEAST
+        before = _beside(limbs, turns, chain)
+        bend(turns, limbs, chain, place + push, POLE_OF_ELBOW, moved)
+        after = _beside(limbs, turns, chain)
+        more = np.where(moved[:, None], np.maximum(after - before, 0.0) * after / np.maximum(before, STRAIGHT), 0.0)
+        swivel(turns, limbs, chain, more * (NATURAL * [sign, 1.0, 1.0]))
+
+    for _ in range(_LIFTS):
+        lift(2, SOFT)
+    place = limbs.place(turns, wrist)
+    turns[wrist] = _tipped(hand.points(place, turns[wrist]), hand.margins, lap) @ turns[wrist]
+    for _ in range(_LIFTS):
+        lift(len(hand.margins), TIP_SOFT)
+    write_turns(rotations, skeleton, turns, (shoulder, elbow, wrist), at)
+
+
+def _beside(limbs: BelowShoulder, turns: dict[int, Array], chain: tuple[int, int, int]) -> Array:
+    """[T, 1] metres of an elbow from the line from shoulder to wrist."""
+    shoulder, elbow, wrist = (limbs.place(turns, joint) for joint in chain)
+    way = wrist - shoulder
+    way = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
+    return np.asarray(np.linalg.norm(np.cross(elbow - shoulder, way), axis=-1, keepdims=True))
+
+
+def _tipped(points: Sequence[Array], margins: Sequence[float], lap: _Lap) -> Array:
+    """[T, 3, 3] the turn of a hand about its wrist that lifts its fingertips. points: [T, 3], the wrist first."""
+    turn, weights = np.zeros_like(points[0]), np.full((len(points[0]), 1), 1e-12)
+    for point, margin in zip(points[1:], margins[1:], strict=True):
+        arm, push = point - points[0], lap.push([point], [margin], TIP_SOFT)
+        weight = np.sum(push ** 2, axis=-1, keepdims=True)
+        turn = turn + weight * np.cross(arm, push) / np.sum(arm ** 2, axis=-1, keepdims=True)
+        weights = weights + weight
+    turn = turn / weights
+    angle = np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9)
+    return np.asarray(Rotation.from_rotvec(turn / angle * FARTHEST_TIP * np.tanh(angle / FARTHEST_TIP)).as_matrix())
+
+
+class _Hand:
+    """A hand over T frames: its wrist, knuckles and fingertips."""
+
+    def __init__(self, pose: Pose, side: str, sign: float) -> None:
+        wrist, turned = pose.places[side + "Hand"], pose.turns[side + "Hand"]
+        if side + "HandMiddle1" in pose.places:
+            tips = [pose.places[side + tip] + sign * _LAST_BONE * pose.turns[side + tip][..., 0] for tip in FINGERTIPS
+                    if side + tip in pose.places]
+            self._local = [np.einsum("tji,tj->ti", turned, place - wrist)
+                           for place in (pose.places[side + "HandMiddle1"], *tips)]
+        else:
+            self._local = [np.tile(place * [sign, 1.0, 1.0], (len(wrist), 1)) for place in _PALM]
+        self.margins = (WRIST, KNUCKLES, *(TIP for _ in self._local[1:]))
+
+    def points(self, wrist: Array, turned: Array) -> list[Array]:
+        """[T, 3] each, of a hand whose wrist is at [T, 3] with the turn [T, 3, 3]."""
+        return [wrist, *(wrist + np.einsum("tij,tj->ti", turned, place) for place in self._local)]
+
+
+class _Lap:
+    """The thighs over T frames, relative to the hips."""
+
+    def __init__(self, pose: Pose) -> None:
+        if "LeftUpLeg" in pose.places:
+            hips, knees = _ends(pose)
+        else:
+            # The upper body keeps its pose when it is seated, and the hips are turned under it.
+            hips, knees, spine = _seat()
+            shift = pose.turns["Hips"] @ spine - spine
+            hips, knees = ([end + shift for end in ends] for ends in (hips, knees))
+        self._thighs: tuple[Thigh, ...] = our_thighs(hips, knees)
+
+    def push(self, points: Sequence[Array], margins: Sequence[float], over: float) -> Array:
+        """[T, 3] the displacement of a hand with points [T, 3] that belong above the thighs by the margins. Of several
+        displacements the larger ones count more, so that none takes over at once. over: metres in which it is
+        rounded."""
+        moves = []
+        for point, margin in zip(points, margins, strict=False):
+            for thigh in self._thighs:
+                depth, up = thigh.depth(point)
+                moves.append(soft(depth + margin, over)[:, None] * up)
+        weights = np.sum(np.square(moves), axis=-1, keepdims=True)
+        return np.asarray(np.sum(weights * moves, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12))
+
+
+def _ends(pose: Pose) -> tuple[list[Array], list[Array]]:
+    """Left and right hip, and left and right knee, [T, 3] metres from the middle of the hips."""
+    hips = pose.places["Hips"]
+    upper, lower = ([pose.places[side + part] - hips for side in SIDES] for part in ("UpLeg", "Leg"))
+    return upper, lower
+
+
+@cache
+def _seat() -> tuple[list[Array], list[Array], Array]:
+    """`_ends` of the default character on its seat, [1, 3], and the place of its spine [3] from the hips."""
+    still = np.zeros((1, len(CHARACTER), 4))
+    still[..., 0] = 1.0
+    pose = pose_of(seated(Motion(CHARACTER, still, np.zeros((1, 3)), 1.0)))
+    return *_ends(pose), (pose.places["Spine"] - pose.places["Hips"])[0]

@@ -1,0 +1,218 @@
+"""Hands of those who sit lie on their thighs and do not enter them: known answers, no jump, the same for characters."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from data_module.motion import rotation
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import CHARACTER, FINGERED, SIDES, WHOLE_BODY
+from data_module.types import Array, Motion
+from gesticulator import Gesticulator
+from gesticulator.body.clearance import cleared
+from gesticulator.body.lap import is_seated
+from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.stance import seated, with_legs
+from gesticulator.characters.reading import read_character
+from gesticulator.characters.retarget import Retargeter
+from gesticulator.characters.thighs import OUR_RADII, Thigh, seated_thighs, tapering, thigh_margins
+from gesticulator.characters.trunk import ANGLES, Outline
+from tests.awkward import figure, write
+from tests.rig_errors import places_of
+from tests.rigs import Rig, draw
+from tests.sitting import FPS, WAY, out_of_thighs, swung
+
+VIEWER = Path(__file__).parent.parent / "viewer"
+
+
+def of_ours(motion: Motion) -> Array:
+    """`out_of_thighs` of a motion on the whole skeleton."""
+    return out_of_thighs(positions_of(motion), {name: joint for joint, name in enumerate(motion.skeleton.names)})
+
+
+def test_the_surface_of_a_round_thigh_by_hand() -> None:
+    thigh = Thigh(np.array([[0.1, -0.05, 0.0]]), np.array([[0.1, -0.05, 0.4]]), tapering(0.07, 0.07))
+    on_top, beside, ahead = np.array([[0.1, 0.02, 0.2]]), np.array([[0.3, 0.02, 0.2]]), np.array([[0.1, 0.02, 0.6]])
+    depth, up = thigh.depth(np.concatenate([on_top, on_top + np.array([0.0, 0.03, 0.0]), beside, ahead]))
+    np.testing.assert_allclose(depth[:2], [0.0, -0.03], atol=1e-12)
+    assert depth[2] < -0.15 and depth[3] < -0.15, "beside it and ahead of the knee a hand may hang"
+    np.testing.assert_allclose(up, np.tile([0.0, 1.0, 0.0], (4, 1)), atol=1e-12)
+    across = np.linspace(-0.4, 0.4, 2001)
+    top = thigh.depth(np.stack([0.1 + across, np.full(2001, -0.05), np.full(2001, 0.2)], axis=1))[0]
+    inside = np.abs(across) < 0.07
+    assert (top[inside] >= np.sqrt(0.07 ** 2 - across[inside] ** 2) - 1e-9).all(), "it covers the thigh"
+    assert np.abs(np.diff(top) / np.diff(across)).max() <= 1.2, "and is nowhere steeper than stated"
+
+
+def test_a_hand_that_swings_through_a_thigh_is_led_over_it_without_a_jump() -> None:
+    motion = swung(WAY)
+    before, free = seated(cleared(motion)), seated(cleared(motion, sits=True))
+    assert of_ours(before).min() < -0.04, "it does go through"
+    assert of_ours(free).min() > 0.0, "no joint of hand or finger is in a thigh"
+    joints = [WHOLE_BODY.index(name) for name in ("LeftHand", "LeftForeArm")]
+    steps = [np.linalg.norm(np.diff(positions_of(one)[:, joints], axis=0), axis=-1).max(axis=0)
+             for one in (before, free)]
+    assert (steps[1] < 2.0 * steps[0].max()).all()
+    legs = [WHOLE_BODY.index(name) for name in ("Hips", "LeftUpLeg", "RightArm", "Head")]
+    np.testing.assert_array_equal(free.rotations[:, legs], before.rotations[:, legs])
+
+
+def test_a_hand_that_lies_on_a_thigh_stays_near_it() -> None:
+    still = swung(np.full(3, 0.3))
+    gap = of_ours(seated(cleared(still, sits=True)))
+    assert of_ours(seated(cleared(still))).max() < 0.0
+    assert gap.min() > 0.0 and gap.max() < 0.03, "a finger touches, within the thickness of a hand"
+
+
+def test_hands_that_are_clear_of_the_thighs_stay_bit_for_bit() -> None:
+    turns = np.zeros((4, len(CHARACTER), 4))
+    turns[..., 0] = 1.0
+    tee = Motion(CHARACTER, turns, np.zeros((4, 3)), FPS)
+    assert cleared(tee, sits=True) is tee, "16 joints, without knuckles"
+    folded = swung(np.full(4, 1.4))
+    assert cleared(folded, sits=True) is cleared(folded) or (
+        cleared(folded, sits=True).rotations == cleared(folded).rotations).all()
+
+
+def test_a_body_without_fingers_keeps_its_hands_off_its_thighs() -> None:
+    fingered = swung(WAY)
+    rows = [FINGERED.index(name) for name in CHARACTER.names]
+    bare = Motion(CHARACTER, fingered.rotations[:, rows], fingered.root_positions, FPS)
+    places = positions_of(seated(cleared(bare, sits=True)))
+    at = {name: joint for joint, name in enumerate(WHOLE_BODY.names) if name.endswith(("Hand", "UpLeg", "Leg"))}
+    assert out_of_thighs(places, at).min() > 0.02, "the wrist"
+    assert out_of_thighs(positions_of(seated(cleared(bare))), at).min() < 0.0
+
+
+def test_hips_that_are_turned_under_the_body_do_not_move_the_seat() -> None:
+    """The upper body keeps its pose when it is seated, and the hips become level under it."""
+    motion = swung(WAY)
+    turns = motion.rotations.copy()
+    lean = rotation.from_exponential_map(np.tile([0.25, 0.0, 0.1], (len(motion), 1)))
+    turns[:, 0] = lean
+    assert of_ours(seated(cleared(replace(motion, rotations=turns), sits=True))).min() > 0.0
+
+
+def test_both_sides_are_mirror_images() -> None:
+    motion = swung(WAY)
+    other = mirrored_motion(cleared(mirrored_motion(motion), sits=True))
+    assert rotation.angle_between(other.rotations, cleared(motion, sits=True).rotations).max() < 1e-6
+
+
+@settings(max_examples=25)
+@given(st.floats(-0.6, 1.2), st.floats(-1.9, -1.2), st.floats(0.0, 1.2), st.floats(-0.02, 0.02))
+def test_a_small_step_of_the_arm_is_a_small_step_after_it(ahead: float, across: float, elbow: float,
+                                                          step: float) -> None:
+    pair = positions_of(cleared(swung(np.array([ahead, ahead + step]), across, elbow), sits=True))
+    hand = pair[:, FINGERED.index("LeftHandMiddle1")]
+    assert np.linalg.norm(hand[1] - hand[0]) < 0.003 + 3.0 * abs(step)
+
+
+def test_whether_somebody_sits_is_seen_from_the_thighs() -> None:
+    motion = swung(WAY[:3])
+    assert is_seated(seated(motion)) and not is_seated(with_legs(motion, 0)) and not is_seated(motion)
+
+
+def test_no_hand_of_a_performance_that_sits_is_in_a_thigh() -> None:
+    samples, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32",
+                                   frames=160_000)
+    motion = Gesticulator.from_pretrained()(samples, rate, seed=1, seated=True, activity=0.3, mirror=True).motion
+    assert of_ours(motion).min() > -0.003
+
+
+def boxes(tmp_path: Path, wide: float) -> Retargeter:
+    """A character of boxes whose thighs are `wide` metres wide and deep."""
+    body = figure(lambda key: f"mixamorig:{key}", "A", fingers=("Middle",))
+    body.widths |= {side + "UpLeg": wide / 2.0 for side in SIDES}
+    return Retargeter(read_character(write(tmp_path / "boxes.glb", body)))
+
+
+def test_the_outline_of_a_thigh_is_that_of_the_box_it_was_made_of(tmp_path: Path) -> None:
+    retargeter = boxes(tmp_path, 0.2)
+    world = {node: np.asarray(turn)[None] for node, turn in enumerate(retargeter.body.rest_turns)}
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    for side in SIDES:
+        node = retargeter.mapping.joints[side + "UpLeg"]
+        world[node] = level @ world[node]
+    for thigh in seated_thighs(retargeter.body, world):
+        middle = (thigh.outline.steps > 0.2) & (thigh.outline.steps < 0.8)
+        assert middle.sum() >= 4
+        box = 0.1 * (np.abs(np.cos(ANGLES)) + np.abs(np.sin(ANGLES)))
+        np.testing.assert_allclose(thigh.outline.reach[middle], np.tile(box, (middle.sum(), 1)), atol=0.012)
+        depth, up = thigh.depth(thigh.hip + 0.5 * (thigh.knee - thigh.hip))
+        assert depth[0] == pytest.approx(0.1, abs=0.01) and up[0, 1] > 0.99
+    assert seated_thighs(retargeter.body, {node: np.asarray(turn)[None] for node, turn in
+                                           enumerate(retargeter.body.rest_turns)}) == (), "it stands"
+
+
+def gap_of(retargeter: Retargeter, motion: Motion, radius: float) -> Array:
+    moved = retargeter(motion)
+    places = np.asarray(moved.world_matrices()[..., :3, 3] @ retargeter.body.axes.T * retargeter.body.unit)
+    return out_of_thighs(places, retargeter.mapping.joints, (radius, radius))
+
+
+def test_hands_lie_on_the_thicker_thighs_of_a_character(tmp_path: Path) -> None:
+    """Thighs of 24 cm under hands that lie on ours; the control does not correct contacts."""
+    motion = seated(cleared(swung(WAY), sits=True))
+    retargeter = boxes(tmp_path, 0.24)
+    gaps = []
+    for retargeter.contacts in (False, True):
+        gaps.append(gap_of(retargeter, motion, 0.12).min())
+    assert gaps[0] < -0.02 and gaps[1] > -0.002
+
+
+def test_a_character_that_sits_in_its_file_keeps_its_hands_off_its_thighs() -> None:
+    """The motion is that of someone who stands, with hanging arms."""
+    rig: Rig = draw(4, "mixamo", "A")
+    retargeter = Retargeter(rig.character, legs=False)
+    level = rig.axes.T @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]) @ rig.axes
+    world = rig.character.world_turns()
+    turns = rig.character.rotations.copy()
+    for side in SIDES:
+        thigh = rig.truth[side + "UpLeg"]
+        above = world[rig.character.parents[thigh]]
+        turns[thigh] = Rotation.from_matrix(above.T @ level @ world[thigh]).as_quat(scalar_first=True)
+    sitting = Retargeter(replace(rig.character, rotations=turns), retargeter.mapping, legs=False)
+    gaps = []
+    for sitting.contacts in (False, True):
+        moved = sitting(swung(WAY))
+        gaps.append(out_of_thighs(places_of(rig, moved), rig.truth, tuple(0.9 * r * rig.size for r in OUR_RADII)).min())
+    assert gaps[0] < -0.01 and gaps[1] > -0.002
+
+HEIGHTS = """import { depthIn, marginAbove, thighOf } from "./src/thighs.js";
+import { readFileSync } from "node:fs";
+const { hip, knee, outline, points } = JSON.parse(readFileSync(0, "utf8"));
+const thigh = thighOf(hip, knee, outline);
+console.log(JSON.stringify(points.map((point) => {
+  const { depth, up } = depthIn(thigh, point);
+  return [depth, ...up, marginAbove(thigh, point), marginAbove(null, point)];
+})));"""
+
+
+def test_the_page_measures_heights_over_thighs_as_python_does() -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("install Node.js (apt-get install nodejs npm), and run npm ci --prefix viewer")
+    rng = np.random.default_rng(3)
+    outline = Outline(np.array([-0.1, 0.3, 0.6, 0.9]), rng.uniform(0.06, 0.12, (4, 36)))
+    hip, knee = np.array([0.1, -0.05, 0.02]), np.array([0.16, -0.08, 0.41])
+    points = rng.uniform([-0.3, -0.3, -0.3], [0.5, 0.5, 0.7], (500, 3))
+    asked = {"hip": hip.tolist(), "knee": knee.tolist(), "points": points.tolist(),
+             "outline": {"steps": outline.steps.tolist(), "reach": outline.reach.tolist()}}
+    done = subprocess.run([node, "--input-type=module", "-e", HEIGHTS], cwd=VIEWER, check=True, capture_output=True,
+                          input=json.dumps(asked), text=True)
+    thigh = Thigh(hip[None], knee[None], outline)
+    depth, up = thigh.depth(points)
+    margins = [thigh_margins((thigh,), ours, points, 1.0)[0] for ours in ((thigh,), ())]
+    np.testing.assert_allclose(json.loads(done.stdout), np.column_stack([depth, up, *margins]), atol=1e-9)
