@@ -41,9 +41,9 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 FPS = 60.0
 SHORT = 2.83
 """Seconds of the pieces that are fed again and again: nine blocks, and no whole number of frames."""
-FASTEST, HARDEST = 3.5, 72.0
-"""m/s and m/s^2 that no hand passes at a seam: a jump of 2 cm between two frames would be 72. Within strokes the same
-hands do up to 2.3 and 35 in the example, and up to 76 on other voices."""
+FASTEST, HARDEST = 3.5, 76.0
+"""m/s and m/s^2 that no hand passes at a seam: what strokes do on other voices (2.3 and 35 in the example). A jump of
+2.1 cm between two frames would be 76."""
 HURRIED = 4.0
 """m/s after hurried blocks: of the few frames of a candidate none is over 3.5 from the one before, but between them a
 hand may be a little faster."""
@@ -471,9 +471,9 @@ def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
         hung = np.linalg.norm((positions_of(motion)[:, hands] - rest[hands]), axis=-1).max(-1)
         slow = frame + round(0.3 * FPS)
         assert found[0][slow - 1] < 0.36, at
-        # From there on they go down as evenly as 0.9 s allow, on arcs that are up to a third longer than the straight
-        # way: who has less than 0.13 m to go stays under it.
-        assert found[0][slow:].max() < max(0.3, 2.2 * hung[slow]), at
+        # From there on they go down as evenly as 0.9 s allow, on arcs that are up to 1.6 times as long as the straight
+        # way (a hand beside the trunk goes down in front of it): who has less than 0.09 m to go stays under it.
+        assert found[0][slow:].max() < max(0.3, 3.3 * hung[slow]), at
         assert hung[frame + round(1.2 * FPS)] < 0.06, "what is left is the life of hands that hang"
 
 

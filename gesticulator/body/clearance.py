@@ -19,7 +19,6 @@ sits are `gesticulator.body.lap`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,12 +28,21 @@ from scipy.spatial.transform import Rotation
 from data_module.motion import rotation
 from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
-from data_module.types import Array, Motion, Skeleton
-from gesticulator.characters.contacts import OURS, OurLimbs, Pose, pose_of
+from data_module.types import Array, Motion
+from gesticulator.characters.contacts import (
+    LEAST,
+    OURS,
+    POLE_OF_ELBOW,
+    SOFT,
+    BelowShoulder,
+    OurLimbs,
+    Pose,
+    pose_of,
+    soft,
+    write_turns,
+)
 from gesticulator.characters.inverse_kinematics import bend, swivel
 
-SOFT = 0.05
-"""Metres before and after the surface over which a hand is slowed; one at rest on the trunk, at 12 mm, moves by 7."""
 STEEPEST = 1.2
 """Largest slope of the front of the trunk: with 3, a hand that shot past the hip was thrown ahead at 4.7 m/s."""
 OTHER_SIDE = (0.115, 0.07, 0.35)
@@ -58,14 +66,10 @@ HEAD_MIDDLE = np.array([0.0, 0.085, 0.025])
 """Middle of the face relative to the joint of the head, metres: the joint is at the top of the neck."""
 HEAD_RADIUS = 0.13
 """Metres from there within which a hand hides the face: the face is 0.09 deep, and a hand 0.04."""
-LEAST = 1e-6
-"""Metres below which a hand is not moved."""
 _STEPS = 4
 """Iterations: wrist and knuckles share a correction, and each corrects the one before."""
 _SWINGS = 7
 """Iterations of an elbow that swings outward."""
-POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
-"""Direction to which the elbow of a straight arm bends."""
 
 
 def cleared(motion: Motion, sits: bool = False) -> Motion:
@@ -114,18 +118,6 @@ def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, flo
     write_turns(rotations, skeleton, turns, chain, at)
 
 
-def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array], joints: Sequence[int],
-                at: NDArray[np.int64]) -> None:
-    """Write the world rotations `turns` of some joints, each above the next, into `rotations` [T, J, 4] at the frames
-    `at`."""
-    for joint in joints:
-        above = turns[skeleton.parents[joint]]
-        local = np.swapaxes(above, -1, -2) @ turns[joint]
-        new, old = Rotation.from_matrix(local).as_quat(scalar_first=True), rotations[at, joint]
-        # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
-        rotations[at, joint] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
-
-
 def _tip_hand(turns: dict[int, Array], limbs: OurLimbs, hand: tuple[int, int], body: _Body, sign: float) -> None:
     """Turn a hand in `turns` about its wrist where its knuckles are still in the trunk: of a hand that stays at its
     shoulder. hand: wrist and knuckles; sign: 1 for the left hand, -1 for the right."""
@@ -144,21 +136,6 @@ def _tip_hand(turns: dict[int, Array], limbs: OurLimbs, hand: tuple[int, int], b
     turn = Rotation.from_rotvec(axis / np.maximum(sine, 1e-9) * angle).as_matrix()
     turns[hand[0]] = turns[hand[0]].copy()
     turns[hand[0]][at] = turn @ turns[hand[0]][at]
-
-
-class BelowShoulder(OurLimbs):
-    """The nodes of an arm under a shoulder that stays where it is."""
-
-    def __init__(self, skeleton: Skeleton, shoulder: int, place: Array) -> None:
-        super().__init__(skeleton)
-        self._shoulder, self._place = shoulder, place
-
-    def place(self, turns: Mapping[int, Array], node: int) -> Array:
-        """[T, 3] position of a node of the arm relative to the hips."""
-        if node == self._shoulder:
-            return self._place
-        above = self.skeleton.parents[node]
-        return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
 
 
 def cleared_poses(poses: Array, representation: Representation, sits: bool = False) -> Array:
@@ -255,8 +232,3 @@ def _ramp(values: Array, ends: tuple[float, float]) -> Array:
     """0 below the first of two ends, 1 above the second, without a kink."""
     share = np.clip((values - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
     return np.asarray(share ** 2 * (3.0 - 2.0 * share))
-
-
-def soft(depth: Array, over: float = SOFT) -> Array:
-    """max(depth, 0) without a kink, metres. over: metres on both sides in which it is rounded."""
-    return np.where(depth > over, depth, np.clip(depth + over, 0.0, 2.0 * over) ** 2 / (4.0 * over))

@@ -92,7 +92,7 @@ class SignedPieces:
 
 
 @dataclass(frozen=True)
-class Layout:
+class PieceLayout:
     """Of N pieces, and of the frames of G groups of pins. edges: [N + 1] frames of the pieces; first, last: [N + G] the
     blocks whose poses a piece or group depends on; begins: [N + G] whether it depends on the beginning; count: of all
     frames; groups: [G]."""
@@ -153,7 +153,7 @@ class FramePieces:
         self.most = max(_LEAST, _EACH * blocks)
         self._numbers, self._stance = numbers, stance
         self._pinned: dict[Hashable, Array] = {}
-        self._layouts: list[tuple[Array, float, GesturePlan | None, Layout]] = []
+        self._layouts: list[tuple[Array, float, GesturePlan | None, PieceLayout]] = []
 
     def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int],
                plan: GesturePlan | None = None, keys: Sequence[Hashable] | None = None
@@ -222,7 +222,7 @@ class FramePieces:
         return [max([layout.last[at], *(layout.last[group] for group in layout.pinned_by(at))])
                 for at in range(len(times))]
 
-    def layout(self, times: Array, duration: float, plan: GesturePlan | None) -> Layout:
+    def layout(self, times: Array, duration: float, plan: GesturePlan | None) -> PieceLayout:
         """The layout of blocks with knots at `times`. The last ones are remembered by these very objects."""
         known = next((made for *asked, made in self._layouts if asked[0] is times and asked[1] == duration
                       and asked[2] is plan), None)
@@ -231,7 +231,7 @@ class FramePieces:
             self._layouts = [*self._layouts[-1:], (times, duration, plan, known)]
         return known
 
-    def _laid_out(self, times: Array, duration: float, plan: GesturePlan | None) -> Layout:
+    def _laid_out(self, times: Array, duration: float, plan: GesturePlan | None) -> PieceLayout:
         flat = np.concatenate([[0.0], times.ravel()])
         knots, count = times.shape[1], max(1, round(duration * self.fps))
         edges = [0, *np.minimum(np.ceil(times[:-1, -1] * self.fps - 1e-9), count).astype(int).tolist(), count]
@@ -244,7 +244,7 @@ class FramePieces:
         low = np.searchsorted(flat, begins, side="right") - 1 - _MARGIN
         high = np.minimum(np.searchsorted(flat, stops, side="right") + _MARGIN, len(flat))
         first, last = np.maximum(low - 1, 0) // knots, (high - 2) // knots
-        return Layout(tuple(edges), first.tolist(), last.tolist(), (low <= 0).tolist(), count, groups)
+        return PieceLayout(tuple(edges), first.tolist(), last.tolist(), (low <= 0).tolist(), count, groups)
 
     def _groups(self, plan: GesturePlan | None, count: int) -> Sequence[PinGroup]:
         if plan is None or not plan.pins:
@@ -271,7 +271,7 @@ class FramePieces:
             self._known.popitem(last=False)
         return made
 
-    def _pinned_turns(self, layout: Layout, at: int, blocks: Sequence[PosedBlock], turns: Array) -> Array:
+    def _pinned_turns(self, layout: PieceLayout, at: int, blocks: Sequence[PosedBlock], turns: Array) -> Array:
         """The rotations [T, J, 4] of a piece with those of its pins."""
         (first, last), near = layout.frames(at), layout.pinned_by(at)
         for number in near:
@@ -283,7 +283,7 @@ class FramePieces:
             turns[rows] = np.where(np.sum(part * turns[rows], axis=-1, keepdims=True) < 0.0, -part, part)
         return turns
 
-    def _with_pins(self, layout: Layout, number: int, blocks: Sequence[PosedBlock]) -> Array:
+    def _with_pins(self, layout: PieceLayout, number: int, blocks: Sequence[PosedBlock]) -> Array:
         """[T, J, 4] rotations of the frames of a group of pins."""
         from gesticulator.body.pins import with_group
 
@@ -296,7 +296,7 @@ class FramePieces:
             self._pinned[key] = made
         return self._pinned[key]
 
-    def body(self, layout: Layout, numbers: range, blocks: Sequence[PosedBlock]) -> Motion:
+    def body(self, layout: PieceLayout, numbers: range, blocks: Sequence[PosedBlock]) -> Motion:
         """The frames of neighbouring pieces, or of a group, without pins."""
         first = min([layout.first[at] for at in numbers])
         near, begins = blocks[first:layout.last[numbers[-1]] + 1], any(layout.begins[at] for at in numbers)

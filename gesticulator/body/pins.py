@@ -26,8 +26,8 @@ from data_module.errors import InputError, shown
 from data_module.motion import rotation
 from data_module.motion.skeletons import standing
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.body.clearance import BelowShoulder, cleared, soft
-from gesticulator.characters.contacts import pose_of
+from gesticulator.body.clearance import cleared
+from gesticulator.characters.contacts import BelowShoulder, pose_of, soft
 from gesticulator.characters.inverse_kinematics import bend, swing
 from gesticulator.plan.json_lines import Path as Place
 from gesticulator.plan.plan import GesturePlan, PosePin

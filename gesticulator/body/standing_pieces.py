@@ -29,7 +29,7 @@ from data_module.blocks import KnotPath
 from data_module.motion import rotation
 from data_module.motion.skeletons import WHOLE_BODY, resized
 from data_module.types import Array, Motion
-from gesticulator.body.frame_pieces import FramePiece, FramePieces, Layout, PosedBlock
+from gesticulator.body.frame_pieces import FramePiece, FramePieces, PieceLayout, PosedBlock
 from gesticulator.body.mirror import exchanged_joints, mirrored_motion
 from gesticulator.body.stance import LEGGED, Course, Follower, Signals, Stance, course_of, joined, on_legs
 from gesticulator.bundle.bundle import Bundle
@@ -89,7 +89,7 @@ class _Asked:
     """The pieces that are asked for. blocks: all that they depend on; steps: the numbers of frames, rising from 0,
     between which legs step in the whole motion."""
 
-    layout: Layout
+    layout: PieceLayout
     blocks: Sequence[PosedBlock]
     steps: Sequence[int]
 
@@ -134,7 +134,7 @@ class StandingPieces:
         self._known: OrderedDict[Hashable, list[_Variant]] = OrderedDict()
         self._courses: dict[tuple[int, int], Course] = {}
         self._joined: OrderedDict[Hashable, Course] = OrderedDict()
-        self._steps_of: tuple[Layout, Sequence[int]] | None = None
+        self._steps_of: tuple[PieceLayout, Sequence[int]] | None = None
         self._runs: list[_Run] = []  # the most recently used comes last
 
     def pieces(self, times: Array, blocks: Sequence[PosedBlock], duration: float, order: Sequence[int],
@@ -337,7 +337,7 @@ class StandingPieces:
         return mirrored_motion(made) if self._mirrored else made
 
 
-def _alike(run: _Run, keys: Sequence[Hashable], layout: Layout) -> dict[int, _Variant]:
+def _alike(run: _Run, keys: Sequence[Hashable], layout: PieceLayout) -> dict[int, _Variant]:
     """The pieces of the run before that stay as they are."""
     if run.before is None or layout.groups:
         return {}
@@ -386,7 +386,7 @@ def _slack(turns: Array, root: Array, steps: int) -> Array:
     return np.maximum(np.minimum(away / steps / STEEPEST, gaps.min(axis=1) / STEEPEST_ROOT), 0.0)
 
 
-def _groups(numbers: Sequence[int], layout: Layout) -> Iterator[list[int]]:
+def _groups(numbers: Sequence[int], layout: PieceLayout) -> Iterator[list[int]]:
     """Pieces that are made together."""
     some, frames = list[int](), 0
     for at in numbers:

@@ -10,11 +10,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
 from gesticulator.characters.inverse_kinematics import bend
+
+SOFT = 0.05
+"""Metres before and after the surface over which a hand is slowed; one at rest on the trunk, at 12 mm, moves by 7."""
+LEAST = 1e-6
+"""Metres below which a hand is not moved."""
+POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
+"""Direction to which the elbow of a straight arm bends."""
 
 MARGIN = 0.03
 """Metres from the trunk beyond which a hand is not corrected, for an adult."""
@@ -213,3 +221,35 @@ def _kept_out(motion: Motion, pose: Pose, gaps: Mapping[str, tuple[Array, Array]
             local = np.swapaxes(turns[motion.skeleton.parents[joint]], -1, -2) @ turns[joint]
             rotations[touched, joint] = Rotation.from_matrix(local[touched]).as_quat(scalar_first=True)
     return replace(motion, rotations=rotations)
+
+
+class BelowShoulder(OurLimbs):
+    """The nodes of an arm under a shoulder that stays where it is."""
+
+    def __init__(self, skeleton: Skeleton, shoulder: int, place: Array) -> None:
+        super().__init__(skeleton)
+        self._shoulder, self._place = shoulder, place
+
+    def place(self, turns: Mapping[int, Array], node: int) -> Array:
+        """[T, 3] position of a node of the arm relative to the hips."""
+        if node == self._shoulder:
+            return self._place
+        above = self.skeleton.parents[node]
+        return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
+
+
+def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array], joints: Sequence[int],
+                at: NDArray[np.int64]) -> None:
+    """Write the world rotations `turns` of some joints, each above the next, into `rotations` [T, J, 4] at the frames
+    `at`."""
+    for joint in joints:
+        above = turns[skeleton.parents[joint]]
+        local = np.swapaxes(above, -1, -2) @ turns[joint]
+        new, old = Rotation.from_matrix(local).as_quat(scalar_first=True), rotations[at, joint]
+        # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
+        rotations[at, joint] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
+
+
+def soft(depth: Array, over: float = SOFT) -> Array:
+    """max(depth, 0) without a kink, metres. over: metres on both sides in which it is rounded."""
+    return np.where(depth > over, depth, np.clip(depth + over, 0.0, 2.0 * over) ** 2 / (4.0 * over))
