@@ -290,7 +290,7 @@ def test_a_rater_goes_through_the_page_by_keyboard(browser: Any, made: Path, tmp
             page.click("#begin button")
         assert page.inner_text("#place") == f"Clip {place + 1} of {len(order)}"
         # A slow machine may have played the clip by now.
-        assert page.evaluate("""() => trial.seen || document.querySelector("#choices input").disabled""")
+        assert page.evaluate("""() => trial.seen || document.getElementById("choices").disabled""")
         assert page.is_disabled("#next")
         page.wait_for_function("() => trial.seen", timeout=20_000)
         assert page.locator("#choices label span").all_inner_texts() == [item["answers"][answer] for answer in answers]
