@@ -224,15 +224,14 @@ def _short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gesticulator.serve.edits.REPORTS", 5)
 
 
-@settings(max_examples=5, phases=[Phase.generate])  # an example that fails is short enough as it is
-@given(EDITS)
-def test_any_edits_give_the_frames_of_the_plan_rendered_anew(
-        system: Gesticulator, speech: Speech, first: Performance, edits: list[tuple[str, int, int, int]]) -> None:
-    page = Page(system, first)
+def _edited_as_anew(system: Gesticulator, speech: Speech, page: Page, edits: list[tuple[str, int, int, int]],
+                    most: int) -> Performance:
+    """Edit a page, and before each edit abandon it if its last number is below `most`: the page has the frames of the
+    last plan rendered anew, which are returned."""
     before = [page.plan]
     for what, at, value, abandoned in edits:
         asked = before[value % len(before)] if what == "undo" else edited(page.plan, what, at, value)
-        if abandoned < 20:
+        if abandoned < most:
             page.abandon(asked, abandoned)
         page.edit(asked)
         before.append(page.plan)
@@ -240,6 +239,15 @@ def test_any_edits_give_the_frames_of_the_plan_rendered_anew(
     made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(asked)))
     np.testing.assert_array_equal(page.frames, frames_of_take(made))
     np.testing.assert_array_equal(page.roots, roots_of_take(made))
+    return made
+
+
+@settings(max_examples=5, phases=[Phase.generate])  # an example that fails is short enough as it is
+@given(EDITS)
+def test_any_edits_give_the_frames_of_the_plan_rendered_anew(
+        system: Gesticulator, speech: Speech, first: Performance, edits: list[tuple[str, int, int, int]]) -> None:
+    page = Page(system, first)
+    made = _edited_as_anew(system, speech, page, edits, 20)
     again = parse_plan(json.dumps(page.plan))
     assert made.plan() == replace(again, sound=made.plan().sound)
 
@@ -251,16 +259,7 @@ def test_any_edits_give_the_frames_of_the_plan_rendered_anew(
 def test_legs_after_any_edits_are_those_of_the_plan_rendered_anew(
         system: Gesticulator, speech: Speech, edits: list[tuple[str, int, int, int]]) -> None:
     page = Page(system, system(speech, seed=SEED, legs=True))
-    before = [page.plan]
-    for what, at, value, abandoned in edits:
-        asked = before[value % len(before)] if what == "undo" else edited(page.plan, what, at, value)
-        if abandoned < 10:
-            page.abandon(asked, abandoned)
-        page.edit(asked)
-        before.append(page.plan)
-    made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(asked)))
-    np.testing.assert_array_equal(page.frames, frames_of_take(made))
-    np.testing.assert_array_equal(page.roots, roots_of_take(made))
+    _edited_as_anew(system, speech, page, edits, 10)
 
 
 def test_legs_after_a_change_show_the_visible_stretch_first_and_are_forgotten_by_undo(

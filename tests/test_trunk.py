@@ -220,59 +220,58 @@ def test_the_page_limits_hands_as_python_does(node: str) -> None:
     np.testing.assert_allclose(json.loads(done.stdout), expected, atol=1e-9)
 
 
-def test_the_page_spreads_displacements_as_python_does_and_needs_only_the_moments_around(node: str) -> None:
+class Sweep:
+    """A hand that sweeps through a stout trunk in four seconds, by Python and as the page's sources take it."""
+
     fps, arm, count = 30.0, 1.5 * 0.53, 120
-    across = 0.35 - 0.55 / (1.0 + np.exp(-12.0 * (np.arange(count) / fps - 2.0)))
-    our = np.stack([across, np.full(count, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125
-                                                           - 0.5 * (np.abs(across) - OURS[0]))])
-    their = our * np.array([[0.9], [1.0], [0.5]])
-    stout = ellipse(*STOUT)
-    limit = limited(our, their, stout)
-    framed = limit.lack[:, None] * limit.normal
-    upright = TrunkAxes(np.tile(np.eye(3), (count, 1, 1)), np.full(count, LENGTH))
-    wanted = spread(framed, [HandPoint(their.T, limit.margin)], Obstacle(upright, stout, 1.5), (their.T, arm), fps)
-    moments = [{"reached": place, "side": [1, 0, 0], "up": [0, 1, 0], "ahead": [0, 0, 1], "long": LENGTH,
-                "points": [{"place": place, "margin": margin}]}
-               for place, margin in zip(their.T.tolist(), limit.margin.tolist(), strict=True)]
-    trunk = {"outline": {"steps": stout.steps.tolist(), "reach": stout.reach.tolist()}, "size": 1.5}
-    given = {"pushes": framed.tolist(), "moments": moments, "trunk": trunk, "fps": fps, "around": 18}
+
+    def __init__(self) -> None:
+        across = 0.35 - 0.55 / (1.0 + np.exp(-12.0 * (np.arange(self.count) / self.fps - 2.0)))
+        our = np.stack([across, np.full(self.count, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125
+                                                                    - 0.5 * (np.abs(across) - OURS[0]))])
+        self.their = our * np.array([[0.9], [1.0], [0.5]])
+        stout = ellipse(*STOUT)
+        limit = limited(our, self.their, stout)
+        self.framed = limit.lack[:, None] * limit.normal
+        upright = TrunkAxes(np.tile(np.eye(3), (self.count, 1, 1)), np.full(self.count, LENGTH))
+        self.wanted = spread(self.framed, [HandPoint(self.their.T, limit.margin)], Obstacle(upright, stout, 1.5),
+                             (self.their.T, self.arm), self.fps)
+        moments = [{"reached": place, "side": [1, 0, 0], "up": [0, 1, 0], "ahead": [0, 0, 1], "long": LENGTH,
+                    "points": [{"place": place, "margin": margin}]}
+                   for place, margin in zip(self.their.T.tolist(), limit.margin.tolist(), strict=True)]
+        self.outline = {"steps": stout.steps.tolist(), "reach": stout.reach.tolist()}
+        self.given = {"pushes": self.framed.tolist(), "moments": moments, "fps": self.fps}
+
+    def fastest(self, push: Array) -> float:
+        """Metres a frame."""
+        return float(np.linalg.norm(np.diff(self.their.T + push, axis=0), axis=1).max())
+
+
+def test_the_page_spreads_displacements_as_python_does_and_needs_only_the_moments_around(node: str) -> None:
+    sweep = Sweep()
+    given = {**sweep.given, "trunk": {"outline": sweep.outline, "size": 1.5}, "around": 18}
     done = subprocess.run([node, "--input-type=module", "-e", SPREADS], cwd=VIEWER, input=json.dumps(given),
                           capture_output=True, text=True, check=True)
     whole, local = (np.array(rows) for rows in json.loads(done.stdout))
-    np.testing.assert_allclose(whole[10:-10], wanted[10:-10], atol=1e-3)
-    np.testing.assert_allclose(local[10:-10], wanted[10:-10], atol=0.01)
-    assert beside((their.T + local).T, *STOUT).min() > 0.99
-    speeds = [np.linalg.norm(np.diff(their.T + moved, axis=0), axis=1).max() for moved in (framed, wanted, local)]
-    assert speeds[2] < 1.05 * speeds[1] < speeds[0]
+    np.testing.assert_allclose(whole[10:-10], sweep.wanted[10:-10], atol=1e-3)
+    np.testing.assert_allclose(local[10:-10], sweep.wanted[10:-10], atol=0.01)
+    assert beside((sweep.their.T + local).T, *STOUT).min() > 0.99
+    assert sweep.fastest(local) < 1.05 * sweep.fastest(sweep.wanted) < sweep.fastest(sweep.framed)
 
 
 def test_the_page_of_a_stream_sets_out_early_for_the_frames_that_have_come(node: str) -> None:
-    """A hand that sweeps through a stout trunk; the control knows no frame to come."""
-    fps, arm, count = 30.0, 1.5 * 0.53, 120
-    across = 0.35 - 0.55 / (1.0 + np.exp(-12.0 * (np.arange(count) / fps - 2.0)))
-    our = np.stack([across, np.full(count, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125
-                                                           - 0.5 * (np.abs(across) - OURS[0]))])
-    their = our * np.array([[0.9], [1.0], [0.5]])
-    stout = ellipse(*STOUT)
-    limit = limited(our, their, stout)
-    framed = limit.lack[:, None] * limit.normal
-    upright = TrunkAxes(np.tile(np.eye(3), (count, 1, 1)), np.full(count, LENGTH))
-    wanted = spread(framed, [HandPoint(their.T, limit.margin)], Obstacle(upright, stout, 1.5), (their.T, arm), fps)
-    moments = [{"reached": place, "side": [1, 0, 0], "up": [0, 1, 0], "ahead": [0, 0, 1], "long": LENGTH,
-                "points": [{"place": place, "margin": margin}]}
-               for place, margin in zip(their.T.tolist(), limit.margin.tolist(), strict=True)]
-    speeds = {}
+    """The control knows no frame to come."""
+    sweep, speeds = Sweep(), {}
     for known in (0, 6, 30):
-        given = {"pushes": framed.tolist(), "moments": moments, "arm": arm, "known": known, "fps": fps,
-                 "outline": {"steps": stout.steps.tolist(), "reach": stout.reach.tolist()}}
+        given = {**sweep.given, "arm": sweep.arm, "known": known, "outline": sweep.outline}
         done = subprocess.run([node, "--input-type=module", "-e", FOLLOWS], cwd=VIEWER, input=json.dumps(given),
                               capture_output=True, text=True, check=True)
         push = np.array(json.loads(done.stdout))
-        assert beside((their.T + push).T, *STOUT).min() > 0.98, "outside, however little is known"
-        speeds[known] = np.linalg.norm(np.diff(their.T + push, axis=0), axis=1).max()
+        assert beside((sweep.their.T + push).T, *STOUT).min() > 0.98, "outside, however little is known"
+        speeds[known] = sweep.fastest(push)
         if known == 30:
-            np.testing.assert_allclose(push[10:-10], wanted[10:-10], atol=0.012)
-    by_itself = np.linalg.norm(np.diff(their.T + framed, axis=0), axis=1).max()
+            np.testing.assert_allclose(push[10:-10], sweep.wanted[10:-10], atol=0.012)
+    by_itself = sweep.fastest(sweep.framed)
     assert speeds[30] < speeds[6] < by_itself and speeds[0] < 1.05 * by_itself, speeds
 
 
