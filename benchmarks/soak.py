@@ -37,6 +37,7 @@ import sys
 import tempfile
 import time
 import urllib.request
+from collections import deque
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -187,6 +188,8 @@ class Count:
     full_disks: int = 0
     attacks: int = 0
     failures: list[str] = field(default_factory=list)
+    oddities: list[str] = field(default_factory=list)
+    """Where frames were lost or came twice: the stream, the frame and what had just happened."""
 
 
 class Client:
@@ -200,6 +203,7 @@ class Client:
         self.next, self._moved, self._source = 0, asyncio.Event(), 0
         self._replaced: int | None = None
         """The frame from which an interruption replaces frames, until its packet comes."""
+        self._happened: deque[str] = deque(maxlen=4)
 
     async def run(self, until: float) -> None:
         """Streams of 20 s to five minutes of media time, one after the other."""
@@ -214,6 +218,7 @@ class Client:
 
     async def _one(self, seconds: float) -> None:
         self.next, self._replaced, self._source = 0, None, 0
+        self._happened.clear()
         async with connect_resuming(self.processes.url, self.hello, patience=600.0) as stream:
             self.stream = stream
             reading = asyncio.create_task(self._read(stream))
@@ -229,8 +234,7 @@ class Client:
                 self.stream = None
         wanted = math.floor(stream.time * self.hello.fps + 1e-6)
         # What ends within a frame may have it or not: the end is rounded.
-        self.count.lost += max(0, wanted - 1 - self.next)
-        self.count.doubled += max(0, self.next - wanted - 1)
+        self._compare(max(wanted - 1, min(self.next, wanted + 1)), "at the end")
         self.count.frames += self.next
         self.count.seconds += stream.time
 
@@ -241,13 +245,22 @@ class Client:
                 if self._replaced not in (None, message.first):
                     continue  # it was on its way when the interruption was sent
                 self._replaced = None
-                self.count.lost += max(0, message.first - self.next)
-                self.count.doubled += max(0, self.next - message.first)
+                self._compare(message.first, f"in session {message.source}")
                 self.next = message.first + len(message)
                 self._moved.set()
             elif message["type"] == "back":
+                self._happened.append(f"back at {self.next}, {'resumed' if message['resumed'] else 'anew'}")
                 self.count.came_back += message["resumed"]
                 self.count.replayed += not message["resumed"]
+
+    def _compare(self, frame: int, where: str) -> None:
+        """Count what was lost or came twice, where another frame than the next one came."""
+        if frame == self.next:
+            return
+        self.count.lost += max(0, frame - self.next)
+        self.count.doubled += max(0, self.next - frame)
+        self.count.oddities.append(f"{self.kind}: frame {frame} for {self.next} {where}; before it: "
+                                   + ", ".join(self._happened))
 
     async def _room(self, stream: ResumingStream, begin: float, reading: asyncio.Task[None]) -> None:
         """No turn begins before the last one was spoken or played, nor while too little is answered."""
@@ -283,6 +296,7 @@ class Client:
             await stream.interrupt(at - min(0.5, at / 2))
             self.next = self._replaced = min(self.next, math.ceil(stream.time * self.hello.fps - 1e-6))
             self.count.interruptions += 1
+            self._happened.append(f"interrupted at {self.next}, {stream.time:.4f} s")
             await stream.idle(0.8)
         else:
             await self._send(stream, min(left, 1.0), (0.02, 0.1, 1.0)[int(3 * chance)])
@@ -421,39 +435,47 @@ async def soak(processes: Processes, voice: np.ndarray, a: argparse.Namespace) -
                       "no descriptor leaked": all(more <= 0 for more in leaked.values())}}
 
 
-def table(report: dict[str, Any]) -> str:
-    """The report as Markdown."""
-    loads = [row["load"] for row in report["rows"]]
-    lines = ["# Soak", "", f"`{report['command']}`, {report['date']}, commit {report['commit']}; "
-             f"{report['processor']}, {report['cores']} cores, which did other work at the same time (load "
-             f"{min(loads):g} to {max(loads):g}).", "",
-             f"{report['minutes']:g} minutes with {report['concurrent']} streams at a time (`--minutes` for more).",
-             "",
-             "| | |", "|---|---|"]
-    for name, label in (("streams", "streams that were finished"), ("pieces", "pieces of sound"),
-                        ("seconds", "seconds of media time"), ("frames", "frames"), ("lost", "frames lost"),
-                        ("doubled", "frames that came twice"), ("interruptions", "interruptions"),
-                        ("cut", "connections cut"), ("killed", "workers killed"),
-                        ("came_back", "connections that went on with their session"),
-                        ("replayed", "connections whose session was gone, replayed"),
-                        ("full_disks", "minutes with a full disk"), ("attacks", "attacks, each of 20 s")):
-        lines.append(f"| {label} | {report[name]:,.0f} |")
-    lines += [f"| {label} | {report['counted'][name]:,.0f} |" for name, label in LESSER.items()]
-    lines += [f"| processor time of the server, s | {report['server_seconds']:,.0f} |",
-              f"| processor time of the clients, s | {report['client_seconds']:,.0f} |",
-              f"| streams that failed | {len(report['failures'])} |", f"| exit code | {report['exit_code']} |", "",
-              "| process | alive for, min | memory after ten minutes, MB | most after that | last | growth |",
-              "|---|---|---|---|---|---|"]
-    for number, one in enumerate(sorted(report["memory"].values(), key=lambda one: one["settled"])):
-        name = f"worker {number}" if number else "parent"
-        values = (one["minutes"], one["settled"], one["most"], one["last"])
-        lines.append(f"| {name} | " + " | ".join(f"{value:g}" for value in values)
-                     + f" | {100 * one['growth']:.1f} % |")
-    lines += ["", "Descriptors before the first stream and after the last one, of processes that lived throughout: "
-              + ", ".join(f"{first} and {last}" for first, last in report["descriptors"].values()) + ".", "",
-              "Holds: " + ", ".join(f"{name}: {'yes' if holds else '**no**'}"
-                                    for name, holds in report["holds"].items()) + ".", ""]
-    return "\n".join(lines)
+def table(pieces: list[dict[str, Any]]) -> str:
+    """The reports of runs as Markdown, a column each."""
+    lines = ["# Soak", ""]
+    for number, one in enumerate(pieces, 1):
+        loads = [row["load"] for row in one["rows"]]
+        lines.append(f"Piece {number}: `{one['command']}`, {one['date']}, commit {one['commit']}; {one['processor']}, "
+                     f"{one['cores']} cores, which did other work at the same time (load {min(loads):g} to "
+                     f"{max(loads):g}).\n")
+    heads = [f"piece {number}" for number in range(1, len(pieces) + 1)]
+    lines += _rows(["", *heads], [
+        ("minutes", [f"{one['minutes']:g}" for one in pieces]),
+        ("streams at a time", [f"{one['concurrent']}" for one in pieces]),
+        *((label, [f"{one[name]:,.0f}" for one in pieces]) for name, label in (
+            ("streams", "streams that were finished"), ("pieces", "pieces of sound"),
+            ("seconds", "seconds of media time"), ("frames", "frames"), ("lost", "frames lost"),
+            ("doubled", "frames that came twice"), ("interruptions", "interruptions"), ("cut", "connections cut"),
+            ("killed", "workers killed"), ("came_back", "connections that went on with their session"),
+            ("replayed", "connections whose session was gone, replayed"),
+            ("full_disks", "minutes with a full disk"), ("attacks", "attacks, each of 20 s"))),
+        *((label, [f"{one['counted'][name]:,.0f}" for one in pieces]) for name, label in LESSER.items()),
+        ("processor time of the server, s", [f"{one['server_seconds']:,.0f}" for one in pieces]),
+        ("processor time of the clients, s", [f"{one['client_seconds']:,.0f}" for one in pieces]),
+        ("streams that failed", [f"{len(one['failures'])}" for one in pieces]),
+        ("exit code", [f"{one['exit_code']}" for one in pieces]),
+        *((name, ["yes" if one["holds"][name] else "**no**" for one in pieces]) for name in pieces[0]["holds"])])
+    lines += ["", *_rows(
+        ["process", "alive for, min", "memory after ten minutes, MB", "most after that", "last", "growth",
+         "descriptors before the first stream and after the last"],
+        [(f"piece {number}, " + (f"worker {place}" if place else "parent"),
+          [*(f"{held[name]:g}" for name in ("minutes", "settled", "most", "last")), f"{100 * held['growth']:.1f} %",
+           " and ".join(map(str, one["descriptors"].get(pid, ["killed or born meanwhile"])))])
+         for number, one in enumerate(pieces, 1)
+         for place, (pid, held) in enumerate(sorted(one["memory"].items(), key=lambda pair: pair[1]["settled"]))])]
+    odd = [f"- Piece {number}: {text}" for number, one in enumerate(pieces, 1) for text in one.get("oddities", ())]
+    return "\n".join([*lines, "", *([*odd, ""] if odd else [])])
+
+
+def _rows(heads: list[str], rows: list[tuple[str, list[str]]]) -> list[str]:
+    """A table's lines."""
+    return [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads),
+            *(f"| {label} | {' | '.join(values)} |" for label, values in rows)]
 
 
 def main() -> int:
@@ -467,7 +489,8 @@ def main() -> int:
     p.add_argument("--grace", type=float, default=70.0, help="seconds after the last stream (default 70: the server "
                    "keeps lost streams for a minute)")
     p.add_argument("--step", type=float, default=30.0, help="seconds between rows (default 30)")
-    p.add_argument("--out", type=Path, help="path of the report, without .json and .md")
+    p.add_argument("--out", type=Path, help="path of the report, without .json and .md; a piece is added to those in it")
+    p.add_argument("--anew", action="store_true", help="begin the report anew")
     p.add_argument("--attack", choices=list(live_attack.ATTACKS), help=argparse.SUPPRESS)
     p.add_argument("--port", type=int, help=argparse.SUPPRESS)
     a = p.parse_args()
@@ -491,11 +514,13 @@ def main() -> int:
               "date": time.strftime("%Y-%m-%d"), "commit": commit.strip(), "processor": processor(),
               "cores": os.cpu_count(), "minutes": a.minutes, "concurrent": a.streams, "exit_code": code,
               "errors_in_log": warnings[:20], **report}
-    print(table(report))
+    print(table([report]))
     print("\n".join([*report["failures"][:20], *warnings[:20]]))
     if a.out:
-        write_text(a.out.with_suffix(".json"), json.dumps(report, indent=1) + "\n")
-        write_text(a.out.with_suffix(".md"), table(report))
+        kept = a.out.with_suffix(".json")
+        pieces = json.loads(kept.read_text())["pieces"] if kept.exists() and not a.anew else []
+        write_text(kept, json.dumps({"pieces": [*pieces, report]}, indent=1) + "\n")
+        write_text(a.out.with_suffix(".md"), table([*pieces, report]))
     return int(not all(report["holds"].values()))
 
 
