@@ -50,6 +50,9 @@ OTHER_SIDE = (0.115, 0.07, 0.35)
 A hand there is beside the other arm, not behind the back."""
 CAP, RECEDES = 0.20, 0.5
 """Metres above the neck and below the hips over which the front of the trunk recedes, and by how many."""
+HEM, HIPS, HIPS_UNDER = 0.08, 0.17, 0.12
+"""Metres below the hips down to which a shirt hangs; share by which the hips under it are wider than the trunk; metres
+above the hips from which it widens."""
 BACK, BACK_ENDS, BACK_FALLS, ELBOW_SOFT = 0.07, 0.16, 0.8, 0.06
 """The plane behind which the trunk hides an elbow: metres behind its middle, up to which metres across, its slope from
 there on, and metres over which an elbow is slowed. In two takes of people who talk no
@@ -192,7 +195,7 @@ class _Body:
     def out_of_trunk(self, point: Array, sign: float, over: float) -> Array:
         """[T, 3] the displacement of a point [T, 3] of a hand in the trunk; over: metres in which it is rounded."""
         across, along, ahead = np.einsum("tij,tj->ti", self._axes, point).T
-        return self._axes[:, 2] * soft(front_at(across * sign, along, self._length) - ahead, over)[:, None]
+        return self._axes[:, 2] * soft(shirt_at(across * sign, along, self._length) - ahead, over)[:, None]
 
     def _off_face(self, point: Array) -> Array:
         x, y, z = np.einsum("tji,tj->ti", self._head, point - self._face).T
@@ -216,6 +219,13 @@ def front_at(across: Array, along: Array, length: Array) -> Array:
     """`trunk_front` at metres across the trunk and `along` it from the hips, which recedes beyond the ends of its
     `length`."""
     return np.asarray(trunk_front(across) - _receding(along, length))
+
+
+def shirt_at(across: Array, along: Array, length: Array) -> Array:
+    """As `front_at`, over hips that are wider than the trunk."""
+    wide = 1.0 + HIPS * (1.0 - _ramp(along, (0.0, HIPS_UNDER)))
+    hem = np.maximum(along, np.minimum(along + HEM, 0.0))
+    return np.asarray(wide * trunk_front(across / wide) - _receding(hem, length))
 
 
 def back_at(across: Array, along: Array, length: Array) -> Array:
