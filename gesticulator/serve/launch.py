@@ -96,12 +96,14 @@ def launch(config: Launch) -> int:
     address = config.address
     with contextlib.ExitStack() as opened:
         listening = opened.enter_context(address.listen())
-        figures = None if address.metrics_port is None else opened.enter_context(address.listen(address.metrics_port))
+        figures = address.listen_for_metrics()
+        if figures is not None:
+            opened.enter_context(figures)
         host, port = listening.getsockname()[:2]
         host = f"[{host}]" if ":" in host else host
         LOG.info("listening on ws://%s:%d/stream, /healthz, /readyz and /metrics", host, port)
         if figures is not None:
-            LOG.info("metrics at http://%s:%d/metrics", host, figures.getsockname()[1])
+            LOG.info("metrics at http://%s:%d/metrics", address.metrics_host or host, figures.getsockname()[1])
         sockets = Sockets(listening, figures)
         if config.workers == 1:
             serve_here(config, sockets)
