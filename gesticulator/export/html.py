@@ -142,7 +142,8 @@ def describe_shape(motion: Motion, duration: float) -> dict[str, Any]:
 
 def shown(scene: Scene) -> Motion:
     """The motion as the page has it."""
-    return kinematics.resample(scene.standing, page_fps(scene.duration, scene.standing.fps))
+    motion = scene.standing
+    return kinematics.resample(motion, page_fps(scene.duration, motion.fps))
 
 
 def page_fps(duration: float, fps: float) -> float:
