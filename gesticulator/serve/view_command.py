@@ -52,6 +52,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
     from gesticulator.serve.page_place import served_again
+    from gesticulator.serve.page_server import PageServer
 
     if args.list:
         from gesticulator.pipeline import Gesticulator
@@ -62,8 +63,10 @@ def run(args: argparse.Namespace) -> int:
     job = _job(args)
     check_choices(args)
     assert job.source is not None
-    # A page of a given plan, or of two takes, has edits of its own.
-    server, name = served_again(args.port, job.source, args.anew or args.plan is not None or args.beside is not None)
+    if args.plan is not None or args.beside is not None:  # a page with edits of its own
+        server, name = PageServer(args.port), None
+    else:
+        server, name = served_again(args.port, job.source, args.anew)
     with server, our_warnings(), limited_threads(int(args.threads)):
         _prepare(server, job, args, name)
         _serve(server, args)

@@ -57,9 +57,13 @@ export class Inspector {
     const word = (plan.words ?? []).find(({ start, end }) => time >= start && time < end)?.text;
     const cue = cuesOf(plan).find((one) => Math.abs((cueTime(plan, one) ?? -9) - time) < 0.5)?.gesture;
     const unit = (plan.units ?? []).find(({ start, end }) => time >= start && time < end), phase = unit?.phases?.find(({ start, end }) => time >= start && time < end)?.kind;
-    const what = cue ?? (block.silent || !unit ? "hands at rest" : block.name || this.nameOf(block.lexeme) || `lexeme ${block.lexeme}`);
+    const nameAt = (at) => {
+      const one = plan.blocks[edits.blockAt(plan, at)];
+      return one.silent ? "hands at rest" : one.name || this.nameOf(one.lexeme) || `lexeme ${one.lexeme}`;
+    };
+    const what = cue ?? (unit ? nameAt(time) : "hands at rest"), phrase = unit && edits.phrasesOf(unit).find(({ start, end }) => time >= start && time < end);
     const parts = [word && `“${word}”`, what, phase, `block ${number + 1}, lexeme ${block.lexeme}`, block.locked && "locked"];
-    return { text: parts.filter(Boolean).join(", "), gesture: what, begins: cue ?? unit?.start ?? null };
+    return { text: parts.filter(Boolean).join(", "), gesture: cue ?? (phrase ? nameAt(phrase.stroke ?? time) : what), begins: cue ?? phrase?.start ?? null };
   }
 
   nameOf(lexeme) { return this.names?.get(lexeme) ?? null; }

@@ -122,16 +122,19 @@ export function blocksOfUnit(plan, unit) {
   return [first, Math.max(first, last)];
 }
 
-/** The gesture phrases of a unit, each with one stroke and what belongs to it: [{ start, end }]. */
+/** The gesture phrases of a unit, each with one stroke and what belongs to it: [{ start, end, stroke: when that begins }]. */
 export function phrasesOf(unit) {
   const phrases = [];
   let stroked = true;
   for (const { kind, start, end } of unit.phases ?? []) {
     if (!phrases.length || (stroked && ["preparation", "pre-stroke hold", "stroke"].includes(kind))) {
-      phrases.push({ start, end });
+      phrases.push({ start, end, stroke: start });
       stroked = false;
     }
-    stroked ||= kind === "stroke";
+    if (kind === "stroke") {
+      stroked = true;
+      phrases.at(-1).stroke = start;
+    }
     phrases.at(-1).end = end;
   }
   return phrases.length ? phrases : [unit];

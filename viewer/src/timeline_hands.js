@@ -224,6 +224,7 @@ export class TimelineHands {
     this.timeline.held = false;
     this.timeline.guide = null;
     if (this.drag.held && !this.drag.moved) this.clickUnit(this.drag);
+    if (this.drag.kind === "unit" && this.drag.moved && !this.clock.playing) this.clock.seek(this.session.plan.blocks[this.session.selection[0]].start + 0.002);
     this.session.lane.history.settle();
     if (this.drag.kind === "beat") this.session.tell("settled");
     if (this.drag.resume) this.clock.play();
