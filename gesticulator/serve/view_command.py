@@ -63,8 +63,9 @@ def run(args: argparse.Namespace) -> int:
     job = _job(args)
     check_choices(args)
     assert job.source is not None
+    name: str | None = None
     if args.plan is not None or args.beside is not None:  # a page with edits of its own
-        server, name = PageServer(args.port), None
+        server = PageServer(args.port)
     else:
         server, name = served_again(args.port, job.source, args.anew)
     with server, our_warnings(), limited_threads(int(args.threads)):
