@@ -61,31 +61,22 @@ export class Live {
   /** told: { token } from the server, or null for a page without one. say(state, text): what the user is told.
    *  view(): the visible stretch, seconds. */
   constructor(session, told, say, view = () => [0, 0]) {
-    Object.assign(this, { session, told, say, view, waiting: 0, number: 0, asking: null });
+    Object.assign(this, { session, told, say, view, waiting: 0, number: 0, asking: null, away: false, broken: 0, path: "" });
     this.page = Math.random().toString(36).slice(2);
     session.lanes.forEach((lane, k) => { lane.known = { plan: lane.rendered, rendering: told?.renderings?.[k] ?? null, take: lane.take }; });
     session.on("edited", () => this.edited());
-    if (told) this.meet(`gesticulator address ${told.place ?? told.token}`);
     this.edited();
   }
 
-  /** Pages of one place agree on the address, which is another one when the program was started again. */
-  meet(place) {
-    const own = JSON.stringify({ path: location.pathname, token: this.told.token });
-    this.path = location.pathname;
-    try { localStorage.setItem(place, own); } catch { /* a page without storage */ }
-    addEventListener("storage", ({ key, newValue }) => {
-      if (key !== place || !newValue) return;
-      const { path, token } = readJson(newValue);
-      if (path === this.path) return;
-      this.path = path;
-      this.told = { ...this.told, token };
-      for (const lane of this.session.lanes) lane.known = { plan: null, rendering: null, take: lane.known?.take ?? lane.take };
-      this.away = false;
-      const { lane } = this.session;
-      if (lane.history.present === lane.rendered) this.say("same", "");
-      else this.send();
-    });
+  /** Go on with a renderer at another path, which knows no rendering of this page. */
+  moved(path, token) {
+    this.path = path;
+    this.told = { ...this.told, token };
+    for (const lane of this.session.lanes) lane.known = { plan: null, rendering: null, take: lane.known?.take ?? lane.take };
+    this.away = false;
+    const { lane } = this.session;
+    if (lane.history.present === lane.rendered) this.say("same", "");
+    else this.send();
   }
 
   edited() {
@@ -222,7 +213,7 @@ export class Live {
       this.session.rendered(lane, plan, asked);
     }
     if (ended || asking.signal.aborted) return;
-    this.broken = (this.broken ?? 0) + 1;
+    this.broken += 1;
     throw this.broken < BROKEN ? new AwayError(AWAY_TEXT) : new Error("gesticulator view has ended its answer early.");
   }
 }
