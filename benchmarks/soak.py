@@ -489,7 +489,7 @@ def main() -> int:
     p.add_argument("--grace", type=float, default=70.0, help="seconds after the last stream (default 70: the server "
                    "keeps lost streams for a minute)")
     p.add_argument("--step", type=float, default=30.0, help="seconds between rows (default 30)")
-    p.add_argument("--out", type=Path, help="path of the report, without .json and .md; a piece is added to those in it")
+    p.add_argument("--out", type=Path, help="path of the report, without .json and .md; added to its pieces")
     p.add_argument("--anew", action="store_true", help="begin the report anew")
     p.add_argument("--attack", choices=list(live_attack.ATTACKS), help=argparse.SUPPRESS)
     p.add_argument("--port", type=int, help=argparse.SUPPRESS)

@@ -448,6 +448,50 @@ def test_an_interruption_that_reaches_back_before_the_session_leaves_it() -> Non
     run(test)
 
 
+def test_a_session_that_an_interruption_leaves_while_it_is_opened_is_not_gone_on_with() -> None:
+    """The client interrupts to before the session between its hello and the server's: the next one begins there."""
+    async def test() -> None:
+        hellos: list[dict[str, Any]] = []
+        interrupt: list[Callable[[], Awaitable[None]]] = []
+
+        async def server(socket: ServerConnection) -> None:
+            hellos.append(json.loads(await socket.recv()))
+            number = len(hellos)
+            if number == 3:
+                await interrupt[0]()
+                await socket.send(json.dumps({**GREETING, "resumed": True, "messages": 1}))
+                with suppress(ConnectionClosed):
+                    await socket.send(packet(20, 10))
+                    await socket.wait_closed()
+                return
+            await socket.send(json.dumps(GREETING))
+            await socket.send(packet(0, 60 if number == 1 else 20))
+            if number < 3:
+                await socket.recv()
+                socket.transport.abort()
+                return
+            await socket.wait_closed()
+
+        async with serve(server, "127.0.0.1", 0) as at:
+            port = next(iter(at.sockets)).getsockname()[1]
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE),
+                                    pause=lambda _: asyncio.sleep(0))
+            interrupt.append(lambda: stream.interrupt(0.5))
+            await stream.open()
+            await stream.send(pcm(2.0))
+            came = []
+            async for message in stream:
+                if isinstance(message, Poses):
+                    came.append((message.source, message.first, len(message)))
+                    if message.source == 2:
+                        break
+            await stream.close()
+            assert came == [(0, 0, 60), (1, 60, 20), (2, 30, 20)]
+            assert ["resume" in one for one in hellos] == [False, True, True, False]
+
+    run(test)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
     """Sound, waits and interruptions, while connections break and servers forget: each frame follows the last one or is

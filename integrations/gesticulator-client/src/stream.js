@@ -157,6 +157,12 @@ export class GestureStream {
   }
 
   begin(welcome) {
+    if (welcome.resumed && this.anewNext) { // an interruption reached back before the session while it was opened
+      this.socket.onclose = this.socket.onmessage = null;
+      this.socket.close(1000);
+      this.lost(1001, "an interruption reached back before the session");
+      return;
+    }
     const again = this.session !== null;
     this.welcome = welcome;
     if (!welcome.resumed) this.anew(welcome.session ?? "", again);

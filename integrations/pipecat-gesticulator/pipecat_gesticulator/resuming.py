@@ -301,6 +301,8 @@ class ResumingStream:
                 message = self._journal[heard - self._numbered].message
                 heard += 1
                 await socket.send(message if isinstance(message, bytes) else self._shifted(message))
+            if self._anew_next:
+                raise ConnectionError("an interruption reached back before the session while it was opened")
         except BaseException:
             await socket.close()
             raise
