@@ -1,5 +1,5 @@
-"""Edits of a plan on the page, as sums of its modules, run without a browser: moves keep time whole and gestures alike,
-and an edit waits for a renderer that is away."""
+"""Edits on the page by its modules, run without a browser: moves keep time whole and gestures alike, an edit waits for
+a renderer that is away, and what was kept goes on."""
 
 from __future__ import annotations
 
@@ -71,6 +71,53 @@ await rest(2100);
 console.log(JSON.stringify({ said, asked, kept: session.plan.speaker, same: session.plan === session.lane.rendered }));
 process.exit(0);
 """
+KEPT = """
+import { Kept } from "./kept.js";
+import { Session } from "./session.js";
+const base64 = (bytes) => Buffer.from(bytes.buffer).toString("base64");
+const skeleton = { names: ["Hips"], parents: [-1], offsets: [[0, 0, 0]] };
+const shape = { fps: 4, frames: 1, duration: 1, steps: 32767, skeleton };
+const block = (lexeme) => ({ start: 0, end: 1, lexeme, silent: false });
+const opened = () => new Session({ takes: [{ name: "one", ...shape, rotations: base64(Int16Array.of(32767, 0, 0, 0)),
+  root: base64(new Float32Array([0, 1, 0])), plan: { blocks: [block(1)] } }] });
+const store = new Map();
+let room = 9;
+const methods = { getItem: (name) => store.get(name) ?? null, removeItem: (name) => store.delete(name),
+  setItem: (name, text) => {
+    if (!store.has(name) && store.size >= room) throw new Error("full");
+    store.set(name, text);
+  } };
+globalThis.localStorage = new Proxy(methods, { ownKeys: () => [...store.keys()],
+  getOwnPropertyDescriptor: (_, name) => ({ value: store.get(name), enumerable: true, configurable: true }) });
+globalThis.addEventListener = () => {};
+const rest = () => new Promise((go) => setTimeout(go, 500));
+const out = {};
+const one = opened();
+new Kept(one, "here", () => {});
+one.edit({ ...one.plan, blocks: [block(2)] });
+await rest();
+const now = Date.now();
+const lexeme = (since) => {
+  const session = opened();
+  new Kept(session, "here", () => {}, since);
+  return session.plan.blocks[0].lexeme;
+};
+out.soon = lexeme(now - 60_000);     // the program ended before it had saved the edit
+out.same = lexeme(now + 2000);       // it saved it, a little later
+out.later = lexeme(now + 60_000);    // the plan file was changed since
+out.left = [...store.keys()];
+// A full storage makes room: what was kept of other pages goes.
+store.set("gesticulator edits there", "old");
+store.set("other", "stays");
+room = 3;
+const two = opened();
+new Kept(two, "here", () => {});
+two.edit({ ...two.plan, blocks: [block(3)] });
+await rest();
+out.full = [...store.keys()].sort();
+console.log(JSON.stringify(out));
+process.exit(0);
+"""
 
 
 def _run(script: str, *words: str) -> Any:
@@ -135,3 +182,9 @@ def test_an_edit_waits_for_a_renderer_that_is_away_and_goes_to_where_it_is_again
                              ["/new/render", "u", None]]
     assert told["said"].count("bad") == 2, "it is told once each time that it goes away"
     assert "away" in told["said"] and told["said"][-1] == "same"
+
+
+def test_the_later_of_what_the_browser_kept_and_what_the_program_saved_goes_on() -> None:
+    told = _run(KEPT)
+    assert told["soon"] == told["same"] == 2 and told["later"] == 1 and told["left"] == []
+    assert told["full"] == ["gesticulator edits here", "gesticulator edits here at", "other"]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import OpenedPage, chromium
-from test_story import _is, _rendered, _rotations, first, served  # noqa: F401
+from test_story import PATIENCE, _is, _rendered, _rotations, first, served  # noqa: F401
 from test_two_pages import _has, _Window
 
 from gesticulator import Gesticulator
@@ -177,6 +177,7 @@ def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
     with chromium() as browser:
         opened = OpenedPage(browser, server.url, 1280, 900)
         page = opened.page
+        page.set_default_timeout(PATIENCE)
         blocks, frames = opened.plan()["blocks"], _rotations(page)
         at = next(k for k, one in enumerate(blocks) if not one["silent"] and one["rank"] > 5)
         opened.go_to((blocks[at]["start"] + blocks[at]["end"]) / 2)

@@ -42,7 +42,7 @@ class PageFrames:
         """Edges between frames of the motion, the last one its end, as edges between those of the page."""
         if self.made == self.fps:
             return list(edges)
-        return np.searchsorted(self._where(0, self.count(edges[-1])), edges).tolist()
+        return [*np.searchsorted(self._where(0, self.count(edges[-1])), edges).tolist()]
 
     def count(self, count: int) -> int:
         """The frames of the page of a motion of `count` frames, as in `kinematics.resample`."""
