@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from live_double import TURN, opener
 from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlayer, Welcome, connect_resuming
-from pipecat_gesticulator.resuming import RefusedError
+from pipecat_gesticulator.resuming import RefusedError, _cut_start, _Sent
 from websockets.asyncio.client import connect as open_socket
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
@@ -347,6 +349,26 @@ def packet(first: int, count: int) -> bytes:
                        "state": "idle", "received": 0.0}).encode()
     head += b" " * (-len(head) % 4)
     return len(head).to_bytes(4, "little") + head + bytes(28 * count)
+
+
+@settings(max_examples=50)
+@given(st.sampled_from([(8000, 60.0), (16000, 60.0), (22050, 30.0), (24000, 24.0)]),
+       st.lists(st.integers(1, 400), min_size=1, max_size=8))
+def test_a_sound_that_is_begun_anew_again_and_again_never_grows(kind: tuple[int, float], steps: list[int]) -> None:
+    """New sessions begin at frames, between samples: what is sent is never longer than what is left, by less than a
+    sample for each. Rounded, a stream of several sessions ended a frame later than its sound."""
+    rate, fps = kind
+    hello = Hello(rate, fps=fps)
+    sent: Any = _Sent(bytes(2 * 60 * rate), 0.0, 60.0, False)
+    for count, frame in enumerate(np.cumsum(steps), 1):
+        begin = frame / fps
+        sent = _cut_start(sent, begin, hello)
+        if begin >= 60.0:
+            assert sent is None
+            return
+        left = (60.0 - begin) * rate - len(sent.message) / 2
+        assert -1e-6 <= left < count
+        assert sent.start == begin and sent.seconds == pytest.approx(60.0 - begin)
 
 
 def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> None:
