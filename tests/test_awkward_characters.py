@@ -124,6 +124,83 @@ def test_left_and_right_are_exchanged_back_where_shoes_show_it(tmp_path: Path) -
     assert "exchanged" in " ".join(moved(tmp_path / "rig.glb", body).doubts)
 
 
+def unknown_words() -> Callable[[str], str]:
+    """Names that say nothing of parts, but the side."""
+    words = iter("abcdefghijklmnopqrstuvwxyz")
+    plain: dict[str, str] = {}
+
+    def name(key: str) -> str:
+        side = next((side for side in SIDES if key.startswith(side)), "")
+        part = key.removeprefix(side)
+        if part not in plain:
+            plain[part] = f"q{next(words)}z"
+        return f"{side[:1]}_{plain[part]}" if side else plain[part]
+
+    return name
+
+
+@pytest.mark.parametrize("turned", [0.0, 180.0])
+@pytest.mark.parametrize("legs", [True, False])
+def test_sides_are_those_of_the_names_although_nothing_else_in_them_is_known(turned: float, legs: bool, tmp_path: Path
+                                                                             ) -> None:
+    """A robot whose joints are called l_shoulder_pan and l_wrist_flex was given the right arm for the left one: limbs
+    that are found by position were taken to face +Z, and without feet nothing showed that they do not."""
+    body = figure(unknown_words(), "T", toes=legs)
+    turn = Rotation.from_euler("Y", turned, degrees=True)
+    body.places = {key: turn.apply(place) for key, place in body.places.items()}
+    if not legs:
+        for key in [key for key in body.places if key.endswith(("Leg", "Foot"))]:
+            del body.places[key], body.parents[key]
+    found = find_joints(read_character(write(tmp_path / "rig.glb", body)))
+    names = read_character(tmp_path / "rig.glb").names
+    wanted = {key: body.names(key) for key in body.places if key[-3:] in ("Arm", "and") or key.endswith("Leg")}
+    assert {key: names[found.joints[key]] for key in wanted} == wanted
+    assert [doubt for doubt in found.doubts if "left" in doubt] == []
+
+
+@pytest.mark.parametrize("beside", ["Hips", "none"])
+def test_a_bone_named_head_beside_the_spine_is_not_the_head(beside: str, tmp_path: Path) -> None:
+    """A mesh or a handle of that name is nearer to the root of the file than the head itself."""
+    body = figure(spelled({}, MIXAMO), "A")
+    body.add("head", None if beside == "none" else beside, (0.0, 1.6, 0.0), 0.0)
+    if beside == "none":
+        body.places = {"head": body.places.pop("head"), **body.places}
+    moved(tmp_path / "rig.glb", body)
+
+
+def test_ears_wings_and_a_tail_are_no_limbs(tmp_path: Path) -> None:
+    """Where no names are known but those, the outermost and highest ends were taken for hands and head."""
+    body = figure(unknown_words(), "A")
+    plain = body.names
+    body.names = lambda key: key if key.startswith(("Ear", "Wing", "Tail")) else plain(key)
+    for side, sign in zip(("L", "R"), (1.0, -1.0), strict=True):
+        for word, parent, offset in (("Ear", "Head", (0.2, 0.2, 0.0)), ("Wing", "Spine2", (0.3, 0.2, -0.2))):
+            above = parent
+            for number in range(3):
+                body.beside(f"{word}{number}_{side}", above, np.array(offset) * [sign, 1.0, 1.0], 0.02)
+                above = f"{word}{number}_{side}"
+    body.beside("Tail1", "Hips", (0.0, -0.1, -0.1), 0.03)
+    body.beside("Tail2", "Tail1", (0.0, -0.3, -0.3), 0.03)
+    moved(tmp_path / "rig.glb", body)
+
+
+@pytest.mark.parametrize("lies", [True, False])
+def test_a_bird_is_refused_and_half_a_body_is_not(lies: bool, tmp_path: Path) -> None:
+    """Its wings are arms by the names of their bones, and it has no legs: it was set upright and gestured."""
+    body = figure(spelled({"Arm": "Humerus", "ForeArm": "Ulna", "Hips": "Body"}, "{part}_{side}", ("L", "R")), "T",
+                  toes=False)
+    turn = Rotation.from_euler("X", 90.0 if lies else 0.0, degrees=True)
+    body.places = {key: turn.apply(place) for key, place in body.places.items()}
+    for key in [key for key in body.places if key.endswith(("Leg", "Foot"))]:
+        del body.places[key], body.parents[key]
+    character = read_character(write(tmp_path / "rig.glb", body))
+    if lies:
+        with pytest.raises(InputError, match="its trunk lies and no legs are found"):
+            Retargeter(character)
+    else:
+        assert Retargeter(character).mapping.joints.keys() >= {"LeftHand", "RightHand", "Head"}
+
+
 @pytest.mark.parametrize("pattern", ["{part}_{side}_{number}", "{part}.{side}.00{number}"])
 def test_limbs_that_are_only_numbered_are_counted_from_the_trunk(pattern: str, tmp_path: Path) -> None:
     """As Blender names bones that are extruded one from the other; with fingers the hand must not be one of them."""

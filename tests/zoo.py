@@ -11,6 +11,7 @@ import hashlib
 import os
 import subprocess
 import sys
+import tarfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -25,7 +26,7 @@ _SIDES = {"Left": 0, "Right": 1}
 
 @dataclass(frozen=True)
 class Package:
-    """An archive. source: "pypi" or "debian"; sha256: of the file; licence: of the models in it."""
+    """An archive. source: "pypi", "debian" or "npm"; sha256: of the file; licence: of the models in it."""
 
     name: str
     version: str
@@ -43,6 +44,8 @@ PACKAGES = {package.name: package for package in (
             "526f326186000cd6f631ea806128548a7d3d391abd8149fddc5c4c8513e80b8a", "BSD-3-Clause and free test models"),
     Package("qt3d5-examples", "5.15.8+dfsg-2", "debian",
             "ebc1e303e638e05d4b12b5b2f237fe7709d4a502c248fc6a6d3414a0fd820d84", "BSD-3-Clause; CC-BY 4.0 (Khronos)"),
+    Package("threed-garden", "0.15.0", "npm", "dcc334d30892b2ba78626b11fc9c34d6c02f9b048c19a46fe88445a1b242db01",
+            "MIT (the package)"),
 )}
 
 
@@ -108,6 +111,10 @@ ANIMALS: tuple[Animal, ...] = (
     Animal("Boxing", "assimp-testmodels", "BVH/Boxing_Toes.bvh", _both(
         "Hips", "Head", "{}Shoulder {}Elbow {}Wrist {}Hip {}Knee {}Ankle", ("Left", "Right"))),
     Animal("Rigged Figure", "qt3d5-examples", "RiggedFigure/RiggedFigure.gltf"),
+    Animal("Young korrigan", "threed-garden", "examples/young-korrigan/model.gltf", {
+        "Hips": "root", "Head": "head", **{side + part: f"{name} {side.lower()}" for side in _SIDES
+                                           for part, name in (("Arm", "arm"), ("ForeArm", "forearm"),
+                                                              ("Hand", "hand"))}}),
     Animal("Rigify metarig", "rigify", "human META", _META),
     Animal("Rigify basic metarig", "rigify", "basic_human META", _META),
     # What must be refused.
@@ -116,6 +123,7 @@ ANIMALS: tuple[Animal, ...] = (
     Animal("Rigify horse", "rigify", "horse DEF", refused=_FOUR),
     Animal("Rigify deforming bones", "rigify", "basic_human DEF", refused=_FLAT),
     Animal("Rigify control rig", "rigify", "basic_human ALL", refused=_FLAT),
+    Animal("Ankou's horse and cart", "threed-garden", "examples/ankou-with-cart/model.gltf", refused=_FOUR),
     Animal("Huesitos", "assimp-testmodels", "FBX/huesitos.fbx", refused="no joint that could be"),
 )
 
@@ -155,6 +163,8 @@ def unpacked(package: Package) -> Path:
     if package.source == "pypi":
         command = [sys.executable, "-m", "pip", "download", "-q", "--no-deps", "--only-binary=:all:", "-d",
                    str(download), f"{package.name}=={package.version}"]
+    elif package.source == "npm":
+        command = ["npm", "pack", "--silent", "--ignore-scripts", f"{package.name}@{package.version}"]
     else:
         command = ["apt-get", "download", f"{package.name}={package.version}"]
     archive = next((file for file in download.iterdir() if _is(file, package)), None)
@@ -167,6 +177,9 @@ def unpacked(package: Package) -> Path:
     if package.source == "pypi":
         with zipfile.ZipFile(archive) as file:
             file.extractall(place)
+    elif package.source == "npm":
+        with tarfile.open(archive) as packed:
+            packed.extractall(place, filter="data")
     else:
         _run(["dpkg-deb", "-x", str(archive), str(place)], download)
     (place / "done").touch()

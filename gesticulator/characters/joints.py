@@ -49,6 +49,11 @@ class Search:
     up: Array
     """[3] the up direction."""
 
+    @property
+    def aids(self) -> frozenset[int]:
+        """The nodes whose names say that they are no joints."""
+        return frozenset(node for node, entry in enumerate(self.labels) if entry.aid)
+
     def path(self, top: int, node: int) -> list[int]:
         """The nodes from below `top` (-1: from the root) down to `node`."""
         line = [node, *ancestors(self.character.parents, node)]
@@ -190,9 +195,10 @@ def _ends(search: Search) -> dict[str, int]:
     heads = [node for node, entry in enumerate(search.labels)
              if entry.parts[:1] == ("Head",) and not entry.tip and not entry.aid]
     if heads:
-        out["Head"] = min(heads, key=lambda node: (len(ancestors(search.character.parents, node)), node))
+        out["Head"] = min(heads, key=lambda node: (-_nearness(search, node, out),
+                                                   len(ancestors(search.character.parents, node)), node))
     if len(out) < 5:
-        for name, node in shape.limb_ends(search.character, search.places, search.up).items():
+        for name, node in _ends_by_shape(search).items():
             if _ends_another(search, name, node, out):
                 continue
             pair = name.replace("Left", "?").replace("Right", "?")
@@ -205,6 +211,29 @@ def _ends(search: Search) -> dict[str, int]:
                 if out[other] != node:
                     out[name] = node
     return out
+
+
+def _nearness(search: Search, head: int, ends: Mapping[str, int]) -> int:
+    """How far down the tree a head meets the trunk that the hands hang on: a bone or a mesh of that name beside the
+    skeleton meets it nowhere. 0 while the hands are unknown."""
+    hands = [ends[side + "Hand"] for side in SIDES if side + "Hand" in ends]
+    if len(hands) < 2:
+        return 0
+    trunk = search.meeting(*hands)
+    meeting = search.meeting(trunk, head) if trunk >= 0 else -1
+    return -1 if meeting < 0 else len(ancestors(search.character.parents, meeting))
+
+
+def _ends_by_shape(search: Search) -> dict[str, int]:
+    """Hands and feet by position. Left and right are those of the names, where these say them; positions do not show
+    which way the character faces."""
+    found = shape.limb_ends(search.character, search.places, search.up, search.aids)
+    named = {name: next((search.labels[above].side for above in (node, *ancestors(search.character.parents, node))
+                         if search.labels[above].side), "") for name, node in found.items()}
+    against = sum(bool(side) and not name.startswith(side) for name, side in named.items())
+    if against < 2 or against <= sum(bool(side) and name.startswith(side) for name, side in named.items()):
+        return found
+    return _exchanged(found)
 
 
 def _ends_another(search: Search, name: str, node: int, ends: Mapping[str, int]) -> bool:
@@ -306,7 +335,7 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
             search.labels[node].parts[:1] == ("Spine",) for node in search.path(search.meeting(fork, head), fork)):
         head = None  # a mesh or a control of this name beside the spine
     if head is None:
-        head = shape.head_above(search.character, search.places, search.up, fork, joints.values())
+        head = shape.head_above(search.character, search.places, search.up, fork, joints.values(), search.aids)
         head_sure = _BY_SHAPE
         if head is None:
             doubts.append("its head cannot be identified")
@@ -384,6 +413,11 @@ def _turned_round(search: Search, joints: dict[str, int], named: bool, doubts: l
         return joints
     if named:
         doubts.append("its names have left and right exchanged, as its feet show")
+    return _exchanged(joints)
+
+
+def _exchanged(joints: Mapping[str, int]) -> dict[str, int]:
+    """The joints with left and right in each other's place."""
     other = {"Left": "Right", "Right": "Left"}
     return {next((other[side] + name.removeprefix(side) for side in SIDES if name.startswith(side)), name): node
             for name, node in joints.items()}
@@ -405,7 +439,8 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
     arm, trunk = (search.length(joints["LeftArm"], joints["LeftForeArm"]),
                   abs(float((search.places[joints["Head"]] - search.places[joints["Hips"]]) @ search.up)))
     if not 0.15 < arm / max(trunk, 1e-9) < 1.2:
-        doubts.append(f"an upper arm is {arm / max(trunk, 1e-9):.2f} of the height from hips to head")
+        doubts.append(f"an upper arm is {arm / trunk:.2f} of the height from hips to head" if trunk > 0.1 * arm else
+                      "its head is no higher than its hips")
         value *= 0.7
     ahead = shape.feet_ahead(search.character, search.places, search.up, joints)
     if ahead is not None and ahead < -0.3:

@@ -18,8 +18,8 @@ _NOISE = {"mixamorig", "bip", "j", "c", "cc", "base", "def", "org", "character",
 _AIDS = split("twist roll ik ctrl ctl control pole target corrective helper attach attachment socket slot holder prop",
               "weapon sword gun shield share twistcor muscle mch tweak driver drv dummy guide widget collider physics",
               "jiggle spring sec hair bun braid ponytail bang bangs ribbon hat skirt cloth cape coat sleeve breast",
-              "pectoral cancel")
-"""Words in the names of helpers, controls, hair, clothes and things: none of them is a joint."""
+              "pectoral cancel tail ear ears wing wings")
+"""Words in the names of helpers, controls, hair, clothes, things, and limbs that a human lacks: none is a joint."""
 _TIPS = {"end", "nub", "tip", "site", "effector", "top"}
 
 # Part -> unambiguous names.

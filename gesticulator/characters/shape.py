@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 
@@ -42,17 +42,20 @@ def _subtree(below: list[list[int]], node: int) -> list[int]:
     return out
 
 
-def limb_ends(character: Character, places: Array, up: Array) -> dict[str, int]:
+def limb_ends(character: Character, places: Array, up: Array, aids: Collection[int] = ()) -> dict[str, int]:
     """The last nodes of both arms and legs; left and right assume that the character faces along the third axis.
 
     Feet are the lowest leaves on both sides of the middle, hands those farthest from the middle; only skin joints count
-    if there is a skin.
+    if there is a skin. aids: nodes that are no joints by name, such as those of ears, wings and weapons.
     """
     below = _children(character)
     joints = np.flatnonzero(character.skinned)
     if len(joints) < 8:
         return {}
-    leaves = [int(node) for node in joints if not any(character.skinned[child] for child in below[node])]
+    counts = character.skinned & ~np.isin(np.arange(len(character)), list(aids))
+    leaves = [int(node) for node in np.flatnonzero(counts) if not any(counts[child] for child in below[node])]
+    if not leaves:
+        return {}
     across = _across(places[leaves], up)
     if across is None:
         return {}
@@ -95,13 +98,15 @@ def _across(leaves: Array, up: Array) -> Array | None:
     return best_axis
 
 
-def head_above(character: Character, places: Array, up: Array, fork: int, taken: Iterable[int]) -> int | None:
-    """The head by position: on the path from the fork of the arms to the highest node above it."""
+def head_above(character: Character, places: Array, up: Array, fork: int, taken: Iterable[int],
+               aids: Collection[int] = ()) -> int | None:
+    """The head by position: on the path from the fork of the arms to the highest node above it. aids: nodes that are no
+    joints by name, such as those of ears and hair."""
     if fork < 0:
         return None
     below = _children(character)
     arms = {node for joint in taken for node in _subtree(below, joint)}
-    above = [node for node in _subtree(below, fork) if node not in arms and node != fork]
+    above = [node for node in _subtree(below, fork) if node not in arms and node != fork and node not in aids]
     if not above:
         return None
     highest = max(above, key=lambda node: float(places[node] @ up))

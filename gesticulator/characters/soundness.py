@@ -185,7 +185,7 @@ class _Seen:
                 return
 
     def on_four_legs(self) -> Check:
-        """Arms and legs of the bind pose that are parallel, and square to the trunk."""
+        """Arms and legs of the bind pose that are parallel, and square to the trunk, or a trunk that lies."""
         bound, at = self.bound, self.joints
         pairs = [("Arm", "Hand"), ("UpLeg", "Foot")] if self.mapping.legs else [("Arm", "Hand")]
         arms, *legs = (np.mean([bound[at[side + low]] - bound[at[side + top]] for side in SIDES], axis=0)
@@ -197,8 +197,12 @@ class _Seen:
                 yield True, "it stands on four legs", _ANOTHER
             return
         up = self.body.bind_axes @ UPS.get(self.character.kind, self.body.bind_axes[1])
-        if _degrees(shoulders - bound[at["Hips"]], up) > _LIES and _degrees(arms, -up) < 45.0:
+        lies = _degrees(shoulders - bound[at["Hips"]], up) > _LIES
+        if lies and _degrees(arms, -up) < 45.0:
             yield True, "its trunk lies and its arms reach the floor: it stands on four legs", _ANOTHER
+        elif not self.mapping.given and (lies or _degrees(bound[at["Head"]] - bound[at["Hips"]], up) > _LIES):
+            yield (True, "its trunk lies and no legs are found, as in a bird, whose wings are no arms",
+                   f"{_ANOTHER}, or stand it upright before the export")
 
     def upright(self) -> Check:
         """The head is over the hips."""
