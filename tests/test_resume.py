@@ -21,6 +21,7 @@ from pipecat_gesticulator.resuming import RefusedError, _cut_start, _Sent
 from websockets.asyncio.client import connect as open_socket
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.http11 import Request, Response
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
@@ -336,6 +337,42 @@ def test_no_client_is_back_before_the_server_asks_for_it() -> None:
     async def test() -> None:
         visits, error = await _visits(Time(), busy, patience=60.0)
         assert np.diff(visits).min() >= 7.0 and len(visits) >= 5 and isinstance(error, ConnectionError)
+
+    run(test)
+
+
+@pytest.mark.parametrize(("asked", "least"), [("7", 7.0), ("soon", 0.0), ("9" * 30, 0.0)])
+def test_nor_before_a_proxy_asks_for_it(asked: str, least: float) -> None:
+    """A balancer whose servers are away answers by HTTP, before there is a WebSocket."""
+    time, calls = Time(), list[float]()
+
+    def refuse(connection: ServerConnection, request: Request) -> Response | None:
+        calls.append(time.now)
+        if not 1 < len(calls) < 5:
+            return None
+        response = connection.respond(503, "no server")
+        response.headers["Retry-After"] = asked
+        return response
+
+    async def greet(socket: ServerConnection) -> None:
+        await socket.recv()
+        await socket.send(json.dumps(GREETING | {"resumed": len(calls) > 1}))
+        if len(calls) == 1:
+            socket.transport.abort()
+        await socket.wait_closed()
+
+    async def test() -> None:
+        async with serve(greet, "127.0.0.1", 0, process_request=refuse) as server:
+            port = next(iter(server.sockets)).getsockname()[1]
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), chance=lambda: 0.0,
+                                    clock=lambda: time.now, pause=time.pause)
+            await stream.open()
+            async for message in stream:
+                if isinstance(message, dict) and message["type"] == "back":
+                    break
+            await stream.close()
+        assert len(calls) == 5
+        np.testing.assert_allclose(np.diff(calls)[1:], least + 0.125 * 2.0 ** np.arange(3))
 
     run(test)
 

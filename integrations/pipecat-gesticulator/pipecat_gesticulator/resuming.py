@@ -21,7 +21,7 @@ from typing import Any
 
 from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.client import connect as open_socket
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage, InvalidStatus
 
 from pipecat_gesticulator.client import LONGEST_MESSAGE
 from pipecat_gesticulator.protocol import SUBPROTOCOL, Hello, Poses, Welcome
@@ -277,6 +277,7 @@ class ResumingStream:
                 self._asked = error.retry_after or 0.0
                 problem = error
             except (OSError, InvalidHandshake, ConnectionClosed, TimeoutError, ValueError) as error:
+                self._asked = _retry_after(error)
                 problem = error
 
     async def _connect(self) -> None:
@@ -335,6 +336,12 @@ async def connect_resuming(url: str, hello: Hello, patience: float = 300.0) -> A
         yield stream
     finally:
         await stream.close()
+
+
+def _retry_after(error: Exception) -> float:
+    """Seconds for which a proxy that refused by an HTTP status asks to wait; 0 where it does not say."""
+    asked = error.response.headers.get("Retry-After", "") if isinstance(error, InvalidStatus) else ""
+    return float(asked) if asked.isascii() and asked.isdigit() and len(asked) < 6 else 0.0
 
 
 def _size(message: bytes | dict[str, Any]) -> int:
