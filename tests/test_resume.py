@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from live_double import TURN, opener
 from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlayer, Welcome, connect_resuming
-from pipecat_gesticulator.resuming import RefusedError
+from pipecat_gesticulator.resuming import RefusedError, _cut_start, _Sent
 from websockets.asyncio.client import connect as open_socket
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
@@ -349,6 +351,26 @@ def packet(first: int, count: int) -> bytes:
     return len(head).to_bytes(4, "little") + head + bytes(28 * count)
 
 
+@settings(max_examples=50)
+@given(st.sampled_from([(8000, 60.0), (16000, 60.0), (22050, 30.0), (24000, 24.0)]),
+       st.lists(st.integers(1, 400), min_size=1, max_size=8))
+def test_a_sound_that_is_begun_anew_again_and_again_never_grows(kind: tuple[int, float], steps: list[int]) -> None:
+    """New sessions begin at frames, between samples: what is sent is never longer than what is left, by less than a
+    sample for each. Rounded, a stream of several sessions ended a frame later than its sound."""
+    rate, fps = kind
+    hello = Hello(rate, fps=fps)
+    sent: Any = _Sent(bytes(2 * 60 * rate), 0.0, 60.0, False)
+    for count, frame in enumerate(np.cumsum(steps), 1):
+        begin = frame / fps
+        sent = _cut_start(sent, begin, hello)
+        if begin >= 60.0:
+            assert sent is None
+            return
+        left = (60.0 - begin) * rate - len(sent.message) / 2
+        assert -1e-6 <= left < count
+        assert sent.start == begin and sent.seconds == pytest.approx(60.0 - begin)
+
+
 def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> None:
     """Poses are on their way when the client interrupts; then the server is lost, and its state too. The next session
     begins where the interruption was, with what was sent after it."""
@@ -444,6 +466,50 @@ def test_an_interruption_that_reaches_back_before_the_session_leaves_it() -> Non
                 await asyncio.sleep(0.01)
             assert sessions[2][-1] == pcm(0.3)
             assert closed[0] == 1000, "the server need not keep what is left"
+
+    run(test)
+
+
+def test_a_session_that_an_interruption_leaves_while_it_is_opened_is_not_gone_on_with() -> None:
+    """The client interrupts to before the session between its hello and the server's: the next one begins there."""
+    async def test() -> None:
+        hellos: list[dict[str, Any]] = []
+        interrupt: list[Callable[[], Awaitable[None]]] = []
+
+        async def server(socket: ServerConnection) -> None:
+            hellos.append(json.loads(await socket.recv()))
+            number = len(hellos)
+            if number == 3:
+                await interrupt[0]()
+                await socket.send(json.dumps({**GREETING, "resumed": True, "messages": 1}))
+                with suppress(ConnectionClosed):
+                    await socket.send(packet(20, 10))
+                    await socket.wait_closed()
+                return
+            await socket.send(json.dumps(GREETING))
+            await socket.send(packet(0, 60 if number == 1 else 20))
+            if number < 3:
+                await socket.recv()
+                socket.transport.abort()
+                return
+            await socket.wait_closed()
+
+        async with serve(server, "127.0.0.1", 0) as at:
+            port = next(iter(at.sockets)).getsockname()[1]
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE),
+                                    pause=lambda _: asyncio.sleep(0))
+            interrupt.append(lambda: stream.interrupt(0.5))
+            await stream.open()
+            await stream.send(pcm(2.0))
+            came = []
+            async for message in stream:
+                if isinstance(message, Poses):
+                    came.append((message.source, message.first, len(message)))
+                    if message.source == 2:
+                        break
+            await stream.close()
+            assert came == [(0, 0, 60), (1, 60, 20), (2, 30, 20)]
+            assert ["resume" in one for one in hellos] == [False, True, True, False]
 
     run(test)
 

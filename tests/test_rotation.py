@@ -42,6 +42,18 @@ def test_products_inverses_and_turned_vectors_are_scipys() -> None:
     assert np.allclose(rotation.rotate(a, v).reshape(-1, 3), as_scipy(a).apply(v.reshape(-1, 3)), atol=1e-12)
 
 
+_VECTORS = st.sampled_from([np.float32, np.float64]).flatmap(
+    lambda kind: arrays(kind, (3,), elements=st.floats(-1e6, 1e6, width=32)))
+
+
+@given(arrays(np.float64, (4, 1, 3), elements=st.floats(-1e6, 1e6)), _VECTORS)
+def test_the_cross_product_is_numpys_bit_for_bit(many: Array, one: Array) -> None:
+    for a, b in ((many, one), (one, many), (one, one), (many[:, 0], many[::-1, 0])):
+        ours, theirs = rotation.cross(a, b), np.cross(a, b)
+        assert ours.dtype == theirs.dtype
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_one_quaternion_turns_many_vectors() -> None:
     quarter = rotation.from_euler(np.array([np.pi / 2, 0.0, 0.0]), "YXZ")
     turned = rotation.rotate(quarter, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pipecat_gesticulator import Hello, Poses, connect
+from pipecat_gesticulator import Hello, Poses, connect, connect_resuming
 
 from gesticulator.cli import Parser
 from gesticulator.serve.command import COMMAND, read_limits, read_token
@@ -103,6 +103,29 @@ async def talk(port: int, sound: bytes) -> list[Poses]:
         return [message async for message in stream if isinstance(message, Poses)]
 
 
+async def coming_back(port: int, sound: bytes) -> tuple[list[bool], np.ndarray]:
+    """As `talk`, by a client whose connection breaks again and again: whether each session went on, and its poses."""
+    backs: list[bool] = []
+    poses: list[Poses] = []
+    async with connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(RATE, seed=5)) as stream:
+        async def speak() -> None:
+            for number, start in enumerate(range(0, len(sound), RATE // 5)):
+                if number % 8 == 4 and stream._socket is not None:
+                    stream._socket.transport.abort()
+                await stream.send(sound[start:start + RATE // 5])
+                await asyncio.sleep(0.05)
+            await stream.finish()
+
+        speaking = asyncio.create_task(speak())
+        async for message in stream:
+            if isinstance(message, Poses):
+                poses.append(message)
+            elif message["type"] == "back":
+                backs.append(message["resumed"])
+        await speaking
+    return backs, joined(poses)
+
+
 def joined(poses: list[Poses]) -> np.ndarray:
     return np.concatenate([one.rotations for one in poses])
 
@@ -123,6 +146,9 @@ def test_workers_share_a_port_and_a_dead_one_is_replaced() -> None:
 
         for again in asyncio.run(two_at_once()):
             np.testing.assert_array_equal(joined(again), first, "the same seed, whoever answers")
+        backs, again = asyncio.run(coming_back(at.port, sound))
+        assert backs and all(backs), "whichever worker is reached, the one that has the session goes on"
+        np.testing.assert_array_equal(again, first)
         short, heard = speech(0.3), dict[str, float]()
         for _ in range(200):  # who takes a connection is the system's choice
             heard = _heard(at.get("/metrics"))

@@ -116,7 +116,9 @@ def _look(page: Any) -> int:
     few = page.locator("#palette-figures li:not([hidden])")
     assert 0 < few.count() < 150
     names = few.locator(".called").all_inner_texts()
-    assert all("both hands" in name or ("right hand" in name and "left hand" in name) for name in names)
+    lexemes = [name for name in names if " · " in name]
+    assert all("both hands" in name or ("right hand" in name and "left hand" in name) for name in lexemes)
+    assert len(lexemes) < len(names), "gestures, too"
     return int(page.evaluate("() => preview.inspector.stretch[0]"))
 
 

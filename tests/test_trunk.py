@@ -159,6 +159,23 @@ def test_the_outline_of_a_mesh_is_that_of_the_column_it_was_made_of() -> None:
     np.testing.assert_allclose(outline.reach, column, atol=0.012)
 
 
+def test_thighs_that_stand_leave_room_to_give(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of the trunk's length below the hips, a thigh that is a quarter of a radian ahead of where it hangs is
+    ahead by a sixteenth of it; nothing changes behind, beside, and above the hips."""
+    retargeter = Retargeter(read_character(write(tmp_path / "stands.glb", figure(lambda key: f"mixamorig:{key}", "A"))))
+    with_room = outline_of(retargeter.body)
+    monkeypatch.setattr("gesticulator.characters.trunk.FLEXED", 0.0)
+    without = outline_of(retargeter.body)
+    body = retargeter.body
+    long = body.unit * float(np.linalg.norm(body.rest_places[body.mapping.neck[0]]
+                                            - body.rest_places[body.mapping.joints["Hips"]]))
+    more = with_room.reach - without.reach
+    below = without.steps < 0.0
+    assert below.any() and (more[~below] == 0.0).all() and (np.abs(more[:, 18:]) < 1e-12).all()
+    np.testing.assert_allclose(more[below, 9], -0.25 * without.steps[below] * long, rtol=0.02)
+    np.testing.assert_allclose(more[:, 0], 0.0, atol=1e-12)
+
+
 def swung() -> Motion:
     """Two seconds in which the left hand is quickly swung across the body and back, in front of our trunk."""
     time = np.arange(120) / FPS

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
 
-__all__ = ["angle_between", "between", "conjugate", "continuous", "from_euler", "from_exponential_map", "interpolate",
-           "multiply", "normalise", "remove_yaw", "rotate", "to_euler", "to_exponential_map", "yaw_of"]
+__all__ = ["angle_between", "between", "conjugate", "continuous", "cross", "from_euler", "from_exponential_map",
+           "interpolate", "multiply", "normalise", "remove_yaw", "rotate", "to_euler", "to_exponential_map", "yaw_of"]
 
 _EPS = 1e-12
 
@@ -25,12 +25,13 @@ def _scipy(quaternions: Array) -> tuple[Rotation, tuple[int, ...]]:
 def multiply(a: Array, b: Array) -> Array:
     """Hamilton product of [..., 4] quaternions: the rotation b, then a."""
     aw, ax, ay, az, bw, bx, by, bz = (np.asarray(one, dtype=np.float64)[..., k] for one in (a, b) for k in range(4))
-    return np.stack([
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    ], axis=-1)
+    first = aw * bw
+    out = np.empty((*first.shape, 4))
+    np.subtract(first - ax * bx - ay * by, az * bz, out=out[..., 0])
+    np.subtract(aw * bx + ax * bw + ay * bz, az * by, out=out[..., 1])
+    np.add(aw * by - ax * bz + ay * bw, az * bx, out=out[..., 2])
+    np.add(aw * bz + ax * by - ay * bx, az * bw, out=out[..., 3])
+    return out
 
 
 def conjugate(q: Array) -> Array:
@@ -41,14 +42,19 @@ def conjugate(q: Array) -> Array:
 def rotate(q: Array, v: Array) -> Array:
     """Rotate vectors [..., 3] by unit quaternions [..., 4] (the leading shapes broadcast)."""
     w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * _cross(u, v)
-    return v + w * t + _cross(u, t)
+    t = 2.0 * cross(u, v)
+    return v + w * t + cross(u, t)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """[..., 3] as `np.cross`, which takes three times as long for few vectors."""
+def cross(a: Array, b: Array) -> Array:
+    """[..., 3] as `np.cross`, bit for bit; that one takes five times as long for few vectors."""
     ax, ay, az, bx, by, bz = (one[..., k] for one in (a, b) for k in range(3))
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    first = ay * bz
+    out = np.empty((*first.shape, 3), first.dtype)
+    np.subtract(first, az * by, out=out[..., 0])
+    np.subtract(az * bx, ax * bz, out=out[..., 1])
+    np.subtract(ax * by, ay * bx, out=out[..., 2])
+    return out
 
 
 def normalise(q: Array) -> Array:

@@ -50,6 +50,9 @@ OTHER_SIDE = (0.115, 0.07, 0.35)
 A hand there is beside the other arm, not behind the back."""
 CAP, RECEDES = 0.20, 0.5
 """Metres above the neck and below the hips over which the front of the trunk recedes, and by how many."""
+HEM, HIPS, HIPS_UNDER = 0.08, 0.17, 0.12
+"""Metres below the hips down to which a shirt hangs; share by which the hips under it are wider than the trunk; metres
+above the hips from which it widens."""
 BACK, BACK_ENDS, BACK_FALLS, ELBOW_SOFT = 0.07, 0.16, 0.8, 0.06
 """The plane behind which the trunk hides an elbow: metres behind its middle, up to which metres across, its slope from
 there on, and metres over which an elbow is slowed. In two takes of people who talk no
@@ -70,6 +73,8 @@ _STEPS = 4
 """Iterations: wrist and knuckles share a correction, and each corrects the one before."""
 _SWINGS = 7
 """Iterations of an elbow that swings outward."""
+_SEATED = 2
+"""Iterations of trunk and thighs, between which a hand that is near both is moved to and fro."""
 
 
 def cleared(motion: Motion, sits: bool = False) -> Motion:
@@ -79,7 +84,9 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
         return _off_trunk(motion)
     from gesticulator.body.lap import kept_off_thighs
 
-    return kept_off_thighs(_off_trunk(kept_off_thighs(motion)))
+    for _ in range(_SEATED):
+        motion = _off_trunk(kept_off_thighs(motion))
+    return kept_off_thighs(motion)
 
 
 def _off_trunk(motion: Motion) -> Motion:
@@ -109,8 +116,10 @@ def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, flo
     share = 1.0 - body.at_shoulder(pose.places[name + "Hand"], pose.places[name + "Arm"], sign)
     for _ in range(_STEPS):
         push = body.push([limbs.place(turns, point) for point in points], sign) * share
-        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, POLE_OF_ELBOW,
-             np.linalg.norm(push, axis=-1) > LEAST)
+        inside = np.linalg.norm(push, axis=-1) > LEAST
+        if not inside.any():
+            break
+        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, POLE_OF_ELBOW, inside)
     for _ in range(_SWINGS):
         swivel(turns, limbs, chain, body.hidden(limbs.place(turns, chain[1]), sign))
     if len(points) > 1:
@@ -159,7 +168,7 @@ class _Body:
         up = neck / self._length[:, None]
         left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
         left = left / np.linalg.norm(left, axis=-1, keepdims=True)
-        self._axes = np.stack([left, up, np.cross(left, up)], axis=-2)  # rows: left, up, ahead
+        self._axes = np.stack([left, up, rotation.cross(left, up)], axis=-2)  # rows: left, up, ahead
         self._head = pose.turns["Head"]
         self._face = pose.places["Head"] + self._head @ HEAD_MIDDLE
 
@@ -173,7 +182,7 @@ class _Body:
 
     def hidden(self, elbow: Array, sign: float) -> Array:
         """[T, 3] the displacement of an elbow [T, 3] behind the trunk; sign: 1 for the left, -1 for the right."""
-        across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, elbow), -1, 0)
+        across, along, ahead = np.einsum("tij,tj->ti", self._axes, elbow).T
         depth = soft(back_at(across * sign, along, self._length) - ahead, ELBOW_SOFT)
         return depth[:, None] * (OUTWARD[0] * sign * self._axes[:, 0] + OUTWARD[1] * self._axes[:, 2])
 
@@ -185,11 +194,11 @@ class _Body:
 
     def out_of_trunk(self, point: Array, sign: float, over: float) -> Array:
         """[T, 3] the displacement of a point [T, 3] of a hand in the trunk; over: metres in which it is rounded."""
-        across, along, ahead = np.moveaxis(np.einsum("tij,tj->ti", self._axes, point), -1, 0)
-        return self._axes[:, 2] * soft(front_at(across * sign, along, self._length) - ahead, over)[:, None]
+        across, along, ahead = np.einsum("tij,tj->ti", self._axes, point).T
+        return self._axes[:, 2] * soft(shirt_at(across * sign, along, self._length) - ahead, over)[:, None]
 
     def _off_face(self, point: Array) -> Array:
-        x, y, z = np.moveaxis(np.einsum("tji,tj->ti", self._head, point - self._face), -1, 0)
+        x, y, z = np.einsum("tji,tj->ti", self._head, point - self._face).T
         return self._head[..., 2] * soft(face_front(np.hypot(x, y)) - z)[:, None]
 
 
@@ -210,6 +219,13 @@ def front_at(across: Array, along: Array, length: Array) -> Array:
     """`trunk_front` at metres across the trunk and `along` it from the hips, which recedes beyond the ends of its
     `length`."""
     return np.asarray(trunk_front(across) - _receding(along, length))
+
+
+def shirt_at(across: Array, along: Array, length: Array) -> Array:
+    """As `front_at`, over hips that are wider than the trunk."""
+    wide = 1.0 + HIPS * (1.0 - _ramp(along, (0.0, HIPS_UNDER)))
+    hem = np.maximum(along, np.minimum(along + HEM, 0.0))
+    return np.asarray(wide * trunk_front(across / wide) - _receding(hem, length))
 
 
 def back_at(across: Array, along: Array, length: Array) -> Array:

@@ -1,14 +1,15 @@
 """The frames of a motion in pieces of one block each, of which only those are computed that were not known before.
 
 Frames are the same bits as those of `MotionPath` for the whole motion: a frame depends on a few knots around it alone.
-Numbers are as in the page (`gesticulator.export.html`): quaternions as int16.
+Numbers and rate are those of the page (`gesticulator.export.html`): quaternions as int16, which a long recording has at
+half of the rate of the motion.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -19,6 +20,7 @@ from data_module.motion.skeletons import resized
 from data_module.types import Array, Motion
 from gesticulator.body.clearance import cleared, cleared_poses
 from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.page_frames import LEAST, PageFrames, Recent
 from gesticulator.body.stance import WHOLE_BODY, Signals, Stance, seated
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
@@ -28,8 +30,6 @@ from gesticulator.plan.plan import GesturePlan
 if TYPE_CHECKING:
     from gesticulator.body.pins import PinGroup
 
-_LEAST, _EACH = 4000, 6
-"""Pieces in memory: at least, and for each block of the recording. A piece takes 10 kB."""
 MOST_GROUPS = 200
 """Groups of pins whose frames are in memory. One of 1.2 s at 60 frames a second takes 60 kB."""
 _TOGETHER = 12
@@ -56,9 +56,9 @@ class PosedBlock(Protocol):
 
 @dataclass(frozen=True)
 class FramePiece:
-    """Frames `first` to `last` - 1. number: of their content, but for signs; rotations: [T, J, 4] int16, w first;
-    ends: [2, J, 4] the first and the last frame, before rounding; root: [T, 3] its positions, where it moves; signals:
-    what legs follow of them."""
+    """Frames `first` to `last` - 1 of the page. number: of their content, but for signs; rotations: [T, J, 4] int16, w
+    first; ends: [2, J, 4] the first and the last frame of the motion, before rounding, [0, J, 4] without frames; root:
+    [T, 3] its positions, where it moves; signals: what legs follow of the frames of the motion."""
 
     first: int
     last: int
@@ -67,6 +67,12 @@ class FramePiece:
     ends: Array
     root: NDArray[np.float32] | None = None
     signals: Signals | None = None
+
+    @property
+    def size(self) -> int:
+        """Bytes in memory, but for what the objects themselves take."""
+        root = 0 if self.root is None else self.root.nbytes
+        return self.rotations.nbytes + self.ends.nbytes + root + (0 if self.signals is None else self.signals.size)
 
 
 @dataclass(frozen=True)
@@ -93,11 +99,14 @@ class SignedPieces:
 
 @dataclass(frozen=True)
 class PieceLayout:
-    """Of N pieces, and of the frames of G groups of pins. edges: [N + 1] frames of the pieces; first, last: [N + G] the
-    blocks whose poses a piece or group depends on; begins: [N + G] whether it depends on the beginning; count: of all
-    frames; groups: [G]."""
+    """Of N pieces, and of the frames of G groups of pins. edges: [N + 1] frames of the pieces in the motion; shown:
+    [N + 1] and in the page; ahead: frames after its last one on which a piece depends; first, last: [N + G] the blocks
+    whose poses a piece or group depends on; begins: [N + G] whether it depends on the beginning; count: of all frames
+    of the motion; groups: [G]."""
 
     edges: Sequence[int]
+    shown: Sequence[int]
+    ahead: int
     first: Sequence[int]
     last: Sequence[int]
     begins: Sequence[bool]
@@ -116,9 +125,15 @@ class PieceLayout:
         group = self.groups[at - self.size]
         return group.first, group.last
 
-    def pinned_by(self, at: int) -> list[int]:
-        """The groups, as numbers from N on, that change frames of a piece."""
+    def needed(self, at: int) -> tuple[int, int]:
+        """The first frame on which those of a piece in the page depend, and the one after the last; those of a
+        group."""
         first, last = self.frames(at)
+        return first, min(last + self.ahead, self.count) if first < last and at < self.size else last
+
+    def pinned_by(self, at: int) -> list[int]:
+        """The groups, as numbers from N on, that change frames on which a piece depends."""
+        first, last = self.needed(at)
         return [self.size + number for number, group in enumerate(self.groups)
                 if group.first < last and group.last > first]
 
@@ -141,17 +156,15 @@ class PieceLayout:
 class FramePieces:
     """Makes the pieces of the motions of one performer."""
 
-    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, steps: int, blocks: int,
-                 numbers: Iterator[int], stance: Stance | None = None) -> None:
-        """options: fps, seated and mirror are used; steps: of the int16 per unit; blocks: of a motion, about; numbers:
-        of the contents of pieces; stance: legs that follow the pieces."""
+    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, page: PageFrames,
+                 stance: Stance | None = None) -> None:
+        """options: fps, seated and mirror are used; stance: legs that follow the pieces."""
         self._representation = representation_of(bundle.config)
         self._first: Array = bundle.statistics.rest_pose[speaker]
         self.smoothing, self.fps = bundle.config.motion.smoothing, float(options.fps)
-        self._seated, self._mirrored, self._steps = options.seated, options.mirrored, steps
-        self._known: OrderedDict[Hashable, FramePiece] = OrderedDict()
-        self.most = max(_LEAST, _EACH * blocks)
-        self._numbers, self._stance = numbers, stance
+        self._seated, self._mirrored, self._page = options.seated, options.mirrored, page
+        self._known = Recent[FramePiece]()
+        self._stance = stance
         self._pinned: dict[Hashable, Array] = {}
         self._layouts: list[tuple[Array, float, GesturePlan | None, PieceLayout]] = []
 
@@ -169,8 +182,8 @@ class FramePieces:
         while left:
             at = left.popleft()
             key = key_of(at)
-            if self._is_known(key):
-                yield at, self._known[key]
+            if (known := self._known.use(key)) is not None:
+                yield at, known
                 continue
             lacking = [key]
             while left and left[0] == at + len(lacking) and len(lacking) < _TOGETHER:
@@ -184,26 +197,34 @@ class FramePieces:
             signals = None if self._stance is None else self._stance.signals(resized(body, WHOLE_BODY))
             begin = layout.frames(at)[0]
             for number, key in enumerate(lacking, at):
-                first, last = layout.frames(number)
-                rows = slice(first - begin, last - begin)
-                turns = self._pinned_turns(layout, number, blocks, body.rotations[rows])
-                yield number, self._remember(key, (first, last), turns, signals and signals.part(rows))
+                (first, last), needed = layout.frames(number), layout.needed(number)
+                turns = self._pinned_turns(layout, number, blocks, body.rotations[needed[0] - begin:needed[1] - begin])
+                yield number, self._remember(key, layout, number, turns,
+                                             signals and signals.part(slice(first - begin, last - begin)))
 
     def stretch(self, times: Array, blocks: Sequence[PosedBlock], duration: float, span: tuple[int, int]
                 ) -> tuple[int, Motion]:
-        """The number of the first frame, and the frames, of the blocks of a span (first, last + 1), without pins."""
+        """The number of the first frame in the page, and the frames, of the blocks of a span (first, last + 1), without
+        pins."""
         layout = self.layout(times, duration, None)
-        return layout.edges[span[0]], self.body(layout, range(*span), blocks)
+        return self.as_shown(self.body(layout, range(*span), blocks), layout, span)
+
+    def as_shown(self, body: Motion, layout: PieceLayout, span: tuple[int, int]) -> tuple[int, Motion]:
+        """The number of the first frame in the page, and the frames, of a motion of the pieces of a span (first, last +
+        1)."""
+        shown, begin = (layout.shown[span[0]], layout.shown[span[1]]), layout.edges[span[0]]
+        return shown[0], replace(body, rotations=self._page.turns(body.rotations, begin, shown), fps=self._page.fps,
+                                 root_positions=self._page.places(body.root_positions, begin, shown))
 
     def learn(self, times: Array, blocks: Sequence[PosedBlock], duration: float, rotations: Array,
               plan: GesturePlan | None = None) -> SignedPieces:
-        """Remember the pieces of a motion that is known: [T, J, 4] rotations, w first."""
+        """Remember the pieces of a motion that is known: [T, J, 4] rotations, w first, at its rate."""
         layout = self.layout(times, duration, plan)
         made = list[FramePiece]()
         for at in range(len(times)):
-            key, frames = layout.key(at, blocks), layout.frames(at)
-            made.append(self._known[key] if self._is_known(key) else
-                        self._remember(key, frames, rotations[slice(*frames)]))
+            key = layout.key(at, blocks)
+            made.append(self._known.use(key) or
+                        self._remember(key, layout, at, rotations[slice(*layout.needed(at))]))
         return signed(made)
 
     def keys(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None = None
@@ -228,6 +249,7 @@ class FramePieces:
                       and asked[2] is plan), None)
         if known is None:
             known = self._laid_out(times, duration, plan)
+            self._known.least = max(self._known.least, LEAST * known.size)
             self._layouts = [*self._layouts[-1:], (times, duration, plan, known)]
         return known
 
@@ -238,13 +260,16 @@ class FramePieces:
         groups = self._groups(plan, count)
         half = round(KnotPath(self._first, self.fps, self.smoothing).reach * self.fps) + 1
         begins = np.maximum(np.array([*edges[:-1], *(group.first for group in groups)]) - half, 0) / self.fps
-        stops = (np.array([*edges[1:], *(group.last for group in groups)]) - 1 + half) / self.fps
+        ahead = self._page.ahead
+        stops = (np.array([*(edge + ahead for edge in edges[1:]), *(group.last for group in groups)]) - 1
+                 + half) / self.fps
         # What is mirrored at the end of the recording lies before it.
         begins = np.where(stops > (count - 1) / self.fps, np.minimum(begins, (count - 1 - 2 * half) / self.fps), begins)
         low = np.searchsorted(flat, begins, side="right") - 1 - _MARGIN
         high = np.minimum(np.searchsorted(flat, stops, side="right") + _MARGIN, len(flat))
         first, last = np.maximum(low - 1, 0) // knots, (high - 2) // knots
-        return PieceLayout(tuple(edges), first.tolist(), last.tolist(), (low <= 0).tolist(), count, groups)
+        return PieceLayout(tuple(edges), self._page.edges(edges), ahead, first.tolist(), last.tolist(),
+                           (low <= 0).tolist(), count, groups)
 
     def _groups(self, plan: GesturePlan | None, count: int) -> Sequence[PinGroup]:
         if plan is None or not plan.pins:
@@ -253,27 +278,19 @@ class FramePieces:
 
         return pin_groups(plan, self.fps, count)
 
-    def _is_known(self, key: Hashable) -> bool:
-        """Whether a piece is remembered, and then it stays so for longer."""
-        if key not in self._known:
-            return False
-        self._known.move_to_end(key)
-        return True
-
-    def _remember(self, key: Hashable, frames: tuple[int, int], turns: Array, signals: Signals | None = None
+    def _remember(self, key: Hashable, layout: PieceLayout, at: int, turns: Array, signals: Signals | None = None
                   ) -> FramePiece:
-        """The piece with these frames (first, last + 1) and rotations [T, J, 4], from now on."""
-        ends = turns[[0, -1]] if len(turns) else np.zeros((2, *turns.shape[1:]))
-        made = FramePiece(*frames, next(self._numbers), np.round(turns * self._steps).astype("<i2"), ends,
-                          signals=signals)
-        self._known[key] = made
-        while len(self._known) > self.most:
-            self._known.popitem(last=False)
+        """A piece with these rotations [T, J, 4] of the frames that it needs, from now on."""
+        (first, last), shown = layout.frames(at), (layout.shown[at], layout.shown[at + 1])
+        ends = turns[[0, last - first - 1]] if len(turns) else turns
+        made = FramePiece(*shown, next(self._page.numbers),
+                          self._page.rounded(self._page.turns(turns, first, shown)), ends, signals=signals)
+        self._known.put(key, made, made.size)
         return made
 
     def _pinned_turns(self, layout: PieceLayout, at: int, blocks: Sequence[PosedBlock], turns: Array) -> Array:
         """The rotations [T, J, 4] of a piece with those of its pins."""
-        (first, last), near = layout.frames(at), layout.pinned_by(at)
+        (first, last), near = layout.needed(at), layout.pinned_by(at)
         for number in near:
             group, moved = layout.groups[number - layout.size], self._with_pins(layout, number, blocks)
             low, high = max(first, group.first), min(last, group.last)
@@ -297,10 +314,10 @@ class FramePieces:
         return self._pinned[key]
 
     def body(self, layout: PieceLayout, numbers: range, blocks: Sequence[PosedBlock]) -> Motion:
-        """The frames of neighbouring pieces, or of a group, without pins."""
+        """The frames of the motion that neighbouring pieces need, or a group, without pins."""
         first = min([layout.first[at] for at in numbers])
         near, begins = blocks[first:layout.last[numbers[-1]] + 1], any(layout.begins[at] for at in numbers)
-        frames = layout.frames(numbers[0])[0], layout.frames(numbers[-1])[1]
+        frames = layout.frames(numbers[0])[0], max([layout.needed(at)[1] for at in numbers])
         return self._placed(self._upper_body(near, begins, frames, layout.count))
 
     def _upper_body(self, blocks: Sequence[PosedBlock], begins: bool, frames: tuple[int, int], count: int) -> Motion:
@@ -324,7 +341,7 @@ def signed(pieces: Sequence[FramePiece]) -> SignedPieces:
     """All pieces of a motion, in order."""
     joints = pieces[0].ends.shape[1]
     signs = np.ones((len(pieces), joints), np.int16)
-    filled = [at for at, piece in enumerate(pieces) if piece.last > piece.first]
+    filled = [at for at, piece in enumerate(pieces) if len(piece.ends)]
     if filled:
         ends = np.stack([pieces[at].ends for at in filled])
         dots = np.sum(ends[1:, 0] * ends[:-1, 1], axis=-1)

@@ -193,6 +193,11 @@ class Signals:
     places: Array
     turns: Array
 
+    @property
+    def size(self) -> int:
+        """Bytes in memory."""
+        return self.roll.nbytes + self.yaw.nbytes + self.places.nbytes + self.turns.nbytes
+
     def part(self, rows: slice) -> Signals:
         """Those of some of the frames."""
         return Signals(self.roll[rows], self.yaw[rows], self.places[rows], self.turns[rows])

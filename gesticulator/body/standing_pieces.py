@@ -15,7 +15,7 @@ plan are a run; the last ones are remembered, so that undo makes nothing.
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -31,6 +31,7 @@ from data_module.motion.skeletons import WHOLE_BODY, resized
 from data_module.types import Array, Motion
 from gesticulator.body.frame_pieces import FramePiece, FramePieces, PieceLayout, PosedBlock
 from gesticulator.body.mirror import exchanged_joints, mirrored_motion
+from gesticulator.body.page_frames import LEAST, PageFrames, Recent
 from gesticulator.body.stance import LEGGED, Course, Follower, Signals, Stance, course_of, joined, on_legs
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.options import InferenceOptions
@@ -38,11 +39,13 @@ from gesticulator.plan.plan import GesturePlan
 
 STEEPEST, STEEPEST_ROOT = 150.0, 5.0
 """Bounds on the slopes of rotations and of the root by the lead, for each metre and degree: a knee, which bends by 5
-degrees or more, has 24, and the root 1.2."""
+degrees or more, has 24, and the root 1.2. A frame between two has hardly more than they have."""
 RUNS = 8
 """Runs in memory. One of ten minutes at 60 frames a second takes 2 MB."""
 _MARK = 128
 """Pieces between two states of a run that are kept."""
+_COURSES = 60_000
+"""Steps of an hour, with as many that were there before; one takes 1 kB."""
 _VARIANTS = 4
 """Pieces that are remembered of one upper body on different legs."""
 _TOGETHER = 2000
@@ -59,6 +62,11 @@ class _Variant:
     piece: FramePiece
     lead: Array
     slack: float
+
+    @property
+    def size(self) -> int:
+        """Bytes in memory."""
+        return self.piece.size + self.lead.nbytes
 
 
 @dataclass
@@ -95,7 +103,7 @@ class _Asked:
 
     def span(self, at: int) -> tuple[int, int]:
         """The first frame that a piece depends on, and the one after the last."""
-        first, last = self.layout.frames(at)
+        first, last = self.layout.needed(at)
         if not self.layout.groups:
             return first, last
         groups = [self.layout.frames(group) for group in self.layout.pinned_by(at)]
@@ -115,23 +123,21 @@ class _Asked:
 
     def following(self, end: int) -> int:
         """The piece after the last one on whose frames those before `end` depend."""
-        if not self.layout.groups:
+        if not self.layout.groups and not self.layout.ahead:
             return end
-        last = max(self.span(at)[1] for at in range(end))
-        return max(end, next(at for at in range(self.layout.size) if self.layout.edges[at + 1] >= last) + 1)
+        last = max(self.span(at)[1] for at in range(end)) if self.layout.groups else self.layout.edges[end] + 1
+        return max(end, bisect_left(self.layout.edges, min(last, self.layout.count)))
 
 
 class StandingPieces:
     """Makes the pieces of the motions of one performer on legs. Its methods are those of `FramePieces`."""
 
-    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, steps: int, blocks: int,
-                 numbers: Iterator[int]) -> None:
+    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, page: PageFrames) -> None:
         """See `FramePieces`; the seed of the options is used, too."""
         self._stance = Stance(int(options.seed), float(options.fps))
-        self._upper = FramePieces(bundle, speaker, replace(options, mirror=False), steps, blocks,
-                                  numbers, self._stance)
-        self._mirrored, self._steps, self._numbers = options.mirrored, steps, numbers
-        self._known: OrderedDict[Hashable, list[_Variant]] = OrderedDict()
+        self._upper = FramePieces(bundle, speaker, replace(options, mirror=False), page, self._stance)
+        self._mirrored, self._page = options.mirrored, page
+        self._known = Recent[list[_Variant]]()
         self._courses: dict[tuple[int, int], Course] = {}
         self._joined: OrderedDict[Hashable, Course] = OrderedDict()
         self._steps_of: tuple[PieceLayout, Sequence[int]] | None = None
@@ -163,23 +169,28 @@ class StandingPieces:
     def reach(self, times: Array, duration: float, plan: GesturePlan | None = None) -> list[int]:
         """[N] the last block on whose poses each piece depends."""
         reach, asked = self._upper.reach(times, duration, plan), self._asked(times, (), duration, plan)
-        return [max(reach[at:asked.following(at + 1)]) for at in range(len(reach))] if asked.layout.groups else reach
+        if not asked.layout.groups and not asked.layout.ahead:
+            return reach
+        return [max(reach[at:asked.following(at + 1)]) for at in range(len(reach))]
 
     def stretch(self, times: Array, blocks: Sequence[PosedBlock], duration: float, span: tuple[int, int]
                 ) -> tuple[int, Motion]:
         """A draft: the number of the first frame, and the frames, of the blocks of a span (first, last + 1), without
         pins, on legs that begin there."""
-        first, body = self._upper.stretch(times, blocks, duration, span)
+        layout = self._upper.layout(times, duration, None)
+        first, body = layout.edges[span[0]], self._upper.body(layout, range(*span), blocks)
         follower = Follower(self._stance.seed, self._upper.fps)
         follower.begin(first / self._upper.fps)
         course, signals = self._stance.course(first, first + len(body)), self._stance.signals(resized(body, WHOLE_BODY))
-        return first, self._on_legs(body, course, follower.step(signals, course, self._stance.scale))
+        stands = self._on_legs(body, course, follower.step(signals, course, self._stance.scale))
+        return self._upper.as_shown(stands, layout, span)
 
     def _asked(self, times: Array, blocks: Sequence[PosedBlock], duration: float, plan: GesturePlan | None) -> _Asked:
         layout = self._upper.layout(times, duration, plan)
         if self._steps_of is None or self._steps_of[0] is not layout:
             steps = KnotPath(np.zeros(1), self._upper.fps, self._upper.smoothing).steps(times, layout.count)
             self._steps_of = layout, sorted({0, *steps})
+            self._known.least = max(self._known.least, LEAST * layout.size)
         return _Asked(layout, blocks, self._steps_of[1])
 
     # ------------------------------------------------------------------------------------------------------- runs
@@ -211,13 +222,12 @@ class StandingPieces:
             if at in found:
                 continue
             lead = run.lead[slice(*asked.span(at))]
-            near = next((one for one in reversed(self._known.get(keys[at], ()))
+            near = next((one for one in reversed(self._known.use(keys[at]) or ())
                          if np.abs(one.lead - lead).max(initial=0.0) <= one.slack), None)
             if near is None:
                 late.append(at)
             else:
                 found[at] = near
-                self._known.move_to_end(keys[at])
         for some in _groups(late, asked.layout):
             for at, made in zip(some, self._made(run, asked, bodies, some), strict=True):
                 found[at] = self._remember(keys[at], made)
@@ -246,14 +256,14 @@ class StandingPieces:
                 (self._step(step), slice(max(rows[0], step[0]) - step[0], min(rows[1], step[1]) - step[0]))
                 for step in steps])
         self._joined.move_to_end((rows, steps))
-        while len(self._joined) > self._upper.most // 10:
+        while len(self._joined) > max(_COURSES, asked.layout.size) // 10:
             self._joined.popitem(last=False)
         return self._joined[rows, steps]
 
     def _step(self, step: tuple[int, int]) -> Course:
         """What is decided for the frames (first, last + 1) of a step."""
         if step not in self._courses:
-            while len(self._courses) > self._upper.most:
+            while len(self._courses) > _COURSES:
                 del self._courses[next(iter(self._courses))]
             self._courses[step] = self._stance.course(*step)
         return self._courses[step]
@@ -262,69 +272,71 @@ class StandingPieces:
 
     def _remember(self, key: Hashable, made: _Variant) -> _Variant:
         """The variant from now on, with the number of another one whose frames are the same."""
-        others = self._known.pop(key, [])
+        others = self._known.pop(key) or []
         same = next((one.piece for one in others if _same(one.piece, made.piece)), None)
         made = made if same is None else replace(made, piece=same)
-        self._known[key] = [*others[1 - _VARIANTS:], made]
-        while len(self._known) > self._upper.most:
-            self._known.popitem(last=False)
+        variants = [*others[1 - _VARIANTS:], made]
+        self._known.put(key, variants, sum(one.size for one in variants))
         return made
 
     def _made(self, run: _Run, asked: _Asked, bodies: Mapping[int, FramePiece], numbers: Sequence[int]
               ) -> Iterator[_Variant]:
         """Pieces of a run, made now."""
-        frames = [asked.layout.frames(at) for at in numbers]
+        layout = asked.layout
+        frames = [layout.needed(at) for at in numbers]
         lead = np.concatenate([run.lead[slice(*one)] for one in frames])
         turns, root = np.zeros((0, len(LEGGED), 4)), np.zeros((0, 3))
         if len(lead):
             course = course_of([(self._course(asked, one), slice(None)) for one in frames if one[0] < one[1]])
-            before = np.concatenate([_signals(bodies[at]).turns for at in numbers])
+            before = np.concatenate([_turns(layout, bodies, at) for at in numbers])
             turns, root = self._stance.stood(before, course, lead)
         turns, begin, pinned = rotation.continuous(turns), 0, dict[int, Array]()
-        steps, single = np.round(turns * self._steps).astype("<i2"), root.astype("<f4")
-        slack = _slack(turns, root, self._steps)
         for at, (first, last) in zip(numbers, frames, strict=True):
             rows = slice(begin, begin + last - first)
             begin = rows.stop
             own = run.lead[slice(*asked.span(at))].copy()
-            if asked.layout.groups and asked.layout.pinned_by(at):
+            if layout.groups and layout.pinned_by(at):
                 yield _Variant(self._with_pins(run, asked, at, pinned), own, 0.0)
-            else:
-                yield _Variant(self._piece(bodies[at], steps[rows], turns[rows][[0, -1] if first < last else []],
-                                           single[rows]), own, float(slack[rows].min(initial=np.inf)))
+                continue
+            shown = layout.shown[at], layout.shown[at + 1]
+            legs, places = self._page.turns(turns[rows], first, shown), self._page.places(root[rows], first, shown)
+            ends = turns[rows][[0, layout.frames(at)[1] - first - 1] if first < last else []]
+            slack = float(_slack(legs, places, self._page.steps).min(initial=np.inf))
+            yield _Variant(self._piece(bodies[at], self._page.rounded(legs), ends, places.astype("<f4")), own, slack)
 
     def _piece(self, body: FramePiece, steps: NDArray[np.int16], ends: Array, root: NDArray[np.float32]) -> FramePiece:
         """A piece with the rotations of the joints that legs turn: [T, 10, 4] as steps, and [2, 10, 4] at its ends."""
-        rotations, outer = _whole(body.rotations, self._steps), _whole(body.ends, 1.0)
-        rotations[:, LEGGED] = steps
-        if len(steps):
-            outer[:, LEGGED] = ends
+        rotations, outer = _whole(body.rotations, self._page.steps), _whole(body.ends, 1.0)
+        rotations[:, LEGGED], outer[:, LEGGED] = steps, ends
         if self._mirrored:
             rotations, outer = rotations[:, _SWAPPED] * _TURNED, outer[:, _SWAPPED] * _TURNED
             root = root * np.array([-1.0, 1.0, 1.0], np.float32)
-        return FramePiece(body.first, body.last, next(self._numbers), rotations, outer, root)
+        return FramePiece(body.first, body.last, next(self._page.numbers), rotations, outer, root)
 
     def _with_pins(self, run: _Run, asked: _Asked, at: int, known: dict[int, Array]) -> FramePiece:
         """A piece under pins. known: [T, J, 4] rotations of groups of pins."""
         from gesticulator.body.pins import with_group
 
-        first, last = asked.layout.frames(at)
+        layout = asked.layout
+        first, last = layout.needed(at)
         body = self._body(run, asked, at)
         turns = body.rotations.copy()
-        for number in asked.layout.pinned_by(at):
-            group = asked.layout.groups[number - asked.layout.size]
+        for number in layout.pinned_by(at):
+            group = layout.groups[number - layout.size]
             if number not in known:
                 known[number] = with_group(self._body(run, asked, number), group).rotations
             low, high = max(first, group.first), min(last, group.last)
             rows, part = slice(low - first, high - first), known[number][low - group.first:high - group.first]
             # On the side of the frames around them.
             turns[rows] = np.where(np.sum(part * turns[rows], axis=-1, keepdims=True) < 0.0, -part, part)
-        return FramePiece(first, last, next(self._numbers), np.round(turns * self._steps).astype("<i2"),
-                          turns[[0, -1]], body.root_positions.astype("<f4"))
+        shown = layout.shown[at], layout.shown[at + 1]
+        return FramePiece(*shown, next(self._page.numbers), self._page.rounded(self._page.turns(turns, first, shown)),
+                          turns[[0, layout.frames(at)[1] - first - 1]],
+                          self._page.places(body.root_positions, first, shown).astype("<f4"))
 
     def _body(self, run: _Run, asked: _Asked, number: int) -> Motion:
-        """The frames of a piece, or of a group of pins, without pins."""
-        frames = asked.layout.frames(number)
+        """The frames that a piece needs, or of a group of pins, without pins."""
+        frames = asked.layout.needed(number)
         body = self._upper.body(asked.layout, range(number, number + 1), asked.blocks)
         return self._on_legs(body, self._course(asked, frames), run.lead[slice(*frames)])
 
@@ -347,7 +359,7 @@ def _alike(run: _Run, keys: Sequence[Hashable], layout: PieceLayout) -> dict[int
     if not some:
         return {}
     there = np.concatenate([old.variants[at].lead for at in some])
-    here = np.concatenate([run.lead[layout.edges[at]:layout.edges[at + 1]] for at in some])
+    here = np.concatenate([run.lead[slice(*layout.needed(at))] for at in some])
     starts = np.cumsum([0, *(len(old.variants[at].lead) for at in some[:-1])])
     apart = np.maximum.reduceat(np.abs(here - there).max(axis=1), starts).tolist()
     return {at: old.variants[at] for at, far in zip(some, apart, strict=True) if far <= old.variants[at].slack}
@@ -357,6 +369,16 @@ def _signals(piece: FramePiece) -> Signals:
     """What legs follow of a piece without legs."""
     assert piece.signals is not None
     return piece.signals
+
+
+def _turns(layout: PieceLayout, bodies: Mapping[int, FramePiece], at: int) -> Array:
+    """[T, 2, 4] the rotations of hips and spine in the frames that a piece needs."""
+    turns, (first, last) = _signals(bodies[at]).turns, layout.needed(at)
+    after = at
+    while len(turns) < last - first:
+        after += 1
+        turns = np.concatenate([turns, _signals(bodies[after]).turns[:last - first - len(turns)]])
+    return turns
 
 
 def _whole(rotations: Any, one: float) -> Any:

@@ -81,5 +81,5 @@ def swing(a: Array, b: Array) -> Array:
     """[T, 3, 3] the shortest rotations from directions a [T, 3] to b."""
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)
     b = b / np.linalg.norm(b, axis=-1, keepdims=True)
-    q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)
+    q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), rotation.cross(a, b)], axis=-1)
     return Rotation.from_quat(rotation.normalise(q), scalar_first=True).as_matrix()

@@ -41,6 +41,8 @@ _STEPS = (np.arange(-6, 12) + 0.5) / 12.0
 """Heights of the slices, 0 at the hips and 1 at the neck: pelvis and thighs are below the hips."""
 _STANDS = 0.85
 """Cosine between thighs and straight down above which they are part of the column."""
+FLEXED = 0.25
+"""Radians by which thighs that stand may be ahead of where they hang in the bind pose: knees give, weight shifts."""
 FEWEST, FEWEST_IN_SLICE = 30, 8
 """Vertices of a trunk and of a slice without which they are not measured."""
 SPARSE, _FINE = 1000, 8
@@ -117,12 +119,13 @@ def _measured(body: Body) -> Outline | None:
     share = (points - hips) @ up / length
     flat = np.stack([(points - hips) @ left, (points - hips) @ np.cross(left, up)])
     out = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) @ flat  # [36, V]
+    ahead = np.maximum(np.sin(ANGLES), 0.0) * (FLEXED * length if _stands(body) else 0.0)
     steps, rows = [], []
     for step in _STEPS:
         near = np.abs(share - step) < 1.0 / 12.0
         if near.sum() >= FEWEST_IN_SLICE:
             steps.append(step)
-            rows.append(np.percentile(out[:, near], OUTER, axis=1))
+            rows.append(np.percentile(out[:, near], OUTER, axis=1) + max(-step, 0.0) * ahead)
     return Outline(np.array(steps), np.array(rows)) if rows else None
 
 

@@ -12,12 +12,14 @@ from data_module.types import Array, Motion
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
 from gesticulator.directing.lexeme_names import FAR, LIFTED, MOVES, decoded_motion, hand_ways
-from gesticulator.plan.gestures import GESTURES
+from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE
 from gesticulator.plan.plan import GestureCue
 
 JOINTS = ("Head", "Neck", "Hips", "LeftArm", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm", "RightHand")
 BONES = ((0, 1), (1, 2), (1, 3), (3, 4), (4, 5), (1, 6), (6, 7), (7, 8))
 """Lines of a figure, pairs of `JOINTS`."""
+_HANDS = {"one": "one hand", "two": "both hands", "one or two": "one hand, both hands", "head": "head"}
+"""How to search for the hands of a gesture."""
 FRAMES = 12
 """Pictures of a gesture."""
 FPS = 16.0
@@ -45,8 +47,11 @@ def _lexemes(bundle: Bundle) -> list[dict[str, Any]]:
         far = float(np.linalg.norm(ways.ways[lexeme], axis=-1).max()) > FAR
         high = float(ways.heights[lexeme].max()) > LIFTED
         phase = "rest" if lexeme in silent else "hold" if hand == "none" else "stroke"
+        apart = ways.ways[lexeme][:, 0]
+        words = "open" if (apart > MOVES).all() else "close" if (apart < -MOVES).all() else ""
         out.append({"lexeme": lexeme, "hand": hand, "size": "far" if far else "near",
-                    "height": "up" if high else "down", "phase": phase, "points": _text(points[lexeme])})
+                    "height": "up" if high else "down", "phase": phase, "words": words,
+                    "points": _text(points[lexeme])})
     return out
 
 
@@ -62,9 +67,22 @@ def _gestures(bundle: Bundle, speaker: int) -> list[dict[str, Any]]:
         before, after = span_of_gesture(name)
         times = np.linspace(-before, after, FRAMES + 2)[1:-1]
         poses = laid_over(np.repeat(rest[None], FRAMES, axis=0), times, [(GestureCue(name, time=0.0), 0.0)])
-        points = _points(representation.motion(poses, FRAMES / (before + after)))
-        out.append({"name": name, "seconds": round(before + after, 2), "points": _text(points)})
+        motion = representation.motion(poses, FRAMES / (before + after))
+        hands = REPERTOIRE[ALIASES.get(name, name)].hands
+        out.append({"name": name, "seconds": round(before + after, 2), **_ways(motion), "words": _HANDS[hands],
+                    "points": _text(_points(motion))})
     return out
+
+
+def _ways(motion: Motion) -> dict[str, str]:
+    """Which hand a gesture takes, how far and how high, in the words of lexemes."""
+    names, places = motion.skeleton.names, positions_of(motion)
+    hands = np.stack([places[:, names.index(side)] - places[:, names.index("Hips")] for side in JOINTS[8:4:-3]])
+    away = np.linalg.norm(hands - hands[:, :1], axis=-1).max(axis=1)
+    moves = np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(axis=1) > MOVES
+    hand = "both" if moves.all() else "right" if moves[0] else "left" if moves[1] else "none"
+    return {"hand": hand, "size": "far" if away.max() > FAR else "near",
+            "height": "up" if hands[..., 1].max() > LIFTED else "down", "phase": "stroke"}
 
 
 def _points(motion: Motion) -> Array:

@@ -80,11 +80,11 @@ def _rendered(block: Block, generated: BlockMotion) -> Block:
     if [(choice.lexeme, choice.score, choice.prior, choice.advantage) for choice in choices] != rows:
         choices = now.alternatives
     lexeme = generated.lexeme if block.lexeme is None else block.lexeme
-    before = (block.lexeme, block.gate, block.chosen, block.runner_up)
-    if choices is block.alternatives and before == (lexeme, now.gate, now.chosen, now.runner_up):
+    before = (block.lexeme, block.gate, block.score, block.rank, block.chosen, block.runner_up)
+    if choices is block.alternatives and before == (lexeme, now.gate, now.score, now.rank, now.chosen, now.runner_up):
         return block
-    return replace(block, lexeme=lexeme, gate=now.gate, alternatives=choices, chosen=now.chosen,
-                   runner_up=now.runner_up)
+    return replace(block, lexeme=lexeme, gate=now.gate, alternatives=choices, score=now.score, rank=now.rank,
+                   chosen=now.chosen, runner_up=now.runner_up)
 
 
 def fingerprinted(plan: GesturePlan, speech: Speech) -> GesturePlan:

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from data_module import controls
 from data_module.motion.kinematics import chains, positions_of_some
-from data_module.motion.rotation import from_exponential_map
+from data_module.motion.rotation import cross, from_exponential_map
 from data_module.types import Array, Motion
 from gesticulator.body.clearance import back_at, front_at
 from gesticulator.body.life import HEAD
@@ -234,7 +234,7 @@ def behind_trunk(places: Array) -> Array:
     up = chest / np.maximum(np.linalg.norm(chest, axis=-1, keepdims=True), 1e-9)
     across = left - right - ((left - right) * up).sum(-1, keepdims=True) * up
     across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
-    axes = np.stack([across, up, np.cross(across, up)], axis=-2)
+    axes = np.stack([across, up, cross(across, up)], axis=-2)
     x, y, z = np.moveaxis(np.einsum("ctij,cthj->cthi", axes, places[:, :, :4]), -1, 0)
     x, height = x * np.tile([-1.0, 1.0], 2), 0.5 * ((left + right) * up).sum(-1)[..., None]
     surfaces = np.concatenate([front_at(x[..., :2], y[..., :2], height), back_at(x[..., 2:], y[..., 2:], height)], -1)

@@ -139,6 +139,8 @@ def decided(speech: SpeechBlock, lexeme: int, scores: NDArray[np.float64], expla
     draw = BlockDraw(keys.seed, keys.variation, speech.number)
     block = Block(speech.start, speech.end, lexeme, speech.silent[1], draw, speech.flag.name.lower(),
                   gate=None if math.isnan(gate) else gate)
+    if np.isfinite(scores[lexeme]):  # an edit may ask for a lexeme that the interpreter rules out
+        block = replace(block, score=float(scores[lexeme]), rank=int(np.sum(scores >= scores[lexeme])))
     if explanation is None:
         return replace(block, alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
     lexemes = [*best, lexeme]

@@ -143,9 +143,12 @@ def describe_shape(motion: Motion, duration: float) -> dict[str, Any]:
 def shown(scene: Scene) -> Motion:
     """The motion as the page has it."""
     motion = scene.standing
-    if scene.duration > LONG and motion.fps > LONG_FPS:
-        motion = kinematics.resample(motion, LONG_FPS)
-    return motion
+    return kinematics.resample(motion, page_fps(scene.duration, motion.fps))
+
+
+def page_fps(duration: float, fps: float) -> float:
+    """The frames per second of the page of a motion of this duration (seconds) and rate."""
+    return min(fps, LONG_FPS) if duration > LONG else fps
 
 
 def root_path(motion: Motion) -> bytes:

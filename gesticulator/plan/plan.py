@@ -160,6 +160,10 @@ class Block:
     """The gate's probability of a gesture; null without a gate."""
     alternatives: tuple[LexemeChoice, ...] = ()
     """The best lexemes, best first, to choose from."""
+    score: float | None = None
+    """The score of its lexeme, as those of `alternatives`; null without scores."""
+    rank: Annotated[int, SettingRange(1, 2**16)] | None = None
+    """How many lexemes have a score as high as its lexeme, with itself; null without scores."""
     chosen: dict[str, float] | None = None
     """Of the interpreter "advantage": prior and advantage of the lexeme that was played."""
     runner_up: dict[str, float] | None = None

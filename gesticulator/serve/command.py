@@ -47,6 +47,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
                        "10.0.0.0/8; can be repeated")
     where.add_argument("--metrics-port", type=int, metavar="PORT", help="port of /metrics, without a token (default: "
                        "the port of streams, with the token)")
+    where.add_argument("--metrics-host", default="", metavar="ADDRESS", help="address of that port, such as 127.0.0.1 "
+                       "(default: that of --host)")
     where.add_argument("--no-token", action="store_true", help="require no token for another --host")
     limits = p.add_argument_group("limits of each worker")
     for name, text in _LIMITS.items():
@@ -87,7 +89,7 @@ def read_address(args: argparse.Namespace) -> ServerAddress:
     if keys is not None:
         read_keys(keys)
     return ServerAddress(args.host, args.port, tuple(args.origin), read_token(args), keys, tuple(args.trusted_proxy),
-                         args.metrics_port)
+                         args.metrics_port, args.metrics_host)
 
 
 def check_library() -> None:

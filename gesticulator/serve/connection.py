@@ -80,6 +80,9 @@ class _Command:
 class Host(Protocol):
     """The server, as a connection sees it."""
 
+    async def passed_on(self, connection: Connection, request: StreamRequest) -> bool:
+        """Serve the client at another worker, if that one has its session, until the end; False if not."""
+
     def admit(self, connection: Connection, request: StreamRequest) -> Connection | None:
         """Give the connection a place, or find the stream that it resumes; `RefusedError` if there is no place or the
         token is wrong."""
@@ -121,6 +124,8 @@ class Connection:
         """Later streams have higher ones."""
         self.priority = 0
         self.tenant = ""
+        self.hello = ""
+        """The client's hello, as it came."""
         self.session: str | None = None
         """What a client may resume it by."""
         self.parked = False
@@ -172,6 +177,8 @@ class Connection:
         """Serve the client; returns whatever the client does."""
         try:
             request = await self._hello()
+            if await self.place.host.passed_on(self, request):
+                return
             other = self.place.host.admit(self, request)
             if other is not None:
                 if await other.attach(self.socket, request):
@@ -182,7 +189,8 @@ class Connection:
             session = await self.place.scheduler.run(self.member, lambda: self.place.open_session(self.name, request))
             self._welcome, self.saving = session.welcome(), session.saving
             if request.resumable:
-                self.session, self._sent = self.session or new_session(), SentMessages(self.place.limits.resume_bytes)
+                self.session = self.session or new_session(self.name.partition("-")[0])
+                self._sent = SentMessages(self.place.limits.resume_bytes)
                 self._welcome["session"] = self.session
             await self.socket.send(self._greeting(resumed=False))
             await self._serve(request, session)
@@ -222,6 +230,7 @@ class Connection:
             raise RefusedError(CloseCode.TOO_QUIET, "no hello came") from None
         if not isinstance(message, str):
             raise RefusedError(CloseCode.BAD_MESSAGE, "the first message must be a hello, as text")
+        self.hello = message
         return read_hello(message)
 
     def _greeting(self, resumed: bool) -> str:
@@ -419,7 +428,7 @@ class Connection:
                 await self._compute(session, session.wait(self._waits, IDLE_SECONDS))
             else:
                 await self._obey(session, item, begin)
-                if item.message["type"] == "finish":
+                if item.message["type"] in ("finish", "leave"):
                     self.reason = self.reason if self._leaving else "finished"
                     async with self._changed:
                         self._unread.append(None)
@@ -480,7 +489,7 @@ class Connection:
             while self._too_little(lacking):
                 if self._leaving:
                     self.code, self.reason = CloseCode.GOING_AWAY, "the server is shutting down"
-                    return _Command({"type": "finish"})
+                    return _Command({"type": "leave"})
                 if not await self._sleep():
                     return None
             item = self._waiting[0]

@@ -55,6 +55,15 @@ def network_of(address: str) -> str:
     return str(found)
 
 
+def bare_address(text: str) -> str:
+    """An address without the port that some proxies write with it (1.2.3.4:5678, [2001:db8::1]:5678), which is another
+    one for each connection."""
+    text = text.strip().strip('"')
+    if text.startswith("["):
+        return text[1:].partition("]")[0]
+    return text.partition(":")[0] if text.count(":") == 1 else text
+
+
 class Door:
     """Connections before their hello. most: in all; most_of: of one address."""
 

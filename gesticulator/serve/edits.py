@@ -24,6 +24,7 @@ from data_module.errors import InputError, one_line
 from data_module.motion.skeletons import resized, standing
 from gesticulator.body.frame_pieces import FramePiece, FramePieces, SignedPieces, signed
 from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.page_frames import PageFrames
 from gesticulator.body.stance import WHOLE_BODY, seated
 from gesticulator.body.standing_pieces import StandingPieces
 from gesticulator.bundle.features import representation_of
@@ -31,7 +32,7 @@ from gesticulator.directing.directions import check_plan_of, planned
 from gesticulator.directing.editing import PlayedBlock
 from gesticulator.directing.record import fingerprinted, named, rendered_plan
 from gesticulator.directing.shaped_blocks import ShapedBlock, ShapedBlocks
-from gesticulator.export.html import LONG, LONG_FPS, QUATERNION_STEPS, describe_shape, root_path, shown
+from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps, root_path, shown
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.exchange import PlanExchange
@@ -48,10 +49,9 @@ if TYPE_CHECKING:
 
 MOST_DRAWINGS = 4
 """First generations in memory: for the takes of a page, and for plans that were opened from files since."""
-MOST_RENDERINGS = 64
-"""Renderings in memory that a page may build on. Their frames are shared where they are equal."""
-_USUAL_BLOCK = 0.33
-"""Seconds of a block, about."""
+MOST_RENDERINGS, LEAST_RENDERINGS, RENDERED = 64, 8, 512 << 20
+"""Renderings in memory that a page may build on; how few are left where the frames of all take more bytes than the
+third number. Their frames are shared where they are equal. A page whose rendering is forgotten sends its whole plan."""
 _PIECE = 20
 """Frames of a piece of a motion that is always made as a whole."""
 REPORTS = 24
@@ -76,6 +76,8 @@ class KnownMotion:
     shape: Mapping[str, Any]
     pieces: SignedPieces
     root: bytes
+    size: int = 0
+    """Bytes of its pieces that the motion before it did not have."""
 
 
 @dataclass(frozen=True)
@@ -220,7 +222,8 @@ class LivePlans:
         posed = list(maker.shaped.blocks(played, cut, self._shaping(options, cut.edges)))
         times, frames = cut.knot_times.reshape(len(cut), -1), self._frames(maker, options)
         if isinstance(frames, FramePieces):
-            pieces = frames.learn(times, posed, float(cut.edges[-1]), motion.rotations, options.plan)
+            pieces = frames.learn(times, posed, float(cut.edges[-1]), scene.standing.rotations,
+                                  options.plan)
         else:
             made = frames.pieces(times, posed, float(cut.edges[-1]), range(len(cut)), options.plan)
             pieces = signed([piece for _, piece in made])
@@ -307,7 +310,7 @@ class LivePlans:
         if self._in_pieces(options):
             made = self._decided(options, played)
             pieces = yield from self._pieces(maker, options, played, asked)
-            shape, root = self._shape(options, pieces.frames)
+            shape, root = self._shape(options)
             root = _root_of(pieces.pieces) if _is_standing(options) else root
         else:
             asked.check()
@@ -327,11 +330,12 @@ class LivePlans:
                        "changes": changes, "ranges": ranges, "root": 0 if rooted else len(root)},
                       data + (b"" if rooted else root))
 
-    def _shape(self, options: InferenceOptions, frames: int) -> tuple[dict[str, Any], bytes]:
+    def _shape(self, options: InferenceOptions) -> tuple[dict[str, Any], bytes]:
         """What a page knows of a motion that is made in pieces, and the path of its root."""
-        representation = representation_of(self._system.bundle.config)
+        representation, page = representation_of(self._system.bundle.config), self._page_frames(options)
+        frames = page.count(max(1, round(self._speech.duration * page.made)))
         rest = self._system.bundle.statistics.rest_pose[self._system.speaker_index(options.speaker)]
-        body = representation.motion(rest[None], float(options.fps))
+        body = representation.motion(rest[None], page.fps)
         body = standing(seated(body) if options.seated else body)
         body = resized(body, WHOLE_BODY) if _is_standing(options) else body
         body = mirrored_motion(body) if options.mirrored else body
@@ -371,8 +375,7 @@ class LivePlans:
             return message(header, data)
         roots = body.root_positions.astype("<f4").tobytes()
         if not asked.has_legs:
-            count = max(1, round(self._speech.duration * float(options.fps)))
-            header["shape"] = self._shape(options, count)[0]
+            header["shape"] = self._shape(options)[0]
         return message({**header, "roots": len(roots)}, data + roots)
 
     def _as_drawn(self, maker: _Maker, options: InferenceOptions, asked: _Asked, playing: Iterator[PlayedBlock]
@@ -409,8 +412,7 @@ class LivePlans:
         that has another number of them or of joints, as after legs."""
         if not self._in_pieces(options):
             return False
-        frames = max(1, round(self._speech.duration * float(options.fps)))
-        shape = self._shape(options, frames)[0]
+        shape = self._shape(options)[0]
         return asked.have is None or asked.have.shape == shape or bool(asked.rough and _is_standing(options))
 
     def _pieces(self, maker: _Maker, options: InferenceOptions, played: Sequence[PlayedBlock], asked: _Asked
@@ -471,18 +473,23 @@ class LivePlans:
     def _in_pieces(self, options: InferenceOptions) -> bool:
         """Whether frames are made in pieces."""
         bundle = self._system.bundle
-        return (bundle.system.blocks and representation_of(bundle.config).name == "rotations"
-                and self._is_short(options))
+        return bundle.system.blocks and representation_of(bundle.config).name == "rotations"
 
-    def _is_short(self, options: InferenceOptions) -> bool:
-        """Whether the page gets all frames of the recording."""
-        return self._speech.duration <= LONG or float(options.fps) <= LONG_FPS
+    def _page_frames(self, options: InferenceOptions) -> PageFrames:
+        """How the page has the frames of a motion."""
+        made = float(options.fps)
+        return PageFrames(made, page_fps(self._speech.duration, made), QUATERNION_STEPS, self._numbers)
 
     def _kept(self, plain: Mapping[str, Any], shape: Mapping[str, Any], pieces: SignedPieces, root: bytes
               ) -> KnownMotion:
         self._count += 1
-        made = self._renderings[self._count] = KnownMotion(self._count, plain, shape, pieces, root)
-        while len(self._renderings) > MOST_RENDERINGS:
+        known = self._renderings.get(self._count - 1)
+        before = {piece.number for piece in known.pieces.pieces} if known else set()
+        size = sum(piece.size for piece in pieces.pieces if piece.number not in before)
+        made = self._renderings[self._count] = KnownMotion(self._count, plain, shape, pieces, root, size)
+        while len(self._renderings) > MOST_RENDERINGS or (
+                len(self._renderings) > LEAST_RENDERINGS
+                and sum(one.size for one in self._renderings.values()) > RENDERED):
             self._renderings.popitem(last=False)
         return made
 
@@ -513,9 +520,8 @@ class LivePlans:
         key = options.fps, options.seated, options.mirrored, options.seed if _is_standing(options) else None
         if key not in maker.pieces:
             speaker = self._system.speaker_index(options.speaker)
-            count = round(self._speech.duration / _USUAL_BLOCK)
             kind = StandingPieces if _is_standing(options) else FramePieces
-            maker.pieces[key] = kind(self._system.bundle, speaker, options, QUATERNION_STEPS, count, self._numbers)
+            maker.pieces[key] = kind(self._system.bundle, speaker, options, self._page_frames(options))
         return maker.pieces[key]
 
 

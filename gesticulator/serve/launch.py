@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -24,6 +25,7 @@ from gesticulator.serve.settings import ServerLimits
 
 if TYPE_CHECKING:
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.serve.output_process import OutputProcess
     from gesticulator.serve.server import ServerAddress
     from gesticulator.serve.vmc import PoseOutput, VmcOutput
 
@@ -63,17 +65,17 @@ class Launch:
     osc: str | None = None
     osc_axes: str = "y-up"
 
-    def outputs(self) -> list[VmcOutput]:
-        """What also receives the motion, not started; `InputError` for an invalid target."""
-        found: list[VmcOutput] = []
+    def outputs(self) -> list[Callable[[], VmcOutput]]:
+        """What also receives the motion, to be made: `InputError` for an invalid target then."""
+        found: list[Callable[[], VmcOutput]] = []
         if self.vmc is not None:
             from gesticulator.serve.vmc import VmcOutput
 
-            found.append(VmcOutput(self.vmc))
+            found.append(partial(VmcOutput, self.vmc))
         if self.osc is not None:
             from gesticulator.serve.osc import OscOutput
 
-            found.append(OscOutput(self.osc, self.osc_axes))
+            found.append(partial(OscOutput, self.osc, self.osc_axes))
         return found
 
 
@@ -86,7 +88,8 @@ def launch(config: Launch) -> int:
     if not 1 <= config.workers <= _MOST_WORKERS:
         raise InputError(f"--workers {config.workers}", "is out of range", f"choose 1 to {_MOST_WORKERS}")
     RANGES["threads"].check("--threads", config.threads)
-    for output in config.outputs():
+    for make in config.outputs():
+        output = make()
         output.close()
         if config.workers > 1:
             raise InputError(output.option, "works with one worker only", "leave --workers out")
@@ -96,12 +99,14 @@ def launch(config: Launch) -> int:
     address = config.address
     with contextlib.ExitStack() as opened:
         listening = opened.enter_context(address.listen())
-        figures = None if address.metrics_port is None else opened.enter_context(address.listen(address.metrics_port))
+        figures = address.listen_for_metrics()
+        if figures is not None:
+            opened.enter_context(figures)
         host, port = listening.getsockname()[:2]
         host = f"[{host}]" if ":" in host else host
         LOG.info("listening on ws://%s:%d/stream, /healthz, /readyz and /metrics", host, port)
         if figures is not None:
-            LOG.info("metrics at http://%s:%d/metrics", host, figures.getsockname()[1])
+            LOG.info("metrics at http://%s:%d/metrics", address.metrics_host or host, figures.getsockname()[1])
         sockets = Sockets(listening, figures)
         if config.workers == 1:
             serve_here(config, sockets)
@@ -143,12 +148,7 @@ def serve_here(config: Launch, sockets: Sockets, worker: int = 0, folder: Path |
     listening = sockets.listening
 
     async def serve() -> None:
-        outputs = config.outputs()
-        output: PoseOutput | None = None
-        if outputs:
-            from gesticulator.serve.vmc import SeveralOutputs
-
-            output = SeveralOutputs(outputs)
+        outputs, output = _outputs(config)
         if config.live:
             from gesticulator.serve.page import pages
         server = LiveServer(
@@ -163,6 +163,17 @@ def serve_here(config: Launch, sockets: Sockets, worker: int = 0, folder: Path |
             one.stop()
 
     asyncio.run(serve())
+
+
+def _outputs(config: Launch) -> tuple[list[OutputProcess], PoseOutput | None]:
+    """What also receives the motion, each in a process of its own, and all of it as one."""
+    if not config.outputs():
+        return [], None
+    from gesticulator.serve.output_process import OutputProcess
+    from gesticulator.serve.vmc import SeveralOutputs
+
+    outputs = [OutputProcess(make) for make in config.outputs()]
+    return outputs, SeveralOutputs(outputs)
 
 
 def _warm_up_in_turn(system: Gesticulator, folder: Path | None) -> float:

@@ -32,6 +32,7 @@ _KINDS = {
     "downgraded_steps": ("gauge", "Steps by which streams are downgraded while compute is short."),
     "parked": ("gauge", "Lost streams whose state is kept for their clients."),
     "resumed_total": ("counter", "Streams that a client came back to."),
+    "relayed_total": ("counter", "Connections passed on to the worker that has their stream."),
     "guests": ("gauge", "Connections that have not sent a valid hello."),
     "guests_cut_total": ("counter", "Connections cut off before a hello because there were too many."),
     "wrong_tokens_total": ("counter", "Hellos with a wrong token."),

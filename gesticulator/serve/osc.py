@@ -19,6 +19,7 @@ from gesticulator.serve.vmc import VmcOutput, packed
 if TYPE_CHECKING:
     from data_module.face import FaceMotion
     from data_module.types import Array, Motion
+    from gesticulator.serve.output_process import SentFrames
     from gesticulator.stream import StreamFrames
 
 OSC_PORT = 9000
@@ -102,7 +103,7 @@ class OscOutput(VmcOutput):
         self.axes = axes
         super().__init__(target)
 
-    def bundles_of(self, frames: StreamFrames) -> OscFrames:
+    def bundles_of(self, frames: StreamFrames | SentFrames) -> OscFrames:
         """See `VmcOutput`."""
         return OscFrames(frames.motion(), frames.face, self.axes)
 

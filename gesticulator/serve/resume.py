@@ -34,6 +34,6 @@ class SentMessages:
         return again
 
 
-def new_session() -> str:
-    """A name for a session, of 128 random bits."""
-    return secrets.token_urlsafe(16)
+def new_session(worker: str) -> str:
+    """A name for a session: the worker that has it, and 128 random bits."""
+    return f"{worker}-{secrets.token_urlsafe(16)}"

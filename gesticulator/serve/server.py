@@ -16,24 +16,25 @@ import signal
 import socket
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.asyncio.server import Server, ServerConnection, serve, unix_serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from data_module.errors import InputError
 from gesticulator.serve.connection import CLOSE_SECONDS, Connection, Workplace
-from gesticulator.serve.door import Door, Tenant, TenantKeys, network_of
+from gesticulator.serve.door import Door, Tenant, TenantKeys, bare_address, network_of
 from gesticulator.serve.governor import PRIOR_COST, RETRY_SECONDS, REVIEW_SECONDS, Governor, Room
 from gesticulator.serve.memory import RELEASE_SECONDS, release_ended
 from gesticulator.serve.metrics import CONTENT_TYPE, ServerMetrics, exposition, read_figures, write_figures
 from gesticulator.serve.pace import Effort
 from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, published
+from gesticulator.serve.relay import CAN_RELAY, inner_socket, is_inner, relay, worker_of
 from gesticulator.serve.scheduler import Account, Scheduler
 from gesticulator.serve.settings import OPENS_AT_ONCE, SOCKET_BYTES, ServerLimits
 
@@ -69,6 +70,7 @@ class ServerAddress:
     and clients other than browsers always may. token: required in a client's hello, and for `/metrics`; "" for none.
     keys: a file of tenants' keys, see `TenantKeys`. proxies: networks of proxies that are believed about who a client
     is (X-Forwarded-For). metrics_port: where `/metrics` is, without a token, in place of the port of streams.
+    metrics_host: the address of that port, "" for that of streams.
     """
 
     host: str = "127.0.0.1"
@@ -78,6 +80,7 @@ class ServerAddress:
     keys: Path | None = None
     proxies: tuple[str, ...] = ()
     metrics_port: int | None = None
+    metrics_host: str = ""
 
     def __post_init__(self) -> None:
         for port in (self.port, self.metrics_port or 0):
@@ -103,16 +106,20 @@ class ServerAddress:
             return False
         return any(found in ipaddress.ip_network(network) for network in self.proxies)
 
-    def listen(self, port: int | None = None) -> socket.socket:
-        """Open a listening socket, at another port than that of streams if one is given; `InputError` if that
-        fails."""
-        port = self.port if port is None else port
+    def listen_for_metrics(self) -> socket.socket | None:
+        """Open the listening socket of the metrics, or None if they have none; `InputError` if that fails."""
+        if self.metrics_port is None:
+            return None
+        return replace(self, host=self.metrics_host or self.host, port=self.metrics_port).listen()
+
+    def listen(self) -> socket.socket:
+        """Open a listening socket for streams; `InputError` if that fails."""
         try:
             family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
-            listening = socket.create_server((self.host, port), family=family, backlog=_BACKLOG)
+            listening = socket.create_server((self.host, self.port), family=family, backlog=_BACKLOG)
         except (OSError, UnicodeError) as error:
             taken = getattr(error, "errno", None) == errno.EADDRINUSE
-            raise InputError(f"{self.host}:{port}", "is taken" if taken else f"cannot be listened on ({error})",
+            raise InputError(f"{self.host}:{self.port}", "is taken" if taken else f"cannot be listened on ({error})",
                              "choose another --port" if taken else "choose another --host or --port") from None
         for direction in (socket.SO_SNDBUF, socket.SO_RCVBUF):
             listening.setsockopt(socket.SOL_SOCKET, direction, SOCKET_BYTES)  # connections inherit it
@@ -150,6 +157,8 @@ class LiveServer:
     def __post_init__(self) -> None:
         self.metrics = ServerMetrics(self.worker)
         self.connections: set[Connection] = set()
+        self.relayed: set[Connection] = set()
+        """Connections whose streams another worker has."""
         self.draining = False
         # One thread: Python runs one at a time. Use more workers for more cores.
         self.scheduler = Scheduler()
@@ -168,7 +177,7 @@ class LiveServer:
     def stop(self) -> None:
         """Stop: no new streams, `drain_seconds` for open ones, then finish them. A second call aborts at once."""
         if self._stop.is_set():
-            for connection in self.connections:
+            for connection in self.connections | self.relayed:
                 connection.socket.transport.abort()
         self._stop.set()
 
@@ -184,7 +193,8 @@ class LiveServer:
         await self._save()  # so that each worker can report the metrics of all ready ones
         self.scheduler.start()
         server = await self._listen(listening, self._answer)
-        inner = None if figures is None else await self._listen(figures, self._tell)
+        inner = [] if figures is None else [await self._listen(figures, self._tell)]
+        inner += await self._listen_to_workers()
         kept = (self._keep_saving(), self._keep_reviewing(), self._keep_releasing())
         tasks = [asyncio.create_task(one) for one in kept]
         try:
@@ -195,19 +205,32 @@ class LiveServer:
         finally:
             for task in tasks:
                 task.cancel()
-            for one in (server, inner):
-                if one is not None:
-                    one.close()
-                    await one.wait_closed()
+            for one in (server, *inner):
+                one.close()
+                await one.wait_closed()
             self.scheduler.stop()
 
     async def _listen(self, listening: socket.socket, answer: Callable[..., Any]) -> Server:
-        return await serve(
-            self._serve_one, sock=listening, process_request=answer, select_subprotocol=_subprotocol,
-            create_connection=partial(_Guest, self),  # type: ignore[arg-type]  # any factory will do
-            max_size=self.limits.message_bytes, max_queue=_SOUND_QUEUE,
-            compression=None, open_timeout=OPEN_SECONDS, ping_interval=_PING_SECONDS, ping_timeout=_PING_SECONDS,
-            close_timeout=CLOSE_SECONDS, logger=_quiet(), server_header=None)
+        return await serve(self._serve_one, sock=listening, process_request=answer, **self._settings())
+
+    async def _listen_to_workers(self) -> list[Server]:
+        """Take clients of other workers that have a session here; none if there are no others."""
+        if self.folder is None or not CAN_RELAY:
+            return []
+        place = inner_socket(self.folder, self.worker)
+        try:
+            place.unlink(missing_ok=True)  # of the worker whose place this one took
+            return [await unix_serve(self._serve_one, str(place), process_request=self._answer, **self._settings())]
+        except OSError as error:
+            LOG.warning("worker %d cannot take clients of the others (%s): they replay their sound", self.worker, error)
+            return []
+
+    def _settings(self) -> dict[str, Any]:
+        return {
+            "select_subprotocol": _subprotocol, "create_connection": partial(_Guest, self),
+            "max_size": self.limits.message_bytes, "max_queue": _SOUND_QUEUE, "compression": None,
+            "open_timeout": OPEN_SECONDS, "ping_interval": _PING_SECONDS, "ping_timeout": _PING_SECONDS,
+            "close_timeout": CLOSE_SECONDS, "logger": _quiet(), "server_header": None}
 
     # ------------------------------------------------------------ streams
 
@@ -224,6 +247,8 @@ class LiveServer:
             for other in self.connections:
                 if other.session == request.resume["session"] and other.tenant == tenant.name:
                     return other
+        if is_inner(connection.socket):
+            raise RefusedError(CloseCode.TOO_MANY_STREAMS, "the session is gone")  # the other worker opens a stream
         self._check_room(connection, tenant)
         connection.priority = tenant.priority
         connection.member.account = self._account(tenant.name or connection.address)
@@ -231,6 +256,28 @@ class LiveServer:
         self.metrics.add("streams")
         self.metrics.add("streams_total")
         return None
+
+    async def passed_on(self, connection: Connection, request: StreamRequest) -> bool:
+        """Serve a client that comes back at the worker that has its session; see `Host`."""
+        worker = None if request.resume is None else worker_of(request.resume["session"])
+        if self.folder is None or worker is None or worker == self.worker or is_inner(connection.socket) \
+                or self.keys.tenant(request.token) is None:
+            return False
+
+        def begun() -> None:
+            self.door.leave(connection.socket)  # type: ignore[arg-type]
+            self.relayed.add(connection)
+            self.metrics.add("relayed_total")
+
+        try:
+            went_on = await relay(connection.socket, connection.hello, connection.address,
+                                  inner_socket(self.folder, worker), begun)
+        finally:
+            self.relayed.discard(connection)
+        if went_on:
+            connection.code = connection.socket.close_code or CloseCode.NORMAL
+            connection.reason = f"went on at worker {worker}"
+        return went_on
 
     def _check_room(self, connection: Connection, tenant: Tenant) -> None:
         """`RefusedError` if there is no place for another stream. Streams whose clients are gone give way."""
@@ -315,13 +362,16 @@ class LiveServer:
             self._log(connection)
 
     def _address_of(self, ws: ServerConnection, request: Request | None) -> str:
-        """The client's address, by a trusted proxy's word if it came through one."""
+        """The client's address, by a trusted proxy's word if it came through one, or by another worker's."""
+        if request is not None and is_inner(ws):
+            return request.headers.get("X-Forwarded-For", "")
         peer = ws.remote_address
         address = str(peer[0]) if peer else ""
         if request is not None and self.address.believed(address):
             for told in reversed(",".join(request.headers.get_all("X-Forwarded-For")).split(",")):
-                if told.strip() and not self.address.believed(told.strip()):
-                    return network_of(told.strip())
+                client = bare_address(told)
+                if client and not self.address.believed(client):
+                    return network_of(client)
         return network_of(address)
 
     def _log(self, connection: Connection) -> None:
@@ -342,13 +392,13 @@ class LiveServer:
         for connection in list(self.connections):
             await connection.leave()
         await self._wait_for_streams(max(self.limits.drain_seconds, ANSWER_SECONDS))
-        for connection in self.connections:
+        for connection in self.connections | self.relayed:
             connection.socket.transport.abort()
 
     async def _wait_for_streams(self, seconds: float) -> None:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                while any(not one.parked for one in self.connections):
+                while self.relayed or any(not one.parked for one in self.connections):
                     await asyncio.sleep(0.02)
 
     async def _keep_saving(self) -> None:

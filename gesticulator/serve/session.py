@@ -115,7 +115,8 @@ class Session:
             yield answer
 
     def obey(self, message: dict[str, Any]) -> Work:
-        """Execute a client's command; see the schema."""
+        """Execute a client's command (see the schema), or `leave`: finish, because the server stops. A client that may
+        come back takes `done` as the end, so only `finish` is answered with it."""
         kind = message["type"]
         if kind in ("idle", "think"):
             yield from self.wait(kind, float(message.get("seconds", 0.0)))
@@ -129,12 +130,13 @@ class Session:
                 yield from self.wait("idle", unseen)
         elif kind == "words":
             self._add_words(message["words"])
-        elif kind == "finish":
+        elif kind in ("finish", "leave"):
             if self._stream.time > 0:  # a stream without input has no remaining frames
                 yield from map(self._answer, self._stream.steps("finish"))
-            answer = SessionAnswer()
-            answer.say("done", frames=self._stream.made)
-            yield answer
+            if kind == "finish":
+                answer = SessionAnswer()
+                answer.say("done", frames=self._stream.made)
+                yield answer
         # listen and speak affect the audio that follows
 
     def wait(self, kind: str, seconds: float) -> Work:

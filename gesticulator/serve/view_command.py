@@ -51,6 +51,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
+    from gesticulator.serve.page_place import served_again
     from gesticulator.serve.page_server import PageServer
 
     if args.list:
@@ -61,8 +62,14 @@ def run(args: argparse.Namespace) -> int:
         return 0
     job = _job(args)
     check_choices(args)
-    with PageServer(args.port) as server, our_warnings(), limited_threads(int(args.threads)):
-        _prepare(server, job, args)
+    assert job.source is not None
+    name: str | None = None
+    if args.plan is not None or args.beside is not None:  # a page with edits of its own
+        server = PageServer(args.port)
+    else:
+        server, name = served_again(args.port, job.source, args.anew)
+    with server, our_warnings(), limited_threads(int(args.threads)):
+        _prepare(server, job, args, name)
         _serve(server, args)
     return 0
 
@@ -84,8 +91,9 @@ def _job(args: argparse.Namespace) -> Job:
     return Job(Path(args.speech[0]), text=None if args.text is None else Path(args.text))
 
 
-def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
-    """Generate one or two performances, and give the server its page and the renderer of edited plans."""
+def _prepare(server: PageServer, job: Job, args: argparse.Namespace, name: str | None = None) -> None:
+    """Generate one or two performances, and give the server its page and the renderer of edited plans. name: of the
+    place where browsers keep the edits."""
     from gesticulator.export import html
     from gesticulator.pipeline import Gesticulator
     from gesticulator.serve.edits import LivePlans, directions_of, levels_of
@@ -93,7 +101,7 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
     chosen, stands = _character(args)
     system = Gesticulator.from_pretrained(args.bundle)
     system.keeps_drawings = True
-    _go_on(system, job, args)
+    since = _go_on(system, job, args)
     takes = _takes(system, job, args, args.legs or stands)
     plans = LivePlans(system, *takes.values())
     scenes = {name: take.scene() for name, take in takes.items()}
@@ -101,9 +109,11 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace) -> None:
     numbers = [plans.opened(take, one["plan"]) for take, one in zip(takes.values(), described, strict=True)]
     assert job.source is not None
     live = {"token": server.token, "renderings": numbers, "formats": formats(), "levels": levels_of(system.bundle),
-            "directions": directions_of(system)}
+            "directions": directions_of(system), "since": since, **({} if name is None else {"place": name})}
     character = {} if chosen is None else html.character_data(*chosen, next(iter(scenes.values())).face)
-    more = {"live": live, **character}
+    moved = next(iter(takes.values())).retiming
+    report = {} if moved is None else {"notice": "The edits were moved onto the new sound. " + " ".join(moved.lines())}
+    more = {"live": live, **report, **character}
     server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1, more=more).encode()
     if job.source is not None and args.beside is None:
         saved = server.saved = SavedEdits(place_of(job.source))
@@ -139,31 +149,32 @@ def _character(args: argparse.Namespace) -> tuple[tuple[Character, dict[str, int
     return (character, joints), mapping.legs and not sits
 
 
-def _go_on(system: Gesticulator, job: Job, args: argparse.Namespace) -> None:
+def _go_on(system: Gesticulator, job: Job, args: argparse.Namespace) -> float:
     """Let the arguments go on with the edits that were saved beside the sound, if there are any; if the sound was
-    exported again since, with those that have a place in it."""
+    exported again since, with those that have a place in it. When they were saved, milliseconds since 1970, or 0."""
     from data_module.speech.audio import SAMPLE_RATE, amplified, resample
     from gesticulator.directing.directions import check_bundle_of, planned
     from gesticulator.options import InferenceOptions
     from gesticulator.plan.plan import sound_hash
 
     if args.anew or args.plan is not None or args.beside is not None or job.source is None:
-        return
+        return 0.0
     plan = read_saved(job.source)
     if plan is None:
-        return
+        return 0.0
     try:
         check_bundle_of(system.bundle, plan)
         given = options_from_args(args, controls_from_args(system, args), args.legs)
         planned(InferenceOptions.of({**given, "plan": plan}))
     except InputError as error:
         put_aside(job.source, str(error))
-        return
+        return 0.0
     args.plan = str(place_of(job.source))
     speech = resample(amplified(load(job, args), float(plan.made_by.get("settings", {}).get("gain", 0.0))), SAMPLE_RATE)
     args.retime = sound_hash(speech) != plan.sound.sha256
     how = "moved onto the new sound" if args.retime else "opened"
     print(f"{args.plan}: the saved edits are {how}; --anew begins without them", flush=True)
+    return place_of(job.source).stat().st_mtime * 1000.0
 
 
 def _takes(system: Gesticulator, job: Job, args: argparse.Namespace, legs: bool) -> dict[str, Performance]:

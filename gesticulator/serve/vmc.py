@@ -3,7 +3,8 @@
 Each frame is some OSC bundles, each small enough for one packet of a network: the model's availability, the sender's
 time, the root, and every bone of the VRM humanoid under its Unity name, with position and rotation in the parent bone's
 frame. Unity's axes are left-handed: Y up, the character faces +Z, and its left is -X. Ours are their mirror image in X.
-Frames are sent from a thread of its own, so that their pace does not depend on what the server computes.
+Frames are sent from a thread of its own; a server has it in another process (`OutputProcess`), so that their pace does
+not depend on what it computes.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from data_module.face import FaceMotion
     from data_module.types import Array, Motion
     from gesticulator.export.nodes import NodeMotion
+    from gesticulator.serve.output_process import SentFrames
     from gesticulator.stream import StreamFrames
 
 RATE = 60.0
@@ -218,7 +220,7 @@ class PoseOutput(Protocol):
 class SeveralOutputs:
     """Outputs that receive the same motion."""
 
-    outputs: Sequence[VmcOutput]
+    outputs: Sequence[PoseOutput]
 
     def take(self, stream: str, frames: StreamFrames) -> None:
         """See `PoseOutput`."""
@@ -258,7 +260,7 @@ class VmcOutput:
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
-    def bundles_of(self, frames: StreamFrames) -> FrameBundles:
+    def bundles_of(self, frames: StreamFrames | SentFrames) -> FrameBundles:
         """Frames as they are sent."""
         return VmcFrames(frames.motion(), frames.face)
 
@@ -266,7 +268,7 @@ class VmcOutput:
         """What is sent once a second while there are none; seconds: the sender's time."""
         return [_bundled(_available(0, seconds))]
 
-    def take(self, stream: str, frames: StreamFrames) -> None:
+    def take(self, stream: str, frames: StreamFrames | SentFrames) -> None:
         """Add at least one frame of a stream."""
         first, fps = frames.first, frames.fps
         if self.stream not in (None, stream):

@@ -14,6 +14,8 @@ import { FINGERTIPS, OUR_RADII, THIGH_SLICES, depthIn, isLevel, marginAbove, tap
 const MARGIN = 0.03, ARM = 0.53;
 /** Of our own trunk: half the width, half the depth, from shoulder to shoulder, from hips to head. Metres. */
 const OURS = { width: 0.145, depth: 0.115, shoulders: 0.36, height: 0.62 };
+/** Radians by which thighs that stand may be ahead of where they hang at rest: knees give, and weight shifts. */
+const FLEXED = 0.25;
 /** Slices in which a trunk is measured; those below 0 are pelvis and thighs. */
 const LOWEST = -6, SLICES = 12, OUTER = 0.98, FEWEST = 8, LEAST_POINTS = 30, MOST_POINTS = 20000;
 /** Points of a trunk below which its triangles are measured too, at points that divide their edges by so many. */
@@ -150,8 +152,9 @@ export function spread(pushes, moments, trunk, fps) {
 }
 
 /** The outline of the points of a skin, rows [across, along, out] from where a column of a length begins, or null where
- *  there are too few. slices: the first, the one after the last, and how many from end to end. */
-function measured(rows, length, [first, end, count]) {
+ *  there are too few. slices: the first, the one after the last, and how many from end to end; ahead: radians by which
+ *  those below 0 may be farther ahead. */
+function measured(rows, length, [first, end, count], ahead = 0) {
   const rank = (values, share) => {
     const sorted = values.sort((a, b) => a - b), at = share * (sorted.length - 1), low = Math.floor(at);
     return sorted[low] + (at - low) * (sorted[Math.min(low + 1, sorted.length - 1)] - sorted[low]);
@@ -161,7 +164,8 @@ function measured(rows, length, [first, end, count]) {
     const step = (k + 0.5) / count, near = rows.filter(([, y]) => Math.abs(y / length - step) < 1 / count);
     if (near.length < FEWEST) continue;
     outline.steps.push(step);
-    outline.reach.push(directions.map(([a, b]) => rank(near.map(([x, , z]) => a * x + b * z), OUTER)));
+    const more = ahead * length * Math.max(-step, 0);
+    outline.reach.push(directions.map(([a, b]) => rank(near.map(([x, , z]) => a * x + b * z), OUTER) + more * Math.max(b, 0)));
   }
   return outline.steps.length ? outline : null;
 }
@@ -246,7 +250,7 @@ export class Contacts {
    *  hangs on, thighs: those of the thighs; limbs: those of all other joints. */
   constructor(scene, bones, trunk, limbs, thighs) {
     this.bones = bones;
-    const own = new Set(this.stands() ? [...trunk, ...thighs] : trunk), other = new Set(limbs);
+    const stands = this.stands(), own = new Set(stands ? [...trunk, ...thighs] : trunk), other = new Set(limbs);
     // What hangs on the trunk and is no limb moves with it.
     scene.traverse((node) => { if (!other.has(node) && own.has(node.parent)) own.add(node); });
     const hips = this.place("Hips"), neck = this.place(this.top), points = skin(scene, own);
@@ -254,7 +258,7 @@ export class Contacts {
     Object.assign(this, { scene, thighs, limbs: other });
     const size = this.size = Math.sqrt((this.place("LeftArm").distanceTo(this.place("RightArm")) / OURS.shoulders) * (hips.distanceTo(this.place("Head")) / OURS.height));
     const axes = frame(hips, neck, new Vector3(1, 0, 0)), rows = points.map((point) => local(point, hips, axes));
-    this.outline = (points.length >= LEAST_POINTS && measured(rows, axes.long, [LOWEST, SLICES, SLICES])) || ellipse(OURS.width * size, OURS.depth * size);
+    this.outline = (points.length >= LEAST_POINTS && measured(rows, axes.long, [LOWEST, SLICES, SLICES], stands ? FLEXED : 0)) || ellipse(OURS.width * size, OURS.depth * size);
   }
 
   /** The thighs of a character that sits in the pose that it has now, from its hips; null where it does not. */

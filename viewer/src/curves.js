@@ -31,3 +31,13 @@ export function withCurve(plan, points, knob = "intensity") {
   const { curves: _, ...rest } = plan;
   return curves.length ? { ...rest, curves } : rest;
 }
+
+/** The value of a curve of these points at a time; null without points. */
+export function valueAt(points, time) {
+  if (!points.length) return null;
+  const next = points.findIndex(([at]) => at >= time);
+  if (next < 0) return points.at(-1)[1];
+  if (next === 0) return points[0][1];
+  const [[from, low], [to, high]] = [points[next - 1], points[next]];
+  return low + ((high - low) * (time - from)) / (to - from);
+}

@@ -51,6 +51,21 @@ export class Inspector {
     return this.session.plan.blocks.slice(first, last + 1).every((block) => block[key]);
   }
 
+  /** What plays at a time, in words: { text, gesture: of the gesture there, begins: what tells it from others }. */
+  playing(time) {
+    const { plan } = this.session, number = edits.blockAt(plan, time), block = plan.blocks[number];
+    const word = (plan.words ?? []).find(({ start, end }) => time >= start && time < end)?.text;
+    const cue = cuesOf(plan).find((one) => Math.abs((cueTime(plan, one) ?? -9) - time) < 0.5)?.gesture;
+    const unit = (plan.units ?? []).find(({ start, end }) => time >= start && time < end), phase = unit?.phases?.find(({ start, end }) => time >= start && time < end)?.kind;
+    const nameAt = (at) => {
+      const one = plan.blocks[edits.blockAt(plan, at)];
+      return one.silent ? "hands at rest" : one.name || this.nameOf(one.lexeme) || `lexeme ${one.lexeme}`;
+    };
+    const what = cue ?? (unit ? nameAt(time) : "hands at rest"), phrase = unit && edits.phrasesOf(unit).find(({ start, end }) => time >= start && time < end);
+    const parts = [word && `“${word}”`, what, phase, `block ${number + 1}, lexeme ${block.lexeme}`, block.locked && "locked"];
+    return { text: parts.filter(Boolean).join(", "), gesture: cue ?? (phrase ? nameAt(phrase.stroke ?? time) : what), begins: cue ?? phrase?.start ?? null };
+  }
+
   nameOf(lexeme) { return this.names?.get(lexeme) ?? null; }
 
   choose(lexeme) { this.edit((plan, first, last) => edits.setLexeme(plan, first, last, lexeme, this.nameOf(lexeme))); }
@@ -131,15 +146,19 @@ export class Inspector {
 
   /** The lexemes that were considered, best first, as a list to choose from. */
   alternatives(block) {
-    const rows = block.alternatives ?? [], scores = rows.map((row) => row.score);
+    const { lexeme: plays, score: worth, rank: place } = block, best = (block.alternatives ?? []).map((row, rank) => ({ ...row, rank: rank + 1 }));
+    // What plays is among them, wherever it stands.
+    const rows = worth == null || !best.length || best.some(({ lexeme }) => lexeme === plays) ? best
+      : [...best, { lexeme: plays, name: this.nameOf(plays), score: worth, rank: place }];
+    const scores = rows.map((row) => row.score);
     const high = Math.max(...scores), low = Math.min(...scores), share = low >= 0 && high <= 1;
     // Scores may be probabilities or values of any size: the bar spans from the least to the best of them.
     const part = (score) => (share ? score / (high || 1) : (score - low) / (high - low || 1)) * 0.94 + 0.06;
-    $("best").replaceChildren(...rows.map(({ lexeme, name, score }, rank) => {
+    $("best").replaceChildren(...rows.map(({ lexeme, name, score, rank }) => {
       const gauge = element("i");
       gauge.style.width = `${(part(score) * 100).toFixed(1)}%`;
       const button = element("button", {
-        "type": "button", "aria-pressed": String(lexeme === block.lexeme && !block.silent), "title": `Play lexeme ${lexeme} here (${rank + 1})`,
+        "type": "button", "aria-pressed": String(lexeme === block.lexeme && !block.silent), "title": rank > best.length ? `Lexeme ${lexeme} plays here: number ${rank} by its score` : `Play lexeme ${lexeme} here (${rank})`,
         "onclick": () => this.choose(lexeme),
       }, element("span", { className: "id" }, String(lexeme)), element("span", { className: "called" }, name ?? this.nameOf(lexeme) ?? ""),
       element("span", { className: "gauge" }, gauge), element("span", { className: "value" }, String(Number(score.toPrecision(3)))));

@@ -6,7 +6,20 @@ import { changesBetween, countChanges, readJson, withChanges } from "./plan.js";
 const PAUSE = 15;
 /** Milliseconds before an edit is sent again that came while something else was rendered. */
 const LATER = 1000;
-const BUSY = 503, CONFLICT = 409, GONE = 410;
+/** Milliseconds before an edit is sent again after the renderer did not answer, and how often it may end an answer. */
+const AWAY = 2000, BROKEN = 3;
+const BUSY = 503, CONFLICT = 409, GONE = 410, STRANGE = [403, 404];
+
+/** The renderer does not answer. */
+class AwayError extends Error {}
+const AWAY_TEXT = "gesticulator view does not answer: is it still running? The edits are kept, and rendered when it is back.";
+
+/** What a network gives; `AwayError` where it fails. */
+async function reached(promise) {
+  try { return await promise; } catch (error) {
+    throw error.name === "AbortError" ? error : new AwayError(AWAY_TEXT);
+  }
+}
 
 /** The messages of an answer, as they come: { header, data }. */
 async function* messagesOf(answer) {
@@ -16,7 +29,7 @@ async function* messagesOf(answer) {
     const parts = [held];
     let size = held.length;
     while (size < count) {
-      const { done, value } = await reader.read();
+      const { done, value } = await reached(reader.read());
       if (done) return false;
       parts.push(value);
       size += value.length;
@@ -48,11 +61,22 @@ export class Live {
   /** told: { token } from the server, or null for a page without one. say(state, text): what the user is told.
    *  view(): the visible stretch, seconds. */
   constructor(session, told, say, view = () => [0, 0]) {
-    Object.assign(this, { session, told, say, view, waiting: 0, number: 0, asking: null });
+    Object.assign(this, { session, told, say, view, waiting: 0, number: 0, asking: null, away: false, broken: 0, path: "" });
     this.page = Math.random().toString(36).slice(2);
     session.lanes.forEach((lane, k) => { lane.known = { plan: lane.rendered, rendering: told?.renderings?.[k] ?? null, take: lane.take }; });
     session.on("edited", () => this.edited());
     this.edited();
+  }
+
+  /** Go on with a renderer at another path, which knows no rendering of this page. */
+  moved(path, token) {
+    this.path = path;
+    this.told = { ...this.told, token };
+    for (const lane of this.session.lanes) lane.known = { plan: null, rendering: null, take: lane.known?.take ?? lane.take };
+    this.away = false;
+    const { lane } = this.session;
+    if (lane.history.present === lane.rendered) this.say("same", "");
+    else this.send();
   }
 
   edited() {
@@ -128,14 +152,21 @@ export class Live {
         this.send();
         return;
       }
+      if (STRANGE.includes(answer.status)) throw new AwayError(AWAY_TEXT);
       if (!answer.ok) throw new Error(readJson(await answer.text()).error ?? answer.statusText);
       await this.receive(lane, asked, answer, asking, begin);
     } catch (error) {
       if (asking.signal.aborted) return;
-      lane.rendered = asked; // not asked again before the next edit
       this.goBack(lane);
-      this.say("bad", error instanceof TypeError ? "gesticulator view does not answer: is it still running?" : error.message);
-      if (!(error instanceof TypeError) && lane.history.present === asked) this.session.tell("unrendered");
+      if (error instanceof AwayError) {
+        this.say(this.away ? "away" : "bad", error.message);
+        this.away = true;
+        this.waiting = setTimeout(() => this.send(), AWAY);
+        return;
+      }
+      lane.rendered = asked; // not asked again before the next edit
+      this.say("bad", error.message);
+      if (lane.history.present === asked) this.session.tell("unrendered");
     } finally {
       if (this.asking === asking) this.asking = null;
     }
@@ -144,7 +175,7 @@ export class Live {
   /** The bytes of a file of a plan. character: { name, bytes } that the user dropped on the page, or null. */
   async export(plan, format, character) {
     const told = character && { name: character.name, data: await base64Of(character.bytes) };
-    const answer = await fetch("export", {
+    const answer = await fetch(`${this.path}export`, {
       method: "POST", headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
       body: JSON.stringify({ plan, format, character: told ?? undefined }),
     });
@@ -154,10 +185,10 @@ export class Live {
 
   ask(asked, { plan, rendering }, signal, trial = false) {
     const body = rendering === null ? { plan: asked } : { have: rendering, changes: changesBetween(plan, asked) };
-    return fetch("render", {
+    return reached(fetch(`${this.path}render`, {
       method: "POST", signal, headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
       body: JSON.stringify({ page: this.page, number: ++this.number, trial, view: this.view(), ...body }),
-    });
+    }));
   }
 
   async receive(lane, asked, answer, asking, begin) {
@@ -174,11 +205,15 @@ export class Live {
         continue;
       }
       ended = true;
+      this.away = false;
+      this.broken = 0;
       const plan = withChanges(asked, header.changes);
       lane.known = { plan, rendering: header.rendering, take };
       this.news = `rendered in ${((performance.now() - begin) / 1000).toFixed(2)} s`;
       this.session.rendered(lane, plan, asked);
     }
-    if (!ended && !asking.signal.aborted) throw new Error("gesticulator view has ended its answer early.");
+    if (ended || asking.signal.aborted) return;
+    this.broken += 1;
+    throw this.broken < BROKEN ? new AwayError(AWAY_TEXT) : new Error("gesticulator view has ended its answer early.");
   }
 }

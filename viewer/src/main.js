@@ -1,9 +1,10 @@
 // The viewer: what is open, the stage, the timeline, the panel, and what binds them to keys and fingers.
 
+import { followAddress } from "./address.js";
 import { readCharacter } from "./character.js";
 import { Clock } from "./clock.js";
 import { bindCurves } from "./curve_knobs.js";
-import { curveOf } from "./curves.js";
+import { curveOf, valueAt, withCurve } from "./curves.js";
 import { bindDirections } from "./directions.js";
 import { $, element, notice } from "./dom.js";
 import { characterGlb, figureGlb, vrmaOf } from "./exports.js";
@@ -36,7 +37,7 @@ const changed = () => { dirty = true; };
 const clock = new Clock($("sound"), data.duration, changed);
 const timeline = new Timeline($("timeline"), $("overview"), session, new Waveform(peaks, data.peaksPerSecond, data.duration), clock);
 const inspector = new Inspector(session, clock);
-let stage = null, together = false, over = false, trails = true, worn = null;
+let stage = null, together = false, over = false, trails = true, worn = null, spoken = null, fault = "";
 
 // ---------------------------------------------------------------- who stands on the stage
 
@@ -136,9 +137,11 @@ function writeClock(time) {
   const frame = Math.min(session.take.frames - 1, Math.floor(time * session.take.fps + 1e-6));
   const small = Object.assign(document.createElement("small"), { textContent: `/ ${minutes(data.duration, 1)} · frame ${frame}` });
   $("clock").replaceChildren(`${minutes(time, 2)} `, small);
-  const slider = timeline.canvas, block = edits.blockAt(session.plan, time);
+  const slider = timeline.canvas, playing = inspector.playing(time);
   slider.setAttribute("aria-valuenow", time.toFixed(3));
-  slider.setAttribute("aria-valuetext", `${time.toFixed(2)} seconds, block ${block + 1}, lexeme ${session.plan.blocks[block].lexeme}`);
+  slider.setAttribute("aria-valuetext", `${time.toFixed(2)} seconds, ${playing.text}`);
+  // While it plays, a gesture is told when it begins; more could not be listened to.
+  if (clock.playing && playing.begins !== spoken) { spoken = playing.begins; $("spoken").textContent = playing.gesture; }
   document.body.classList.toggle("playing", clock.playing);
   $("play").setAttribute("aria-label", clock.playing ? "Pause" : "Play");
   $("clear-range").disabled = !clock.range;
@@ -147,7 +150,11 @@ function writeClock(time) {
 const status = (state, text) => {
   $("status").textContent = text;
   $("status").dataset.state = state;
-  if (state === "bad") notice(text, true);
+  if (state === "bad") notice(fault = text, true);
+  else if (state === "same" && fault) {
+    if ($("notice").textContent === fault) notice("");
+    fault = "";
+  }
 };
 const planName = () => fileName(data.title, ".plan.json");
 
@@ -285,6 +292,53 @@ function toggleCurve() {
   refresh();
 }
 
+/** Select the gesture at the playhead, or, where that is selected, the next one. spans: those that there are. */
+function selectNext(spans) {
+  const { plan, selection } = session, own = (span) => edits.blocksOfUnit(plan, span);
+  const here = spans.findIndex(({ end }) => end > clock.time + 1e-3), there = here >= 0 && selection && own(spans[here]).join() === selection.join();
+  const span = spans[there ? here + 1 : here];
+  if (!span) { notice("No gesture follows."); return; }
+  session.select(...own(span));
+  clock.pause();
+  clock.seek(Math.max(span.start, plan.blocks[session.selection[0]].start) + 0.002);
+}
+
+const units = () => session.plan.units ?? [], phrases = () => units().flatMap(edits.phrasesOf);
+
+/** Select one block more, or one less, at the end. */
+function extend(way) {
+  const [first, last] = inspector.stretch;
+  session.select(first, clamp(last + way, first, session.plan.blocks.length - 1));
+}
+
+/** Move what is selected by a beat. */
+function shift(way) {
+  const [first, last] = inspector.stretch, place = first + way;
+  if (place < 0 || place + last - first >= session.plan.blocks.length) return;
+  session.edit(edits.movedTo(session.plan, first, last, place));
+  session.select(place, place + last - first);
+  clock.seek(session.plan.blocks[place].start + 0.002);
+}
+
+/** Move a beat by a frame: the one that is selected, or that which opens the block at the playhead. */
+function moveBeat(way) {
+  const beat = inspector.beat();
+  if (beat < 1) return;
+  session.edit(edits.moveBeat(session.plan, beat, session.plan.blocks[beat].start + way / session.take.fps), `beat ${beat}`);
+  session.beat = beat;
+}
+
+/** Raise or lower the curve that is shown by a point at the playhead; 0 removes that point. */
+function nudgeCurve(way) {
+  if (!timeline.curved) toggleCurve();
+  const { knob } = timeline, { low, high, step, neutral } = timeline.knobs[knob], time = Math.round(clock.time * 100) / 100;
+  const points = curveOf(session.plan, knob), others = points.filter(([at]) => Math.abs(at - time) > 0.02);
+  if (!way && others.length === points.length) { notice("No point of the curve is here."); return; }
+  const now = valueAt(points, time) ?? neutral ?? (low + high) / 2, value = Math.round(clamp(now + 2 * way * step, low, high) / step) * step;
+  session.edit(withCurve(session.plan, way ? [...others, [time, Number(value.toFixed(3))]] : others, knob), way ? `curve ${knob} ${time}` : null);
+  notice(way ? `${timeline.knobs[knob].name} ${value.toFixed(2)} at ${minutes(time, 2)}` : "The point is removed.");
+}
+
 function toggleOf(id) { $(id).click(); }
 
 const actions = {
@@ -294,7 +348,9 @@ const actions = {
   "h": () => toggleOf("silence"), "m": () => toggleOf("mirror"), "k": () => toggleOf("lock"), "[": () => inspector.nudge(-edits.INTENSITY.step),
   "]": () => inspector.nudge(edits.INTENSITY.step), "n": () => toggleOf("draw-again"), "b": () => inspector.addBeat(), "Delete": () => inspector.deleteBeat(),
   "Backspace": () => inspector.deleteBeat(), "ctrl+z": () => session.undo(), "ctrl+shift+z": () => session.redo(), "ctrl+y": () => session.redo(),
-  ",": () => stretch(-0.02), ".": () => stretch(0.02),
+  ",": () => stretch(-0.02), ".": () => stretch(0.02), "ctrl+,": () => moveBeat(-1), "ctrl+.": () => moveBeat(1),
+  "u": () => selectNext(units()), "j": () => selectNext(phrases()), "ctrl+shift+ArrowRight": () => extend(1), "ctrl+shift+ArrowLeft": () => extend(-1), "ctrl+ArrowRight": () => shift(1),
+  "ctrl+ArrowLeft": () => shift(-1), "shift+ArrowUp": () => nudgeCurve(1), "shift+ArrowDown": () => nudgeCurve(-1), "shift+Delete": () => nudgeCurve(0),
   "ctrl+c": copy, "ctrl+v": paste,
   "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": () => { session.select(null); $("file-menu").open = false; document.activeElement?.blur(); },
   "f": () => look("front"), "s": () => look("side"), "c": () => look("close"), "r": () => look("reset"), "t": toggleTrails, "d": toggleTogether, "y": toggleGhost,
@@ -407,10 +463,11 @@ session.on("selected", refresh);
 session.on("takes", performers);
 session.on("refused", () => notice("A motion from a file has no plan to edit: choose the other take."));
 const live = new Live(session, data.live, status, () => [timeline.left, timeline.left + timeline.span]);
+if (data.live) followAddress(live, data.live.place ?? data.live.token);
 const kept = session.lanes.length === 1 && session.plan.sound?.sha256
-  ? new Kept(session, `${data.live?.token ?? "file"} ${session.plan.sound.sha256.slice(0, 16)} ${session.plan.seed}`, notice) : null;
+  ? new Kept(session, `${data.live?.place ?? data.live?.token ?? "file"} ${session.plan.sound.sha256.slice(0, 16)} ${session.plan.seed}`, notice, data.live?.since ?? 0) : null;
 const palette = data.live ? new Palette(session, clock, live, async () => {
-  const answer = await fetch("figures");
+  const answer = await fetch(`${live.path}figures`);
   if (!answer.ok) throw new Error(answer.statusText);
   return answer.json();
 }, timeline) : null;

@@ -78,7 +78,7 @@ export class Palette {
     const star = element("button", { "type": "button", "className": "star", "aria-label": `Favourite: ${title}`,
       "aria-pressed": String(this.favourites.has(entry.key)), "onclick": () => this.favour(entry, star) }, "★");
     const item = element("li", {}, take, star);
-    const made = Object.assign(entry, { canvas, score, button: take, item, words: `${title} ${entry.about ?? ""} ${entry.hand ?? ""} ${entry.phase ?? ""}`.toLowerCase() });
+    const made = Object.assign(entry, { canvas, score, button: take, item, words: `${title} ${entry.about ?? ""} ${entry.hand ?? ""} ${entry.phase ?? ""} ${entry.words ?? ""}`.toLowerCase() });
     canvas.entry = made;
     this.watch.observe(canvas);
     return made;
@@ -112,6 +112,7 @@ export class Palette {
     if (!this.entries || !this.open) return;
     const [first] = this.session.stretch(this.clock.time), block = this.session.plan.blocks[first];
     const scores = new Map((block.alternatives ?? []).map(({ lexeme, score }, rank) => [lexeme, `${rank + 1}. ${Number(score.toPrecision(3))}`]));
+    if (block.score != null && !scores.has(block.lexeme)) scores.set(block.lexeme, `${block.rank}. ${Number(block.score.toPrecision(3))}`);
     for (const entry of this.entries) {
       if (entry.kind !== "lexeme") continue;
       entry.button.setAttribute("aria-pressed", String(entry.lexeme === block.lexeme && !block.silent));

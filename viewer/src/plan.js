@@ -30,7 +30,7 @@ function changed(plan, first, last, change) {
 export function setLexeme(plan, first, last, lexeme, name = null) {
   return changed(plan, first, last, (block) => {
     const known = block.alternatives?.find((other) => other.lexeme === lexeme);
-    return { ...block, lexeme, name: name || known?.name || null, silent: false };
+    return { ...block, lexeme, name: name || known?.name || null, silent: false, score: known?.score ?? null, rank: null };
   });
 }
 
@@ -122,9 +122,27 @@ export function blocksOfUnit(plan, unit) {
   return [first, Math.max(first, last)];
 }
 
+/** The gesture phrases of a unit, each with one stroke and what belongs to it: [{ start, end, stroke: when that begins }]. */
+export function phrasesOf(unit) {
+  const phrases = [];
+  let stroked = true;
+  for (const { kind, start, end } of unit.phases ?? []) {
+    if (!phrases.length || (stroked && ["preparation", "pre-stroke hold", "stroke"].includes(kind))) {
+      phrases.push({ start, end, stroke: start });
+      stroked = false;
+    }
+    if (kind === "stroke") {
+      stroked = true;
+      phrases.at(-1).stroke = start;
+    }
+    phrases.at(-1).end = end;
+  }
+  return phrases.length ? phrases : [unit];
+}
+
 /** What blocks can hand on to others: their gestures, sizes and sides. */
 export const copied = (plan, first, last) => plan.blocks.slice(first, last + 1)
-  .map(({ lexeme, name = null, silent, intensity = 1, mirror = false }) => ({ lexeme, name, silent, intensity, mirror }));
+  .map(({ lexeme, name = null, silent, intensity = 1, mirror = false }) => ({ lexeme, name, silent, intensity, mirror, score: null, rank: null }));
 
 /** Put the gestures of copied blocks on as many blocks from one on. */
 export const pasted = (plan, at, gestures) => changed(plan, at, at + gestures.length - 1, (block, k) => ({ ...block, ...gestures[k - at] }));
@@ -132,6 +150,50 @@ export const pasted = (plan, at, gestures) => changed(plan, at, at + gestures.le
 /** Blocks drawn with another variation: the same lexemes in a manner of its own for each number from 1. */
 export const varied = (plan, first, last, number) => changed(plan, first, last, (block) => (
   block.draw ? { ...block, draw: { ...block.draw, variation: (block.draw.variation + number) % 2 ** 32 } } : block));
+
+/** The gestures of blocks where another block begins, and rest where they were; copy: and there, too. */
+export function movedTo(plan, first, last, at, copy = false) {
+  return at === first ? plan : pasted(copy ? plan : setSilent(plan, first, last, true), at, copied(plan, first, last));
+}
+
+/** Blocks moved by seconds, as far as the blocks before and after them can give way. */
+export function slid(plan, first, last, by) {
+  const before = plan.blocks[first - 1], after = plan.blocks[last + 1];
+  if (!before || !after) return plan;
+  const long = before.end - before.start, rest = after.end - after.start;
+  const low = Math.max(SHORTEST - long, rest - LONGEST) + 1e-3, high = Math.min(LONGEST - long, rest - SHORTEST) - 1e-3;
+  if (low > high) return plan;
+  const way = clamp(by, low, high), moved = (time) => rounded(time + way);
+  if (rounded(way) === 0) return plan;
+  return withBlocks(plan, plan.blocks.map((block, k) => {
+    if (k < first - 1 || k > last + 1) return block;
+    return { ...block, start: k < first ? block.start : moved(block.start), end: k > last ? block.end : moved(block.end), flag: k > last ? block.flag : "edited" };
+  }));
+}
+
+/** Blocks dragged so that the first one begins at a time: [plan, where the first one is]. By a beat or more they go to
+ *  another beat, by less with their own edges. */
+export function dragged(plan, first, last, time, copy = false) {
+  const { start } = plan.blocks[first], k = blockAt(plan, time), next = plan.blocks[k + 1];
+  const nearest = next && next.start - time < time - plan.blocks[k].start ? k + 1 : k;
+  const place = clamp(nearest, 0, plan.blocks.length - 1 - (last - first));
+  return [place === first ? slid(plan, first, last, time - start) : movedTo(plan, first, last, place, copy), place];
+}
+
+/** Times that others snap to: where words begin and end, and the beats as they were found. */
+export function marksOf(plan, original) {
+  return [...(plan.words ?? []).flatMap(({ start, end }) => [start, end]), ...original.blocks.map(({ start }) => start)];
+}
+
+/** The nearest of some times, where one is within `near` seconds; else the time itself. */
+export function snapped(time, marks, near) {
+  let best = time, least = near;
+  for (const mark of marks) {
+    const far = Math.abs(mark - time);
+    if (far < least) { best = mark; least = far; }
+  }
+  return best;
+}
 
 /** Put blocks back as they were in another plan: those of it that start within the stretch and stand on its edges. */
 export function restored(plan, original, first, last) {

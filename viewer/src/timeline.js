@@ -105,7 +105,15 @@ export class Timeline {
     this.drawBlocks(pen, blockAt(plan, time));
     this.drawRange(pen, width);
     this.drawPlayhead(pen, this.x(time));
+    this.drawGuide(pen);
     if (!this.whole) this.drawOverview(time);
+  }
+
+  /** The word or beat to which something is dragged. */
+  drawGuide(pen) {
+    if (this.guide == null) return;
+    pen.fillStyle = colours.select;
+    pen.fillRect(Math.round(this.x(this.guide)) - 0.5, 0, sizes.unit, this.rows.height);
   }
 
   drawPlayhead(pen, x) {

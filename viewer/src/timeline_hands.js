@@ -4,11 +4,13 @@ import { cuesOf, cueTime, moveCue } from "./cues.js";
 import { curveOf, withCurve } from "./curves.js";
 import { clamp } from "./numbers.js";
 import { movePin, pinsOf } from "./pins.js";
-import { blockAt, blocksOfUnit, moveBeat, stretched } from "./plan.js";
+import { blockAt, blocksOfUnit, dragged, marksOf, moveBeat, phrasesOf, snapped, stretched } from "./plan.js";
 import { sizes } from "./theme.js";
 
 /** CSS pixels around a handle in which it is taken, for a mouse and for a finger. */
 const NEAR = { mouse: 6, pen: 8, touch: 16 };
+/** CSS pixels within which what is dragged snaps to words and beats. */
+const SNAPS = 7;
 
 /** A point of the curve at a place: [seconds, value]. */
 const pointAt = (timeline, x, y) => [Math.round(clamp(timeline.timeAt(x), 0, timeline.duration) * 1000) / 1000, timeline.curveValue(y)];
@@ -81,6 +83,7 @@ export class TimelineHands {
     this.pointers.set(event.pointerId, x);
     if (this.pointers.size > 1) { this.drag = { kind: "pinch", spread: this.spread(), resume: false }; return; }
     const hit = this.hit(x, y, event.pointerType);
+    this.marks = marksOf(session.plan, session.original);
     this.drag = { ...hit, plan: session.plan, begun: x, resume: hit.kind === "time" && clock.playing };
     if (this.drag.resume) clock.pause();
     timeline.held = true;
@@ -89,7 +92,7 @@ export class TimelineHands {
     else if (hit.kind === "cue") clock.seek(cueTime(session.plan, cuesOf(session.plan)[hit.cue]));
     else if (hit.kind === "pin") this.takePin(hit.pin);
     else if (hit.kind === "point") this.takePoint(hit.point, x, y);
-    else if (hit.kind === "unit") this.pickUnit(hit.unit, event.shiftKey);
+    else if (hit.kind === "unit") this.takeUnit(hit.unit, event.shiftKey, timeline.timeAt(x));
     else if (hit.kind === "time") this.scrub(x);
     this.changed();
   }
@@ -116,6 +119,28 @@ export class TimelineHands {
     this.clock.seek(this.drag.one.time + 0.02 / this.session.take.fps);
   }
 
+  /** A time, or a word's or beat's near it; with Alt the time itself. */
+  snap(time, event) {
+    const at = event.altKey ? time : snapped(time, this.marks, (SNAPS * sizes.unit) / this.timeline.scale);
+    this.timeline.guide = at === time ? null : at;
+    return at;
+  }
+
+  /** Select a gesture unit, unless the blocks under the pointer are selected: those may be dragged. */
+  takeUnit(unit, extend, time) {
+    const { selection, plan } = this.session, block = blockAt(plan, time);
+    this.drag.time = time;
+    this.drag.held = !extend && selection && block >= selection[0] && block <= selection[1];
+    if (!this.drag.held) this.pickUnit(unit, extend);
+  }
+
+  /** A click on a unit that is selected selects the phrase there, and another one the unit again. */
+  clickUnit({ unit, time }) {
+    const { selection, plan } = this.session, whole = blocksOfUnit(plan, unit).join() === selection.join();
+    const phrase = phrasesOf(unit).find(({ start, end }) => time >= start && time < end);
+    this.pickUnit(whole && phrase ? phrase : unit, false);
+  }
+
   /** Select the blocks of a gesture unit, or with shift all up to its end. */
   pickUnit(unit, extend) {
     const { session, clock } = this, [first, last] = blocksOfUnit(session.plan, unit);
@@ -140,16 +165,17 @@ export class TimelineHands {
     const { timeline, session, clock } = this, [x, y] = this.place(event);
     if (!this.pointers.has(event.pointerId)) {
       const { kind, block } = this.hit(x, y, event.pointerType);
-      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks" : kind === "stretch" ? "drag to stretch or squeeze the selected blocks" : kind === "pin" ? "a pinned pose: click to go there, drag to another moment" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
+      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks, again for the phrase here; drag to move it, with Ctrl a copy of it" : kind === "stretch" ? "drag to stretch or squeeze the selected blocks" : kind === "pin" ? "a pinned pose: click to go there, drag to another moment" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
       timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", unit: "pointer", cue: "grab", pin: "grab", stretch: "ew-resize", point: "crosshair" }[kind] ?? "text";
       return;
     }
     this.pointers.set(event.pointerId, x);
     const time = timeline.timeAt(x), { drag } = this;
+    timeline.guide = null;
     if (drag.kind === "pinch") this.pinch();
     else if (drag.kind === "time") this.scrub(x);
     else if (drag.kind === "beat") {
-      session.edit(moveBeat(session.plan, drag.beat, time), `beat ${drag.beat}`);
+      session.edit(moveBeat(session.plan, drag.beat, this.snap(time, event)), `beat ${drag.beat}`);
       session.beat = drag.beat;
     } else if (drag.kind === "point" && drag.point >= 0) {
       const points = curveOf(session.plan, timeline.knob), [low, high] = [points[drag.point - 1]?.[0] ?? -0.01, points[drag.point + 1]?.[0] ?? clock.duration + 0.01];
@@ -157,11 +183,13 @@ export class TimelineHands {
       points[drag.point] = [clamp(at, low + 0.01, high - 0.01), value];
       session.edit(withCurve(session.plan, points, timeline.knob), "curve");
     } else if (drag.kind === "stretch") {
-      session.edit(stretched(drag.plan, drag.first, drag.last, time), "stretch");
+      session.edit(stretched(drag.plan, drag.first, drag.last, this.snap(time, event)), "stretch");
+    } else if (drag.kind === "unit") {
+      if (Math.abs(x - drag.begun) > 4 || drag.moved) this.dragBlocks(x, event);
     } else if (drag.kind === "pin") {
       if (Math.abs(x - drag.begun) > 4 || drag.moved) {
         drag.moved = true;
-        const [plan, one] = movePin(session.plan, drag.one, clamp(time, 0, clock.duration));
+        const [plan, one] = movePin(session.plan, drag.one, clamp(this.snap(time, event), 0, clock.duration));
         session.edit(plan, "pin moved");
         drag.one = one;
       }
@@ -175,15 +203,28 @@ export class TimelineHands {
       if (to !== (session.selection ?? [])[1] || to !== drag.from) session.select(drag.from, to);
     } else if (drag.kind === "range") {
       const range = [...clock.range];
-      range[drag.handle] = clamp(time, 0, clock.duration);
+      range[drag.handle] = clamp(this.snap(time, event), 0, clock.duration);
       if (range[1] - range[0] > 0.1) clock.setRange(...range);
     }
     this.changed();
   }
 
+  /** Take the selected blocks along; with Ctrl a copy of them. */
+  dragBlocks(x, event) {
+    const { drag, session, timeline } = this, { blocks } = drag.plan;
+    drag.moved ??= session.selection;
+    const [first, last] = drag.moved, from = blocks[first].start, to = clamp(from + (x - drag.begun) / timeline.scale, 0, this.clock.duration);
+    const [plan, place] = dragged(drag.plan, first, last, this.snap(to, event), event.ctrlKey || event.metaKey);
+    session.edit(plan, "dragged");
+    session.select(place, place + last - first);
+  }
+
   up(event) {
     if (!this.pointers.delete(event.pointerId) || this.pointers.size) return;
     this.timeline.held = false;
+    this.timeline.guide = null;
+    if (this.drag.held && !this.drag.moved) this.clickUnit(this.drag);
+    if (this.drag.kind === "unit" && this.drag.moved && !this.clock.playing) this.clock.seek(this.session.plan.blocks[this.session.selection[0]].start + 0.002);
     this.session.lane.history.settle();
     if (this.drag.kind === "beat") this.session.tell("settled");
     if (this.drag.resume) this.clock.play();

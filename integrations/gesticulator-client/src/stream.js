@@ -157,6 +157,12 @@ export class GestureStream {
   }
 
   begin(welcome) {
+    if (welcome.resumed && this.anewNext) { // an interruption reached back before the session while it was opened
+      this.socket.onclose = this.socket.onmessage = null;
+      this.socket.close(1000);
+      this.lost(1001, "an interruption reached back before the session");
+      return;
+    }
     const again = this.session !== null;
     this.welcome = welcome;
     if (!welcome.resumed) this.anew(welcome.session ?? "", again);
@@ -230,7 +236,7 @@ export class GestureStream {
 function cutStart(sent, begin, rate) {
   const { message, start, seconds } = sent, end = start + seconds, lost = Math.max(0, begin - start);
   if (ArrayBuffer.isView(message)) {
-    return end <= begin + 1e-9 ? null : { ...sent, message: message.slice(Math.round(lost * rate)), start: Math.max(start, begin), seconds: seconds - lost };
+    return end <= begin + 1e-9 ? null : { ...sent, message: message.slice(Math.ceil(lost * rate - 1e-6)), start: Math.max(start, begin), seconds: seconds - lost };
   }
   if (seconds > 0) {
     const left = Math.min(seconds, end - begin);

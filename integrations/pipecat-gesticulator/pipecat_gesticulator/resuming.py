@@ -301,6 +301,8 @@ class ResumingStream:
                 message = self._journal[heard - self._numbered].message
                 heard += 1
                 await socket.send(message if isinstance(message, bytes) else self._shifted(message))
+            if self._anew_next:
+                raise ConnectionError("an interruption reached back before the session while it was opened")
         except BaseException:
             await socket.close()
             raise
@@ -351,8 +353,10 @@ def _cut_start(sent: _Sent, begin: float, hello: Hello) -> _Sent | None:
         if end <= begin + 1e-9:
             return None
         lost = max(0.0, begin - sent.start)
-        return replace(sent, message=sent.message[_bytes_of(lost, hello):], start=max(sent.start, begin),
-                       seconds=sent.seconds - lost)
+        # A sample in which the session begins is left out: rounded, several sessions could last a frame longer.
+        size = 2 if hello.format == "pcm16" else 4
+        first = size * math.ceil(lost * hello.sample_rate - 1e-6)
+        return replace(sent, message=sent.message[first:], start=max(sent.start, begin), seconds=sent.seconds - lost)
     if sent.message["type"] in ("idle", "think") and "seconds" in sent.message:
         left = min(sent.seconds, end - begin)
         if left < 0 or (left == 0 and sent.seconds > 0):

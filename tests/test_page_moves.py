@@ -1,0 +1,299 @@
+"""Gestures that are dragged along the timeline or moved with keys, what snaps, what is read aloud, and a page that goes
+on when its server is started again."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import OpenedPage, chromium
+from test_story import PATIENCE, _is, _rendered, _rotations, first, served  # noqa: F401
+from test_two_pages import _has, _Window
+
+from gesticulator import Gesticulator
+from gesticulator.export import html
+from gesticulator.performance import Performance
+from gesticulator.serve.edits import LivePlans, directions_of, levels_of
+from gesticulator.serve.page_place import page_place, served_again
+from gesticulator.serve.page_server import PageServer
+
+PICTURES = Path(os.environ["PICTURES"]) if "PICTURES" in os.environ else None
+
+
+def _at(page: Any, seconds: float, row: str) -> tuple[float, float]:
+    """The place of a time in a row of the timeline."""
+    box = page.locator("#timeline").bounding_box()
+    x, y = page.evaluate("([at, row]) => [preview.timeline.x(at), preview.timeline.rows[row].top + "
+                         "preview.timeline.rows[row].tall / 2]", [seconds, row])
+    return box["x"] + x, box["y"] + y
+
+
+def _drag(page: Any, begin: tuple[float, float], right: float, *held: str) -> None:
+    page.mouse.move(*begin)
+    page.mouse.down()
+    for key in held:
+        page.keyboard.down(key)
+    page.mouse.move(begin[0] + right / 2, begin[1])
+    page.mouse.move(begin[0] + right, begin[1])
+    page.mouse.up()
+    for key in held:
+        page.keyboard.up(key)
+
+
+def _gestures(blocks: list[dict[str, Any]], begin: int, end: int) -> list[tuple[int, bool]]:
+    return [(one["lexeme"], one["silent"]) for one in blocks[begin:end + 1]]
+
+
+def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
+        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+    server, plans, folder = served
+    with chromium() as browser:
+        opened = OpenedPage(browser, server.url, 1280, 860)
+        page = opened.page
+        opened.go_to(1.0)
+        before, frames = opened.plan()["blocks"], _rotations(page)
+        # With keys: the gesture at the playhead is selected, and made longer or shorter by a block.
+        unit = opened.plan()["units"][0]
+        page.keyboard.press("u")
+        begin, end = page.evaluate("() => preview.session.selection")
+        assert before[begin]["end"] > unit["start"] and before[end]["end"] >= unit["end"] - 1e-2
+        strokes = []
+        for _ in range(2):
+            page.keyboard.press("j")
+            strokes.append(page.evaluate("() => preview.session.selection"))
+        assert begin <= strokes[0][0] < strokes[1][0] <= end and strokes[0][1] < end, "its phrases, one by one"
+        page.evaluate("() => preview.session.select(5, 6)")
+        page.keyboard.press("Control+Shift+ArrowRight")
+        assert page.evaluate("() => preview.session.selection") == [5, 7]
+        page.keyboard.press("Control+Shift+ArrowLeft")
+        assert page.evaluate("() => preview.session.selection") == [5, 6]
+        # A click selects a unit, a second one the phrase. It is dragged to the beat two blocks later, and leaves rest.
+        page.keyboard.press("Escape")
+        stroke = next(one for one in unit["phases"] if one["kind"] == "stroke" and one["start"] > 1.0)
+        handle = _at(page, (stroke["start"] + stroke["end"]) / 2, "units")
+        page.mouse.click(*handle)
+        assert page.evaluate("() => preview.session.selection") == [begin, end]
+        page.mouse.click(*handle)
+        begin, end = page.evaluate("() => preview.session.selection")
+        assert end - begin < 8, "a phrase"
+        wanted, count = _gestures(before, begin, end), end - begin + 1
+        place = begin + 2 if end + 2 < len(before) else begin - 2
+        scale = page.evaluate("() => preview.timeline.scale")
+        far = (before[place]["start"] - before[begin]["start"]) * scale
+        handle = _at(page, (unit["start"] + unit["end"]) / 2, "units")
+        _drag(page, handle, far + 2)
+        _rendered(page)
+        after = opened.plan()["blocks"]
+        assert _gestures(after, place, place + count - 1) == wanted
+        left = {*range(begin, end + 1)} - {*range(place, place + count)}
+        assert left and all(after[at]["silent"] for at in left)
+        assert page.evaluate("() => preview.session.selection") == [place, place + count - 1]
+        _is(page, plans, opened.plan())
+        page.screenshot(path=(PICTURES or folder) / "dragged.png")
+        page.keyboard.press("Control+z")
+        _rendered(page)
+        np.testing.assert_array_equal(_rotations(page), frames)
+        # By less than half of a block it slides, and its neighbours give way.
+        page.evaluate("([a, b]) => preview.session.select(a, b)", [5, 6])
+        page.keyboard.press("Control+ArrowRight")
+        _rendered(page)
+        moved = opened.plan()["blocks"]
+        assert _gestures(moved, 6, 7) == _gestures(before, 5, 6) and moved[5]["silent"]
+        page.keyboard.press("Control+z")
+        page.evaluate("""() => { const { session } = preview; session.select(5, 6); }""")
+        page.keyboard.press("Control+.")
+        _rendered(page)
+        slid = opened.plan()["blocks"]
+        assert slid[5]["start"] == pytest.approx(before[5]["start"] + 1 / 60, abs=2e-3)
+        assert slid[4]["end"] == slid[5]["start"] and slid[5]["end"] == before[5]["end"]
+        _is(page, plans, opened.plan())
+        opened.check_quiet(server.url)
+
+
+def test_what_is_dragged_snaps_to_beats_and_with_alt_it_does_not(
+        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+    server, _, _ = served
+    with chromium() as browser:
+        opened = OpenedPage(browser, server.url, 1280, 860)
+        page = opened.page
+        opened.go_to(2.0)
+        found = opened.plan()["blocks"][10]["start"]
+        _drag(page, _at(page, found, "beats"), 14)
+        _rendered(page)
+        away = opened.plan()["blocks"][10]["start"]
+        assert away > found + 0.05
+        _drag(page, _at(page, away, "beats"), -10, "Alt")
+        _rendered(page)
+        near = opened.plan()["blocks"][10]["start"]
+        assert found + 0.01 < near < found + 0.07, "near the beat that was found, and not on it"
+        _drag(page, _at(page, near, "beats"), -1)
+        _rendered(page)
+        assert opened.plan()["blocks"][10]["start"] == pytest.approx(found, abs=6e-4)
+
+
+def test_a_curve_is_set_with_keys_and_what_plays_is_read_aloud(
+        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+    server, plans, _ = served
+    with chromium() as browser:
+        opened = OpenedPage(browser, server.url, 1280, 860)
+        page = opened.page
+        opened.go_to(2.0)
+        for _ in range(3):
+            page.keyboard.press("Shift+ArrowUp")
+        opened.go_to(4.0)
+        for _ in range(6):
+            page.keyboard.press("Shift+ArrowDown")
+        _rendered(page)
+        (curve,) = opened.plan()["curves"]
+        assert curve["times"] == [2.0, 4.0] and curve["values"] == pytest.approx([1.3, 0.7])
+        _is(page, plans, opened.plan())
+        page.keyboard.press("Shift+Delete")
+        _rendered(page)
+        (curve,) = opened.plan()["curves"]
+        assert curve["times"] == [2.0]
+        # A screen reader hears the gesture by its name, the phase, the block, and what was locked.
+        unit = max(opened.plan()["units"], key=lambda one: one["end"] - one["start"])
+        opened.go_to((unit["start"] + unit["end"]) / 2)
+        page.keyboard.press("k")
+        block = next(one for one in opened.plan()["blocks"] if one["end"] > opened.time())
+        page.wait_for_function("() => document.getElementById('timeline').getAttribute('aria-valuetext')"
+                               ".endsWith('locked')")
+        heard = page.get_attribute("#timeline", "aria-valuetext")
+        names = {one["lexeme"]: one["name"] for one in opened.plan()["lexicon"]}
+        assert f"{names[block['lexeme']]}, " in heard and f"lexeme {block['lexeme']}" in heard
+        opened.go_to(0.0)
+        page.keyboard.press(" ")
+        page.wait_for_function("() => document.getElementById('spoken').textContent.length > 3", timeout=60_000)
+        page.keyboard.press(" ")
+
+
+def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
+        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+    server, plans, folder = served
+    with chromium() as browser:
+        opened = OpenedPage(browser, server.url, 1280, 900)
+        page = opened.page
+        page.set_default_timeout(PATIENCE)
+        blocks, frames = opened.plan()["blocks"], _rotations(page)
+        at = next(k for k, one in enumerate(blocks) if not one["silent"] and one["rank"] > 5)
+        opened.go_to((blocks[at]["start"] + blocks[at]["end"]) / 2)
+        playing = page.locator('#best button[aria-pressed="true"]')
+        assert page.locator("#best li").count() == 6
+        assert playing.locator(".id").inner_text() == str(blocks[at]["lexeme"])
+        assert float(playing.locator(".value").inner_text()) == pytest.approx(blocks[at]["score"], rel=5e-3)
+        page.keyboard.press("p")
+        page.wait_for_selector("#palette-figures li")
+        marked = page.locator('#palette .figure[aria-pressed="true"]')
+        assert marked.locator(".value").inner_text().startswith(f"{blocks[at]['rank']}. ")
+        page.fill("#palette-search", "both hands open")
+        few = page.locator("#palette-figures li:not([hidden]) .called")
+        found = few.all_inner_texts()
+        assert {"shrug", "cut off"} <= set(found) and any(" · " in name for name in found), "gestures and lexemes"
+        page.screenshot(path=(PICTURES or folder) / "open.png")
+        page.fill("#palette-search", "")
+        page.select_option("#palette-kind", "gesture")
+        page.select_option("#palette-hand", "left")
+        page.select_option("#palette-height", "up")
+        assert 0 < few.count() < 20 and "shrug" not in few.all_inner_texts(), "filters know gestures, too"
+        page.click("#palette-close")
+        # Three variations of a stretch: seen under the pointer, gone after it, taken with a click.
+        page.evaluate("([a, b]) => preview.session.select(a, b)", [at, at + 1])
+        seen = []
+        for number in (1, 2, 3):
+            page.hover(f"#variations button:nth-child({number})")
+            page.wait_for_function("() => document.getElementById('status').textContent.startsWith('a try')")
+            seen.append(_rotations(page).tobytes())
+            page.mouse.move(600, 300)
+            page.wait_for_function("() => !document.getElementById('status').textContent.startsWith('a try')")
+        assert len({*seen, frames.tobytes()}) == 4
+        np.testing.assert_array_equal(_rotations(page), frames)
+        page.click("#variations button:nth-child(2)")
+        _rendered(page)
+        assert _rotations(page).tobytes() == seen[1]
+        _is(page, plans, opened.plan())
+        opened.check_quiet(server.url)
+
+
+def _server(system: Gesticulator, performance: Performance, port: int = 0) -> tuple[PageServer, threading.Thread]:
+    """A program that serves the page of one place."""
+    server, plans = PageServer(port), LivePlans(system, performance)
+    scene = performance.scene()
+    number = plans.opened(performance, html.describe(scene)["plan"])
+    live = {"token": server.token, "renderings": [number], "levels": levels_of(system.bundle),
+            "directions": directions_of(system), "place": "here", "since": 0}
+    server.page, server.render = html.page({"lstm": scene}, "talk", more={"live": live}).encode(), plans.answer
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    return server, thread
+
+
+def _ended(server: PageServer, thread: threading.Thread) -> None:
+    server.shutdown()
+    server.server_close()
+    thread.join(10)
+
+
+def test_a_page_goes_on_when_its_server_has_died_and_is_started_again(
+        first: tuple[Gesticulator, Performance]) -> None:  # noqa: F811
+    server, thread = _server(*first)
+    port, old = server.server_port, server.secret
+    try:
+        with chromium() as browser:
+            window = _Window(browser)
+            opened = OpenedPage(window, server.url)
+            page = opened.page
+            opened.go_to(2.1)
+            page.keyboard.press("2")
+            _rendered(page)
+            one = opened.plan()["blocks"]
+            _ended(server, thread)
+            # An edit that nobody renders stays, is told, and is kept.
+            opened.go_to(4.1)
+            page.keyboard.press("3")
+            page.wait_for_function("() => document.getElementById('notice').textContent.includes('does not answer')",
+                                   timeout=30_000)
+            both = opened.plan()["blocks"]
+            assert both != one
+            page.wait_for_timeout(600)
+            server, thread = _server(*first, port=port)
+            assert server.secret != old
+            # The page that it opens has both edits, and so has the old one, which is rendered again.
+            new = OpenedPage(window, server.url)
+            _has(new, both)
+            _rendered(new.page)
+            _rendered(page)
+            assert page.locator("#notice").is_hidden(), "the fault is over"
+            np.testing.assert_array_equal(_rotations(page), _rotations(new.page))
+            page.keyboard.press("Control+z")
+            _rendered(page)
+            _has(new, one)
+    finally:
+        _ended(server, thread)
+
+
+def test_a_page_is_served_at_its_place_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    sound = tmp_path / "talk.wav"
+    assert page_place(sound) is None
+    server, name = served_again(0, sound)
+    port, secrets = server.server_port, {server.secret, server.token}
+    kept = next((tmp_path / "gesticulator" / "pages").iterdir())
+    assert not any(secret in kept.read_text() for secret in secrets), "nothing secret is kept"
+    other, same = served_again(0, sound)
+    assert other.server_port != port and same == name, "where the port is taken, another one"
+    for one in (server, other):
+        one.server_close()
+    again, same = served_again(0, sound)
+    assert again.server_port == other.server_port and same == name
+    assert not secrets & {again.secret, again.token}
+    again.server_close()
+    anew, new = served_again(0, sound, anew=True)
+    assert new != name and page_place(sound).name == new  # type: ignore[union-attr]
+    anew.server_close()
+    for broken in ("", "{", "[]", '{"port": 99999, "name": "x"}', '{"port": 80, "name": "../x"}', '{"port": "x"}'):
+        kept.write_text(broken)
+        assert page_place(sound) is None
