@@ -184,6 +184,28 @@ def test_ears_wings_and_a_tail_are_no_limbs(tmp_path: Path) -> None:
     moved(tmp_path / "rig.glb", body)
 
 
+def test_the_legs_of_another_skeleton_in_the_file_are_not_those_of_the_character(tmp_path: Path) -> None:
+    """A rider without shins was given the legs of the horse beside it, and refused for standing on four legs."""
+    body = figure(spelled({}, "{part}_{side}"), "A", FINGERS)
+    for key in [key for key in body.places if key.endswith(("Leg", "Foot", "ToeBase"))]:
+        del body.places[key], body.parents[key]
+    body.above = [("scene", UPRIGHT, 1.0)]
+    body.add("Horse", None, (0.0, 1.0, -2.0))
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        above = "Horse"
+        for y, key in zip((0.9, 0.5, 0.1, 0.0), ("UpLeg", "Leg", "Foot", "ToeBase"), strict=True):
+            body.add(side + key, above, (0.15 * sign, y, -2.0 + (0.1 if key == "ToeBase" else 0.0)))
+            above = side + key
+        for number in range(3):
+            body.beside(f"Rein{number}{side}", "Horse", (0.2 * sign, 0.1 * number, 0.3))
+    character = read_character(write(tmp_path / "rig.glb", body))
+    found = find_joints(character)
+    assert {side + part: character.names[found.joints[side + part]] for side in SIDES for part in ("Arm", "Hand")} == {
+        side + part: f"{part}_{side}" for side in SIDES for part in ("Arm", "Hand")}
+    assert not [name for name in found.joints if name.endswith(("Leg", "Foot"))]
+    assert character.names[found.joints["Hips"]] == "Hips"
+
+
 @pytest.mark.parametrize("lies", [True, False])
 def test_a_bird_is_refused_and_half_a_body_is_not(lies: bool, tmp_path: Path) -> None:
     """Its wings are arms by the names of their bones, and it has no legs: it was set upright and gestured."""

@@ -20,6 +20,7 @@ from gesticulator.characters.conventions import conventional
 from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
 from gesticulator.characters.names import Label
 from gesticulator.characters.rig import UPS, Character
+from gesticulator.characters.several import chosen, skeletons_of
 
 _VRM_PARTS = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
               "Leg": "LowerLeg", "Foot": "Foot", "ToeBase": "Toes"}
@@ -88,9 +89,25 @@ def find_joints(character: Character) -> RigMapping:
         candidates.append(_found(search))
         if candidates[-1].confidence >= 0.9:
             break
-    # One that finds no legs is not the surer for it.
-    return max(candidates, key=lambda mapping: (mapping.legs and mapping.confidence >= SURE,
-                                                round(mapping.confidence, 2), len(mapping.joints)))
+    best = max(candidates, key=_worth)
+    names = _skeletons_mixed(character, best)
+    return max((find_joints(chosen(character, name)) for name in names), key=_worth) if names else best
+
+
+def _worth(mapping: RigMapping) -> tuple[bool, float, int]:
+    """How good a mapping is. One that finds no legs is not the surer for it."""
+    return mapping.legs and mapping.confidence >= SURE, round(mapping.confidence, 2), len(mapping.joints)
+
+
+def _skeletons_mixed(character: Character, mapping: RigMapping) -> list[str]:
+    """The names of the file's skeletons if the mapping has joints of two that stand beside one another, as the arms of
+    a rider and the legs of the horse; else none."""
+    found = skeletons_of(character)
+    lines = {top: {top, *ancestors(character.parents, top)} for top in found.values()}
+    used = {top for top in lines for node in mapping.joints.values()
+            if top in (node, *ancestors(character.parents, node))}
+    beside = any(one not in lines[other] and other not in lines[one] for one in used for other in used if one != other)
+    return list(found) if beside else []
 
 
 # ---------------------------------------------------------------------------------------------------- by the table
