@@ -177,7 +177,7 @@ def test_ears_wings_and_a_tail_are_no_limbs(tmp_path: Path) -> None:
         for word, parent, offset in (("Ear", "Head", (0.2, 0.2, 0.0)), ("Wing", "Spine2", (0.3, 0.2, -0.2))):
             above = parent
             for number in range(3):
-                body.beside(f"{word}{number}_{side}", above, np.array(offset) * [sign, 1.0, 1.0], 0.02)
+                body.beside(f"{word}{number}_{side}", above, (sign * offset[0], offset[1], offset[2]), 0.02)
                 above = f"{word}{number}_{side}"
     body.beside("Tail1", "Hips", (0.0, -0.1, -0.1), 0.03)
     body.beside("Tail2", "Tail1", (0.0, -0.3, -0.3), 0.03)
