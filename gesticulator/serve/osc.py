@@ -19,7 +19,7 @@ from gesticulator.serve.vmc import VmcOutput, packed
 if TYPE_CHECKING:
     from data_module.face import FaceMotion
     from data_module.types import Array, Motion
-    from gesticulator.serve.output_process import SentFrames
+    from gesticulator.serve.vmc import SentFrames
     from gesticulator.stream import StreamFrames
 
 OSC_PORT = 9000

@@ -15,16 +15,15 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING
+
+from gesticulator.serve.vmc import SentFrames
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection as Pipe
     from multiprocessing.process import BaseProcess
 
-    from data_module.face import FaceMotion
-    from data_module.types import Motion
     from gesticulator.serve.vmc import VmcOutput
     from gesticulator.stream import StreamFrames
 
@@ -35,24 +34,6 @@ _AGAIN_SECONDS = 5.0
 """Least time between two starts of the process."""
 _END_SECONDS = 5.0
 """Time for the process to end."""
-
-
-@dataclass(frozen=True)
-class SentFrames:
-    """Frames of a stream without what only the server needs: `StreamFrames`, for a process without models."""
-
-    first: int
-    whole: Motion
-    face: FaceMotion | None
-
-    @property
-    def fps(self) -> float:
-        """Frames per second."""
-        return self.whole.fps
-
-    def motion(self) -> Motion:
-        """The frames as a motion."""
-        return self.whole
 
 
 _Message = tuple[str, SentFrames | None] | None

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from data_module.face import FaceMotion
     from data_module.types import Array, Motion
     from gesticulator.export.nodes import NodeMotion
-    from gesticulator.serve.output_process import SentFrames
     from gesticulator.stream import StreamFrames
 
 RATE = 60.0
@@ -76,6 +75,24 @@ def mirrored_place(place: Array) -> Array:
 def mirrored_turn(turn: Array) -> Array:
     """[..., 4] (x, y, z, w) a rotation in Unity's axes from [..., 4] (w, x, y, z) in ours."""
     return turn[..., [1, 2, 3, 0]] * np.array([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class SentFrames:
+    """Frames of a stream without what only the server needs: `StreamFrames`, for a process without models."""
+
+    first: int
+    whole: Motion
+    face: FaceMotion | None
+
+    @property
+    def fps(self) -> float:
+        """Frames per second."""
+        return self.whole.fps
+
+    def motion(self) -> Motion:
+        """The frames as a motion."""
+        return self.whole
 
 
 class VmcFrames:
