@@ -12,7 +12,8 @@ const BUSY = 503, CONFLICT = 409, GONE = 410, STRANGE = [403, 404];
 
 /** The renderer does not answer. */
 class AwayError extends Error {}
-const AWAY_TEXT = "gesticulator view does not answer: is it still running? The edits are kept, and rendered when it is back.";
+/** What is said while the renderer does not answer. */
+export const AWAY_TEXT = "gesticulator view does not answer: is it still running? The edits are kept, and rendered when it is back.";
 
 /** What a network gives; `AwayError` where it fails. */
 async function reached(promise) {

@@ -12,7 +12,7 @@ import { bindFiles, fileName, save } from "./files.js";
 import { Inspector } from "./inspector.js";
 import { Kept } from "./kept.js";
 import { bindKeys, fillSheet } from "./keys.js";
-import { Live } from "./live.js";
+import { AWAY_TEXT, Live } from "./live.js";
 import { bytesOf, clamp, minutes } from "./numbers.js";
 import * as edits from "./plan.js";
 import { readJson } from "./plan.js";
@@ -37,7 +37,7 @@ const changed = () => { dirty = true; };
 const clock = new Clock($("sound"), data.duration, changed);
 const timeline = new Timeline($("timeline"), $("overview"), session, new Waveform(peaks, data.peaksPerSecond, data.duration), clock);
 const inspector = new Inspector(session, clock);
-let stage = null, together = false, over = false, trails = true, worn = null, spoken = null, fault = "";
+let stage = null, together = false, over = false, trails = true, worn = null, spoken = null;
 
 // ---------------------------------------------------------------- who stands on the stage
 
@@ -150,11 +150,8 @@ function writeClock(time) {
 const status = (state, text) => {
   $("status").textContent = text;
   $("status").dataset.state = state;
-  if (state === "bad") notice(fault = text, true);
-  else if (state === "same" && fault) {
-    if ($("notice").textContent === fault) notice("");
-    fault = "";
-  }
+  if (state === "bad") notice(text, true);
+  else if (state === "same" && $("notice").textContent === AWAY_TEXT) notice(""); // other faults stay until they are read
 };
 const planName = () => fileName(data.title, ".plan.json");
 
