@@ -24,7 +24,9 @@ def _scipy(quaternions: Array) -> tuple[Rotation, tuple[int, ...]]:
 
 def multiply(a: Array, b: Array) -> Array:
     """Hamilton product of [..., 4] quaternions: the rotation b, then a."""
-    aw, ax, ay, az, bw, bx, by, bz = (np.asarray(one, dtype=np.float64)[..., k] for one in (a, b) for k in range(4))
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
     first = aw * bw
     out = np.empty((*first.shape, 4))
     np.subtract(first - ax * bx - ay * by, az * bz, out=out[..., 0])
@@ -48,7 +50,8 @@ def rotate(q: Array, v: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """[..., 3] as `np.cross`, bit for bit; that one takes five times as long for few vectors."""
-    ax, ay, az, bx, by, bz = (one[..., k] for one in (a, b) for k in range(3))
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     first = ay * bz
     out = np.empty((*first.shape, 3), first.dtype)
     np.subtract(first, az * by, out=out[..., 0])
