@@ -832,6 +832,12 @@ def _read_edges(file: Path) -> object:
     return edges_of_plan(file)
 
 
+def _read_place(file: Path) -> object:
+    from gesticulator.serve.page_place import place_in
+
+    return place_in(file)
+
+
 def _read_token(file: Path) -> object:
     from argparse import Namespace
 
@@ -993,6 +999,7 @@ READERS: dict[str, Case] = {
     "names of a submission, by split": Case(_written("a.csv", "id,type\none,test\ntwo,train\n"), submission_names),
     "submission, BEAT2": Case(_submission("beat2", "a.npz"), partial(_read_submission, "beat2")),
     "submission, GENEA": Case(_submission("genea", "a.bvh"), partial(_read_submission, "genea")),
+    "place of a page": Case(_written("a.json", '{"port": 8123, "name": "0a1b2c3d"}'), _read_place),
     "token": Case(_written("a.txt", "secret\n"), _read_token)
 }
 

@@ -58,7 +58,7 @@ def test_the_surface_of_a_round_thigh_by_hand() -> None:
 def test_a_hand_that_swings_through_a_thigh_is_led_over_it_without_a_jump() -> None:
     motion = swung(WAY)
     before, free = seated(cleared(motion)), seated(cleared(motion, sits=True))
-    assert of_ours(before).min() < -0.04, "it does go through"
+    assert of_ours(before).min() < -0.03, "it does go through"
     assert of_ours(free).min() > 0.0, "no joint of hand or finger is in a thigh"
     joints = [WHOLE_BODY.index(name) for name in ("LeftHand", "LeftForeArm")]
     steps = [np.linalg.norm(np.diff(positions_of(one)[:, joints], axis=0), axis=-1).max(axis=0)

@@ -90,8 +90,10 @@ def find_joints(character: Character) -> RigMapping:
         if candidates[-1].confidence >= 0.9:
             break
     best = max(candidates, key=_worth)
-    names = _skeletons_mixed(character, best)
-    return max((find_joints(chosen(character, name)) for name in names), key=_worth) if names else best
+    whole = [mapping for name in _skeletons_mixed(character, best)
+             if set(NEEDED) <= (mapping := find_joints(chosen(character, name))).joints.keys()]
+    # Where none of them is a body, they are parts of one that was not tied together, which is said later.
+    return max(whole, key=_worth) if whole else best
 
 
 def _worth(mapping: RigMapping) -> tuple[bool, float, int]:

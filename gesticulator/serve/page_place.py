@@ -12,8 +12,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from data_module.errors import InputError
-from data_module.files import write_text
+from data_module.files import read_object, write_text
 from gesticulator.serve.page_server import PageServer
+
+_LARGEST = 1000
+"""Bytes of a place."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +29,18 @@ class PagePlace:
 
 def page_place(source: Path) -> PagePlace | None:
     """Where a sound's page was served last; None where that is not known."""
+    return place_in(_file(source))
+
+
+def place_in(file: Path) -> PagePlace | None:
+    """The place in a file; None where there is none."""
     try:
-        told = json.loads(_file(source).read_text(encoding="utf-8"))
-        place = PagePlace(int(told["port"]), str(told["name"]))
-    except (OSError, ValueError, TypeError, KeyError):
+        told = read_object(file, "remove it", _LARGEST)
+    except InputError:
         return None
-    return place if 0 < place.port < 65536 and place.name.isalnum() else None
+    port, name = told.get("port"), told.get("name")
+    fits = type(port) is int and 0 < port < 65536 and isinstance(name, str) and name.isalnum()
+    return PagePlace(port, name) if fits else None  # type: ignore[arg-type]
 
 
 def served_again(port: int, source: Path, anew: bool = False) -> tuple[PageServer, str]:

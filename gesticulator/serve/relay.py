@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import re
 import socket
 from collections.abc import Callable
@@ -19,6 +18,8 @@ from typing import TYPE_CHECKING, Any
 from websockets.asyncio.client import unix_connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
 
+from data_module.errors import InputError
+from data_module.files import parse_json
 from gesticulator.serve.protocol import published
 
 if TYPE_CHECKING:
@@ -91,9 +92,11 @@ async def relay(ws: ServerConnection, hello: str, address: str, place: Path, beg
 
 
 def _goes_on(answer: str) -> bool:
-    with contextlib.suppress(ValueError):
-        return bool(json.loads(answer).get("resumed"))
-    return False
+    try:
+        told = parse_json(answer, "worker", "")
+    except InputError:
+        return False
+    return isinstance(told, dict) and bool(told.get("resumed"))
 
 
 async def _carry(source: Socket, target: Socket) -> None:
