@@ -137,8 +137,8 @@ NO_CASE = {
         gesticulator/serve/metrics.py:read_figures eval/probes/stability.py:_as_mp3
         gesticulator/characters/blender.py:_Worker.wait gesticulator/characters/blender.py:_Worker._last_line""",
     "messages of another process of the same server": """
-        gesticulator/serve/output_process.py:_play gesticulator/serve/relay.py:_goes_on gesticulator/serve/relay.py:relay
-        gesticulator/serve/relay.py:_carry""",
+        gesticulator/serve/output_process.py:_play gesticulator/serve/relay.py:_goes_on
+        gesticulator/serve/relay.py:relay gesticulator/serve/relay.py:_carry""",
     "runs in a child process, whose parent has a case": """
         data_module/performer/espeak_child.py:main data_module/speech/mp3_child.py:main
         gesticulator/export/fbx_child.py:animate gesticulator/characters/blender_jobs.py:main""",
