@@ -258,7 +258,9 @@ def test_a_plan_is_edited_saved_and_opened(opened: OpenedPage, tmp_path: Path) -
     page.keyboard.press("Delete")
     edited = opened.plan()
     new = edited["blocks"]
-    assert new[2] == {**blocks[2], "lexeme": blocks[2]["alternatives"][1]["lexeme"], "silent": False, "name": None}
+    second = blocks[2]["alternatives"][1]
+    assert new[2] == {**blocks[2], "lexeme": second["lexeme"], "silent": False, "name": None,
+                      "score": second["score"], "rank": None}
     assert new[3] == {**blocks[3], "silent": not was_silent, "mirror": True, "intensity": 1.1}
     moved = new[5]["end"]
     assert moved == pytest.approx(max(blocks[6]["start"] - span / 3, blocks[5]["start"] + 0.1), abs=0.02)
