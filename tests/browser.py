@@ -31,6 +31,13 @@ def chromium(*flags: str) -> Iterator[Any]:
         window.close()
 
 
+@contextmanager
+def opened_page(url: str, width: int, height: int) -> Iterator[OpenedPage]:
+    """A page at a url in a browser of its own."""
+    with chromium() as browser:
+        yield OpenedPage(browser, url, width, height)
+
+
 SITE = "http://tests.invalid/"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import OpenedPage, chromium
+from browser import OpenedPage, chromium, opened_page
 from test_story import _is, _rendered, _rotations, first, served  # noqa: F401
 
 from gesticulator.serve.edits import LivePlans
@@ -25,8 +25,7 @@ def _lexemes(opened: OpenedPage) -> list[int]:
 def test_performer_interpreter_variation_and_legs_are_chosen_undone_and_kept(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, folder = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 900)
+    with opened_page(server.url, 1280, 900) as opened:
         page = opened.page
         opened.go_to(2.0)
         before, lexemes, speaker = _rotations(page), _lexemes(opened), page.input_value("#direction-speaker")
@@ -73,8 +72,7 @@ def test_the_visible_stretch_is_seen_first_and_the_rest_as_it_is_drawn(
     monkeypatch.setattr("gesticulator.serve.edits.FIRST_SHOWN", 2)
     monkeypatch.setattr("gesticulator.serve.edits.STRETCH", 3)
     server, plans, _ = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 800)
+    with opened_page(server.url, 1280, 800) as opened:
         page = opened.page
         opened.go_to(3.0)
         for _ in range(10):  # as near as it goes

@@ -6,8 +6,6 @@ import base64
 import io
 import json
 import os
-import shutil
-import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +15,7 @@ import numpy as np
 import pytest
 from browser import OpenedPage, chromium
 from face_samples import FPS, PAUSE, posed, spoken, still, syllables
+from javascript import printed_by
 from live_double import served
 from performances import perform, write
 
@@ -49,12 +48,7 @@ def _faces(count: int) -> Array:
 
 def node(script: str, *arguments: Any) -> Any:
     """What a module prints as JSON; it has `given`, the arguments."""
-    program = shutil.which("node")
-    if program is None:
-        pytest.skip("node is not installed")
-    done = subprocess.run([program, "--input-type=module", "-e", f"const given = {json.dumps(arguments)};\n{script}"],
-                          cwd=ROOT, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+    return printed_by(f"const given = {json.dumps(arguments)};\n{script}", ROOT)
 
 
 def test_pages_and_films_draw_the_same_mouth() -> None:

@@ -4,14 +4,13 @@ driver beside our own figures, and its licence."""
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from browser import chromium
+from javascript import printed_by
 from live_double import TURN, served
 from pipecat_gesticulator import Joint, Poses, SteadyPlayer, Welcome
 from pipecat_gesticulator.messages import LONGEST, MessageReader, hello_messages, pose_messages, to_rtvi
@@ -45,13 +44,8 @@ document.body.dataset.ready = "true";
 
 
 def node(script: str) -> Any:
-    """What a module prints as JSON."""
-    program = shutil.which("node")
-    if program is None:
-        pytest.skip("node is not installed")
-    done = subprocess.run([program, "--input-type=module", "-e", script], cwd=FOLDER, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    """What a module in the package's folder prints as JSON."""
+    return printed_by(script, FOLDER)
 
 
 def test_a_stream_in_the_browser_comes_back_and_lacks_no_frame() -> None:

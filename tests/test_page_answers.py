@@ -3,13 +3,10 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
-import pytest
+from javascript import printed_by
 
 SOURCES = Path(__file__).resolve().parents[1] / "viewer" / "src"
 FRAMES, UNIT = 4, 32767
@@ -81,13 +78,8 @@ process.exit(0);
 
 
 def _answers() -> dict[str, Any]:
-    program = shutil.which("node")
-    if program is None:
-        pytest.skip("node, which runs the page's sources, is not installed: apt-get install nodejs")
-    done = subprocess.run([program, "--input-type=module", "-e", SCRIPT], cwd=SOURCES, capture_output=True, text=True,
-                          timeout=120)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    answers: dict[str, Any] = printed_by(SCRIPT, SOURCES)
+    return answers
 
 
 def test_a_draft_is_shown_and_goes_when_its_edit_is_abandoned() -> None:

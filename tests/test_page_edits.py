@@ -4,14 +4,12 @@ a renderer that is away, and what was kept goes on."""
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from javascript import printed_by
 
 SOURCES = Path(__file__).resolve().parents[1] / "viewer" / "src"
 MOVES = """
@@ -120,16 +118,6 @@ process.exit(0);
 """
 
 
-def _run(script: str, *words: str) -> Any:
-    program = shutil.which("node")
-    if program is None:
-        pytest.skip("node, which runs the page's sources, is not installed: apt-get install nodejs")
-    done = subprocess.run([program, "--input-type=module", "-e", script, "--", *words], cwd=SOURCES,
-                          capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
 @settings(max_examples=8, deadline=None)
 @given(st.lists(st.integers(100, 1000), min_size=3, max_size=12), st.data())
 def test_moved_blocks_tile_the_time_and_keep_their_gestures(lengths: list[int], data: st.DataObject) -> None:
@@ -139,8 +127,8 @@ def test_moved_blocks_tile_the_time_and_keep_their_gestures(lengths: list[int], 
         first = data.draw(st.integers(0, count - 1))
         moves.append([first, data.draw(st.integers(first, count - 1)), data.draw(st.floats(0, duration)),
                       data.draw(st.booleans())])
-    told = _run(MOVES, json.dumps({"lengths": [one / 1000 for one in lengths], "moves": moves, "marks": [],
-                                   "times": []}))
+    told = printed_by(MOVES, SOURCES, json.dumps({"lengths": [one / 1000 for one in lengths], "moves": moves,
+                                                  "marks": [], "times": []}))
     before = told["plan"]["blocks"]
     for (first, last, time, copied), made in zip(moves, told["made"], strict=True):
         (moved, place), slid = made["dragged"], made["slid"]
@@ -169,14 +157,14 @@ def test_moved_blocks_tile_the_time_and_keep_their_gestures(lengths: list[int], 
 
 
 def test_times_snap_to_the_nearest_mark_within_reach_and_curves_are_straight_between_points() -> None:
-    told = _run(MOVES, json.dumps({"lengths": [0.5], "moves": [], "marks": [1.0, 1.06, 3.0],
+    told = printed_by(MOVES, SOURCES, json.dumps({"lengths": [0.5], "moves": [], "marks": [1.0, 1.06, 3.0],
                                    "times": [0.2, 0.75, 1.02, 1.04, 1.5, 3.049, 3.2]}))
     assert told["snapped"] == [0.2, 0.75, 1.0, 1.06, 1.5, 3.0, 3.2]
     assert told["curve"] == pytest.approx([1, 0.5, 0.04, 0.08, 1, 2, 2])
 
 
 def test_an_edit_waits_for_a_renderer_that_is_away_and_goes_to_where_it_is_again() -> None:
-    told = _run(AWAY)
+    told = printed_by(AWAY, SOURCES)
     assert told["kept"] == "b" and told["same"]
     assert told["asked"] == [["render", "t", 7], ["render", "t", 7], ["/new/render", "u", None],
                              ["/new/render", "u", None]]
@@ -185,6 +173,6 @@ def test_an_edit_waits_for_a_renderer_that_is_away_and_goes_to_where_it_is_again
 
 
 def test_the_later_of_what_the_browser_kept_and_what_the_program_saved_goes_on() -> None:
-    told = _run(KEPT)
+    told = printed_by(KEPT, SOURCES)
     assert told["soon"] == told["same"] == 2 and told["later"] == 1 and told["left"] == []
     assert told["full"] == ["gesticulator edits here", "gesticulator edits here at", "other"]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import OpenedPage, chromium
+from browser import OpenedPage, chromium, opened_page
 from test_story import PATIENCE, _is, _rendered, _rotations, first, served  # noqa: F401
 from test_two_pages import _has, _Window
 
@@ -51,8 +51,7 @@ def _gestures(blocks: list[dict[str, Any]], begin: int, end: int) -> list[tuple[
 def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, folder = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 860)
+    with opened_page(server.url, 1280, 860) as opened:
         page = opened.page
         opened.go_to(1.0)
         before, frames = opened.plan()["blocks"], _rotations(page)
@@ -117,8 +116,7 @@ def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
 def test_what_is_dragged_snaps_to_beats_and_with_alt_it_does_not(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, _, _ = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 860)
+    with opened_page(server.url, 1280, 860) as opened:
         page = opened.page
         opened.go_to(2.0)
         found = opened.plan()["blocks"][10]["start"]
@@ -138,8 +136,7 @@ def test_what_is_dragged_snaps_to_beats_and_with_alt_it_does_not(
 def test_a_curve_is_set_with_keys_and_what_plays_is_read_aloud(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, _ = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 860)
+    with opened_page(server.url, 1280, 860) as opened:
         page = opened.page
         opened.go_to(2.0)
         for _ in range(3):
@@ -174,8 +171,7 @@ def test_a_curve_is_set_with_keys_and_what_plays_is_read_aloud(
 def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, folder = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 900)
+    with opened_page(server.url, 1280, 900) as opened:
         page = opened.page
         page.set_default_timeout(PATIENCE)
         blocks, frames = opened.plan()["blocks"], _rotations(page)
@@ -251,7 +247,7 @@ def test_a_page_goes_on_when_its_server_has_died_and_is_started_again(
             _rendered(page)
             one = opened.plan()["blocks"]
             _ended(server, thread)
-            # An edit that nobody renders stays, is told, and is kept.
+            # An edit that cannot be rendered stays, is announced, and is kept.
             opened.go_to(4.1)
             page.keyboard.press("3")
             page.wait_for_function("() => document.getElementById('notice').textContent.includes('does not answer')",

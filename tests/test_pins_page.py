@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import OpenedPage, chromium
+from browser import opened_page
 from test_story import _is, _rendered, _rotations, first, served  # noqa: F401
 
 from gesticulator.serve.edits import LivePlans
@@ -34,8 +34,7 @@ def _drag(page: Any, joint: str, right: float, down: float, release: bool = True
 def test_hands_and_head_are_pinned_by_mouse_and_keys(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, folder = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 800)
+    with opened_page(server.url, 1280, 800) as opened:
         page = opened.page
         page.keyboard.press("f")
         opened.go_to(3.004)

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from live_double import opener
 from pipecat_gesticulator import Hello, Poses, connect_resuming
-from test_resume import LIMITS, assert_whole, pcm, run
+from test_resume import LIMITS, assert_whole, pcm, run, spoken
 from websockets.asyncio.client import connect as open_socket
 from websockets.exceptions import ConnectionClosed
 
@@ -22,7 +22,8 @@ from gesticulator.serve.relay import CAN_RELAY, inner_socket, worker_of
 from gesticulator.serve.server import LiveServer, ServerAddress
 from gesticulator.serve.settings import ServerLimits
 
-pytestmark = pytest.mark.skipif(not CAN_RELAY, reason="there are no Unix sockets here")
+pytestmark = pytest.mark.skipif(not CAN_RELAY,
+                                reason="no Unix sockets, as on Windows: clients replay their sound there")
 
 
 class Workers:
@@ -95,21 +96,7 @@ def test_every_session_goes_on_whichever_worker_is_reached(tmp_path: Path, break
     async def test() -> None:
         async with workers(tmp_path) as both, \
                 connect_resuming(f"ws://127.0.0.1:{both.port}/stream", Hello(SAMPLE_RATE)) as stream:
-            poses: list[Poses] = []
-            events: list[dict[str, Any]] = []
-
-            async def speak() -> None:
-                for number in range(120):
-                    if number % (120 // breaks) == 10:
-                        both.break_connections()
-                    await stream.send(pcm(0.1))
-                    await asyncio.sleep(0.01)
-                await stream.finish()
-
-            speaking = asyncio.create_task(speak())
-            async for message in stream:
-                poses.append(message) if isinstance(message, Poses) else events.append(message)
-            await speaking
+            poses, events = await spoken(stream, 12.0, breaks, both.break_connections)
             assert_whole(poses, 12.0)
             backs = [event["resumed"] for event in events if event["type"] == "back"]
             assert backs and all(backs)
@@ -201,7 +188,7 @@ def test_a_full_worker_takes_no_stranger_from_another_one(tmp_path: Path) -> Non
     run(test)
 
 
-def test_a_wrong_token_is_passed_on_to_nobody(tmp_path: Path) -> None:
+def test_a_wrong_token_is_passed_on_to_no_worker(tmp_path: Path) -> None:
     async def test() -> None:
         async with workers(tmp_path, token="open sesame") as both:
             ws = await come_back(both.ports[1], "0-guessed", "sesame")

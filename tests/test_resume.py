@@ -94,6 +94,31 @@ class Came:
                 self.next, self.replaced = message.first + len(message), -1
 
 
+async def spoken(stream: ResumingStream, seconds: float, breaks: int, break_it: Callable[[], None],
+                 idle: float | None = None) -> tuple[list[Poses], list[dict[str, Any]]]:
+    """The poses and events of sound in pieces of 0.1 s, while the connection breaks so many times; idle: seconds of
+    waiting after it."""
+    poses: list[Poses] = []
+    events: list[dict[str, Any]] = []
+    count = round(seconds * 10)
+
+    async def speak() -> None:
+        for number in range(count):
+            if number % (count // breaks) == 10:
+                break_it()
+            await stream.send(pcm(0.1))
+            await asyncio.sleep(0.005)
+        if idle is not None:
+            await stream.idle(idle)
+        await stream.finish()
+
+    speaking = asyncio.create_task(speak())
+    async for message in stream:
+        poses.append(message) if isinstance(message, Poses) else events.append(message)
+    await speaking
+    return poses, events
+
+
 def assert_whole(poses: list[Poses], seconds: float) -> None:
     """Every frame once, and each the one that it says."""
     numbers = np.concatenate([np.arange(one.first, one.first + len(one)) for one in poses])
@@ -108,22 +133,7 @@ def test_a_broken_connection_costs_no_frame_and_no_sound(breaks: int) -> None:
     async def test() -> None:
         async with running() as (server, port, _), \
                 connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE)) as stream:
-            poses: list[Poses] = []
-            events: list[dict[str, Any]] = []
-
-            async def speak() -> None:
-                for number in range(100):
-                    if number % (100 // breaks) == 10:
-                        break_connections(server)
-                    await stream.send(pcm(0.1))
-                    await asyncio.sleep(0.005)
-                await stream.idle(0.5)
-                await stream.finish()
-
-            speaking = asyncio.create_task(speak())
-            async for message in stream:
-                poses.append(message) if isinstance(message, Poses) else events.append(message)
-            await speaking
+            poses, events = await spoken(stream, 10.0, breaks, lambda: break_connections(server), 0.5)
             assert_whole(poses, 10.5)
             backs = [event["resumed"] for event in events if event["type"] == "back"]
             assert backs and all(backs)

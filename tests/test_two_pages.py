@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import OpenedPage, chromium
+from browser import OpenedPage, chromium, opened_page
 from test_story import _is, _rendered, _rotations, first, served  # noqa: F401
 
 from gesticulator.serve.edits import LivePlans
@@ -76,8 +76,7 @@ def test_two_tabs_of_one_recording_agree(served: tuple[PageServer, LivePlans, Pa
 def test_the_height_of_the_hands_is_a_slider_and_a_curve(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, folder = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 900)
+    with opened_page(server.url, 1280, 900) as opened:
         page = opened.page
         before = _rotations(page)
         assert page.locator("#hand-height-is").inner_text() == "free" and page.locator("#hands-free").is_hidden()
@@ -110,8 +109,7 @@ def test_the_height_of_the_hands_is_a_slider_and_a_curve(
 def test_activity_and_energy_are_curves_too(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, _ = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 900)
+    with opened_page(server.url, 1280, 900) as opened:
         page = opened.page
         before = _rotations(page)
         assert page.locator("#curve-knob option").all_inner_texts()[:3] == ["size", "activity", "energy"]
@@ -134,8 +132,7 @@ def test_activity_and_energy_are_curves_too(
 def test_a_gesture_is_stretched_and_the_take_before_is_seen_through(
         served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
     server, plans, folder = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url, 1280, 800)
+    with opened_page(server.url, 1280, 800) as opened:
         page = opened.page
         opened.go_to(2.1)
         page.keyboard.press("y")
