@@ -142,7 +142,7 @@ def push_out(turns: dict[int, Array], limbs: OurLimbs, chain: tuple[int, int, in
             most = np.maximum(most, depth)
         if most.max() < 1e-5:
             break
-        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, np.array([0.0, -1.0, -0.5]), most > 1e-5)
+        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, POLE_OF_ELBOW, most > 1e-5)
 
 
 class OurLimbs:

@@ -70,7 +70,11 @@ export class GestureStream {
   /** Go on with a new session, at the first frame that did not come or was taken back. */
   leaveSession() {
     this.anewNext = true;
-    if (!this.live) return;
+    if (this.live) this.drop();
+  }
+
+  /** End the connection of a session that was left. */
+  drop() {
     this.socket.onclose = this.socket.onmessage = null;
     this.socket.close(1000);
     this.lost(1001, "an interruption reached back before the session");
@@ -157,12 +161,7 @@ export class GestureStream {
   }
 
   begin(welcome) {
-    if (welcome.resumed && this.anewNext) { // an interruption reached back before the session while it was opened
-      this.socket.onclose = this.socket.onmessage = null;
-      this.socket.close(1000);
-      this.lost(1001, "an interruption reached back before the session");
-      return;
-    }
+    if (welcome.resumed && this.anewNext) { this.drop(); return; } // it was left while it was opened
     const again = this.session !== null;
     this.welcome = welcome;
     if (!welcome.resumed) this.anew(welcome.session ?? "", again);

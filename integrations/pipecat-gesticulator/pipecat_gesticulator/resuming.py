@@ -129,7 +129,7 @@ class ResumingStream:
 
     async def send(self, sound: bytes) -> None:
         """Send mono sound in the format of the hello; while the connection is lost, it is kept."""
-        size = 2 if self._hello.format == "pcm16" else 4
+        size = _sample_bytes(self._hello)
         longest = int(self.welcome.limits["message_bytes"]) // 4 * 4
         for start in range(0, len(sound), longest):
             piece = sound[start:start + longest]
@@ -348,9 +348,8 @@ def _size(message: bytes | dict[str, Any]) -> int:
     return len(message) if isinstance(message, bytes) else 100
 
 
-def _bytes_of(seconds: float, hello: Hello) -> int:
-    size = 2 if hello.format == "pcm16" else 4
-    return max(0, round(seconds * hello.sample_rate)) * size
+def _sample_bytes(hello: Hello) -> int:
+    return 2 if hello.format == "pcm16" else 4
 
 
 def _cut_start(sent: _Sent, begin: float, hello: Hello) -> _Sent | None:
@@ -361,8 +360,7 @@ def _cut_start(sent: _Sent, begin: float, hello: Hello) -> _Sent | None:
             return None
         lost = max(0.0, begin - sent.start)
         # A sample in which the session begins is left out: rounded, several sessions could last a frame longer.
-        size = 2 if hello.format == "pcm16" else 4
-        first = size * math.ceil(lost * hello.sample_rate - 1e-6)
+        first = _sample_bytes(hello) * math.ceil(lost * hello.sample_rate - 1e-6)
         return replace(sent, message=sent.message[first:], start=max(sent.start, begin), seconds=sent.seconds - lost)
     if sent.message["type"] in ("idle", "think") and "seconds" in sent.message:
         left = min(sent.seconds, end - begin)
@@ -376,7 +374,8 @@ def _cut_end(sent: _Sent, end: float, hello: Hello) -> _Sent:
     """What of a message lies before a media time; it is still one message."""
     left = max(0.0, min(sent.seconds, end - sent.start))
     if isinstance(sent.message, bytes):
-        return replace(sent, message=sent.message[:_bytes_of(left, hello)], seconds=left)
+        last = _sample_bytes(hello) * round(left * hello.sample_rate)
+        return replace(sent, message=sent.message[:last], seconds=left)
     if sent.message["type"] == "interrupt":  # taken back, too
         return replace(sent, message={**sent.message, "time": min(sent.message["time"], end)})
     if sent.seconds > left:
