@@ -38,8 +38,9 @@ class Served:
         self.lines: list[str] = []
         """All of them, as they come."""
         self._new: queue.Queue[str | None] = queue.Queue()
+        plain = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
         self.process = subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments], cwd=ROOT, text=True,
-                                        stderr=subprocess.PIPE)
+                                        stderr=subprocess.PIPE, env=plain)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         self.port = int(self.await_line(r"listening on ws://127.0.0.1:(\d+)/stream").group(1))
@@ -226,6 +227,34 @@ def test_a_single_server_ends_with_code_0_in_the_middle_of_a_stream() -> None:
 
         assert len(joined(asyncio.run(test()))) == 90, "what was received is answered first"
         assert at.process.wait(_PATIENCE) == 0
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs Linux's figures of threads")
+def test_no_thread_computes_beside_the_compute_thread() -> None:
+    """Those of numpy's matrix products spin while they wait for work, which took more than the stream."""
+    with served() as at:
+        at.await_line("worker 0 is ready")
+        before = _processor_ticks(at.process.pid)
+
+        async def test() -> None:
+            async with connect(f"ws://127.0.0.1:{at.port}/stream", Hello(RATE)) as stream:
+                for _ in range(60):  # as it comes from a microphone: the products are small
+                    await stream.send(speech(.1))
+                await stream.finish()
+                async for message in stream:
+                    assert message
+
+        asyncio.run(test())
+        after = _processor_ticks(at.process.pid)
+        took = sorted(ticks - before.get(thread, 0) for thread, ticks in after.items())
+        assert sum(took[:-1]) <= .4 * took[-1], "the sockets' thread takes a tenth"
+
+
+def _processor_ticks(pid: int) -> dict[str, int]:
+    """Thread -> the processor time that it took, in ticks of the kernel."""
+    fields = {task.name: (task / "stat").read_text().rpartition(")")[2].split()
+              for task in Path(f"/proc/{pid}/task").iterdir()}
+    return {thread: int(of[11]) + int(of[12]) for thread, of in fields.items()}
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [

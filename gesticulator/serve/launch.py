@@ -131,17 +131,25 @@ class Sockets:
 
 
 def serve_here(config: Launch, sockets: Sockets, worker: int = 0, folder: Path | None = None) -> None:
-    """Load the models and serve in this process until stopped."""
-    import asyncio
+    """Load the models and serve in this process until stopped.
 
-    import torch
+    The threads of numpy's matrix products are limited with torch's: beside a stream's small products the others wait
+    in a loop, which costs more than the stream.
+    """
+    from gesticulator.cli import limited_threads
+
+    with limited_threads(config.threads):
+        _serve(config, sockets, worker, folder)
+
+
+def _serve(config: Launch, sockets: Sockets, worker: int, folder: Path | None) -> None:
+    import asyncio
 
     from gesticulator.pipeline import Gesticulator
     from gesticulator.serve.memory import freeze_loaded
     from gesticulator.serve.server import LiveServer
     from gesticulator.serve.session import session_opener
 
-    torch.set_num_threads(config.threads)
     system = Gesticulator.from_pretrained(config.bundle)
     cost = _warm_up_in_turn(system, folder)
     freeze_loaded()
