@@ -19,6 +19,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from pathlib import Path
@@ -54,6 +55,8 @@ class Server:
             self.port = int(found.group(1)) if found else self.port
             if "is ready" in line:
                 break
+        # The rest of the log is read, too: a full pipe would be part of what is measured.
+        threading.Thread(target=self.process.stderr.read, daemon=True).start()
 
     @property
     def url(self) -> str:
@@ -75,8 +78,7 @@ class Server:
 
     def stop(self) -> int:
         self.process.send_signal(signal.SIGTERM)
-        self.process.communicate(timeout=60)
-        return self.process.returncode
+        return self.process.wait(60)
 
 
 async def microphone(url: str, sound: np.ndarray, latency: str, begin: float) -> list[np.ndarray]:

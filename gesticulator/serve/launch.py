@@ -83,7 +83,7 @@ def launch(config: Launch) -> int:
     """Serve until SIGTERM or SIGINT; exit code 0. `InputError` for an invalid configuration."""
     from gesticulator.bundle.files import bundle_folder
     from gesticulator.options import RANGES
-    from gesticulator.serve.server import log_to_stderr
+    from gesticulator.serve.log import log_to_stderr
 
     if not 1 <= config.workers <= _MOST_WORKERS:
         raise InputError(f"--workers {config.workers}", "is out of range", f"choose 1 to {_MOST_WORKERS}")
@@ -95,7 +95,7 @@ def launch(config: Launch) -> int:
             raise InputError(output.option, "works with one worker only", "leave --workers out")
     if not bundle_folder(config.bundle).is_dir():
         raise InputError(config.bundle or "--bundle", "is not a folder", "give default, paper, or a trained bundle")
-    log_to_stderr()
+    log_to_stderr(LOG)
     address = config.address
     with contextlib.ExitStack() as opened:
         listening = opened.enter_context(address.listen())
@@ -251,9 +251,9 @@ def _tell_ready(config: Launch, listening: socket.socket, worker: int) -> None:
 def _worker(config: Launch, sockets: Sockets, number: int, folder: str) -> None:
     """Main function of a worker process."""
     from data_module.errors import one_line_errors
-    from gesticulator.serve.server import log_to_stderr
+    from gesticulator.serve.log import log_to_stderr
 
-    log_to_stderr()
+    log_to_stderr(LOG)
     with one_line_errors("gesticulator serve"):
         serve_here(config, sockets, number, Path(folder))
 

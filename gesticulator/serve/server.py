@@ -14,7 +14,6 @@ import math
 import os
 import signal
 import socket
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -561,12 +560,3 @@ def _quiet() -> logging.Logger:
     log = logging.getLogger("gesticulator.serve.websockets")
     log.setLevel(logging.CRITICAL)
     return log
-
-
-def log_to_stderr() -> None:
-    """Print the server's log on standard error, one line per event."""
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    LOG.handlers[:] = [handler]
-    LOG.setLevel(logging.INFO)
-    LOG.propagate = False

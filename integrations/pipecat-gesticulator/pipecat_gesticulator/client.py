@@ -73,12 +73,14 @@ class GestureStream:
 
 
 @asynccontextmanager
-async def connect(url: str, hello: Hello) -> AsyncIterator[GestureStream]:
+async def connect(url: str, hello: Hello, **options: Any) -> AsyncIterator[GestureStream]:
     """Open a stream on a server.
 
-    url: such as "ws://127.0.0.1:8765/stream". ConnectionError with the server's reason where it refuses.
+    url: such as "ws://127.0.0.1:8765/stream". options: others of `websockets.asyncio.client.connect`, such as
+    additional_headers or ssl. ConnectionError with the server's reason where it refuses.
     """
-    async with open_socket(url, subprotocols=[SUBPROTOCOL], max_size=LONGEST_MESSAGE, compression=None) as socket:  # type: ignore[list-item]
+    async with open_socket(url, subprotocols=[SUBPROTOCOL], max_size=LONGEST_MESSAGE, compression=None,  # type: ignore[list-item]
+                           **options) as socket:
         await socket.send(hello.text())
         answer = await socket.recv()
         text = answer if isinstance(answer, str) else answer.decode("utf-8", "replace")

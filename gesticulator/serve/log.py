@@ -1,0 +1,66 @@
+"""The server's log, which must not stop the server: whoever reads standard error may stand still."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import sys
+import threading
+from typing import TextIO
+
+LINES = 10_000
+"""Lines that may wait to be written; later ones are dropped, and their number is written in their place."""
+CLOSE_SECONDS = 2.0
+"""Time for the lines that wait when the process ends."""
+
+
+class WaitlessHandler(logging.Handler):
+    """Writes to a stream in a thread of its own, so that no event waits for the reader of the stream."""
+
+    def __init__(self, stream: TextIO | None = None, lines: int = LINES) -> None:
+        super().__init__()
+        self._stream = sys.stderr if stream is None else stream
+        self._waiting: queue.Queue[str | None] = queue.Queue(lines)
+        self._dropped = 0
+        self._thread = threading.Thread(target=self._write, name="log", daemon=True)
+        self._thread.start()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Let the line of an event wait, or drop it if too many do."""
+        try:
+            line = self.format(record)
+            if self._dropped:
+                self._waiting.put_nowait(f"{self._dropped} lines were dropped: standard error was not read")
+                self._dropped = 0
+            self._waiting.put_nowait(line)
+        except queue.Full:
+            self._dropped += 1
+        except Exception:  # noqa: BLE001 - as every handler
+            self.handleError(record)
+
+    def close(self) -> None:
+        """Write what waits, for a bounded time."""
+        if self._thread.is_alive():
+            try:
+                self._waiting.put(None, timeout=CLOSE_SECONDS)
+                self._thread.join(CLOSE_SECONDS)
+            except queue.Full:
+                pass
+        super().close()
+
+    def _write(self) -> None:
+        while (line := self._waiting.get()) is not None:
+            try:
+                self._stream.write(line + "\n")
+                self._stream.flush()
+            except (OSError, ValueError):  # closed: nobody can be told
+                return
+
+
+def log_to_stderr(log: logging.Logger) -> None:
+    """Print a log on standard error, one line per event."""
+    handler = WaitlessHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    log.handlers[:] = [handler]
+    log.setLevel(logging.INFO)
+    log.propagate = False
