@@ -46,8 +46,8 @@ class ServerLimits:
     """Longest message: half a minute of 16-bit audio at 16 kHz."""
     waiting_seconds: Seconds = 120.0
     """Audio waiting to be processed. A synthesiser may deliver a long answer at once."""
-    unread_bytes: WaitingBytes = 2**23
-    """Poses waiting to be read, about 2.5 minutes of 54 joints at 60 frames per second; above it the stream pauses."""
+    unread_bytes: WaitingBytes = 2**22
+    """Poses waiting to be read, more than a minute of 54 joints at 60 frames per second; above it the stream pauses."""
     unread_seconds: Seconds = 30.0
     """Time that a client may leave that many poses unread."""
     hello_seconds: Seconds = 10.0
