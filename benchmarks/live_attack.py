@@ -188,11 +188,11 @@ def table(report: dict[str, Any]) -> str:
     """The report as Markdown."""
     lines = ["# Attacks", "", f"`{report['command']}`, {report['date']}; {report['processor']}, "
              f"{report['cores']} cores, {report['good']} good microphones in low-latency mode.", "",
-             "| beside | p50 / p99 without, s | p50 / p99 beside it, s | p99 beside over without | load |",
-             "|---|---|---|---|---|"]
+             "| beside | pairs | p50 / p99 without, s | p50 / p99 beside it, s | p99 beside over without | load |",
+             "|---|---|---|---|---|---|"]
     for name, row in report["attacks"].items():
         own, theirs = (f"{row[key]['p50']:.3f} / {row[key]['p99']:.3f}" for key in ("without", "beside"))
-        lines.append(f"| {name} | {own} | {theirs} | {row['ratio']:.2f} | {row['load']:g} |")
+        lines.append(f"| {name} | {row['pairs']} | {own} | {theirs} | {row['ratio']:.2f} | {row['load']:g} |")
     return "\n".join([*lines, "", "The load is that of the whole machine when a row was done: with other work on it, a "
                       "ratio says little.", ""])
 
@@ -204,7 +204,7 @@ def main() -> None:
     p.add_argument("--seconds", type=float, default=20.0, help="of each run (default 20)")
     p.add_argument("--pairs", type=int, default=2, help="of runs per attack (default 2)")
     p.add_argument("--attacks", nargs="*", choices=list(ATTACKS), default=list(ATTACKS))
-    p.add_argument("--out", type=Path, help="path of the report, without .json and .md")
+    p.add_argument("--out", type=Path, help="path of the report, without .json and .md; its other attacks stay")
     a = p.parse_args()
     samples = resample(load_speech(ROOT / "examples" / "speech.flac"), RATE).samples
     voice = (samples * 32767).astype("<i2")
@@ -212,14 +212,16 @@ def main() -> None:
     command = f"python benchmarks/live_attack.py --good {a.good} --seconds {a.seconds:g} --pairs {a.pairs}"
     report: dict[str, Any] = {"command": command, "date": time.strftime("%Y-%m-%d"),
                               "processor": processor(), "cores": os.cpu_count(), "good": a.good, "seconds": a.seconds,
-                              "pairs": a.pairs, "attacks": {}}
+                              "attacks": {}}
+    if a.out and a.out.with_suffix(".json").exists():
+        report["attacks"] |= json.loads(a.out.with_suffix(".json").read_text())["attacks"]
     for attack in a.attacks:
         without: list[float] = []
         beside: list[float] = []
         for _ in range(a.pairs):
             without += asyncio.run(measured(server, voice, a.good, a.seconds, None))
             beside += asyncio.run(measured(server, voice, a.good, a.seconds, attack))
-        row = {"without": quantiles(without), "beside": quantiles(beside),
+        row = {"pairs": a.pairs, "without": quantiles(without), "beside": quantiles(beside),
                "ratio": round(float(np.quantile(beside, 0.99) / np.quantile(without, 0.99)), 3),
                "load": round(os.getloadavg()[0], 1)}
         report["attacks"][attack] = row
