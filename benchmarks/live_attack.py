@@ -1,4 +1,4 @@
-"""What rude clients cost the good ones: `python benchmarks/live_attack.py --out docs/results/live_attack`.
+"""What rude clients cost the good ones: `python benchmarks/live_attack.py [--out FILE.json]`.
 
 It takes 12 minutes, on a machine that does nothing else; `--seconds 10 --pairs 1` takes four, and its p99 is one of 60
 packets or so a microphone.
@@ -24,12 +24,12 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import json
 import os
+import shlex
+import sys
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from live import PIECE, RATE, ROOT, Server
@@ -38,9 +38,13 @@ from realtime import processor
 from websockets.asyncio.client import connect as open_socket
 from websockets.exceptions import WebSocketException
 
-from data_module.files import write_text
 from data_module.speech.audio import load_speech, resample
+from eval.table import Cell, Column, Provenance, Table, load_with_provenance, publish
 
+COLUMNS = {"pairs": Column("pairs of runs"), "quiet_p50": Column("p50 without", "s", 3, "low"),
+           "quiet_p99": Column("p99 without", "s", 3, "low"), "loud_p50": Column("p50 beside it", "s", 3, "low"),
+           "loud_p99": Column("p99 beside it", "s", 3, "low"), "ratio": Column("p99 beside over without", "", 2, "low"),
+           "load": Column("load", "", 1)}
 STRANGER = ("127.0.0.2", 0)
 """Where attacks come from: a server counts by addresses."""
 _ENDS = (WebSocketException, OSError, TimeoutError, ValueError)
@@ -180,21 +184,12 @@ async def measured(server: Server, voice: np.ndarray, good: int, seconds: float,
     return [one for stream in every for one in stream]
 
 
-def quantiles(values: list[float]) -> dict[str, float]:
-    return {f"p{round(q * 100)}": round(float(np.quantile(values, q)), 4) for q in (0.5, 0.95, 0.99)}
-
-
-def table(report: dict[str, Any]) -> str:
-    """The report as Markdown."""
-    lines = ["# Attacks", "", f"`{report['command']}`, {report['date']}; {report['processor']}, "
-             f"{report['cores']} cores, {report['good']} good microphones in low-latency mode.", "",
-             "| beside | pairs | p50 / p99 without, s | p50 / p99 beside it, s | p99 beside over without | load |",
-             "|---|---|---|---|---|---|"]
-    for name, row in report["attacks"].items():
-        own, theirs = (f"{row[key]['p50']:.3f} / {row[key]['p99']:.3f}" for key in ("without", "beside"))
-        lines.append(f"| {name} | {row['pairs']} | {own} | {theirs} | {row['ratio']:.2f} | {row['load']:g} |")
-    return "\n".join([*lines, "", "The load is that of the whole machine when a row was done: with other work on it, a "
-                      "ratio says little.", ""])
+def row(pairs: int, without: list[float], beside: list[float]) -> dict[str, Cell]:
+    """Of one attack: quantiles of the good clients' delays in the runs of either kind."""
+    quiet, loud = np.quantile(without, (0.5, 0.99)), np.quantile(beside, (0.5, 0.99))
+    return {"pairs": str(pairs), "quiet_p50": float(quiet[0]), "quiet_p99": float(quiet[1]),
+            "loud_p50": float(loud[0]), "loud_p99": float(loud[1]), "ratio": float(loud[1] / quiet[1]),
+            "load": os.getloadavg()[0]}
 
 
 def main() -> None:
@@ -204,32 +199,27 @@ def main() -> None:
     p.add_argument("--seconds", type=float, default=20.0, help="of each run (default 20)")
     p.add_argument("--pairs", type=int, default=2, help="of runs per attack (default 2)")
     p.add_argument("--attacks", nargs="*", choices=list(ATTACKS), default=list(ATTACKS))
-    p.add_argument("--out", type=Path, help="path of the report, without .json and .md; its other attacks stay")
+    p.add_argument("--out", type=Path, metavar="FILE.json", help="a .md is written beside it; other attacks stay")
     a = p.parse_args()
     samples = resample(load_speech(ROOT / "examples" / "speech.flac"), RATE).samples
     voice = (samples * 32767).astype("<i2")
+    rows: dict[str, Mapping[str, Cell]] = {}
+    if a.out and a.out.exists():
+        rows |= load_with_provenance(a.out)[0][0].rows
     server = Server()
-    command = f"python benchmarks/live_attack.py --good {a.good} --seconds {a.seconds:g} --pairs {a.pairs}"
-    report: dict[str, Any] = {"command": command, "date": time.strftime("%Y-%m-%d"),
-                              "processor": processor(), "cores": os.cpu_count(), "good": a.good, "seconds": a.seconds,
-                              "attacks": {}}
-    if a.out and a.out.with_suffix(".json").exists():
-        report["attacks"] |= json.loads(a.out.with_suffix(".json").read_text())["attacks"]
     for attack in a.attacks:
         without: list[float] = []
         beside: list[float] = []
         for _ in range(a.pairs):
             without += asyncio.run(measured(server, voice, a.good, a.seconds, None))
             beside += asyncio.run(measured(server, voice, a.good, a.seconds, attack))
-        row = {"pairs": a.pairs, "without": quantiles(without), "beside": quantiles(beside),
-               "ratio": round(float(np.quantile(beside, 0.99) / np.quantile(without, 0.99)), 3),
-               "load": round(os.getloadavg()[0], 1)}
-        report["attacks"][attack] = row
-        print(attack, row, flush=True)
-    report["exit_code"] = server.stop()
-    if a.out:
-        write_text(a.out.with_suffix(".json"), json.dumps(report, indent=1) + "\n")
-        write_text(a.out.with_suffix(".md"), table(report))
+        rows[attack] = row(a.pairs, without, beside)
+        print(attack, rows[attack], flush=True)
+    ended = server.stop()
+    notes = [f"{a.good} good microphones in low-latency mode, runs of {a.seconds:g} s; {processor()}. The load is that "
+             "of the whole machine when a row was done: with other work on it, a ratio says little."]
+    publish([Table("Attacks on the server", COLUMNS, rows, "beside", notes, {"exit_code": ended})], a.out,
+            Provenance.now(shlex.join(["python", "benchmarks/live_attack.py", *sys.argv[1:]])))
 
 
 if __name__ == "__main__":

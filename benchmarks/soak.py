@@ -47,7 +47,7 @@ from typing import Any
 import live_attack
 import numpy as np
 from live import RATE, ROOT
-from pipecat_gesticulator import Hello, Poses, client, connect_resuming
+from pipecat_gesticulator import Hello, Poses, connect_resuming
 from pipecat_gesticulator.resuming import ResumingStream
 from realtime import processor
 
@@ -73,7 +73,6 @@ LESSER = {"shortened_seconds_total": "seconds of sound processed with low look-a
           "wrong_tokens_total": "wrong tokens", "closed_total": "connections that the server closed",
           "refused_total": "requests that the server refused"}
 """Counters of the server -> what the table calls them."""
-RUDE_ADDRESS = "127.0.0.66"
 KINDS: dict[str, dict[str, Any]] = {
     "microphone": {"options": {"latency": "low"}},
     "full microphone": {"options": {"keep_up": True}},
@@ -358,9 +357,7 @@ def _attacker(processes: Processes, name: str) -> subprocess.Popen[bytes]:
 
 
 async def attack(name: str, port: int) -> None:
-    """One attack for `ATTACK_SECONDS`, from an address of its own."""
-    opened = partial(live_attack.open_socket, local_addr=(RUDE_ADDRESS, 0))
-    client.open_socket = live_attack.open_socket = opened  # type: ignore[assignment, misc]
+    """One attack for `ATTACK_SECONDS`."""
     live_attack.Hello = partial(Hello, token=os.environ["SOAK_KEY"])  # type: ignore[assignment, misc]
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(ATTACK_SECONDS):
