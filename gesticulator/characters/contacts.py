@@ -153,22 +153,22 @@ class OurLimbs:
 
     def place(self, turns: Mapping[int, Array], node: int) -> Array:
         """[T, 3] position of a joint relative to the hips; turns: joint -> [T, 3, 3] its world rotation."""
-        above = self.skeleton.parents[node]
-        if above < 0:
-            return np.zeros((1, 3))
-        return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
+        return self._place(turns, node, self._fixed())
 
     def places(self, turns: Mapping[int, Array], nodes: Sequence[int]) -> Array:
         """[P, T, 3] positions of joints as `place` gives them; those above them are computed once."""
-        known = {0: self.place(turns, 0)}
+        known = self._fixed()
+        return np.stack([self._place(turns, node, known) for node in nodes])
 
-        def place(node: int) -> Array:
-            if node not in known:
-                above = self.skeleton.parents[node]
-                known[node] = place(above) + turns[above] @ self.skeleton.offsets[node]
-            return known[node]
+    def _fixed(self) -> dict[int, Array]:
+        """The joint from which the others are placed, and its position [T, 3]."""
+        return {0: np.zeros((1, 3))}
 
-        return np.stack([place(node) for node in nodes])
+    def _place(self, turns: Mapping[int, Array], node: int, known: dict[int, Array]) -> Array:
+        if node not in known:
+            above = self.skeleton.parents[node]
+            known[node] = self._place(turns, above, known) + turns[above] @ self.skeleton.offsets[node]
+        return known[node]
 
 
 def kept_out_of_us(motion: Motion, near: Mapping[str, Array]) -> Motion:
@@ -228,14 +228,10 @@ class BelowShoulder(OurLimbs):
 
     def __init__(self, skeleton: Skeleton, shoulder: int, place: Array) -> None:
         super().__init__(skeleton)
-        self._shoulder, self._place = shoulder, place
+        self._shoulder = {shoulder: place}
 
-    def place(self, turns: Mapping[int, Array], node: int) -> Array:
-        """[T, 3] position of a node of the arm relative to the hips."""
-        if node == self._shoulder:
-            return self._place
-        above = self.skeleton.parents[node]
-        return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
+    def _fixed(self) -> dict[int, Array]:
+        return dict(self._shoulder)
 
 
 def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array], joints: Sequence[int],
