@@ -1,4 +1,4 @@
-"""The server's log, which must not stop the server: whoever reads standard error may stand still."""
+"""The server's log, which must not stop the server: a pipe that is not read any more blocks what writes to it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class WaitlessHandler(logging.Handler):
             self._waiting.put_nowait(line)
         except queue.Full:
             self._dropped += 1
-        except Exception:  # noqa: BLE001 - as every handler
+        except Exception:  # noqa: BLE001 - as in every handler of the library
             self.handleError(record)
 
     def close(self) -> None:
@@ -53,7 +53,7 @@ class WaitlessHandler(logging.Handler):
             try:
                 self._stream.write(line + "\n")
                 self._stream.flush()
-            except (OSError, ValueError):  # closed: nobody can be told
+            except (OSError, ValueError):  # the stream is closed
                 return
 
 
@@ -61,6 +61,8 @@ def log_to_stderr(log: logging.Logger) -> None:
     """Print a log on standard error, one line per event."""
     handler = WaitlessHandler()
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    for old in log.handlers:
+        old.close()
     log.handlers[:] = [handler]
     log.setLevel(logging.INFO)
     log.propagate = False
