@@ -70,6 +70,28 @@ def served() -> Iterator[tuple[PageServer, Renderer]]:
     thread.join(10)
 
 
+def test_a_page_that_ends_leaves_no_thread_behind(served: tuple[PageServer, Renderer]) -> None:
+    server, renderer = served
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+    connection.request("GET", f"/{server.secret}/")
+    connection.getresponse().read()
+    threads = [one for one in threading.enumerate() if "process_request_thread" in one.name]
+    assert len(threads) == 1, "it waits for the next request"
+    server.settle()
+    assert not threads[0].is_alive() and connection.sock.recv(1) == b""
+
+    renderer.may_go_on.clear()
+    busy = threading.Thread(target=lambda: _ask(server, body=json.dumps({"plan": renderer.plan}).encode()))
+    busy.start()
+    assert renderer.begun.wait(10)
+    server.settle(0.05)
+    assert busy.is_alive(), "one that computes is not waited for without end"
+    renderer.may_go_on.set()
+    server.settle()
+    busy.join(10)
+    assert not [one for one in threading.enumerate() if "process_request_thread" in one.name]
+
+
 def _ask(server: PageServer, method: str = "POST", path: str = "render", body: bytes | None = None,
          **changed: str | None) -> tuple[int, dict[str, Any] | bytes]:
     """The status and the answer. changed: headers other than those of the page, None for none."""

@@ -16,6 +16,7 @@ import secrets
 import socket
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -39,6 +40,8 @@ PATIENCE = 30.0
 """Idle timeout of a connection, seconds."""
 MAKES_ROOM = 1.0
 """Seconds in which a silent connection that is closed for a new one should end."""
+SETTLES = 5.0
+"""Seconds in which the threads of all connections should end with the page."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",  # cannot be set by the policy in the page
@@ -90,6 +93,7 @@ class PageServer(ThreadingHTTPServer):
         self._connections = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self._silent: dict[socket.socket, None] = {}  # connections without a valid request, the oldest first
         self._changing = threading.Lock()
+        self._answering: set[threading.Thread] = set()
         self._latest: dict[str, int] = {}  # page -> its last request
 
     @property
@@ -142,11 +146,28 @@ class PageServer(ThreadingHTTPServer):
         return lambda: self._latest.get(page, number) > number
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
+        thread = threading.current_thread()
+        with self._changing:
+            self._answering.add(thread)
         try:
             super().process_request_thread(request, client_address)
         finally:
             self.speaks(request)
             self._connections.release()
+            with self._changing:
+                self._answering.discard(thread)
+
+    def settle(self, seconds: float = SETTLES) -> None:
+        """End the connections that wait for a request, and wait for the threads of all, for a bounded time: a thread
+        that is stopped within torch at the end of the process crashes it."""
+        with self._changing:
+            silent, threads = list(self._silent), list(self._answering)
+        for connection in silent:
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+        end = time.monotonic() + seconds
+        for thread in threads:
+            thread.join(max(0.0, end - time.monotonic()))
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore browsers that disconnect early."""

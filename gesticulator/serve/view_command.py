@@ -203,8 +203,8 @@ def _serve(server: PageServer, args: argparse.Namespace) -> None:
             server.serve_forever()
     if server.saved is not None:
         server.saved.save()
-    # Wait for a running rendering: a thread stopped within torch crashes the process.
-    server.rendering.acquire()
+    server.rendering.acquire()  # after the one that is running
+    server.settle()
 
 
 def _way_in(folder: Path, url: str) -> str:
