@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import threading
+import time
 
 from gesticulator.serve.log import WaitlessHandler
 
@@ -42,8 +43,8 @@ def test_a_reader_who_stands_still_holds_no_event_up() -> None:
 
         reading = threading.Thread(target=read)
         reading.start()
-        while handler._waiting.qsize():
-            pass
+        while handler.queue.qsize():
+            time.sleep(0.001)
         log.info("after it")
         handler.close()
         stream.close()

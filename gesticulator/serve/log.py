@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import queue
 import sys
 import threading
+from logging.handlers import QueueHandler
 from typing import TextIO
 
 LINES = 10_000
@@ -14,42 +16,41 @@ CLOSE_SECONDS = 2.0
 """Time for the lines that wait when the process ends."""
 
 
-class WaitlessHandler(logging.Handler):
+class WaitlessHandler(QueueHandler):
     """Writes to a stream in a thread of its own, so that no event waits for the reader of the stream."""
 
     def __init__(self, stream: TextIO | None = None, lines: int = LINES) -> None:
-        super().__init__()
+        self._lines: queue.Queue[str | None] = queue.Queue(lines)
+        super().__init__(self._lines)
         self._stream = sys.stderr if stream is None else stream
-        self._waiting: queue.Queue[str | None] = queue.Queue(lines)
         self._dropped = 0
         self._thread = threading.Thread(target=self._write, name="log", daemon=True)
         self._thread.start()
 
-    def emit(self, record: logging.LogRecord) -> None:
+    def prepare(self, record: logging.LogRecord) -> str:
+        """The line of an event."""
+        return self.format(record)
+
+    def enqueue(self, line: str) -> None:  # type: ignore[override]
         """Let the line of an event wait, or drop it if too many do."""
         try:
-            line = self.format(record)
             if self._dropped:
-                self._waiting.put_nowait(f"{self._dropped} lines were dropped: standard error was not read")
+                self._lines.put_nowait(f"{self._dropped} lines were dropped: standard error was not read")
                 self._dropped = 0
-            self._waiting.put_nowait(line)
+            self._lines.put_nowait(line)
         except queue.Full:
             self._dropped += 1
-        except Exception:  # noqa: BLE001 - as in every handler of the library
-            self.handleError(record)
 
     def close(self) -> None:
         """Write what waits, for a bounded time."""
         if self._thread.is_alive():
-            try:
-                self._waiting.put(None, timeout=CLOSE_SECONDS)
+            with contextlib.suppress(queue.Full):
+                self._lines.put(None, timeout=CLOSE_SECONDS)
                 self._thread.join(CLOSE_SECONDS)
-            except queue.Full:
-                pass
         super().close()
 
     def _write(self) -> None:
-        while (line := self._waiting.get()) is not None:
+        while (line := self._lines.get()) is not None:
             try:
                 self._stream.write(line + "\n")
                 self._stream.flush()
