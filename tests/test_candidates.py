@@ -12,6 +12,7 @@ import soundfile
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
 from eval.baselines import controls as baselines
+from eval.runner.renderings import ListeningGesticulator
 from gesticulator.bundle.bundle import SHIPPED, Bundle, load
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
@@ -22,6 +23,7 @@ from gesticulator.drawing.candidates import (
     behind_trunk,
     depth,
     in_time,
+    retimings,
     slow_enough,
 )
 from gesticulator.drawing.cutter import encode_speech
@@ -251,6 +253,60 @@ def test_an_onset_a_deviation_away_counts_as_a_gaussian_says() -> None:
     np.testing.assert_allclose(near, 40 / 43 * np.exp([0.0, -0.5, -2.0]), rtol=1e-6)
 
 
+def test_a_retimed_block_is_earlier_or_later_in_its_middle_and_keeps_its_ends() -> None:
+    steps = np.arange(-1, FRAMES + 1) / FRAMES
+    early, *_, same, _, _, late = retimings(FRAMES, 0.1) @ np.stack([steps, steps ** 2], axis=1)
+    t = steps[2:]
+    np.testing.assert_array_equal(same, np.stack([t, t ** 2], axis=1))
+    for made, shift in ((early, -0.1), (late, 0.1)):
+        expected = t + shift * 16.0 * t ** 2 * (1.0 - t) ** 2
+        np.testing.assert_allclose(made[:, 0], expected, atol=1e-12, err_msg="a straight way is another clock")
+        inner = slice(1, -2)  # the spline of the last piece does not know what comes after it
+        np.testing.assert_allclose(made[inner, 1], expected[inner] ** 2, atol=1e-12)
+    assert late[4, 0] - t[4] == pytest.approx(0.1) and late[-1, 0] == 1.0, "by a tenth in the middle"
+    assert (np.diff(retimings(FRAMES, 0.3)[:, :, :] @ steps, axis=1) > 0.0).all(), "time never goes back"
+
+
+def test_hands_that_stop_before_the_onset_stop_nearer_to_it_when_retimed(bundle: Bundle) -> None:
+    chooser = CandidateChooser(replace(bundle, config=with_settings(bundle.config, ["selection.retiming=0.15"])), 0)
+    past, block = swing(bundle, 0.4)
+
+    def worth(block: Array, speech: SpeechBlock) -> float:
+        hands = chooser._places(chooser._poses(past, block[None]))[:, :, :2]
+        return float(in_time(hands, chooser._times(speech, FRAMES), speech.start, speech.onsets)[0])
+
+    for onset, earlier in ((2.28, False), (2.12, True)):  # the hands stop at 2.2 s
+        speech = block_of(np.array([onset]))
+        made = chooser.retimed(speech, past, block)
+        assert worth(made, speech) > worth(block, speech) + 0.1
+        assert (np.abs(made - past[-1])[1] > np.abs(block - past[-1])[1] + 1e-3).any() == earlier
+        np.testing.assert_allclose(made[-1], block[-1], atol=1e-6)
+    np.testing.assert_array_equal(chooser.retimed(block_of(np.array([2.2])), past, block), block)
+    np.testing.assert_array_equal(chooser.retimed(block_of(np.zeros(0)), past, block), block)
+
+
+def test_candidates_with_the_same_arms_differ_in_torso_and_head_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The shipped bundle; the first block, before which all is the same, once with the first candidate and once with
+    the last one."""
+    bundle = load(SHIPPED)
+    sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
+    basis = bundle.block_models.lexicon.basis
+    trunk = sorted(column for name in ("torso", "head") for column in basis.parts[name])
+
+    def first(same: bool, chosen: int) -> Array:
+        monkeypatch.setattr(CandidateChooser, "choose", lambda *_, **__: chosen)
+        config = replace(bundle.config, selection=replace(bundle.config.selection, same_arms=same, retiming=0.0,
+                                                          careful=False))
+        system = ListeningGesticulator(replace(bundle, config=config))
+        system(Speech(sound[:5 * rate], rate), seed=1)
+        return system.drawn[0]
+
+    for same in (True, False):
+        moved = np.abs(first(same, 0) - first(same, 3)).max(axis=0)
+        assert moved[trunk].max() > 0.05
+        assert (np.delete(moved, trunk).max() < 0.01) == same
+
+
 def test_every_onset_belongs_to_the_blocks_it_lies_in(bundle: Bundle) -> None:
     time = np.arange(6 * RATE) / RATE
     noise = np.random.default_rng(1).normal(size=len(time))
@@ -283,7 +339,7 @@ def test_what_is_chosen_is_more_in_time_than_the_others(monkeypatch: pytest.Monk
     sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
     gains = []
     for weight in (0.0, 4.0):
-        selection = replace(bundle.config.selection, timing=weight, candidates=16)
+        selection = replace(bundle.config.selection, timing=weight, candidates=16, same_arms=False, retiming=0.0)
         rows.clear()
         Gesticulator(replace(bundle, config=replace(bundle.config, selection=selection)))(
             Speech(sound[:20 * rate], rate), seed=1)

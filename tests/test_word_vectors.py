@@ -195,3 +195,13 @@ def test_frames_agree_with_a_plain_search(drawn: list[tuple[str, float, float]],
 
 def test_packaged_names_are_told_in_one_place() -> None:
     assert set(word_vectors.PACKAGED) == {"minilm"}
+
+
+def test_what_is_said_later_changes_no_word_read_so_far(encoder: WordEncoder) -> None:
+    words, changed = (_words(f"we met at the {place} of the old city") for place in ("bank", "gate"))
+    first, second = (encoder.encode(each, so_far=True) for each in (words, changed))
+    np.testing.assert_allclose(first[:4], second[:4], atol=2e-5)
+    assert np.abs(first[4:] - second[4:]).max(axis=1).min() > 0.02, "and what follows is another sentence"
+    whole = [encoder.encode(each) for each in (words, changed)]
+    assert np.abs(whole[0][:4] - whole[1][:4]).max() > 0.02, "the whole sentence is read otherwise"
+    np.testing.assert_allclose(first[-1], whole[0][-1], atol=2e-5, err_msg="all of it was said at its last word")

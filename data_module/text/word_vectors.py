@@ -78,11 +78,17 @@ class WordEncoder:
         model = model.to(dtype=torch.float32).eval()
         return cls(name, int(model.config.hidden_size), fingerprint, tokenizer, model)
 
-    def encode(self, words: Sequence[Word]) -> Vectors:
+    def encode(self, words: Sequence[Word], *, so_far: bool = False) -> Vectors:
         """One vector per word in its sentence, float32 [W, width]; zeros for an empty word. Punctuation is part of the
-        sentence, but not of the mean of a word."""
+        sentence, but not of the mean of a word.
+
+        so_far: read each word after those before it, without the rest of its sentence, so that what is said later
+        changes nothing before it.
+        """
         out = np.zeros((len(words), self.width), np.float32)
         parts = [part for sentence in sentences(words) for part in self._fitting(words, sentence)]
+        if so_far:
+            parts = [beginning for part in parts for beginning in part.beginnings()]
         # Sorted by length, so that batches need little padding.
         parts.sort(key=lambda part: len(part.pieces), reverse=True)
         with _one_thread():
@@ -124,6 +130,13 @@ class _Pieces:
 
     pieces: list[int]
     owners: list[int]
+
+    def beginnings(self) -> Iterator[_Pieces]:
+        """For each word the pieces up to its last one, and the one that ends a sentence; it alone owns any."""
+        for owner in dict.fromkeys(owner for owner in self.owners if owner >= 0):
+            stop = len(self.owners) - self.owners[::-1].index(owner)
+            ends = [*self.pieces[:stop], self.pieces[-1]]
+            yield _Pieces(ends, [own if own == owner else -1 for own in [*self.owners[:stop], -1]])
 
 
 def sentences(words: Sequence[Word]) -> list[list[int]]:

@@ -217,6 +217,9 @@ class SelectionConfig:
     (`interpreter.audio_dropout`)."""
     lexeme_guidance: Annotated[float, SettingRange(UNTOLD, 20.0)] = 0.5
     """Flow head: guidance on the lexeme; -1 (`UNTOLD`) removes the lexeme."""
+    words_so_far: bool = False
+    """Whether each word is read after those before it alone, without the rest of its sentence: a word that is changed
+    then changes nothing before it. Models are trained on whole sentences (RG 4.1.2)."""
     style: Annotated[float, SettingRange(0.0, 4.0)] = 1.0
     """Flow head: factor on the style codes heard in the voice; 0 for the speaker's habit."""
     waxing: Annotated[float, SettingRange(0.0, 4.0)] = 0.0
@@ -244,9 +247,15 @@ class SelectionConfig:
     candidates: Annotated[int, SettingRange(1, 64)] = 4
     """Candidate blocks sampled by the flow head; the best by lexeme, `timing`, `seam`, `clear` and
     `as_asked` is kept."""
+    same_arms: bool = False
+    """Whether the candidates of a block differ in torso and head alone and share the arms of the first: what is chosen
+    then hardly changes the course of the hands, so that nearly the same sound gives nearly the same take."""
     timing: NotNegative = 0.0
     """Weight of hands that decelerate at audio onsets, relative to the lexeme's; 0 ignores it
     (`gesticulator.drawing.candidates`)."""
+    retiming: Annotated[float, SettingRange(0.0, 0.3)] = 0.0
+    """Share of a block's length by which its middle may come earlier or later, so that the hands decelerate at audio
+    onsets; its ends stay."""
     seam: NotNegative = 0.0
     """Weight, relative to `timing`, of a smooth join to the block before."""
     clear: NotNegative = 0.0
@@ -254,7 +263,7 @@ class SelectionConfig:
     careful: bool = False
     """Whether candidates with an elbow that is too fast are rejected, too, those with a hand behind the front of the
     trunk or an elbow behind its back count as inside it (`clear`), and calmer candidates are added where all are too
-    fast."""
+    fast or have an arm before the face."""
     as_asked: NotNegative = 0.0
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
     together: NotNegative = 0.0

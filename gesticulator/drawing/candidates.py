@@ -24,12 +24,18 @@ a small change of pose or sound rarely changes the choice:
 - Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their
   targets, in standard deviations of the training data.
 
+With `selection.same_arms` the candidates share the arms of the first, since a choice of arms turns every small change
+of sound into another way of the hands; the choice is then of torso and head. What timing loses by that is more than
+made up for by `selection.retiming`: the block that was chosen is moved in time, by shares of its length a t^2 (1 - t)^2
+that leave its ends where they are, to where the term of timing is best.
+
 The onsets are those at which beats are placed (`data_module.speech.onsets`). Evaluation of timing uses two other
 detectors (`eval.metrics.eye`).
 """
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,6 +71,8 @@ _FACE, _FACE_AT, _HAND = 0.22, (0.0, 0.09, 0.08), 0.36
 """Radius about the middle of the face that arms keep out of, and where that is from the joint of the head, metres; and
 how far a hand reaches beyond the wrist, as a share of the forearm. Arms of people come within 18 cm of it in at most
 1 % of the time."""
+_BEFORE_FACE = 0.18
+"""Metres from the middle of the face within which an arm is before it."""
 _HEAD_TURNS, _HANDS_MOVE, _LEAST = 0.4, 0.5, 0.1
 """h_0, rad/s, and s_0, m/s; and what is added to a share of them, so that stillness has a logarithm."""
 _TRUNK = "Spine", "Spine1", "Spine2", "Spine3", "Chest"
@@ -73,6 +81,10 @@ _TRUNK_TURNS = 0.25
 """s_0 of the trunk, rad/s."""
 _LEXEME = 2.0
 """Weight of the lexeme: a candidate that is a twentieth nearer to another lexeme loses 0.2."""
+
+
+_SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
+"""Shares of the most shift of a block's middle that are tried; and what the whole of it must be worth in timing."""
 
 
 class CandidateChooser:
@@ -129,11 +141,26 @@ class CandidateChooser:
             score -= self._settings.as_asked * self._control_error(hands, times, control)
         return int(allowed[score.argmax()])
 
+    def retimed(self, speech: SpeechBlock, past: Array, block: Array) -> Array:
+        """The block [K, D_m], earlier or later in its middle by up to `selection.retiming` of its length, so that more
+        of the hands' braking lies near the onsets; past: see `choose`. Its ends, and the speed there, stay."""
+        if not len(speech.onsets):
+            return block
+        blocks = retimings(len(block), self._settings.retiming) @ np.concatenate([past[-2:], block])
+        hands = self._places(self._poses(past, blocks))[:, :, :2]
+        worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
+        return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
+
     def too_fast(self, speech: SpeechBlock, past: Array, blocks: Array, shift: Array | None = None) -> bool:
         """Whether a hand (`careful`: or an elbow) is faster than `FASTEST` in every candidate, as it is shown; see
         `choose` for the shapes."""
         places, times = self._places(self._poses(past, blocks, shift)), self._times(speech, blocks.shape[1])
         return bool((fastest(places[:, :, :self._fast], times) > FASTEST).all())
+
+    def before_face(self, past: Array, blocks: Array) -> bool:
+        """Whether an arm comes before the face in every candidate; see `choose` for the shapes."""
+        nearest = _to_face(self._places(self._poses(past, blocks))[:, _BEFORE:]).min((1, 2))
+        return bool((nearest < _BEFORE_FACE).all())
 
     def _poses(self, past: Array, blocks: Array, shift: Array | None = None) -> Array:
         """[C, T, D_m] features in radians or metres, in the last frames before a block and in its candidates."""
@@ -248,6 +275,26 @@ def _to_face(places: Array) -> Array:
     arms = (1.0 + _HAND) * (hands - elbows)
     along = ((face - elbows) * arms).sum(-1) / np.maximum((arms * arms).sum(-1), 1e-9)
     return np.asarray(np.linalg.norm(elbows + np.clip(along, 0.0, 1.0)[..., None] * arms - face, axis=-1))
+
+
+@cache
+def retimings(frames: int, most: float) -> Array:
+    """[C, K, 2 + K] weights that move the middle of a block of K frames, after the two before it, by shares a of its
+    length from -most to most, by splines of Catmull and Rom: frame t in (0, 1] takes the value at
+    t + 16 a t^2 (1 - t)^2. The middle one is the block itself."""
+    steps = np.arange(1, frames + 1) / frames
+    moved = steps + most * _SHIFTS[:, None] * 16.0 * steps ** 2 * (1.0 - steps) ** 2
+    at = frames * moved
+    first = np.minimum(np.floor(at + 1e-9), frames - 1.0)
+    x = at - first
+    around = 0.5 * np.stack([-x + 2 * x ** 2 - x ** 3, 2 - 5 * x ** 2 + 3 * x ** 3, x + 4 * x ** 2 - 3 * x ** 3,
+                             x ** 3 - x ** 2], axis=-1)
+    weights = np.zeros((*at.shape, 2 + frames + 1))
+    np.put_along_axis(weights, first[..., None].astype(int) + np.arange(4), around, -1)
+    # Beyond the last frame it goes on as between the last two.
+    weights[..., -2] += 2.0 * weights[..., -1]
+    weights[..., -3] -= weights[..., -1]
+    return weights[..., :-1]
 
 
 def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:

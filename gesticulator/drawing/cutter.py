@@ -135,7 +135,7 @@ class BlockCutter:
         self._config, self._front, self.latency = config, front or front_end_for(config), latency
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
-        self._words = None if words is None else WordTrack(words, config.text.bridge)
+        self._words = None if words is None else WordTrack(words, config.text.bridge, config.selection.words_so_far)
         self._loudness, self._voice, self._start = LoudnessTracker(), VoiceLevel(), SteadyStart()
         self._pauses, self._quiet = _PauseFlags(), _PauseFlags()
         self._onsets, self._beats = OnsetTracker(SAMPLE_RATE), BeatTracker(config.rhythm.beats, start)
@@ -361,15 +361,16 @@ class BlockCutter:
 class WordTrack:
     """The words that were added so far, and their vectors."""
 
-    def __init__(self, encoder: WordEncoder, bridge: float) -> None:
-        self._encoder, self._bridge = encoder, bridge
+    def __init__(self, encoder: WordEncoder, bridge: float, so_far: bool = False) -> None:
+        """bridge: see `word_frames`; so_far: see `WordEncoder.encode`."""
+        self._encoder, self._bridge, self._so_far = encoder, bridge, so_far
         self._words: list[tuple[float, int, Word]] = []  # by their start
         self._vectors: dict[int, Features] = {}
         self._next = 0
 
     def add(self, words: Sequence[Word]) -> None:
         """Add words with their times in the sound, seconds; the words of one call are encoded together."""
-        for word, vector in zip(words, self._encoder.encode(words), strict=True):
+        for word, vector in zip(words, self._encoder.encode(words, so_far=self._so_far), strict=True):
             insort(self._words, (word.start, self._next, word))
             self._vectors[self._next] = np.append(vector, np.float32(0.0)).astype(np.float32)
             self._next += 1

@@ -214,6 +214,7 @@ class FlowDrawer:
         self.speaker = torch.nn.functional.one_hot(torch.tensor([speaker], device=self.device),
                                                    len(bundle.speakers)).float()
         self.share = self._by_part(self.settings.trunk_guidance)
+        self.trunk = self._by_part(0.0, 1.0) == 0.0
         self.noise = self.settings.noise * self._by_part(self.settings.trunk_noise, self.settings.finger_noise)
         self.state: tuple[Tensor, Tensor] | None = None
         self.past: Pasts | None = None
@@ -258,7 +259,8 @@ class FlowDrawer:
             if not self._too_fast(speech, past, block, shift):
                 return block, code
         coefficients, blocks = self._sample(speech.keyed_at, self.settings.candidates, context, pull, steps)
-        if self.settings.careful and self._too_fast(speech, past, blocks, shift):
+        if self.settings.careful and (self._too_fast(speech, past, blocks, shift) or
+                                      self.chooser.before_face(_array(past[0]), _array(blocks))):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
             calm = self._sample(speech.keyed_at, self.settings.candidates, context[:1], pull[:0], steps, _CALM)
             coefficients, blocks = torch.cat([coefficients, calm[0]]), torch.cat([blocks, calm[1]])
@@ -266,7 +268,11 @@ class FlowDrawer:
         apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
         best = self.chooser.choose(speech, _array(past[0]), _array(blocks), _array(apart), _array(features.control),
                                    None if self.style is None else _array(code[0]), _array(shift))
-        return blocks[best:best + 1], code
+        block = blocks[best:best + 1]
+        if self.settings.retiming:
+            block = torch.as_tensor(self.chooser.retimed(speech, _array(past[0]), _array(block[0])),
+                                    device=self.device)[None]
+        return block, code
 
     def _too_fast(self, speech: SpeechBlock, past: Tensor, blocks: Tensor, shift: Tensor | None) -> bool:
         return self.chooser.too_fast(speech, _array(past[0]), _array(blocks), _array(shift))
@@ -286,7 +292,11 @@ class FlowDrawer:
         that they give."""
         keyed = amount * self.keys.noise(time, (candidates, self.generator.basis.width))
         noise = torch.as_tensor(keyed, device=self.device) * self.noise
+        if self.settings.same_arms:
+            noise = torch.where(self.trunk, noise, noise[:1])
         coefficients = self.generator.draw(context[:, 0], pull, noise, steps)
+        if self.settings.same_arms:
+            coefficients = torch.where(self.trunk, coefficients, coefficients[:1])
         return coefficients, (self.base + self.generator.basis.expand(coefficients)) * self.generator.present
 
     def _by_part(self, trunk: float, fingers: float = 1.0) -> Tensor:
