@@ -242,6 +242,8 @@ class SelectionConfig:
     """Factor on the noise of torso and head."""
     finger_noise: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
     """Factor on the noise of the fingers."""
+    lively_noise: Annotated[float, SettingRange(0.0, 1.0)] = 0.0
+    """How much more noise the arms have the livelier the style code is: its natural logarithm, per unit of liveliness."""
     flow_steps: Annotated[int, SettingRange(1, 100)] = 4
     """Steps of Heun's method from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4
@@ -249,7 +251,8 @@ class SelectionConfig:
     `as_asked` is kept."""
     same_arms: bool = False
     """Whether the candidates of a block differ in torso and head alone and share the arms of the first: what is chosen
-    then hardly changes the course of the hands, so that nearly the same sound gives nearly the same take."""
+    then hardly changes the course of the hands, so that nearly the same sound gives nearly the same take. Where style
+    controls are given, the arms differ."""
     timing: NotNegative = 0.0
     """Weight of hands that decelerate at audio onsets, relative to the lexeme's; 0 ignores it
     (`gesticulator.drawing.candidates`)."""
