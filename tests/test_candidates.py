@@ -285,26 +285,40 @@ def test_hands_that_stop_before_the_onset_stop_nearer_to_it_when_retimed(bundle:
     np.testing.assert_array_equal(chooser.retimed(block_of(np.zeros(0)), past, block), block)
 
 
-def test_candidates_with_the_same_arms_differ_in_torso_and_head_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The shipped bundle; the first block, before which all is the same, once with the first candidate and once with
-    the last one."""
+def first_block(monkeypatch: pytest.MonkeyPatch, chosen: int, *settings: str, **asked: str) -> tuple[Array, Array]:
+    """The features of torso and head, and of all the rest, in the first block of the shipped bundle, before which all
+    is the same; chosen: which of its candidates is kept."""
+    monkeypatch.setattr(CandidateChooser, "choose", lambda *_, **__: chosen)
     bundle = load(SHIPPED)
     sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
-    basis = bundle.block_models.lexicon.basis
-    trunk = sorted(column for name in ("torso", "head") for column in basis.parts[name])
+    config = with_settings(bundle.config, ["selection.retiming=0", "selection.careful=false",
+                                           *(f"selection.{setting}" for setting in settings)])
+    system = ListeningGesticulator(replace(bundle, config=config))
+    system(Speech(sound[:5 * rate], rate), seed=1, **asked)
+    parts = bundle.block_models.lexicon.basis.parts
+    trunk = sorted(column for name in ("torso", "head") for column in parts[name])
+    return system.drawn[0][:, trunk], np.delete(system.drawn[0], trunk, axis=1)
 
-    def first(same: bool, chosen: int) -> Array:
-        monkeypatch.setattr(CandidateChooser, "choose", lambda *_, **__: chosen)
-        config = replace(bundle.config, selection=replace(bundle.config.selection, same_arms=same, retiming=0.0,
-                                                          careful=False))
-        system = ListeningGesticulator(replace(bundle, config=config))
-        system(Speech(sound[:5 * rate], rate), seed=1)
-        return system.drawn[0]
 
-    for same in (True, False):
-        moved = np.abs(first(same, 0) - first(same, 3)).max(axis=0)
-        assert moved[trunk].max() > 0.05
-        assert (np.delete(moved, trunk).max() < 0.01) == same
+@pytest.mark.parametrize(("same", "asked", "alike"), [
+    ("true", {}, True), ("false", {}, False), ("true", {"hand_height": "high"}, False)])
+def test_candidates_share_their_arms_but_where_controls_ask_for_a_choice(
+        monkeypatch: pytest.MonkeyPatch, same: str, asked: dict[str, str], alike: bool) -> None:
+    (trunk, arms), (other_trunk, other_arms) = (
+        first_block(monkeypatch, chosen, f"same_arms={same}", **asked) for chosen in (0, 3))
+    assert np.abs(trunk - other_trunk).max() > 0.05
+    assert (np.abs(arms - other_arms).max() < 0.01) == alike
+
+
+def test_a_livelier_style_gives_the_arms_more_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    styled = ("style=0", "waxing=2", "same_arms=true")
+    (_, arms), (_, other_arms) = (
+        first_block(monkeypatch, 0, *styled, f"lively_noise={amount}") for amount in (0.0, 0.5))
+    assert np.abs(arms - other_arms).max() > 0.05
+    plain = [first_block(monkeypatch, 0, "style=0", "waxing=0", "same_arms=true", f"lively_noise={amount}")
+             for amount in (0.0, 0.5)]
+    for part in (0, 1):
+        np.testing.assert_array_equal(plain[0][part], plain[1][part], err_msg="a style of 0 is the speaker's habit")
 
 
 def test_every_onset_belongs_to_the_blocks_it_lies_in(bundle: Bundle) -> None:

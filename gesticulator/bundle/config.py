@@ -243,7 +243,8 @@ class SelectionConfig:
     finger_noise: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
     """Factor on the noise of the fingers."""
     lively_noise: Annotated[float, SettingRange(0.0, 1.0)] = 0.0
-    """How much more noise the arms have the livelier the style code is: its natural logarithm, per unit of liveliness."""
+    """How much more noise the arms have the livelier the style code is: its natural logarithm, per unit of
+    liveliness."""
     flow_steps: Annotated[int, SettingRange(1, 100)] = 4
     """Steps of Heun's method from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4
