@@ -119,3 +119,7 @@ def test_what_a_word_changes_is_told_before_its_unit_and_from_the_second_after_i
     loud = stability.moved_by_word(first, made(swinging(4.6, 10.4, 16.0, 22.0), other), 10.5)
     assert loud["before"] > 1.0 and loud["after"] > 50.0
     assert np.isnan(stability.moved_by_word(first, first, 17.0)["after"]), "no second unit after it"
+    # The new word's gesture is prepared before the word and before the old one's unit; what moves before that counts.
+    prepared = stability.moved_by_word(first, made(swinging(4.0, 9.5, 16.0, 22.0), other), 9.9)
+    assert prepared["before"] < 0.01
+    assert stability.moved_by_word(first, made(swinging(4.6, 9.5, 16.0, 22.0), other), 9.9)["before"] > 1.0

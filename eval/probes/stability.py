@@ -9,8 +9,8 @@ within a gesture unit. Another seed shows how far two takes of one sound are apa
 (the same rendering for every sound) would have 0 everywhere, so these figures count only beside those of synchrony and
 meaning.
 
-With transcripts one word in the middle is changed, too: nothing may move before the gesture unit (of either hand) in
-which the word falls, and from the second unit after it on the lexemes must be the old ones again.
+With transcripts one word in the middle is changed, too: nothing may move before the gesture unit (of either hand, in
+either take) in which the word falls, and from the second unit after it on the lexemes must be the old ones again.
 """
 
 from __future__ import annotations
@@ -203,9 +203,10 @@ def units_of(body: CommonBody) -> list[tuple[float, float]]:
 def moved_by_word(first: Performance, again: Performance, time: float) -> dict[str, float]:
     """The figures of `WORD_COLUMNS` after a change of the word at a time. NaN for what the motion is too short for."""
     one, two = common_body(first.motion), common_body(again.motion)
-    units = units_of(one)
-    at = next((k for k, (_, stop) in enumerate(units) if stop > time), len(units))
-    begin = min(time, units[at][0]) if at < len(units) else time
+    units, news = units_of(one), units_of(two)
+    at, new = _unit_at(units, time), _unit_at(news, time)
+    # The new word may call for a gesture that is prepared earlier than that of the old one.
+    begin = min([time, *(unit[0] for unit in (*units[at:at + 1], *news[new:new + 1]))])
     before = stability.difference(one.crop(0, round(begin * HZ)), two.crop(0, round(begin * HZ))).hands \
         if begin > 1.0 else math.nan
     if at + 2 >= len(units):
@@ -213,6 +214,11 @@ def moved_by_word(first: Performance, again: Performance, time: float) -> dict[s
     late = int(np.searchsorted(first.blocks.edges[:-1], units[at + 2][0]))
     rest = first.blocks.edges[late:], first.lexemes[late:]
     return {"before": before, "after": stability.other_lexemes(rest, (again.blocks.edges, again.lexemes))}
+
+
+def _unit_at(units: Sequence[tuple[float, float]], time: float) -> int:
+    """The index of the unit at a time, or of the next one; their number without any."""
+    return next((k for k, (_, stop) in enumerate(units) if stop > time), len(units))
 
 
 WORD_COLUMNS = {"before": Column("hands apart before its unit", "cm", 2, "low"),
