@@ -253,7 +253,7 @@ class SelectionConfig:
     same_arms: bool = False
     """Whether the candidates of a block differ in torso and head alone and share the arms of the first: what is chosen
     then hardly changes the course of the hands, so that nearly the same sound gives nearly the same take. Where style
-    controls are given, the arms differ."""
+    controls or a handedness are given, the arms differ."""
     timing: NotNegative = 0.0
     """Weight of hands that decelerate at audio onsets, relative to the lexeme's; 0 ignores it
     (`gesticulator.drawing.candidates`)."""

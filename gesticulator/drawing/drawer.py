@@ -135,12 +135,13 @@ HURRIED_STEPS = 2
 
 class Drawer(Protocol):
     """Samples the motion of one block after the other, with state between them. keys: of the next block's noise;
-    hurried: sample at lower cost, if possible; unseen: the next block will be replaced by rest, so any motion will
-    do."""
+    hurried: sample at lower cost, if possible; unseen: the next block will be replaced by rest, so any motion will do;
+    asked: its lexeme was chosen with a bias, so it should be seen."""
 
     keys: Keys
     hurried: bool
     unseen: bool
+    asked: bool
 
     def fork(self) -> Drawer:
         """An independent copy with the same state."""
@@ -168,7 +169,7 @@ class RegressionDrawer:
 
     def __init__(self, bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool) -> None:
         self.bundle, self.keys = bundle, keys  # deterministic: the keys have no effect
-        self.hurried = self.unseen = False  # cheap: neither has an effect
+        self.hurried = self.unseen = self.asked = False  # cheap: none has an effect
         self.generator = cast("Generator", bundle.generator)
         self.style = (bundle.style_text if text else None) or cast("StyleInterpreter | None", bundle.style)
         self._first = speaker, lexeme
@@ -220,7 +221,7 @@ class FlowDrawer:
         self.past: Pasts | None = None
         self.base = torch.zeros(0)
         """[1, K, D_m] extrapolation of the motion before the last block, to which its coefficients were added."""
-        self.hurried = self.unseen = False
+        self.hurried = self.unseen = self.asked = False
         self.style = cast("UnitStyleInterpreter | None", bundle.style)
         self.style_state = None if self.style is None else self.style.start(speaker)
 
@@ -259,7 +260,7 @@ class FlowDrawer:
             if not self._too_fast(speech, past, block, shift):
                 return block, code
         # What is asked of the hands can only be followed by a choice among ways of the arms.
-        same = self.settings.same_arms and features.control is None
+        same = self.settings.same_arms and features.control is None and not self.asked
         coefficients, blocks = self._sample(speech.keyed_at, self.settings.candidates, context, pull, steps, code,
                                             same=same)
         if self.settings.careful and (self._too_fast(speech, past, blocks, shift) or

@@ -242,6 +242,7 @@ class Rollout:
             # The generator gets a block without gesture as silence.
             features = replace(features, low=self._quiet_low, silent=True)
         self._drawer.keys = direction.keys or self.sampling.keys
+        self._drawer.asked = direction.bias is not None
         self._drawer.unseen = self.life is not None and self.life.rests_wholly
         shift = None if self._offset is None else self._offset.at(speech.span.times)
         block, code = self._drawer.block(speech, features, self._previous, self._drawn, unit,
