@@ -256,18 +256,17 @@ class FlowDrawer:
         if self.hurried:
             # One candidate, few steps, no guidance. The guidance states above advance all the same, for later blocks.
             steps, context, pull = min(steps, HURRIED_STEPS), context[:1], pull[:0]
-            _, block = self._sample(speech.keyed_at, 1, context, pull, steps, code)
+            _, block = self._sample(self._noise(speech.keyed_at, 1, code), context, pull, steps)
             if not self._too_fast(speech, past, block, shift):
                 return block, code
         # What is asked of the hands can only be followed by a choice among ways of the arms.
         same = self.settings.same_arms and features.control is None and not self.asked
-        coefficients, blocks = self._sample(speech.keyed_at, self.settings.candidates, context, pull, steps, code,
-                                            same=same)
+        noise = self._noise(speech.keyed_at, self.settings.candidates, code)
+        coefficients, blocks = self._sample(noise, context, pull, steps, same)
         if self.settings.careful and (self._too_fast(speech, past, blocks, shift) or
                                       self.chooser.before_face(_array(past[0]), _array(blocks))):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
-            calm = self._sample(speech.keyed_at, self.settings.candidates, context[:1], pull[:0], steps, code, _CALM,
-                                same)
+            calm = self._sample(_CALM * noise, context[:1], pull[:0], steps, same)
             coefficients, blocks = torch.cat([coefficients, calm[0]]), torch.cat([blocks, calm[1]])
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
@@ -291,16 +290,20 @@ class FlowDrawer:
         waxing = self.settings.waxing * self.keys.activity(time) if self.settings.waxing else 0.0
         return self.settings.style * code + waxing * code.new_tensor(LIVELINESS)
 
-    def _sample(self, time: float, candidates: int, context: Tensor, pull: Tensor, steps: int, code: Tensor,
-                amount: float = 1.0, same: bool = False) -> tuple[Tensor, Tensor]:
-        """Coefficients [C, n] of C candidates with the noise of this time, times `amount`, and the blocks [C, K, D_m]
-        that they give. code: [1, d_z] the style code; same: all with the arms of the first."""
-        keyed = amount * self.keys.noise(time, (candidates, self.generator.basis.width))
+    def _noise(self, time: float, candidates: int, code: Tensor) -> Tensor:
+        """[C, n] the noise of C candidates at this time. code: [1, d_z] the style code."""
+        keyed = self.keys.noise(time, (candidates, self.generator.basis.width))
         noise = torch.as_tensor(keyed, device=self.device) * self.noise
-        if self.settings.lively_noise and self.style is not None:
-            direction = code.new_tensor(LIVELINESS)
-            liveliness = code[0] @ direction / (direction @ direction)
-            noise = torch.where(self.trunk, noise, noise * torch.exp(self.settings.lively_noise * liveliness))
+        if not self.settings.lively_noise or self.style is None:
+            return noise
+        direction = code.new_tensor(LIVELINESS)
+        liveliness = code[0] @ direction / (direction @ direction)
+        return torch.where(self.trunk, noise, noise * torch.exp(self.settings.lively_noise * liveliness))
+
+    def _sample(self, noise: Tensor, context: Tensor, pull: Tensor, steps: int, same: bool = False
+                ) -> tuple[Tensor, Tensor]:
+        """Coefficients [C, n] of candidates with this noise [C, n], and the blocks [C, K, D_m] that they give. same:
+        all with the arms of the first."""
         if same:
             noise = torch.where(self.trunk, noise, noise[:1])
         coefficients = self.generator.draw(context[:, 0], pull, noise, steps)
