@@ -30,7 +30,7 @@ class Numbers:
 
     width = 2
 
-    def encode(self, words: tuple[Word, ...]) -> np.ndarray:
+    def encode(self, words: tuple[Word, ...], *, so_far: bool = False) -> np.ndarray:
         return np.array([[number + 1.0, 10.0] if word.text else [0.0, 0.0] for number, word in enumerate(words)],
                         np.float32)
 
