@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -17,6 +15,7 @@ from typing import Any
 
 import pytest
 import torch
+from ports import free_port
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -37,11 +36,7 @@ MOVING = ("reward", "generator")
 def together(count: int, orders: list[tuple[str, dict[str, Any]]], folder: Path) -> list[str]:
     """What the processes say on standard error that follow these orders; each ends well."""
     file = folder / "orders.json"
-    with contextlib.ExitStack() as held:
-        free = [held.enter_context(socket.socket()) for _ in orders]
-        for own in free:
-            own.bind(("127.0.0.1", 0))
-        ports = [own.getsockname()[1] for own in free]
+    ports = [free_port() for _ in orders]
     file.write_text(json.dumps([(port, name, {key: str(value) if isinstance(value, Path) else value
                                               for key, value in order.items()})
                                 for port, (name, order) in zip(ports, orders, strict=True)]))

@@ -23,6 +23,7 @@ import pytest
 import yaml
 from live_double import served
 from pipecat_gesticulator import Hello, Poses, ResumingStream, connect
+from ports import free_port
 from test_serve_process import served as served_process
 from websockets.asyncio.client import connect as open_socket
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
@@ -65,18 +66,14 @@ class Front:
             asking.close()
 
 
-def free_port() -> int:
-    """One that is free just now."""
-    with socket.create_server(("127.0.0.1", 0)) as own:
-        return int(own.getsockname()[1])
-
-
 @contextmanager
 def started(command: list[str], port: int) -> Iterator[None]:
     """A program that listens on a port."""
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
     try:
         for _ in range(200):
+            if process.poll() is not None:
+                raise AssertionError(process.communicate()[1])
             with socket.socket() as probe:
                 if probe.connect_ex(("127.0.0.1", port)) == 0:
                     break

@@ -7,7 +7,6 @@ import contextlib
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from ports import free_port
 
 from data_module.build import main
 from data_module.errors import EXIT_BAD_INPUT, InputError
@@ -54,9 +54,7 @@ def begun(folder: Path) -> tuple[int, subprocess.Popen[bytes]]:
     """The port and the process of a head that has begun. Ray gives up where its own processes are not there within
     30 s, as on a machine that does much else: it is tried again."""
     for _ in range(3):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
+        port = free_port()
         said = folder / f"head-{port}.log"
         folder.mkdir(exist_ok=True)
         command = [str(Path(sys.executable).parent / "ray"), "start", "--head", "--block", f"--port={port}",

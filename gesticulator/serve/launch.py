@@ -137,7 +137,9 @@ def serve_here(config: Launch, sockets: Sockets, worker: int = 0, folder: Path |
     in a loop, which costs more than the stream.
     """
     from gesticulator.cli import limited_threads
+    from gesticulator.serve.memory import limit_heap
 
+    limit_heap()
     with limited_threads(config.threads):
         _serve(config, sockets, worker, folder)
 

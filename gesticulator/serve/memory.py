@@ -14,9 +14,25 @@ import ctypes
 import functools
 import gc
 from collections.abc import Callable
+from contextlib import suppress
 
 RELEASE_SECONDS = 5.0
 """Seconds between two looks at whether streams have ended."""
+_MMAP_THRESHOLD, _ARENA_MAX = -3, -8
+"""Numbers of parameters of glibc's `mallopt`."""
+_OWN_PAGES = 1 << 20
+"""Bytes from which a piece of memory gets pages of its own."""
+
+
+def limit_heap() -> None:
+    """Keep the heap of this process from growing with what passes through it; to be called before threads start.
+
+    glibc gives each thread a heap of its own, and moves its threshold for pages of their own up to the largest array
+    that was freed: a heap is then full of holes the size of arrays, which small objects between them keep."""
+    with suppress(AttributeError, OSError, TypeError):  # musl, macOS, Windows
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(_ARENA_MAX, 1)
+        mallopt(_MMAP_THRESHOLD, _OWN_PAGES)
 
 
 def freeze_loaded() -> None:
