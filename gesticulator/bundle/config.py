@@ -224,6 +224,9 @@ class SelectionConfig:
     """Flow head: factor on the style codes heard in the voice; 0 for the speaker's habit."""
     waxing: Annotated[float, SettingRange(0.0, 4.0)] = 0.0
     """Flow head: deviation of the style codes' own rise and fall over seconds."""
+    reach: Annotated[float, SettingRange(-2.5, 2.5)] = 0.0
+    """Flow head: added to the style codes' reach, deviations of the training data: above 0 the hands are farther from
+    the body, and from each other."""
     hold: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
     """Added to the planner's logit of a hold after a stroke: what is generated holds less than people do."""
     phrasing: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
@@ -266,8 +269,8 @@ class SelectionConfig:
     """Weight, relative to `timing`, of wrists and elbows outside the trunk, and of arms that are not folded."""
     careful: bool = False
     """Whether candidates with an elbow that is too fast are rejected, too, those with a hand behind the front of the
-    trunk or an elbow behind its back count as inside it (`clear`), and calmer candidates are added where all are too
-    fast or have an arm before the face."""
+    trunk or an elbow behind its back count as inside it (`clear`), and calmer candidates, and with `same_arms` others
+    with other arms, are added where all are too fast or have an arm before the face."""
     as_asked: NotNegative = 0.0
     """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
     together: NotNegative = 0.0

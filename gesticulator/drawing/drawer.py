@@ -129,6 +129,8 @@ _NEAREST = 1e-6
 """Least distance of a candidate to a lexeme, so that the ratio of two is finite."""
 LIVELINESS = (1.0, 0.5, 0.5, 0.0)
 """The direction of a style code (`interpreters.planner.CODE`) in which gestures become livelier."""
+_OUTWARDS = (0.0, 0.0, 0.0, 1.0)
+"""The direction of a style code in which hands are farther from the body."""
 HURRIED_STEPS = 2
 """Steps of Heun's method for a hurried block; a single step would give the mean instead of a sample."""
 
@@ -266,8 +268,11 @@ class FlowDrawer:
         if self.settings.careful and (self._too_fast(speech, past, blocks, shift) or
                                       self.chooser.before_face(_array(past[0]), _array(blocks))):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
-            calm = self._sample(_CALM * noise, context[:1], pull[:0], steps, same)
-            coefficients, blocks = torch.cat([coefficients, calm[0]]), torch.cat([blocks, calm[1]])
+            further = [self._sample(_CALM * noise, context[:1], pull[:0], steps, same)]
+            if same:
+                further.append(self._sample(noise.roll(-1, 0), context, pull, steps, same))  # other arms
+            coefficients = torch.cat([coefficients, *(each for each, _ in further)])
+            blocks = torch.cat([blocks, *(each for _, each in further)])
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
         best = self.chooser.choose(speech, _array(past[0]), _array(blocks), _array(apart), _array(features.control),
@@ -282,13 +287,14 @@ class FlowDrawer:
         return self.chooser.too_fast(speech, _array(past[0]), _array(blocks), _array(shift))
 
     def _code(self, time: float, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
-        """[1, d_z] the style code of the block's unit, as heard, and as activity waxes and wanes by itself; empty
-        without a style interpreter. time: seconds that key the activity."""
+        """[1, d_z] the style code of the block's unit, as heard, as activity waxes and wanes by itself, and as far out
+        as the settings say; empty without a style interpreter. time: seconds that key the activity."""
         if self.style is None or self.style_state is None:
             return torch.zeros(1, 0, device=self.device)
         code, self.style_state = self.style.step(self.style_state, features, unit is not None and unit.rests)
         waxing = self.settings.waxing * self.keys.activity(time) if self.settings.waxing else 0.0
-        return self.settings.style * code + waxing * code.new_tensor(LIVELINESS)
+        return (self.settings.style * code + waxing * code.new_tensor(LIVELINESS)
+                + self.settings.reach * code.new_tensor(_OUTWARDS))
 
     def _noise(self, time: float, candidates: int, code: Tensor) -> Tensor:
         """[C, n] the noise of C candidates at this time. code: [1, d_z] the style code."""

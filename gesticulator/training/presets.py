@@ -255,12 +255,12 @@ def default() -> Config:
         # windows and hand speeds, then by timing and smooth joins; the Q-network's temperature by how varied its
         # lexemes are (`benchmarks/cql.py`).
         selection=SelectionConfig(temperature=1.5, q_temperature=0.5, guidance=4.0, audio_guidance=0.7,
-                                  lexeme_guidance=0.4, noise=0.9, unit_guidance=0.5, trunk_guidance=0.3,
+                                  lexeme_guidance=0.4, noise=0.86, unit_guidance=0.5, trunk_guidance=0.3,
                                   trunk_noise=0.94, finger_noise=1.6, lively_noise=0.08,
                                   interpreter_guidance=1.0, words_so_far=True, candidates=4, same_arms=True,
                                   retiming=0.08, careful=True, timing=1.0, seam=0.25,
-                                  clear=16.0, fresh=True, as_asked=2.0, hold=0.8, phrasing=2.0, waxing=0.8,
-                                  as_styled=1.0, together=1.0, pitch=1.5))
+                                  clear=16.0, fresh=True, as_asked=2.0, reach=0.8, hold=1.2, phrasing=0.5,
+                                  waxing=0.8, as_styled=1.0, together=1.0, pitch=1.5))
 
 
 def tiny() -> Config:
