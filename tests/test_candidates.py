@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import soundfile
 
+from data_module.motion.kinematics import positions_of_some
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
 from eval.baselines import controls as baselines
@@ -308,6 +309,29 @@ def test_candidates_share_their_arms_but_where_controls_ask_for_a_choice(
         first_block(monkeypatch, chosen, f"same_arms={same}", **asked) for chosen in (0, 3))
     assert np.abs(trunk - other_trunk).max() > 0.05
     assert (np.abs(arms - other_arms).max() < 0.01) == alike
+
+
+def test_where_an_arm_is_before_the_face_other_ways_of_the_arms_are_drawn_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the four candidates and their calmer twins come those with the arms of the second."""
+    monkeypatch.setattr(CandidateChooser, "before_face", lambda *_: True)
+    drawn = [first_block(monkeypatch, chosen, "same_arms=true", "careful=true")[1] for chosen in (0, 4, 8, 9)]
+    first, calm, other, twin = drawn
+    assert np.abs(first - other).max() > 0.05 and np.abs(calm - other).max() > 0.05
+    assert np.abs(other - twin).max() < 0.2 * np.abs(other - first).max()
+
+
+def test_more_reach_takes_the_hands_farther_from_the_body() -> None:
+    bundle = load(SHIPPED)
+    sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
+
+    def reached(amount: float) -> float:
+        config = with_settings(bundle.config, [f"selection.reach={amount}"])
+        motion = Gesticulator(replace(bundle, config=config))(Speech(sound[:12 * rate], rate), seed=1).motion
+        skeleton = motion.skeleton
+        places = positions_of_some(motion, [skeleton.index(name) for name in ("LeftHand", "RightHand", "Hips")])
+        return float(np.linalg.norm((places[:, :2] - places[:, 2:])[..., [0, 2]], axis=-1).mean())
+
+    assert reached(2.0) > reached(-2.0) + 0.01
 
 
 def test_a_livelier_style_gives_the_arms_more_noise(monkeypatch: pytest.MonkeyPatch) -> None:
