@@ -20,6 +20,7 @@ from gesticulator.bundle.features import SpeechBlock, control_rows, representati
 from gesticulator.drawing.candidates import (
     FASTEST,
     CandidateChooser,
+    CandidateMotion,
     apart_from_hands,
     behind_trunk,
     depth,
@@ -59,6 +60,17 @@ def block_of(onsets: Array) -> SpeechBlock:
                        np.zeros(FRAMES, bool), onsets=onsets)
 
 
+def choice(chooser: CandidateChooser, speech: SpeechBlock, past: Array, blocks: Array, apart: Array,
+           control: Array | None = None, *, code: Array | None = None, shift: Array | None = None) -> int:
+    """The index of the candidate that is kept."""
+    return chooser.choose(speech, chooser.motion(past, blocks, shift), apart, control, code)
+
+
+def all_too_fast(chooser: CandidateChooser, speech: SpeechBlock, past: Array, blocks: Array,
+                 shift: Array | None = None) -> bool:
+    return chooser.too_fast(speech, chooser.motion(past, blocks, shift))
+
+
 def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(bundle: Bundle) -> None:
     chooser = CandidateChooser(bundle, 0)
     stops = (0.3, 0.5, 0.8)
@@ -66,10 +78,10 @@ def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(b
     blocks = np.stack([swing(bundle, stop)[1] for stop in stops])
     shown = np.ones(3)
     for best, stop in enumerate(stops):
-        assert chooser.choose(block_of(np.array([2.0 + 0.5 * stop])), past, blocks, shown) == best
-    assert chooser.choose(block_of(np.array([2.4])), past, blocks, np.array([1.0, 1.0, 3.0])) != 2
-    assert chooser.choose(block_of(np.zeros(0)), past, blocks, np.array([2.0, 1.0, 1.2])) == 1, "no onset, no opinion"
-    assert chooser.choose(block_of(np.array([2.4])), past, blocks[:1], np.array([7.0])) == 0
+        assert choice(chooser, block_of(np.array([2.0 + 0.5 * stop])), past, blocks, shown) == best
+    assert choice(chooser, block_of(np.array([2.4])), past, blocks, np.array([1.0, 1.0, 3.0])) != 2
+    assert choice(chooser, block_of(np.zeros(0)), past, blocks, np.array([2.0, 1.0, 1.2])) == 1, "no onset, no opinion"
+    assert choice(chooser, block_of(np.array([2.4])), past, blocks[:1], np.array([7.0])) == 0
 
 
 def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_kept(bundle: Bundle) -> None:
@@ -91,9 +103,9 @@ def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_ke
     blocks, shown = np.stack([bundle.statistics.normalise(poses, 0), wide]), np.array([1.0, 1.2])
     deep = depth(chooser._places(np.stack([poses, outside])))
     assert deep[0] > 0.1 and deep[1] == 0.0
-    assert chooser.choose(block_of(np.zeros(0)), past, blocks, shown) == 1
+    assert choice(chooser, block_of(np.zeros(0)), past, blocks, shown) == 1
     careless = CandidateChooser(bundle, 0)
-    assert careless.choose(block_of(np.zeros(0)), past, blocks, shown) == 0
+    assert choice(careless, block_of(np.zeros(0)), past, blocks, shown) == 0
 
 
 def test_arms_behind_the_trunk_are_as_far_behind_as_they_are_and_not_beside_it_or_over_it() -> None:
@@ -130,10 +142,10 @@ def test_the_code_of_a_style_moves_the_choice_as_far_as_it_is_from_habit(bundle:
     past, still = swing(bundle, 0.0)
     blocks, speech, shown = np.stack([still, swing(bundle, 1.0)[1]]), block_of(np.zeros(0)), np.array([1.0, 1.0])
     lively, calm, habit = np.array([1.5, 0, 0, 0]), np.array([-1.5, 0, 0, 0]), np.zeros(4)
-    assert chooser.choose(speech, past, blocks, shown, code=lively) == 1
-    assert chooser.choose(speech, past, blocks, shown, code=calm) == 0
-    assert chooser.choose(speech, past, blocks, np.array([1.0, 1.001]), code=habit) == 0
-    assert chooser.choose(speech, past, blocks, np.array([1.001, 1.0]), code=habit) == 1, "habit asks for nothing"
+    assert choice(chooser, speech, past, blocks, shown, code=lively) == 1
+    assert choice(chooser, speech, past, blocks, shown, code=calm) == 0
+    assert choice(chooser, speech, past, blocks, np.array([1.0, 1.001]), code=habit) == 0
+    assert choice(chooser, speech, past, blocks, np.array([1.001, 1.0]), code=habit) == 1, "habit asks for nothing"
 
 
 def test_a_head_that_turns_with_the_hands_is_nearer_to_them_than_one_that_does_not() -> None:
@@ -161,9 +173,9 @@ def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(bu
         given = np.array([False, True, False])
         return np.repeat(control_rows(levels, np.array([0.0, speed, 0.0]), given)[None], FRAMES, axis=0)
 
-    assert chooser.choose(speech, past, blocks, np.array([1.2, 1.0]), asked(0.0)) == 0
-    assert chooser.choose(speech, past, blocks, np.array([1.0, 1.2]), asked(1.5)) == 1
-    assert chooser.choose(speech, past, blocks, np.array([99.0, 1.0]), asked(0.0)) == 1, "it shows another lexeme"
+    assert choice(chooser, speech, past, blocks, np.array([1.2, 1.0]), asked(0.0)) == 0
+    assert choice(chooser, speech, past, blocks, np.array([1.0, 1.2]), asked(1.5)) == 1
+    assert choice(chooser, speech, past, blocks, np.array([99.0, 1.0]), asked(0.0)) == 1, "it shows another lexeme"
 
 
 def test_a_hand_that_is_thrown_counts_only_where_all_are() -> None:
@@ -186,8 +198,8 @@ def test_a_throw_is_one_in_every_candidate(bundle: Bundle) -> None:
     raised[:, 3 * skeleton.index("LeftArm") + 2] = np.arange(1, FRAMES + 1) / FRAMES
     past, slow, fast = (statistics.normalise(rest + turned * raised, 0) for turned in (0.0, 1.0, 5.0))
     chooser, speech = CandidateChooser(bundle, 0), block_of(np.zeros(0))
-    assert not chooser.too_fast(speech, past, slow[None]) and chooser.too_fast(speech, past, fast[None])
-    assert not chooser.too_fast(speech, past, np.stack([fast, slow]))
+    assert not all_too_fast(chooser, speech, past, slow[None]) and all_too_fast(chooser, speech, past, fast[None])
+    assert not all_too_fast(chooser, speech, past, np.stack([fast, slow]))
 
 
 def test_how_the_hands_came_here_decides_nothing_but_what_would_be_too_fast(bundle: Bundle) -> None:
@@ -197,21 +209,22 @@ def test_how_the_hands_came_here_decides_nothing_but_what_would_be_too_fast(bund
     blocks = np.stack([still, swing(bundle, 0.4)[1], swing(bundle, 0.8)[1]])
     skeleton = representation_of(bundle.config).motion(bundle.statistics.rest_pose[:1], 1.0).skeleton
     zeros = np.zeros((2 * FRAMES, len(still[0])), np.float32)
-    chosen = chooser.choose(speech, past, blocks, apart)
-    assert chosen == chooser.choose(speech, past, blocks, apart, shift=zeros)
+    chosen = choice(chooser, speech, past, blocks, apart)
+    assert chosen == choice(chooser, speech, past, blocks, apart, shift=zeros)
     elsewhere = zeros.copy()  # the right arm comes down from over the head
     elsewhere[:, 3 * skeleton.index("RightArm") + 2] = np.linspace(2.0, 1.0, 2 * FRAMES)
-    assert chosen == chooser.choose(speech, past, blocks, apart, shift=elsewhere) == 1, "the one that stops in time"
+    assert chosen == choice(chooser, speech, past, blocks, apart, shift=elsewhere) == 1, "the one that stops in time"
     # A throw, 5 rad in half a second, leaves only the candidate that goes against it.
     rest = np.repeat(bundle.statistics.rest_pose[:1], FRAMES, axis=0)
     raised = rest.copy()
     raised[:, 3 * skeleton.index("LeftArm") + 2] += 5.0 * np.arange(1, FRAMES + 1) / FRAMES
     thrown = zeros.copy()
     thrown[FRAMES:] = bundle.statistics.normalise(raised, 0) - bundle.statistics.normalise(rest, 0)
-    assert chooser.too_fast(speech, past, blocks, thrown) and not chooser.too_fast(speech, past, blocks, elsewhere)
+    assert all_too_fast(chooser, speech, past, blocks, thrown)
+    assert not all_too_fast(chooser, speech, past, blocks, elsewhere)
     against = np.concatenate([blocks, (still - thrown[FRAMES:])[None]])
-    assert chooser.choose(speech, past, against, np.array([*apart, 9.0])) != 3
-    assert chooser.choose(speech, past, against, np.array([*apart, 9.0]), shift=thrown) == 3
+    assert choice(chooser, speech, past, against, np.array([*apart, 9.0])) != 3
+    assert choice(chooser, speech, past, against, np.array([*apart, 9.0]), shift=thrown) == 3
 
 
 def test_who_is_careful_takes_no_arm_that_swings_back(bundle: Bundle) -> None:
@@ -226,8 +239,8 @@ def test_who_is_careful_takes_no_arm_that_swings_back(bundle: Bundle) -> None:
     places = careful._places(np.stack([rest, behind]))
     assert behind_trunk(places)[1, -1, 0] > 0.0 > behind_trunk(places)[0, -1, 0]
     blocks, shown = np.stack([back, still]), np.array([1.0, 1.2])
-    assert careful.choose(block_of(np.zeros(0)), past, blocks, shown) == 1
-    assert careless.choose(block_of(np.zeros(0)), past, blocks, shown) == 0
+    assert choice(careful, block_of(np.zeros(0)), past, blocks, shown) == 1
+    assert choice(careless, block_of(np.zeros(0)), past, blocks, shown) == 0
 
 
 def test_braking_counts_from_the_start_of_the_block_on_and_by_its_share() -> None:
@@ -289,7 +302,7 @@ def test_hands_that_stop_before_the_onset_stop_nearer_to_it_when_retimed(bundle:
 def first_block(monkeypatch: pytest.MonkeyPatch, chosen: int, *settings: str, **asked: str) -> tuple[Array, Array]:
     """The features of torso and head, and of all the rest, in the first block of the shipped bundle, before which all
     is the same; chosen: which of its candidates is kept."""
-    monkeypatch.setattr(CandidateChooser, "choose", lambda *_, **__: chosen)
+    monkeypatch.setattr(CandidateChooser, "choose", lambda *_: chosen)
     bundle = load(SHIPPED)
     sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
     config = with_settings(bundle.config, ["selection.retiming=0", "selection.careful=false",
@@ -365,11 +378,12 @@ def test_what_is_chosen_is_more_in_time_than_the_others(monkeypatch: pytest.Monk
     """The shipped bundle, with a choice among 16. The choice of a block affects the next one's candidates, too."""
     bundle, choose, rows = load(SHIPPED), CandidateChooser.choose, list[tuple[float, float]]()
 
-    def seen(self: CandidateChooser, speech: SpeechBlock, past: Array, blocks: Array, *rest: Array | None) -> int:
-        chosen = choose(self, speech, past, blocks, *rest)
+    def seen(self: CandidateChooser, speech: SpeechBlock, motion: CandidateMotion, apart: Array,
+             *rest: Array | None) -> int:
+        chosen = choose(self, speech, motion, apart, *rest)
         if len(speech.onsets):
-            hands = self._places(self._poses(past, blocks))[:, :, :2]
-            shares = in_time(hands, self._times(speech, blocks.shape[1]), speech.start, speech.onsets)
+            times = self._times(speech, bundle.frames)
+            shares = in_time(motion.places[:, :, :2], times, speech.start, speech.onsets)
             rows.append((shares[chosen], shares.mean()))
         return chosen
 

@@ -35,6 +35,7 @@ detectors (`eval.metrics.eye`).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -87,6 +88,27 @@ _SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
 """Shares of the most shift of a block's middle that are tried; and what the whole of it must be worth in timing."""
 
 
+@dataclass(frozen=True)
+class CandidateMotion:
+    """The motion of C candidates over T frames: the last `_BEFORE` before a block, and those of the block.
+
+    poses: [C, T, D_m] radians or metres; places: [C, T, 8, 3] positions over the hips, metres, of hands, elbows and
+    shoulders (the right one first), the chest and the head; shown: the places with the shift that is shown.
+    """
+
+    poses: Array
+    places: Array
+    shown: Array
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def joined(self, other: CandidateMotion) -> CandidateMotion:
+        """Those and more."""
+        return CandidateMotion(*(np.concatenate(pair) for pair in (
+            (self.poses, other.poses), (self.places, other.places), (self.shown, other.shown))))
+
+
 class CandidateChooser:
     """Chooses among the candidates of a block for one speaker."""
 
@@ -107,22 +129,28 @@ class CandidateChooser:
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
-    def choose(self, speech: SpeechBlock, past: Array, blocks: Array, apart: Array,
-               control: Array | None = None, code: Array | None = None, shift: Array | None = None) -> int:
+    def motion(self, past: Array, blocks: Array, shift: Array | None = None) -> CandidateMotion:
+        """The motion of candidates. past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m]
+        the candidates; shift: [P + K, D_m] that is added to what is shown (`gesticulator.drawing.rollout`), or None."""
+        poses = self._poses(past, blocks)
+        places = self._places(poses)
+        return CandidateMotion(poses, places, places if shift is None else self._places(
+            self._poses(past, blocks, shift)))
+
+    def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Array, control: Array | None = None,
+               code: Array | None = None) -> int:
         """The index of the best candidate; the first of equals.
 
-        past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m] the candidates; apart: [C]
-        squared distance of each candidate to the lexeme to play over that to its nearest lexeme; control: rows
-        [K, 2 F], or None; code: [d_z] the style code of the unit, or None; shift: [P + K, D_m] that is added to what is
-        shown (`gesticulator.drawing.rollout`), or None. Only the speed limit is about what is shown: a shift depends
-        on how the hands came here, so two takes that parted would go on choosing differently while it fades.
+        motion: of C candidates; apart: [C] squared distance of each candidate to the lexeme to play over that to its
+        nearest lexeme; control: rows [K, 2 F], or None; code: [d_z] the style code of the unit, or None. Only the speed
+        limit is about what is shown: a shift depends on how the hands came here, so two takes that parted would go on
+        choosing differently while it fades.
         """
-        if len(blocks) == 1:
+        if len(motion) == 1:
             return 0
-        poses, times = self._poses(past, blocks), self._times(speech, blocks.shape[1])
-        places = self._places(poses)
-        shown = places if shift is None else self._places(self._poses(past, blocks, shift))
-        allowed = slow_enough(shown[:, :, :self._fast], times)
+        poses, places = motion.poses, motion.places
+        times = self._times(speech, poses.shape[1] - _BEFORE)
+        allowed = slow_enough(motion.shown[:, :, :self._fast], times)
         hands = places[allowed, :, :2]
         score = -_LEXEME * np.log(apart[allowed].astype(np.float64))
         if self._settings.clear:
@@ -143,7 +171,7 @@ class CandidateChooser:
 
     def retimed(self, speech: SpeechBlock, past: Array, block: Array) -> Array:
         """The block [K, D_m], earlier or later in its middle by up to `selection.retiming` of its length, so that more
-        of the hands' braking lies near the onsets; past: see `choose`. Its ends, and the speed there, stay."""
+        of the hands' braking lies near the onsets; past: see `motion`. Its ends, and the speed there, stay."""
         if not len(speech.onsets):
             return block
         blocks = retimings(len(block), self._settings.retiming) @ np.concatenate([past[-2:], block])
@@ -151,19 +179,18 @@ class CandidateChooser:
         worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
         return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
 
-    def too_fast(self, speech: SpeechBlock, past: Array, blocks: Array, shift: Array | None = None) -> bool:
-        """Whether a hand (`careful`: or an elbow) is faster than `FASTEST` in every candidate, as it is shown; see
-        `choose` for the shapes."""
-        places, times = self._places(self._poses(past, blocks, shift)), self._times(speech, blocks.shape[1])
-        return bool((fastest(places[:, :, :self._fast], times) > FASTEST).all())
+    def too_fast(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
+        """Whether a hand (`careful`: or an elbow) is faster than `FASTEST` in every candidate, as it is shown."""
+        times = self._times(speech, motion.poses.shape[1] - _BEFORE)
+        return bool((fastest(motion.shown[:, :, :self._fast], times) > FASTEST).all())
 
-    def before_face(self, past: Array, blocks: Array) -> bool:
-        """Whether an arm comes before the face in every candidate; see `choose` for the shapes."""
-        nearest = _to_face(self._places(self._poses(past, blocks))[:, _BEFORE:]).min((1, 2))
-        return bool((nearest < _BEFORE_FACE).all())
+    @staticmethod
+    def before_face(motion: CandidateMotion) -> bool:
+        """Whether an arm comes before the face in every candidate."""
+        return bool((_to_face(motion.places[:, _BEFORE:]).min((1, 2)) < _BEFORE_FACE).all())
 
     def _poses(self, past: Array, blocks: Array, shift: Array | None = None) -> Array:
-        """[C, T, D_m] features in radians or metres, in the last frames before a block and in its candidates."""
+        """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
         frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
         if shift is not None:
             frames = frames + shift[-frames.shape[1]:]
@@ -171,8 +198,7 @@ class CandidateChooser:
         return np.asarray(poses.reshape(frames.shape))
 
     def _places(self, frames: Array) -> Array:
-        """Positions [C, T, 8, 3] over the hips, metres, of hands, elbows and shoulders (the right one first), the
-        chest and the head, from poses [C, T, D_m]."""
+        """[C, T, 8, 3] as of `CandidateMotion`, from poses [C, T, D_m]."""
         poses = frames.reshape(-1, frames.shape[-1])
         if self._arms is None:
             places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
@@ -240,7 +266,7 @@ def depth(places: Array, behind: bool = False) -> Array:
     """[C] how deep wrists and elbows are in the trunk, wrists in the sphere of a folded arm, and forearms in that of
     the face, as shares of the radii, summed over the joints and averaged over the frames.
 
-    places: as of `CandidateChooser._places`; behind: whether arms behind the trunk count, too, see `behind_trunk`.
+    places: as of `CandidateMotion`; behind: whether arms behind the trunk count, too, see `behind_trunk`.
     """
     chest = places[:, :, 6:7]
     share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
@@ -256,7 +282,7 @@ def depth(places: Array, behind: bool = False) -> Array:
 
 def behind_trunk(places: Array) -> Array:
     """[C, T, 4] metres by which each wrist is behind the front of the trunk and each elbow behind its back, negative
-    ahead of them; places: as of `CandidateChooser._places`."""
+    ahead of them; places: as of `CandidateMotion`."""
     chest, right, left = places[:, :, 6], places[:, :, 4], places[:, :, 5]
     up = chest / np.maximum(np.linalg.norm(chest, axis=-1, keepdims=True), 1e-9)
     across = left - right - ((left - right) * up).sum(-1, keepdims=True) * up

@@ -31,7 +31,7 @@ from gesticulator.body.life import normal
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import FLOW, REGRESSION, UNTOLD, Drawing
 from gesticulator.bundle.features import SpeechBlock
-from gesticulator.drawing.candidates import CandidateChooser
+from gesticulator.drawing.candidates import CandidateChooser, CandidateMotion
 from interpreters.base import BlockFeatures
 
 if TYPE_CHECKING:
@@ -259,32 +259,33 @@ class FlowDrawer:
             # One candidate, few steps, no guidance. The guidance states above advance all the same, for later blocks.
             steps, context, pull = min(steps, HURRIED_STEPS), context[:1], pull[:0]
             _, block = self._sample(self._noise(speech.keyed_at, 1, code), context, pull, steps)
-            if not self._too_fast(speech, past, block, shift):
+            if not self.chooser.too_fast(speech, self._motion(past, block, shift)):
                 return block, code
         # What is asked of the hands can only be followed by a choice among ways of the arms.
         same = self.settings.same_arms and features.control is None and not self.asked
         noise = self._noise(speech.keyed_at, self.settings.candidates, code)
         coefficients, blocks = self._sample(noise, context, pull, steps, same)
-        if self.settings.careful and (self._too_fast(speech, past, blocks, shift) or
-                                      self.chooser.before_face(_array(past[0]), _array(blocks))):
+        motion = self._motion(past, blocks, shift)
+        if self.settings.careful and (self.chooser.too_fast(speech, motion) or self.chooser.before_face(motion)):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
             further = [self._sample(_CALM * noise, context[:1], pull[:0], steps, same)]
             if same:
                 further.append(self._sample(noise.roll(-1, 0), context, pull, steps, same))  # other arms
             coefficients = torch.cat([coefficients, *(each for each, _ in further)])
             blocks = torch.cat([blocks, *(each for _, each in further)])
+            motion = motion.joined(self._motion(past, blocks[len(motion):], shift))
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, lexeme] / distances.amin(-1).clamp_min(_NEAREST)
-        best = self.chooser.choose(speech, _array(past[0]), _array(blocks), _array(apart), _array(features.control),
-                                   None if self.style is None else _array(code[0]), _array(shift))
+        best = self.chooser.choose(speech, motion, _array(apart), _array(features.control),
+                                   None if self.style is None else _array(code[0]))
         block = blocks[best:best + 1]
         if self.settings.retiming:
             block = torch.as_tensor(self.chooser.retimed(speech, _array(past[0]), _array(block[0])),
                                     device=self.device)[None]
         return block, code
 
-    def _too_fast(self, speech: SpeechBlock, past: Tensor, blocks: Tensor, shift: Tensor | None) -> bool:
-        return self.chooser.too_fast(speech, _array(past[0]), _array(blocks), _array(shift))
+    def _motion(self, past: Tensor, blocks: Tensor, shift: Tensor | None) -> CandidateMotion:
+        return self.chooser.motion(_array(past[0]), _array(blocks), _array(shift))
 
     def _code(self, time: float, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
         """[1, d_z] the style code of the block's unit, as heard, as activity waxes and wanes by itself, and as far out
