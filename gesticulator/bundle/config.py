@@ -226,7 +226,7 @@ class SelectionConfig:
     """Flow head: deviation of the style codes' own rise and fall over seconds."""
     reach: Annotated[float, SettingRange(-2.5, 2.5)] = 0.0
     """Flow head: added to the style codes' reach, deviations of the training data: above 0 the hands are farther from
-    the body, and from each other."""
+    the body, and from each other. Style controls take its place."""
     hold: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
     """Added to the planner's logit of a hold after a stroke: what is generated holds less than people do."""
     phrasing: Annotated[float, SettingRange(0.0, 10.0)] = 0.0

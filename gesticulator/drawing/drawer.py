@@ -294,8 +294,9 @@ class FlowDrawer:
             return torch.zeros(1, 0, device=self.device)
         code, self.style_state = self.style.step(self.style_state, features, unit is not None and unit.rests)
         waxing = self.settings.waxing * self.keys.activity(time) if self.settings.waxing else 0.0
-        return (self.settings.style * code + waxing * code.new_tensor(LIVELINESS)
-                + self.settings.reach * code.new_tensor(_OUTWARDS))
+        code = self.settings.style * code + waxing * code.new_tensor(LIVELINESS)
+        # Where controls say how far out the hands are, nothing is added.
+        return code if features.control is not None else code + self.settings.reach * code.new_tensor(_OUTWARDS)
 
     def _noise(self, time: float, candidates: int, code: Tensor) -> Tensor:
         """[C, n] the noise of C candidates at this time. code: [1, d_z] the style code."""
