@@ -212,7 +212,7 @@ def test_without_its_lexeme_a_block_is_drawn_the_same_whatever_the_lexeme(system
 
     def drawn(lexeme: int, guidance: float) -> np.ndarray:
         config = dataclasses.replace(system.bundle.config, selection=dataclasses.replace(
-            system.bundle.config.selection, lexeme_guidance=guidance, candidates=1))
+            system.bundle.config.selection, lexeme_guidance=guidance, candidates=1, careful=False))  # nothing to choose
         bundle = dataclasses.replace(system.bundle, config=config)
         driver = Driver(bundle, Cast(system.interpreter("lstm"), 0, Sampling(1.0, 0, 0), 1.0, Controls.free()))
         driver.begin(encoded.text is not None)
