@@ -269,7 +269,7 @@ class FlowDrawer:
         if self.settings.careful and (self.chooser.too_fast(speech, motion) or self.chooser.before_face(motion)):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
             further = [self._sample(_CALM * noise, context[:1], pull[:0], steps, same)]
-            if same and len(noise) > 1:
+            if same and len(noise) > 1 and not self.hurried:
                 further.append(self._sample(noise.roll(-1, 0), context, pull, steps, same))  # other arms
             coefficients = torch.cat([coefficients, *(each for each, _ in further)])
             blocks = torch.cat([blocks, *(each for _, each in further)])
