@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import platform
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
+
+from gesticulator.serve.memory import limit_heap
 
 GLIBC = platform.libc_ver()[0] == "glibc"
 _PROGRAM = """
@@ -36,7 +40,7 @@ libc.fclose(out)
 """
 
 
-@pytest.mark.skipif(not GLIBC, reason="needs glibc, whose allocator it is about")
+@pytest.mark.skipif(not GLIBC, reason="only glibc has mallopt and malloc_info (Linux but Alpine)")
 @pytest.mark.parametrize("limited", [False, True])
 def test_a_limited_heap_is_one_and_gives_large_pieces_their_own_pages(limited: bool) -> None:
     """By glibc's own account, `malloc_info`."""
@@ -47,3 +51,14 @@ def test_a_limited_heap_is_one_and_gives_large_pieces_their_own_pages(limited: b
     count, size = int(pages.partition('"')[0]), int(pages.partition('size="')[2].partition('"')[0])
     assert (heaps == 1) == limited
     assert (count >= 1 and size >= 5_000_000) == limited
+
+
+@pytest.mark.parametrize("library", [TypeError, OSError, SimpleNamespace()], ids=["Windows", "none", "without mallopt"])
+def test_where_the_allocator_has_no_limits_nothing_happens(library: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    def load(name: None) -> object:
+        if isinstance(library, type):
+            raise library("no such library")
+        return library
+
+    monkeypatch.setattr(ctypes, "CDLL", load)
+    limit_heap()
