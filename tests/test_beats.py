@@ -302,7 +302,7 @@ def test_beats_of_sound_that_arrives_are_those_of_the_recording(rule: str, secon
         assert all((start + step) / RATE - time <= settings.d_max + settings.d_min + LOOK_AHEAD for time, _ in new)
         found += new
     left = sound[len(range(0, len(sound) - step, step)) * step:]
-    heard = loudness_of.step(frame_levels(left, RATE))
+    heard = loudness_of.step(frame_levels(left, RATE), ended=True)
     found += beats.finish(onsets.step(left, heard) + onsets.finish(), heard.silent.tolist(), len(sound) / RATE)
     whole = find_beats(Speech(sound, RATE), settings)
     assert [time for time, _ in found] == whole.times.tolist()

@@ -14,6 +14,8 @@ from data_module.speech.silence import (
     LOOK_AHEAD,
     QUIETEST,
     SHORTEST_PAUSE,
+    LoudnessTracker,
+    SteadyStart,
     frame_levels,
     loudness,
     pauses,
@@ -56,10 +58,40 @@ def test_the_floor_is_the_percentile_of_the_past_ten_seconds() -> None:
     levels = np.random.default_rng(0).normal(-70, 5, 2500)
     floor = loudness(levels).floor
     means = levels.reshape(-1, 10).mean(axis=1)
-    for step in (3, 60, 101, 200, 249):
-        past = means[max(0, step - 99):step + 1]
+    for step in (3, 9, 10, 60, 101, 200, 249):
+        last = step + 1 if step < 10 else step  # in the first second a step is classified by itself
+        past = means[max(0, last - 100):last]
         assert floor[10 * step] == np.percentile(past, 10, method="lower")
         assert (floor[10 * step:10 * step + 10] == floor[10 * step]).all()
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 10, 33])
+def test_frames_are_classified_at_once_after_the_first_second_and_alike_in_any_pieces(size: int) -> None:
+    levels = np.random.default_rng(1).normal(-60, 12, 437)
+    whole, tracker, start = loudness(levels), LoudnessTracker(), SteadyStart()
+    steps, quiet = [], []
+    for first in range(0, len(levels), size):
+        last = min(first + size, len(levels))
+        steps.append(tracker.step(levels[first:last], ended=last == len(levels)))
+        quiet.append(start.step(steps[-1].levels, steps[-1].silent))
+        certain = sum(len(step.levels) for step in steps)
+        assert certain == (last if last >= 100 else last - last % 10)
+    for name in ("levels", "floor", "limit", "ground", "silent", "expected"):
+        assert np.array_equal(np.concatenate([getattr(step, name) for step in steps]), getattr(whole, name)), name
+    assert np.array_equal(np.concatenate([*quiet, start.finish()]), whole.silent), "it varies more than steady noise"
+
+
+@pytest.mark.parametrize("size", [2, 10])
+def test_a_steady_first_second_is_silent_until_it_varies(size: int) -> None:
+    """0.3 s of look-ahead: what is steady until 0.7 s is silent up to 0.4 s, and from there on it is what it is."""
+    for steady, silent in ((70, 40), (300, 100)):
+        levels = np.full(400, -40.0)
+        levels[steady:] -= 20.0 * (np.arange(400 - steady) % 20 < 10)
+        loud, start, out = np.zeros(400, bool), SteadyStart(), list[bool]()
+        for first in range(0, 400, size):
+            out += start.step(levels[first:first + size], loud[first:first + size]).tolist()
+        out += start.finish().tolist()
+        assert out == [True] * silent + [False] * (400 - silent)
 
 
 @pytest.mark.parametrize("dbfs", [-90, -65, -50, -42])

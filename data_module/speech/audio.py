@@ -253,7 +253,8 @@ class LevelMeter:
         levels = frame_levels(sound, self._rate)
         for start in range(0, len(levels), STEP):
             step = levels[start:start + STEP]
-            loud = step[step > np.maximum(self._tracker.step(step).floor + MARGIN, FAINTEST_SPEECH)]
+            floor = self._tracker.step(step, ended=len(step) < STEP).floor
+            loud = step[step > np.maximum(floor + MARGIN, FAINTEST_SPEECH)]
             self._loudest = max(self._loudest, float(step.max()))
             self._sum, self._loud = self._sum + float(loud.sum()), self._loud + len(loud)
 

@@ -42,8 +42,8 @@ _AUDIBLE = (-0.02, 0.08)
 _LATE = int(_WINDOW / 2 // _HOP) - (_LAG - 1)
 """Spectra by which an onset follows its peak: the rise enters a window half a window early, and the peak is the first
 value of the plateau of length `_LAG`."""
-_TILE = 5
-"""Spectra (50 ms) that are computed at a time."""
+_TILE = 2
+"""Spectra (20 ms) that are computed at a time."""
 _EPS = 1e-9
 """Seconds: what is closer is the same time."""
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -95,25 +95,51 @@ class LoudnessStep:
 
 
 class LoudnessTracker:
-    """Noise floor and silence of streamed sound, in steps of 0.1 s (10 frames); the last may be shorter. The floor is a
-    low percentile of the past `MEMORY` seconds of levels averaged over a step, which reduces the variance of steady
-    noise. In the first second, with little past, the floor is that of an ordinary room, 20 dB under the loudest 0.1 s,
-    as soon as the level varies more than that of noise."""
+    """Noise floor and silence of streamed sound. The floor is a low percentile of the past `MEMORY` seconds of levels
+    averaged over steps of 0.1 s (`STEP` frames), which reduces the variance of steady noise. A frame is classified at
+    once, by the steps before its own. In the first second there is little past: there a step is classified by itself,
+    when it is complete, and the floor is that of an ordinary room, 20 dB under the loudest 0.1 s, as soon as the level
+    varies more than that of noise."""
 
     def __init__(self) -> None:
         self._means: deque[float] = deque(maxlen=round(MEMORY / (FRAME * STEP)))
+        self._current = np.zeros(0)  # the levels of the step that is not complete
         self._steps = self._heard = 0
+        self._percentile = 0.0
         self._loudest, self._faintest = -math.inf, math.inf
 
-    def step(self, levels: Array) -> LoudnessStep:
-        mean = _step_mean(levels)
+    def step(self, levels: Array, ended: bool = False) -> LoudnessStep:
+        """The frames that are certain after some more levels [F] and, if the sound has ended with them, the rest."""
+        out = []
+        while len(levels) or (ended and len(self._current)):
+            new, levels = np.split(levels, [STEP - len(self._current)])
+            self._current = np.concatenate([self._current, new])
+            whole = len(self._current) == STEP or (ended and not len(levels))
+            if not self._early:
+                out.append(self._classified(new))
+            if whole:
+                self._learn()
+                if self._early:
+                    out.append(self._classified(self._current))
+                self._current = np.zeros(0)
+                self._steps += 1
+        return _joined(out)
+
+    @property
+    def _early(self) -> bool:
+        return self._steps * STEP * FRAME < _START
+
+    def _learn(self) -> None:
+        """Take the current step into the floor."""
+        mean = _step_mean(self._current)
         self._means.append(mean)
-        floor = sorted(self._means)[int(_PERCENTILE * (len(self._means) - 1))]
+        self._percentile = sorted(self._means)[int(_PERCENTILE * (len(self._means) - 1))]
         self._loudest, self._faintest = max(self._loudest, mean), min(self._faintest, max(mean, QUIETEST))
-        spoken = self._loudest > self._faintest + _NOISE_RANGE
-        if spoken and self._steps * STEP * FRAME < _START:
+
+    def _classified(self, levels: Array) -> LoudnessStep:
+        floor, spoken = self._percentile, self._loudest > self._faintest + _NOISE_RANGE
+        if spoken and self._early:
             floor = min(floor, self._loudest - _START_CAP)
-        self._steps += 1
         count = self._heard + np.cumsum(levels > floor + MARGIN)
         self._heard = int(count[-1])
         under = max(self._loudest - BELOW_LOUDEST, FAINTEST_SPEECH)
@@ -130,13 +156,17 @@ def _step_mean(levels: Array) -> float:
     return float(np.concatenate([levels, np.repeat(levels[-1:], STEP - len(levels))]).mean())
 
 
+def _joined(steps: Sequence[LoudnessStep]) -> LoudnessStep:
+    if not steps:
+        none = np.zeros(0)
+        return LoudnessStep(none, none, none, none, np.zeros(0, bool), none)
+    return steps[0] if len(steps) == 1 else LoudnessStep(*(
+        np.concatenate([getattr(step, field.name) for step in steps]) for field in fields(LoudnessStep)))
+
+
 def loudness(levels: Array) -> LoudnessStep:
     """The result of `LoudnessTracker` for all frames [F] of a recording."""
-    tracker = LoudnessTracker()
-    steps = [tracker.step(levels[start:start + STEP]) for start in range(0, len(levels), STEP)]
-    return LoudnessStep(levels, *(np.concatenate(part) for part in zip(
-        *((step.floor, step.limit, step.ground, step.silent, step.expected) for step in steps), strict=True)))
-
+    return LoudnessTracker().step(levels, ended=True)
 
 
 def silent_frames(samples: Samples, sample_rate: int) -> NDArray[np.bool_]:
@@ -219,35 +249,47 @@ def frame_before(times: Array) -> NDArray[np.int64]:
 
 class SteadyStart:
     """Silent frames, including steady noise in the first second, where the noise floor is limited: frames up to which,
-    and `SHORTEST_PAUSE` on, the level has varied no more than that of noise. In steps of 0.1 s, as `LoudnessTracker`.
-    """
+    and `SHORTEST_PAUSE` on, the level, averaged over steps of 0.1 s, has varied no more than that of noise."""
 
     def __init__(self) -> None:
-        self._ahead = round(SHORTEST_PAUSE / (FRAME * STEP))
+        self._early = round(_START / FRAME)  # frames of the first second that were not returned
+        self._ahead = STEP * round(SHORTEST_PAUSE / (FRAME * STEP))
         self._least, self._most = math.inf, -math.inf
-        self._steps = 0
-        self._waiting: list[tuple[bool, NDArray[np.bool_]]] = []  # (in the first second, silent frames)
+        self._levels = np.zeros(0)  # of the step that is not complete
+        self._waiting = np.zeros(0, bool)  # silent frames that were not returned
 
     def step(self, levels: Array, silent: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The results [F'] that are certain after some more levels and silent frames [F], possibly from earlier steps.
+        """The results [F'] that are certain after some more levels and silent frames [F], possibly from earlier ones.
         """
-        mean = _step_mean(levels)
-        self._least, self._most = min(self._least, mean), max(self._most, mean)
-        self._waiting.append((self._steps * STEP * FRAME < _START, silent))
-        self._steps += 1
-        if self._most - self._least >= _STEADY:
-            return self._released(len(self._waiting), steady=False)
-        certain = max(len(self._waiting) - self._ahead, 0)
-        first = next((n for n, (early, _) in enumerate(self._waiting) if early), len(self._waiting))
-        return self._released(max(certain, first), steady=True)
+        self._waiting = np.concatenate([self._waiting, silent])
+        if self._early:
+            self._levels = np.concatenate([self._levels, levels])
+            while len(self._levels) >= STEP:
+                step, self._levels = np.split(self._levels, [STEP])
+                self._learn(step)
+        return self._released()
 
     def finish(self) -> NDArray[np.bool_]:
-        return self._released(len(self._waiting), steady=True)
+        """The remaining results, at the end of the sound."""
+        if len(self._levels):
+            self._learn(self._levels)
+        self._ahead, self._levels = 0, self._levels[:0]
+        return self._released()
 
-    def _released(self, count: int, steady: bool) -> NDArray[np.bool_]:
-        certain = [np.ones_like(silent) if steady and early else silent for early, silent in self._waiting[:count]]
-        del self._waiting[:count]
-        return np.concatenate([np.zeros(0, bool), *certain])
+    def _learn(self, levels: Array) -> None:
+        mean = _step_mean(levels)
+        self._least, self._most = min(self._least, mean), max(self._most, mean)
+
+    def _released(self) -> NDArray[np.bool_]:
+        steady = self._most - self._least < _STEADY
+        early = min(max(len(self._waiting) - len(self._levels) - self._ahead, 0), self._early) if steady else self._early
+        out, self._waiting = self._waiting, self._waiting[:0]
+        if early < self._early:
+            out, self._waiting = out[:early], out[early:]
+        if steady:
+            out = np.concatenate([np.ones(early, bool), out[early:]])
+        self._early -= min(early, len(out))
+        return out
 
 
 def reference_level(samples: Samples, sample_rate: int, edges: Array) -> Array:

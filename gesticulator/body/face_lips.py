@@ -154,10 +154,10 @@ class _Gate:
     def finish(self) -> list[float]:
         """The same for the rest of the sound, which is then over."""
         rest, self._sound = self._sound, np.zeros(0, np.float32)
-        return self._taken(rest) if len(rest) else []
+        return self._taken(rest, ended=True) if len(rest) else []
 
-    def _taken(self, sound: Samples) -> list[float]:
-        step = self._tracker.step(frame_levels(sound, SAMPLE_RATE))
+    def _taken(self, sound: Samples, ended: bool = False) -> list[float]:
+        step = self._tracker.step(frame_levels(sound, SAMPLE_RATE), ended)
         over = step.levels - np.maximum(step.floor + MARGIN, step.limit)
         pairs = np.resize(over, (len(over) + 1) // 2 * 2).reshape(-1, 2).mean(axis=1)
         return (1.0 / (1.0 + np.exp(-(pairs - _ABOVE) / _SOFT))).tolist()

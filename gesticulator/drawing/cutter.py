@@ -1,6 +1,6 @@
 """Incremental cutting of speech into encoded blocks: `BlockCutter`. Files are cut by the same code (`encode_speech`).
 
-Sound is processed in ticks of 50 ms, whatever the sizes of the pieces that are fed, so all sizes give the same bytes.
+Sound is processed in ticks of 20 ms, whatever the sizes of the pieces that are fed, so all sizes give the same bytes.
 Sound and features are stored only as long as the next block needs them.
 """
 
@@ -23,7 +23,6 @@ from data_module.speech.front_ends import FrontEnd
 from data_module.speech.onsets import OnsetTracker
 from data_module.speech.silence import (
     FRAME,
-    STEP,
     LoudnessStep,
     LoudnessTracker,
     PauseTracker,
@@ -44,17 +43,15 @@ if TYPE_CHECKING:
 
 LATENCIES = ("full", "low")
 """Latency modes, see `BlockCutter`."""
-TICK = 800
-"""Samples (50 ms) that are processed at a time: half a step of the noise floor, five spectra."""
-CUTTER_EVERY = 40 * TICK
+TICK = 320
+"""Samples (20 ms) that are processed at a time, as a microphone delivers them: two frames, two spectra."""
+CUTTER_EVERY = 100 * TICK
 """Samples (2 s) between two copies of a cutter: cutting them again takes 20 ms."""
-_STEP_SAMPLES = round(STEP * FRAME * SAMPLE_RATE)
 _SAME = 1e-6
 """Largest difference of two equal times, seconds."""
 _WORDS_NEAR = 30.0
 """Seconds around a block in which words are considered: no bridged pause is longer."""
 _NONE = np.zeros(0)
-_NOTHING = LoudnessStep(_NONE, _NONE, _NONE, _NONE, np.zeros(0, bool), _NONE)
 
 
 @dataclass(frozen=True)
@@ -143,7 +140,7 @@ class BlockCutter:
         self._waiting = 0
         # Sound from the sample `_from` on; the recording is preceded by silence.
         self._sound, self._from = np.zeros(self._context, np.float32), -self._context
-        self._processed = self._levels = self._frames = self._count = 0
+        self._processed = self._frames = self._count = 0
         self._edges: list[tuple[float, BeatFlag]] = [(start, BeatFlag.BOUNDARY)]  # of blocks that are not cut yet
         self._rises: list[float] = []  # onsets of blocks that are not cut yet
         self._pitch = PitchLevel() if config.selection.pitch else None
@@ -248,16 +245,11 @@ class BlockCutter:
         """Loudness and onsets that became known by these samples."""
         self._sound = np.concatenate([self._sound, samples])
         self._processed += len(samples)
-        new = self._processed - self._levels
-        loudness = _NOTHING
-        if new and (new >= _STEP_SAMPLES or self._ended):
-            levels = frame_levels(self._sound[self._levels - self._from:self._processed - self._from], SAMPLE_RATE)
-            self._levels = self._processed
-            loudness = self._loudness.step(levels)
-            self._frames += len(levels)
-            self._voice.feed(loudness)
-            self._pauses.add(loudness.silent.tolist())
-            self._quiet.add(self._start.step(levels, loudness.silent).tolist())
+        loudness = self._loudness.step(frame_levels(samples, SAMPLE_RATE), self._ended)
+        self._frames += len(loudness.levels)
+        self._voice.feed(loudness)
+        self._pauses.add(loudness.silent.tolist())
+        self._quiet.add(self._start.step(loudness.levels, loudness.silent).tolist())
         return loudness, self._onsets.step(samples, loudness)
 
     def _ready_blocks(self) -> Iterator[SpeechBlock]:
@@ -349,7 +341,7 @@ class BlockCutter:
 
     def _forget(self, start: float) -> None:
         """Free the memory of sound, flags and words before a block that was returned."""
-        first = min(round(start * SAMPLE_RATE) - self._context, self._levels)
+        first = min(round(start * SAMPLE_RATE) - self._context, self._processed)
         if first > self._from:
             self._sound, self._from = self._sound[first - self._from:], first
         for flags in (self._pauses, self._quiet):
