@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from data_module.types import Array
-from gesticulator.characters.contacts import Trunk, plain_trunk
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import CHARACTER
+from data_module.types import Array, Motion
+from gesticulator.characters.contacts import Trunk, plain_trunk, pose_of
 
 WIDTH, DEPTH, HEIGHT = 0.2, 0.1, 0.5
 COUNT = 2000
@@ -91,3 +93,15 @@ def test_beyond_its_ends_the_distance_grows_from_that_of_the_rim() -> None:
     length = np.linalg.norm(neck - hips, axis=1)
     expected = np.hypot(np.maximum(radial(trunk, local), 0.0), (local[:, 1] - 1.0) * length)
     np.testing.assert_allclose(trunk.distance(points, hips, neck, chest)[0], expected, atol=1e-12)
+
+
+def test_a_pose_of_some_joints_has_them_and_those_above_as_that_of_all() -> None:
+    turns = Rotation.random(5 * len(CHARACTER), rng=np.random.default_rng(1)).as_quat(scalar_first=True)
+    motion = Motion(CHARACTER, turns.reshape(5, -1, 4), np.random.default_rng(2).normal(size=(5, 3)), 60.0)
+    some, every = pose_of(motion, ("LeftHand", "Head")), pose_of(motion)
+    assert {"Hips", "LeftArm", "LeftForeArm", "LeftHand", "Neck", "Head"} <= set(some.places)
+    assert "RightArm" not in some.places
+    for name, place in some.places.items():
+        assert np.array_equal(place, every.places[name]) and np.array_equal(some.turns[name], every.turns[name])
+    np.testing.assert_allclose(every.places["LeftHand"], positions_of(motion)[:, CHARACTER.index("LeftHand")],
+                               atol=1e-12)

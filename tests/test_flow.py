@@ -109,7 +109,7 @@ def test_a_shift_is_taken_back_along_a_quintic() -> None:
 
 
 def test_drawing_follows_the_field_that_was_trained() -> None:
-    """Heun's method over `FlowHead` itself, context by context, against the head that drawing uses: also after the
+    """The Adams method over `FlowHead` itself, context by context, against the head that drawing uses: also after the
     weights have changed."""
     generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
     contexts = torch.randn(3, CONFIG.context + generator.basis.width, generator=torch.manual_seed(1))
@@ -122,10 +122,11 @@ def test_drawing_follows_the_field_that_was_trained() -> None:
                             for own in contexts)
             return one + sum(gain * (one - other) for gain, other in zip(gains, others, strict=True))
 
-        u = noise
+        u, known = noise, [v(noise, 0.0)]
         for i in range(steps):
-            first = v(u, i / steps)
-            u = u + (first + v(u + first / steps, (i + 1) / steps)) / 2 / steps
+            ahead = known[-1] if i == 0 else 1.5 * known[-1] - 0.5 * known[-2]
+            known.append(v(u + ahead / steps, (i + 1) / steps))
+            u = u + (known[-2] + known[-1]) / 2 / steps
         return generator.stretch(u)
 
     for seed in range(2):
@@ -136,6 +137,22 @@ def test_drawing_follows_the_field_that_was_trained() -> None:
             found = generator.draw(contexts, gains, noise, 3)
         assert wanted.std() > 0.1
         torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-3)
+
+
+def test_drawing_is_of_second_order() -> None:
+    """Half the step leaves a quarter of the error, against very many steps."""
+    generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
+    with torch.no_grad():
+        for weight in generator.head.parameters():
+            weight.copy_(0.05 * torch.randn(weight.shape, generator=torch.manual_seed(2)))
+    contexts = torch.randn(1, CONFIG.context + generator.basis.width, generator=torch.manual_seed(1))
+    noise = torch.randn(8, generator.basis.width, generator=torch.manual_seed(3))
+    one, two, four, many = (generator.squeeze(generator.draw(contexts, torch.zeros(0, noise.shape[1]), noise, steps))
+                            for steps in (20, 40, 80, 1000))
+    errors = [float((each - many).abs().mean()) for each in (one, two, four)]
+    assert errors[0] > 1e-5
+    assert errors[1] / errors[0] == pytest.approx(0.25, abs=0.08)
+    assert errors[2] / errors[1] == pytest.approx(0.25, abs=0.08)
 
 
 def test_it_draws_either_side_and_never_the_mean() -> None:

@@ -54,6 +54,12 @@ def test_the_cross_product_is_numpys_bit_for_bit(many: Array, one: Array) -> Non
         np.testing.assert_array_equal(ours, theirs)
 
 
+def test_matrices_are_scipys() -> None:
+    q = Rotation.random(60, rng=np.random.default_rng(4)).as_quat(scalar_first=True)
+    assert np.allclose(rotation.to_matrix(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-14)
+    assert np.array_equal(rotation.to_matrix(q.reshape(3, 4, 5, 4)), rotation.to_matrix(q).reshape(3, 4, 5, 3, 3))
+
+
 def test_one_quaternion_turns_many_vectors() -> None:
     quarter = rotation.from_euler(np.array([np.pi / 2, 0.0, 0.0]), "YXZ")
     turned = rotation.rotate(quarter, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))

@@ -386,7 +386,7 @@ def asked_of_the_head() -> Iterator[list[int]]:
 
 
 def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
-    """The flow head is asked for one way of each step, four times a block instead of 24; the beats are the sound's."""
+    """The flow head is asked for one way of each step, three times a block instead of 20; the beats are the sound's."""
     sound, edges, calls = example()[:round(SHORT * SAMPLE_RATE)], [], []
     for hurried in (False, True):
         stream = system().stream()
@@ -397,7 +397,7 @@ def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
         calls.append(sum(rows) / len(blocks))
     chosen = system().bundle.config.selection
     assert edges[0] == edges[1]
-    assert calls[0] >= 2 * chosen.flow_steps * chosen.candidates and calls[1] == 4
+    assert calls[0] >= (chosen.flow_steps + 1) * chosen.candidates and calls[1] == 3
 
 
 def test_who_hurries_draws_again_what_throws_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -411,7 +411,7 @@ def test_who_hurries_draws_again_what_throws_a_hand(monkeypatch: pytest.MonkeyPa
             blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
         counts.append(sum(rows) / len(blocks))
     # As many as when there is time, but without guidance; and where all of them throw it, as many calmer ones.
-    assert counts == [4, 4 * (1 + 2 * chosen.candidates)]
+    assert counts == [3, 3 * (1 + 2 * chosen.candidates)]
 
 
 def test_what_nobody_sees_is_not_drawn_and_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -427,7 +427,7 @@ def test_what_nobody_sees_is_not_drawn_and_changes_nothing(monkeypatch: pytest.M
             parts = [*fed(stream, sound, (4000,)), stream.finish()]
         made.append(joined(parts))
         blocks = sum(len(part.blocks) for part in parts)
-        drawn.append(len(asked) / (2 * system().bundle.config.selection.flow_steps))
+        drawn.append(len(asked) / (system().bundle.config.selection.flow_steps + 1))
     assert np.array_equal(*made)
     assert drawn[1] == blocks and 3 <= blocks - drawn[0] <= 6, "two seconds are three blocks and more"
 

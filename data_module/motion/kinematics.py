@@ -4,6 +4,7 @@ inertialisation)."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -71,27 +72,34 @@ def joint_positions(skeleton: Skeleton, rotations: Array, root_positions: Array 
 def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
     """As `positions_of` for these joints only, [T, len(joints), 3]; computes only the chains from the root to them."""
     parents, offsets = motion.skeleton.parents, motion.skeleton.offsets
-    turned: dict[int, tuple[Array, Array]] = {-1: (np.zeros(0), motion.root_positions)}  # world rotation and position
+    order = with_ancestors(parents, tuple(joints))
+    # Matrices: for few frames they take a third of the time of quaternions.
+    local = np.moveaxis(rotation.to_matrix(motion.rotations[:, order]), 1, 0)
+    turns, places = {}, {order[0]: motion.root_positions}
+    above = {parents[joint] for joint in order}
+    for turn, joint in zip(local, order, strict=True):
+        parent = parents[joint]
+        if parent >= 0:
+            places[joint] = places[parent] + turns[parent] @ offsets[joint]
+        if joint in above:
+            turns[joint] = turn if parent < 0 else turns[parent] @ turn
+    return np.stack([places[joint] for joint in joints], axis=1)
 
-    def at(joint: int) -> tuple[Array, Array]:
-        if joint not in turned:
-            local, parent = motion.rotations[:, joint], parents[joint]
-            above, place = at(parent)
-            turned[joint] = (local, place) if parent < 0 else (
-                rotation.multiply(above, local), place + rotation.rotate(above, offsets[joint]))
-        return turned[joint]
 
-    return np.stack([at(joint)[1] for joint in joints], axis=1)
+@lru_cache(maxsize=64)
+def with_ancestors(parents: tuple[int, ...], joints: tuple[int, ...]) -> tuple[int, ...]:
+    """These joints and those above them in the tree, rising."""
+    needed: set[int] = set()
+    for joint in joints:
+        while joint >= 0:
+            needed.add(joint)
+            joint = parents[joint]
+    return tuple(sorted(needed))
 
 
 def chains(skeleton: Skeleton, ends: Sequence[int]) -> tuple[Skeleton, list[int]]:
     """The skeleton of these joints and their ancestors, and its joint indices in the full one, rising."""
-    needed: set[int] = set()
-    for end in ends:
-        while end >= 0:
-            needed.add(end)
-            end = skeleton.parents[end]
-    joints = sorted(needed)
+    joints = list(with_ancestors(skeleton.parents, tuple(ends)))
     parents = tuple(joints.index(skeleton.parents[joint]) if joint else -1 for joint in joints)
     return Skeleton(tuple(skeleton.names[joint] for joint in joints), parents, skeleton.offsets[joints]), joints
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from data_module.types import Array
 
 __all__ = ["angle_between", "between", "conjugate", "continuous", "cross", "from_euler", "from_exponential_map",
-           "interpolate", "multiply", "normalise", "remove_yaw", "rotate", "to_euler", "to_exponential_map", "yaw_of"]
+           "interpolate", "multiply", "normalise", "remove_yaw", "rotate", "to_euler", "to_exponential_map", "to_matrix", "yaw_of"]
 
 _EPS = 1e-12
 
@@ -110,6 +110,21 @@ def from_exponential_map(v: Array) -> Array:
     """Exponential map [..., 3] (axis times angle, radians, any number of turns) to [..., 4]."""
     a = np.asarray(v, dtype=np.float64)
     return Rotation.from_rotvec(a.reshape(-1, 3)).as_quat(scalar_first=True).reshape(*a.shape[:-1], 4)
+
+
+def to_matrix(q: Array) -> Array:
+    """Unit quaternions [..., 4] to rotation matrices [..., 3, 3], whose columns are the turned axes. For few of them
+    scipy takes five times as long."""
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    doubled_x, doubled_y, doubled_z = 2.0 * x, 2.0 * y, 2.0 * z
+    out = np.empty((*w.shape, 3, 3))
+    xx, yy, zz = doubled_x * x, doubled_y * y, doubled_z * z
+    xy, xz, yz = doubled_x * y, doubled_x * z, doubled_y * z
+    wx, wy, wz = doubled_x * w, doubled_y * w, doubled_z * w
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1.0 - (yy + zz), xy - wz, xz + wy
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = xy + wz, 1.0 - (xx + zz), yz - wx
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = xz - wy, yz + wx, 1.0 - (xx + yy)
+    return out
 
 
 def to_exponential_map(q: Array) -> Array:

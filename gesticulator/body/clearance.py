@@ -23,25 +23,22 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
-from data_module.types import Array, Motion
+from data_module.types import Array, Motion, Skeleton
 from gesticulator.characters.contacts import (
     LEAST,
     OURS,
     POLE_OF_ELBOW,
     SOFT,
-    BelowShoulder,
-    OurLimbs,
     Pose,
     pose_of,
     soft,
     write_turns,
 )
-from gesticulator.characters.inverse_kinematics import bend, swivel
+from gesticulator.characters.inverse_kinematics import bent, length, swing, swivelled
 
 STEEPEST = 1.2
 """Largest slope of the front of the trunk: with 3, a hand that shot past the hip was thrown ahead at 4.7 m/s."""
@@ -69,6 +66,12 @@ HEAD_MIDDLE = np.array([0.0, 0.085, 0.025])
 """Middle of the face relative to the joint of the head, metres: the joint is at the top of the neck."""
 HEAD_RADIUS = 0.13
 """Metres from there within which a hand hides the face: the face is 0.09 deep, and a hand 0.04."""
+_HAND = "Hand", "HandMiddle1"
+"""The points of a hand that are kept out: wrist and knuckles."""
+_JOINTS = ("Neck", "Spine3", "Head", *(side + part for side in SIDES for part in ("Arm", "ForeArm", *_HAND)))
+_SIGNS = np.array([1.0, -1.0])[:, None, None]
+"""Of the sides, for their points over time."""
+Sign = float | Array
 _STEPS = 4
 """Iterations: wrist and knuckles share a correction, and each corrects the one before."""
 _SWINGS = 7
@@ -90,61 +93,76 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
 
 
 def _off_trunk(motion: Motion) -> Motion:
-    pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))))
+    names = [name for name in _JOINTS if name in motion.skeleton.names]
+    pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))), names)
     body, rotations = _Body(pose), None
-    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-        points = [side + name for name in ("Hand", "HandMiddle1") if side + name in pose.places]
-        push = body.push([pose.places[point] for point in points], sign)
-        hidden = body.hidden(pose.places[side + "ForeArm"], sign)
-        at = np.flatnonzero((np.linalg.norm(push, axis=-1) > LEAST) | (np.linalg.norm(hidden, axis=-1) > LEAST))
-        if len(at):
+    points = [[pose.places[side + part] for part in _HAND if side + part in names] for side in SIDES]
+    push = body.push(np.array(points), _SIGNS)
+    hidden = body.hidden(np.array([pose.places[side + "ForeArm"] for side in SIDES]), _SIGNS[..., 0])
+    moved = (length(push) > LEAST) | (length(hidden) > LEAST)
+    for side, sign, frames in zip(SIDES, (1.0, -1.0), moved[..., 0], strict=True):
+        if frames.any():
             rotations = motion.rotations.copy() if rotations is None else rotations
-            _bend_arm(rotations, motion, pose, (side, sign), at)
+            _bend_arm(rotations, motion.skeleton, _at(pose, frames), (side, sign), np.flatnonzero(frames))
     return motion if rotations is None else replace(motion, rotations=rotations)
 
 
-def _bend_arm(rotations: Array, motion: Motion, pose: Pose, side: tuple[str, float], at: NDArray[np.int64]) -> None:
-    """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body."""
+def _at(pose: Pose, frames: NDArray[np.bool_]) -> Pose:
+    """The pose at some of its frames [T]."""
+    if frames.all():
+        return pose
+    return Pose({joint: turn[frames] for joint, turn in pose.turns.items()},
+                {joint: place[frames] for joint, place in pose.places.items()})
+
+
+def _bend_arm(rotations: Array, skeleton: Skeleton, pose: Pose, side: tuple[str, float], at: NDArray[np.int64]) -> None:
+    """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body; pose: of these frames."""
     name, sign = side
-    skeleton = motion.skeleton
-    pose = Pose({joint: turn[at] for joint, turn in pose.turns.items()},
-                {joint: place[at] for joint, place in pose.places.items()})
-    turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
-    chain = (skeleton.index(name + "Arm"), skeleton.index(name + "ForeArm"), skeleton.index(name + "Hand"))
-    body, limbs = _Body(pose), BelowShoulder(skeleton, chain[0], pose.places[name + "Arm"])
-    points = [skeleton.index(name + part) for part in ("Hand", "HandMiddle1") if name + part in skeleton.names]
-    share = 1.0 - body.at_shoulder(pose.places[name + "Hand"], pose.places[name + "Arm"], sign)
+    body, places = _Body(pose), pose.places
+    shoulder, wrist = places[name + "Arm"], places[name + "Hand"]
+    bones = upper, lower = places[name + "ForeArm"] - shoulder, wrist - places[name + "ForeArm"]
+    # The hand does not turn with the arm.
+    palm = np.array([places[name + part] - wrist for part in _HAND if name + part in places])
+    share = 1.0 - body.at_shoulder(wrist, shoulder, sign)
     for _ in range(_STEPS):
-        push = body.push([limbs.place(turns, point) for point in points], sign) * share
-        inside = np.linalg.norm(push, axis=-1) > LEAST
+        push = body.push(shoulder + upper + lower + palm, sign) * share
+        inside = length(push) > LEAST
         if not inside.any():
             break
-        bend(turns, limbs, chain, limbs.place(turns, chain[2]) + push, POLE_OF_ELBOW, inside)
+        reaching = bent(upper, lower, upper + lower + push, POLE_OF_ELBOW)
+        upper, lower = np.where(inside, reaching[0], upper), np.where(inside, reaching[1], lower)
     for _ in range(_SWINGS):
-        swivel(turns, limbs, chain, body.hidden(limbs.place(turns, chain[1]), sign))
-    if len(points) > 1:
-        _tip_hand(turns, limbs, (chain[2], points[1]), body, sign)
+        hidden = body.hidden(shoulder + upper, sign)
+        if not (length(hidden) > LEAST).any():
+            break
+        way, upper = upper + lower, swivelled(upper, lower, hidden)
+        lower = way - upper
+    turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
+    chain = [skeleton.index(name + part) for part in ("Arm", "ForeArm", "Hand")]
+    for node, before, after in zip(chain, bones, (upper, lower), strict=False):
+        turns[node] = swing(before, after) @ turns[node]
+    if len(palm) > 1:
+        turns[chain[2]] = _tipped(turns[chain[2]], (shoulder + upper + lower, palm[1]), body, sign)
     write_turns(rotations, skeleton, turns, chain, at)
 
 
-def _tip_hand(turns: dict[int, Array], limbs: OurLimbs, hand: tuple[int, int], body: _Body, sign: float) -> None:
-    """Turn a hand in `turns` about its wrist where its knuckles are still in the trunk: of a hand that stays at its
-    shoulder. hand: wrist and knuckles; sign: 1 for the left hand, -1 for the right."""
-    wrist, knuckles = (limbs.place(turns, node) for node in hand)
-    push = body.out_of_trunk(knuckles, sign, TIP_SOFT)
-    at = np.linalg.norm(push, axis=-1) > LEAST
+def _tipped(turn: Array, hand: tuple[Array, Array], body: _Body, sign: float) -> Array:
+    """The turn [T, 3, 3] of a hand, about its wrist where its knuckles are still in the trunk: of a hand that stays at
+    its shoulder. hand: [T, 3] the wrist, and the knuckles from there; sign: 1 for the left hand, -1 for the right."""
+    wrist, palm = hand
+    push = body.out_of_trunk(wrist + palm, sign, TIP_SOFT)
+    at = length(push)[:, 0] > LEAST
     if not at.any():
-        return
-    before = (knuckles - wrist)[at]
-    after = before + push[at]
-    size = np.linalg.norm(before, axis=-1, keepdims=True)
-    before, after = before / size, after / np.maximum(np.linalg.norm(after, axis=-1, keepdims=True), 1e-9)
-    axis = np.cross(before, after)
-    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+        return turn
+    before, after = palm[at], (palm + push)[at]
+    before, after = before / length(before), after / np.maximum(length(after), 1e-9)
+    axis = rotation.cross(before, after)
+    sine = length(axis)
     angle = np.minimum(np.arctan2(sine, np.sum(before * after, axis=-1, keepdims=True)), FARTHEST_TIP)
-    turn = Rotation.from_rotvec(axis / np.maximum(sine, 1e-9) * angle).as_matrix()
-    turns[hand[0]] = turns[hand[0]].copy()
-    turns[hand[0]][at] = turn @ turns[hand[0]][at]
+    half = rotation.from_exponential_map(axis / np.maximum(sine, 1e-9) * angle)
+    turn = turn.copy()
+    turn[at] = rotation.to_matrix(half) @ turn[at]
+    return turn
 
 
 def cleared_poses(poses: Array, representation: Representation, sits: bool = False) -> Array:
@@ -172,34 +190,39 @@ class _Body:
         self._head = pose.turns["Head"]
         self._face = pose.places["Head"] + self._head @ HEAD_MIDDLE
 
-    def push(self, points: list[Array], sign: float) -> Array:
-        """[T, 3] the displacement of a hand with points [T, 3] in the body; sign: 1 for the left hand, -1 for the
-        right. Of several displacements the larger ones count more, so that none takes over at once."""
-        moves = np.stack([move for point in points for move in (self.out_of_trunk(point, sign, SOFT),
-                                                                self._off_face(point))])
+    def push(self, points: Array, sign: Sign) -> Array:
+        """[..., T, 3] the displacement of a hand whose P points [..., P, T, 3] are in the body; sign: 1 for the left
+        hand, -1 for the right, or an array of them. Of several displacements the larger ones count more, so that none
+        takes over at once."""
+        moves = np.concatenate([self.out_of_trunk(points, sign, SOFT), self._off_face(points)], axis=-3)
         weights = np.sum(moves ** 2, axis=-1, keepdims=True)
-        return np.asarray(np.sum(weights * moves, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12))
+        return np.asarray(np.sum(weights * moves, axis=-3) / np.maximum(np.sum(weights, axis=-3), 1e-12))
 
-    def hidden(self, elbow: Array, sign: float) -> Array:
-        """[T, 3] the displacement of an elbow [T, 3] behind the trunk; sign: 1 for the left, -1 for the right."""
-        across, along, ahead = np.einsum("tij,tj->ti", self._axes, elbow).T
-        depth = soft(back_at(across * sign, along, self._length) - ahead, ELBOW_SOFT)
-        return depth[:, None] * (OUTWARD[0] * sign * self._axes[:, 0] + OUTWARD[1] * self._axes[:, 2])
+    def hidden(self, elbow: Array, sign: Sign) -> Array:
+        """[..., T, 3] the displacement of an elbow [..., T, 3] behind the trunk; sign: see `push`."""
+        across, along, ahead = self._from_hips(elbow)
+        depth = soft(back_at(across * sign, along, self._length) - ahead, ELBOW_SOFT)[..., None]
+        out = OUTWARD[0] * self._axes[:, 0]
+        return depth * (np.asarray(sign)[..., None] * out + OUTWARD[1] * self._axes[:, 2])
 
     def at_shoulder(self, hand: Array, shoulder: Array, sign: float) -> Array:
         """[T, 1] how much a hand [T, 3] is at its shoulder [T, 3] and beside the trunk, 0 to 1."""
-        across = sign * np.sum(self._axes[:, 0] * hand, axis=-1)
-        near = 1.0 - _ramp(np.linalg.norm(hand - shoulder, axis=-1), FOLDED)
-        return np.asarray(near * _ramp(across, BESIDE))[:, None]
+        across = sign * np.sum(self._axes[:, 0] * hand, axis=-1, keepdims=True)
+        return np.asarray((1.0 - _ramp(length(hand - shoulder), FOLDED)) * _ramp(across, BESIDE))
 
-    def out_of_trunk(self, point: Array, sign: float, over: float) -> Array:
-        """[T, 3] the displacement of a point [T, 3] of a hand in the trunk; over: metres in which it is rounded."""
-        across, along, ahead = np.einsum("tij,tj->ti", self._axes, point).T
-        return self._axes[:, 2] * soft(shirt_at(across * sign, along, self._length) - ahead, over)[:, None]
+    def out_of_trunk(self, point: Array, sign: Sign, over: float) -> Array:
+        """[..., T, 3] the displacement of a point [..., T, 3] of a hand in the trunk; sign: see `push`; over: metres in
+        which it is rounded."""
+        across, along, ahead = self._from_hips(point)
+        return self._axes[:, 2] * soft(shirt_at(across * sign, along, self._length) - ahead, over)[..., None]
+
+    def _from_hips(self, point: Array) -> Array:
+        """[3, ..., T] metres across, along and ahead of a point [..., T, 3]."""
+        return np.moveaxis(np.matmul(self._axes, point[..., None])[..., 0], -1, 0)
 
     def _off_face(self, point: Array) -> Array:
-        x, y, z = np.einsum("tji,tj->ti", self._head, point - self._face).T
-        return self._head[..., 2] * soft(face_front(np.hypot(x, y)) - z)[:, None]
+        x, y, z = np.moveaxis(np.matmul((point - self._face)[..., None, :], self._head)[..., 0, :], -1, 0)
+        return self._head[..., 2] * soft(face_front(np.sqrt(x * x + y * y)) - z)[..., None]
 
 
 def trunk_front(across: Array) -> Array:

@@ -249,7 +249,7 @@ class SelectionConfig:
     """How much more noise the arms have the livelier the style code is: its natural logarithm, per unit of
     liveliness."""
     flow_steps: Annotated[int, SettingRange(1, 100)] = 4
-    """Steps of Heun's method from noise to a block."""
+    """Steps of the Adams method from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4
     """Candidate blocks sampled by the flow head; the best by lexeme, `timing`, `seam`, `clear` and
     `as_asked` is kept."""

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from data_module.motion import rotation
+from data_module.motion.kinematics import with_ancestors
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
 from gesticulator.characters.inverse_kinematics import bend
@@ -98,18 +100,21 @@ class Pose:
     places: Mapping[str, Array]
 
 
-def pose_of(motion: Motion) -> Pose:
-    """World rotations and positions of a motion's joints."""
+def pose_of(motion: Motion, names: Sequence[str] | None = None) -> Pose:
+    """World rotations and positions of a motion's joints; of these and those above them, if names are given."""
     skeleton = motion.skeleton
-    flat = Rotation.from_quat(motion.rotations.reshape(-1, 4), scalar_first=True).as_matrix()
-    local = flat.reshape(*motion.rotations.shape[:2], 3, 3)
+    joints: Sequence[int] = range(len(skeleton))
+    if names is not None:
+        joints = with_ancestors(skeleton.parents, tuple(map(skeleton.index, names)))
+    local = rotation.to_matrix(motion.rotations[:, joints])
     turns, places = {}, {}
-    for joint, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents, strict=True)):
+    for place, joint in enumerate(joints):
+        name, parent = skeleton.names[joint], skeleton.parents[joint]
         if parent < 0:
-            turns[name], places[name] = local[:, joint], motion.root_positions
+            turns[name], places[name] = local[:, place], motion.root_positions
         else:
             above = skeleton.names[parent]
-            turns[name] = turns[above] @ local[:, joint]
+            turns[name] = turns[above] @ local[:, place]
             places[name] = places[above] + turns[above] @ skeleton.offsets[joint]
     return Pose(turns, places)
 

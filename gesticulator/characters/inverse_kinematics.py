@@ -7,7 +7,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.types import Array
@@ -34,23 +33,24 @@ def bend(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], goal
     top, middle, _ = chain
     socket, hinge, tip = (body.place(turns, node) for node in chain)
     upper, lower = hinge - socket, tip - hinge
-    first, second = np.linalg.norm(upper, axis=-1), np.linalg.norm(lower, axis=-1)
-    way = goal - socket
-    far = np.linalg.norm(way, axis=-1)
-    along = way / np.maximum(far, 1e-9)[:, None]
+    for node, before, after in zip((top, middle), (upper, lower), bent(upper, lower, goal - socket, pole), strict=True):
+        turned = swing(before, after) @ turns[node]
+        turns[node] = turned if where is None else np.where(where[:, None, None], turned, turns[node])
+
+
+def bent(upper: Array, lower: Array, way: Array, pole: Array) -> tuple[Array, Array]:
+    """The two bones [T, 3] of a limb that reaches `way` [T, 3] from its first joint; see `bend`."""
+    first, second, far = length(upper), length(lower), length(way)
+    along = way / np.maximum(far, 1e-9)
     far = np.clip(far, np.abs(first - second) / _STRETCHED + 1e-9, _STRETCHED * (first + second))
     # Law of cosines: the middle joint's distance along the direction to the goal, and beside it.
     share = (first ** 2 + far ** 2 - second ** 2) / (2.0 * far)
     beside = np.sqrt(np.maximum(first ** 2 - share ** 2, 0.0))
     out = upper - np.sum(upper * along, axis=-1, keepdims=True) * along
-    straight = np.linalg.norm(out, axis=-1, keepdims=True) < 1e-4 * first[:, None]
+    straight = length(out) < 1e-4 * first
     out = np.where(straight, pole - (along @ pole)[:, None] * along, out)
-    out = out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-9)
-    new_upper = share[:, None] * along + beside[:, None] * out
-    new_lower = far[:, None] * along - new_upper
-    for node, before, after in ((top, upper, new_upper), (middle, lower, new_lower)):
-        turned = swing(before, after) @ turns[node]
-        turns[node] = turned if where is None else np.where(where[:, None, None], turned, turns[node])
+    new_upper = share * along + beside * (out / np.maximum(length(out), 1e-9))
+    return new_upper, far * along - new_upper
 
 
 def swivel(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], shift: Array) -> None:
@@ -62,24 +62,35 @@ def swivel(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], sh
     """
     top, middle, _ = chain
     socket, hinge, tip = (body.place(turns, node) for node in chain)
-    upper, lower, way = hinge - socket, tip - hinge, tip - socket
-    along = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
+    upper, lower = hinge - socket, tip - hinge
+    moved = swivelled(upper, lower, shift)
+    turns[top] = swing(upper, moved) @ turns[top]
+    turns[middle] = swing(lower, tip - socket - moved) @ turns[middle]
+
+
+def swivelled(upper: Array, lower: Array, shift: Array) -> Array:
+    """[T, 3] the first bone of a limb of two bones [T, 3] whose middle joint moves by about `shift` [T, 3]; see
+    `swivel`."""
+    way = upper + lower
+    along = way / np.maximum(length(way), 1e-9)
     centre = np.sum(upper * along, axis=-1, keepdims=True) * along
     beside = upper - centre
-    size = np.linalg.norm(beside, axis=-1, keepdims=True)
+    size = length(beside)
     shift = shift - np.sum(shift * along, axis=-1, keepdims=True) * along
-    far = np.linalg.norm(shift, axis=-1, keepdims=True)
-    cosine = np.sum(shift * beside, axis=-1, keepdims=True) / np.maximum(far * size, 1e-9)
+    cosine = np.sum(shift * beside, axis=-1, keepdims=True) / np.maximum(length(shift) * size, 1e-9)
     moved = beside + shift * np.sqrt(np.maximum(1.0 + cosine, 0.0) / 2.0)
-    length = np.linalg.norm(moved, axis=-1, keepdims=True)
-    moved = np.where(length > 1e-6, moved / np.maximum(length, 1e-9) * size, beside)
-    turns[top] = swing(upper, centre + moved) @ turns[top]
-    turns[middle] = swing(lower, way - centre - moved) @ turns[middle]
+    far = length(moved)
+    return centre + np.where(far > 1e-6, moved / np.maximum(far, 1e-9) * size, beside)
+
+
+def length(vectors: Array) -> Array:
+    """[..., 1] lengths of vectors [..., 3]; `numpy.linalg.norm` takes three times as long for few of them."""
+    return np.asarray(np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True)))
 
 
 def swing(a: Array, b: Array) -> Array:
     """[T, 3, 3] the shortest rotations from directions a [T, 3] to b."""
-    a = a / np.linalg.norm(a, axis=-1, keepdims=True)
-    b = b / np.linalg.norm(b, axis=-1, keepdims=True)
+    a = a / length(a)
+    b = b / length(b)
     q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), rotation.cross(a, b)], axis=-1)
-    return Rotation.from_quat(rotation.normalise(q), scalar_first=True).as_matrix()
+    return rotation.to_matrix(rotation.normalise(q))

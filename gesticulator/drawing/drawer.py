@@ -132,7 +132,7 @@ LIVELINESS = (1.0, 0.5, 0.5, 0.0)
 _OUTWARDS = (0.0, 0.0, 0.0, 1.0)
 """The direction of a style code in which hands are farther from the body."""
 HURRIED_STEPS = 2
-"""Steps of Heun's method for a hurried block; a single step would give the mean instead of a sample."""
+"""Steps of the Adams method for a hurried block; a single step would give the mean instead of a sample."""
 
 
 class Drawer(Protocol):
