@@ -14,6 +14,7 @@ import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -112,7 +113,8 @@ class LoudnessTracker:
         """The frames that are certain after some more levels [F] and, if the sound has ended with them, the rest."""
         out = []
         while len(levels) or (ended and len(self._current)):
-            new, levels = np.split(levels, [STEP - len(self._current)])
+            lacking = STEP - len(self._current)
+            new, levels = levels[:lacking], levels[lacking:]
             self._current = np.concatenate([self._current, new])
             whole = len(self._current) == STEP or (ended and not len(levels))
             if not self._early:
@@ -140,13 +142,15 @@ class LoudnessTracker:
         floor, spoken = self._percentile, self._loudest > self._faintest + _NOISE_RANGE
         if spoken and self._early:
             floor = min(floor, self._loudest - _START_CAP)
-        count = self._heard + np.cumsum(levels > floor + MARGIN)
-        self._heard = int(count[-1])
         under = max(self._loudest - BELOW_LOUDEST, FAINTEST_SPEECH)
-        heard = count * FRAME >= FAINT_EVIDENCE
-        limit = np.where(heard, under, max(under, QUIETEST))
-        noise = floor if floor > FAINTEST_SPEECH else QUIETEST  # without noise there is no other measure
-        ground = np.where(heard, under, max(under, noise))
+        limit = ground = np.full(len(levels), under)
+        if self._heard * FRAME < FAINT_EVIDENCE:
+            count = self._heard + np.cumsum(levels > floor + MARGIN)
+            self._heard = int(count[-1])
+            heard = count * FRAME >= FAINT_EVIDENCE
+            limit = np.where(heard, under, max(under, QUIETEST))
+            noise = floor if floor > FAINTEST_SPEECH else QUIETEST  # without noise there is no other measure
+            ground = np.where(heard, under, max(under, noise))
         expected = self._loudest + (-_VOICE_BELOW if spoken else _VOICE_ABOVE)
         silent = levels <= np.maximum(floor + MARGIN, limit)
         return LoudnessStep(levels, np.full(len(levels), floor), limit, ground, silent, np.full(len(levels), expected))
@@ -357,12 +361,11 @@ def pitch_of(samples: Samples, sample_rate: int) -> tuple[Array, NDArray[np.bool
         return np.zeros(0), np.zeros(0, dtype=bool)
     frames = sliding_window_view(samples.astype(np.float64), size)[::hop]
     frames = frames - frames.mean(axis=1, keepdims=True)
-    window = np.hanning(size)
     shortest, longest = int(sample_rate / _HIGHEST), int(np.ceil(sample_rate / _LOWEST)) + 1
+    window, own = _pitch_window(size, longest + 1)
     repeats = _autocorrelation(frames * window, longest + 1)
     power = repeats[:, :1]
-    own = _autocorrelation(window[None], longest + 1)
-    share = np.where(power > _NO_SOUND * size, repeats / np.maximum(power, 1e-30) / (own / own[:, :1]), 0.0)
+    share = np.where(power > _NO_SOUND * size, repeats / np.maximum(power, 1e-30) / own, 0.0)
     lags = np.arange(shortest, longest)
     peak = (share[:, lags] >= share[:, lags - 1]) & (share[:, lags] >= share[:, lags + 1])
     height = np.where(peak, share[:, lags] - _OCTAVE * np.log2(lags / shortest), -np.inf)
@@ -377,9 +380,17 @@ def pitch_of(samples: Samples, sample_rate: int) -> tuple[Array, NDArray[np.bool
 
 def _autocorrelation(frames: Array, lags: int) -> Array:
     """[F, lags] of frames [F, n]."""
-    size = 1 << int(np.ceil(np.log2(2 * frames.shape[1])))
+    size = 1 << int(np.ceil(np.log2(frames.shape[1] + lags)))
     spectrum = np.fft.rfft(frames, size, axis=1)
     return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, size, axis=1)[:, :lags])
+
+
+@lru_cache(maxsize=4)
+def _pitch_window(size: int, lags: int) -> tuple[Array, Array]:
+    """[size] the window of a frame, and [1, lags] its own autocorrelation, 1 at lag 0."""
+    window = np.hanning(size)
+    own = _autocorrelation(window[None], lags)
+    return window, own / own[:, :1]
 
 
 class PitchLevel:

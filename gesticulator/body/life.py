@@ -21,6 +21,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,16 +69,29 @@ def mixed(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> NDArray[np
 
     channel: one, or an array that broadcasts with the numbers.
     """
-    with np.errstate(over="ignore"):
-        key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * (np.asarray(channel) + 1).astype(np.uint64))
-        return _scrambled(key + _STEP_OF_BITS * np.asarray(numbers).astype(np.uint64))
+    flat = np.atleast_1d(numbers).astype(np.uint64)  # arrays, unlike scalars, overflow without a warning
+    if isinstance(channel, np.ndarray):
+        key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * (np.atleast_1d(channel) + 1).astype(np.uint64))
+    else:
+        key = _key(seed & _ALL_BITS, int(channel))
+    out = _scrambled(key + _STEP_OF_BITS * flat)
+    return out if np.ndim(numbers) or np.ndim(channel) else out.reshape(())
+
+
+@lru_cache(maxsize=256)
+def _key(seed: int, channel: int) -> NDArray[np.uint64]:
+    """[1] `_scrambled` of the seed and a channel."""
+    return _scrambled(np.array([(seed + int(_STEP_OF_BITS) * (channel + 1)) & _ALL_BITS], np.uint64))
+
+
+_SHIFTS_OF_BITS = np.uint64(30), np.uint64(27), np.uint64(31)
+_FACTORS_OF_BITS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 
 
 def _scrambled(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    with np.errstate(over="ignore"):
-        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        return z ^ (z >> np.uint64(31))
+    for shift, factor in zip(_SHIFTS_OF_BITS, _FACTORS_OF_BITS, strict=False):
+        z = (z ^ (z >> shift)) * factor
+    return z ^ (z >> _SHIFTS_OF_BITS[2])
 
 
 def uniform(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
@@ -87,8 +101,8 @@ def uniform(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
 
 def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
     """Standard normal numbers for each of `numbers` [...] (Box and Muller)."""
-    doubled = 2 * np.asarray(numbers, dtype=np.int64)
-    one, two = uniform(seed, channel, doubled), uniform(seed, channel, doubled + 1)
+    pairs = 2 * np.broadcast_to(numbers, np.broadcast_shapes(np.shape(numbers), np.shape(channel))).astype(np.int64)
+    one, two = uniform(seed, channel, np.stack([pairs, pairs + 1]))
     return np.asarray(np.sqrt(-2.0 * np.log(one)) * np.cos(2.0 * np.pi * two))
 
 

@@ -243,12 +243,13 @@ def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array]
                 at: NDArray[np.int64]) -> None:
     """Write the world rotations `turns` of some joints, each above the next, into `rotations` [T, J, 4] at the frames
     `at`."""
-    for joint in joints:
-        above = turns[skeleton.parents[joint]]
-        local = np.swapaxes(above, -1, -2) @ turns[joint]
-        new, old = Rotation.from_matrix(local).as_quat(scalar_first=True), rotations[at, joint]
-        # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
-        rotations[at, joint] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
+    above = np.array([turns[skeleton.parents[joint]] for joint in joints])
+    local = np.swapaxes(above, -1, -2) @ np.array([turns[joint] for joint in joints])
+    new = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(*local.shape[:2], 4)
+    where = at, np.array(joints)[:, None]
+    old = rotations[where]
+    # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
+    rotations[where] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
 
 
 def soft(depth: Array, over: float = SOFT) -> Array:
