@@ -8,7 +8,8 @@ block, a Gumbel-quantised code, an LSTM. Three things differ from `generator.mod
 - The LSTM runs over blocks and gives a context h; the head samples all of a block's coefficients y
   (`data_module.motion.movement`) at once. With u = asinh(b y / sd) / sd_u, whose tails are light, it learns
   v(u_t, t, h) = u - e on u_t = (1 - t) e + t u, where e is Gaussian noise and t uniform. Sampling integrates
-  du/dt = v from noise to u by the Adams method. A regression would give the mean of all continuations, which hardly moves.
+  du/dt = v from noise to u by the Adams method. A regression would give the mean of all continuations, which hardly
+  moves.
 - Audio and lexeme are left out in part of the training, for classifier-free guidance: v + g_a (v - v without audio) +
   g_l (v - v without lexeme). So is the previous motion, which predicts the liveliness of the next block so well that
   the model would copy it instead of using the audio, and become calmer and calmer on its own output.

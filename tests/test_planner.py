@@ -135,7 +135,7 @@ def test_a_bias_moves_the_odds_of_a_phase_and_a_hold_needs_raised_hands() -> Non
 
 
 def test_a_pause_that_goes_on_holds_and_one_that_ends_prepares() -> None:
-    settings = SelectionConfig(hold=0.5, phrasing=2.0)
+    settings = SelectionConfig(hold=0.5, phrasing=2.0, setting_out=3.0)
     quiet, voiced = np.ones(FRAMES, bool), np.zeros(FRAMES, bool)
     nothing = np.zeros((3 * FRAMES, 2), np.float32)
 
@@ -145,7 +145,7 @@ def test_a_pause_that_goes_on_holds_and_one_that_ends_prepares() -> None:
         return {name: value for name, value in zip(PHASES, phrasing(settings, speech), strict=True) if value}
 
     assert of(quiet, quiet) == {"hold": 2.5}
-    assert of(quiet, voiced) == of(quiet, np.array([True, True, True, False])) == {"hold": 0.5, "preparation": 2.0}
+    assert of(quiet, voiced) == of(quiet, np.array([True, True, True, False])) == {"hold": 0.5, "preparation": 3.0}
     assert of(voiced, voiced) == of(voiced, quiet) == of(quiet, None) == {"hold": 0.5}
 
 

@@ -75,7 +75,8 @@ def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
     order = with_ancestors(parents, tuple(joints))
     # Matrices: for few frames they take a third of the time of quaternions.
     local = np.moveaxis(rotation.to_matrix(motion.rotations[:, order]), 1, 0)
-    turns, places = {}, {order[0]: motion.root_positions}
+    turns: dict[int, Array] = {}
+    places = {order[0]: motion.root_positions}
     above = {parents[joint] for joint in order}
     for turn, joint in zip(local, order, strict=True):
         parent = parents[joint]

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from data_module.types import Array
 
 __all__ = ["angle_between", "between", "conjugate", "continuous", "cross", "from_euler", "from_exponential_map",
-           "interpolate", "multiply", "normalise", "remove_yaw", "rotate", "to_euler", "to_exponential_map", "to_matrix", "yaw_of"]
+           "interpolate", "multiply", "normalise", "remove_yaw", "rotate", "to_euler", "to_exponential_map",
+           "to_matrix", "yaw_of"]
 
 _EPS = 1e-12
 

@@ -30,6 +30,7 @@ _LAG = 3
 _FAINTEST, _LIMIT = 1e-4, -60.0
 """Floor of the mel power, that of white noise at the limit of silence, here -60 dBFS. With a floor of 1e-6, noise at
 -60 dBFS moved 28 % of the beats of eleven recordings, with this one 4 %."""
+_FAINTEST_DECIBELS = 10.0 * np.log10(_FAINTEST)
 _TINY = np.float32(1e-12)
 _AROUND = 0.1
 """Seconds on both sides of a peak over which its surroundings are averaged."""
@@ -129,14 +130,16 @@ class RiseTracker:
         spectrum = _spectra(piece, self._window, self._hop)
         power = self._bands @ (spectrum.real ** 2 + spectrum.imag ** 2)
         numbers = np.arange(self._frames, self._frames + _TILE)
-        power /= self._covered[np.minimum(numbers, len(self._covered) - 1)]
+        if self._frames < len(self._covered):  # the windows after them are filled
+            power /= self._covered[np.minimum(numbers, len(self._covered) - 1)]
         # The floor of the power in decibels: that of `_FAINTEST`, moved with the ground.
-        faintest = 10.0 * np.log10(_FAINTEST) + self._ground[:_TILE].astype(np.float32) - np.float32(_LIMIT)
+        faintest = _FAINTEST_DECIBELS + self._ground[:_TILE].astype(np.float32) - np.float32(_LIMIT)
         decibels = np.concatenate([self._before, 10.0 * np.log10(np.maximum(power, _TINY))], axis=1)
         # Both spectra over the same floor: a floor that moves is not a rise.
         rise = np.maximum(decibels[:, _LAG:] - np.maximum(decibels[:, :-_LAG], faintest), 0.0)
         rise = rise.mean(axis=0).astype(np.float64)
-        rise[numbers < _LAG] = 0.0  # there is only padding before them
+        if self._frames < _LAG:
+            rise[numbers < _LAG] = 0.0  # there is only padding before them
         self._before = decibels[:, -_LAG:]
         self._sound, self._ground = self._sound[_TILE * self._hop:], self._ground[_TILE:]
         self._frames += _TILE

@@ -286,7 +286,8 @@ class SteadyStart:
 
     def _released(self) -> NDArray[np.bool_]:
         steady = self._most - self._least < _STEADY
-        early = min(max(len(self._waiting) - len(self._levels) - self._ahead, 0), self._early) if steady else self._early
+        certain = max(len(self._waiting) - len(self._levels) - self._ahead, 0)
+        early = min(certain, self._early) if steady else self._early
         out, self._waiting = self._waiting, self._waiting[:0]
         if early < self._early:
             out, self._waiting = out[:early], out[early:]

@@ -230,10 +230,15 @@ class SelectionConfig:
     hold: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
     """Added to the planner's logit of a hold after a stroke: what is generated holds less than people do."""
     phrasing: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
-    """Added to the planner's logits in a pause: of a hold where the pause goes on, and of a preparation where the voice
-    returns in the next block, since people prepare before they speak."""
+    """Added to the planner's logit of a hold in a pause that goes on."""
+    setting_out: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
+    """Added to the planner's logit of a preparation in a pause after which the voice returns in the next block: people
+    prepare before they speak."""
     unit_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
     """Flow head: guidance on the planner's decision, for heads that take it (`generator.units`); 0 adds none."""
+    contrast: Annotated[float, SettingRange(0.0, 4.0)] = 0.0
+    """Flow head: how much of the style heard is taken from the style code of the prediction that `unit_guidance` leads
+    away from: 0 nothing, so that styles are not guided; 1 all of it; 2 gives it the opposite style."""
     history: Share = 1.0
     """Flow head: weight of past motion, from v without history (0) to v (1), for heads trained with history dropout
     (`generator.history_dropout`)."""

@@ -17,7 +17,7 @@ import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, pi, sin
-from typing import TYPE_CHECKING, Protocol, cast, overload
+from typing import TYPE_CHECKING, NamedTuple, Protocol, cast, overload
 
 import numpy as np
 import torch
@@ -205,6 +205,14 @@ class RegressionDrawer:
         return block, code
 
 
+class _Style(NamedTuple):
+    """code: [1, d_z] the style code of a block; against: [1, d_z] that of the prediction without the planner's decision
+    (`selection.contrast`)."""
+
+    code: Tensor
+    against: Tensor
+
+
 class FlowDrawer:
     """The flow head, with guidance by audio, lexeme, history and control, and several candidates per block."""
 
@@ -249,8 +257,9 @@ class FlowDrawer:
         place = self.place.step(speech.durations, speech.silent).to(self.device)
         if speech.foreseen and self.generator.config.after_dropout:
             place = alone(place)
-        code = self._code(speech.keyed_at, features, unit)
-        inputs, gains = self._inputs(place, features, lexeme, past, unit, code)
+        style = self._style(speech.keyed_at, features, unit)
+        code = style.code
+        inputs, gains = self._inputs(place, features, lexeme, past, unit, style)
         context, self.state = self.generator.contexts(inputs, added[None], self.state)
         if self.unseen:  # the state had to advance, but no block is needed
             return self.base * self.generator.present, code
@@ -287,16 +296,19 @@ class FlowDrawer:
     def _motion(self, past: Tensor, blocks: Tensor, shift: Tensor | None) -> CandidateMotion:
         return self.chooser.motion(_array(past[0]), _array(blocks), _array(shift))
 
-    def _code(self, time: float, features: BlockFeatures, unit: UnitDecision | None) -> Tensor:
-        """[1, d_z] the style code of the block's unit, as heard, as activity waxes and wanes by itself, and as far out
-        as the settings say; empty without a style interpreter. time: seconds that key the activity."""
+    def _style(self, time: float, features: BlockFeatures, unit: UnitDecision | None) -> _Style:
+        """The style code of the block's unit, as heard, as activity waxes and wanes by itself, and as far out as the
+        settings say; empty without a style interpreter. time: seconds that key the activity."""
         if self.style is None or self.style_state is None:
-            return torch.zeros(1, 0, device=self.device)
+            none = torch.zeros(1, 0, device=self.device)
+            return _Style(none, none)
         code, self.style_state = self.style.step(self.style_state, features, unit is not None and unit.rests)
         waxing = self.settings.waxing * self.keys.activity(time) if self.settings.waxing else 0.0
-        code = self.settings.style * code + waxing * code.new_tensor(LIVELINESS)
-        # Where controls say how far out the hands are, nothing is added.
-        return code if features.control is not None else code + self.settings.reach * code.new_tensor(_OUTWARDS)
+        heard = self.settings.style * code
+        code = heard + waxing * code.new_tensor(LIVELINESS)
+        if features.control is None:  # controls say how far out the hands are
+            code = code + self.settings.reach * code.new_tensor(_OUTWARDS)
+        return _Style(code, code - self.settings.contrast * heard)
 
     def _noise(self, time: float, candidates: int, code: Tensor) -> Tensor:
         """[C, n] the noise of C candidates at this time. code: [1, d_z] the style code."""
@@ -327,10 +339,9 @@ class FlowDrawer:
                           for factor, width in zip(factors, basis.widths, strict=True)]).to(self.device)
 
     def _inputs(self, place: Tensor, features: BlockFeatures, lexeme: int, past: Tensor, unit: UnitDecision | None,
-                code: Tensor) -> tuple[FlowInputs, list[float]]:
+                style: _Style) -> tuple[FlowInputs, list[float]]:
         """[1 + G] inputs of the flow head: the full ones, and one without each of the G guiding conditions; and the
-        guidance weights [G]. place: [8] the block's circumstances; unit: the planner's decision, or None; code: [1,
-        d_z] the style code."""
+        guidance weights [G]. place: [8] the block's circumstances; unit: the planner's decision, or None."""
         settings, none = self.settings, self.generator.lexemes
         control = features.control
         without_lexeme = settings.lexeme_guidance == UNTOLD
@@ -355,7 +366,8 @@ class FlowDrawer:
             features.low[None, None], lexemes, past[:, None], cast(Pasts, self.past).ratio[None], place[None, None],
             self.speaker, control, torch.tensor([condition == "audio" for condition in left_out], device=self.device),
             torch.tensor([condition == "history" for condition in left_out], device=self.device), row,
-            None if self.style is None else code[:, None]), list(gains.values())
+            None if self.style is None else torch.stack([
+                style.against if condition == "unit" else style.code for condition in left_out])), list(gains.values())
 
 
 @overload

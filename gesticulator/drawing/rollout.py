@@ -170,7 +170,10 @@ def phrasing(settings: SelectionConfig, speech: SpeechBlock) -> NDArray[np.float
     bias = np.zeros(len(PHASES))
     bias[PHASES.index("hold")] = settings.hold
     if speech.quiet.mean() >= 0.5 and speech.ahead is not None:
-        bias[PHASES.index("hold" if speech.ahead.all() else "preparation")] += settings.phrasing
+        if speech.ahead.all():
+            bias[PHASES.index("hold")] += settings.phrasing
+        else:
+            bias[PHASES.index("preparation")] = settings.setting_out
     return bias
 
 

@@ -1,0 +1,71 @@
+"""Styles heard in the voice are guided: more of them is seen, and nothing else changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from data_module.motion.phases import hand_places
+from data_module.speech.audio import SAMPLE_RATE, load_speech
+from data_module.types import Speech
+from gesticulator import Gesticulator
+from gesticulator.bundle.bundle import Bundle, load
+from gesticulator.bundle.config import with_settings
+from gesticulator.bundle.files import bundle_folder
+from gesticulator.training.stages.unit_styles import style_of
+
+RATE = 20.0
+
+
+class Heard(nn.Module):
+    """A style interpreter that always hears the same."""
+
+    def __init__(self, code: tuple[float, ...]) -> None:
+        super().__init__()
+        self.code = torch.tensor([code], dtype=torch.float32)
+
+    def start(self, speaker: int) -> tuple[()]:
+        """It has no state."""
+        return ()
+
+    def step(self, state: tuple[()], features: object, resting: bool = False) -> tuple[Tensor, tuple[()]]:
+        """The code of a block."""
+        return self.code * (not resting), state
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    return load(bundle_folder(None))
+
+
+@pytest.fixture(scope="module")
+def speech() -> Speech:
+    whole = load_speech(Path(__file__).parent.parent / "examples" / "speech.flac")
+    return Speech(whole.samples[:14 * SAMPLE_RATE], SAMPLE_RATE)
+
+
+def rendered(bundle: Bundle, speech: Speech, code: tuple[float, ...], *settings: str) -> np.ndarray:
+    """[T, 2, 3] the hands, as the code and the settings have them."""
+    told = replace(bundle.with_parts(style=Heard(code)), config=with_settings(bundle.config, list(settings)))
+    return hand_places(Gesticulator(told)(speech, seed=2).motion, RATE)
+
+
+@pytest.mark.parametrize(("dimension", "least"), [(0, 0.1), (3, 0.1)])
+def test_contrast_takes_what_is_heard_further(bundle: Bundle, speech: Speech, dimension: int, least: float) -> None:
+    """Of a code of speed, or of reach, that is high in one rendering and low in another."""
+    apart = []
+    for contrast in (0.0, 2.0):
+        measured = [style_of(rendered(bundle, speech, tuple(sign * 1.5 * np.eye(4)[dimension]), "selection.waxing=0",
+                                      f"selection.contrast={contrast}"))[dimension] for sign in (1.0, -1.0)]
+        apart.append(measured[0] - measured[1])
+    assert apart[1] > apart[0] + least
+
+
+def test_contrast_changes_nothing_where_no_style_is_heard(bundle: Bundle, speech: Speech) -> None:
+    one, two = (rendered(bundle, speech, (0.0,) * 4, f"selection.contrast={contrast}") for contrast in (0.0, 2.0))
+    assert np.array_equal(one, two)
