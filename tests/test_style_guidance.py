@@ -55,15 +55,15 @@ def rendered(bundle: Bundle, speech: Speech, code: tuple[float, ...], *settings:
     return hand_places(Gesticulator(told)(speech, seed=2).motion, RATE)
 
 
-@pytest.mark.parametrize(("dimension", "least"), [(0, 0.1), (3, 0.1)])
-def test_contrast_takes_what_is_heard_further(bundle: Bundle, speech: Speech, dimension: int, least: float) -> None:
+@pytest.mark.parametrize("dimension", [0, 3])
+def test_contrast_takes_what_is_heard_further(bundle: Bundle, speech: Speech, dimension: int) -> None:
     """Of a code of speed, or of reach, that is high in one rendering and low in another."""
     apart = []
     for contrast in (0.0, 2.0):
         measured = [style_of(rendered(bundle, speech, tuple(sign * 1.5 * np.eye(4)[dimension]), "selection.waxing=0",
                                       f"selection.contrast={contrast}"))[dimension] for sign in (1.0, -1.0)]
         apart.append(measured[0] - measured[1])
-    assert apart[1] > apart[0] + least
+    assert apart[1] > 1.3 * apart[0] > 0.0
 
 
 def test_contrast_changes_nothing_where_no_style_is_heard(bundle: Bundle, speech: Speech) -> None:
