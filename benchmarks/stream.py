@@ -8,7 +8,8 @@ Computing is counted in processor time, so that other programs on the machine do
 
 - late: seconds from the sound at t to the frame of t, computing included (sound comes by the clock, and what comes
   while it computes, waits).
-- block: seconds of computing of a piece of sound that drew a block; other: of one that drew none.
+- block: seconds of computing of a piece of sound that drew a block, or two that became certain together; each_block: the
+  same, divided by the number of blocks; other: of a piece that drew none.
 - busy: share of a processor that a stream takes; 1 / busy streams keep it wholly busy.
 - behind: frames that are lacking at their time behind a synthesiser that gives 10 s in 1 s, from its first sample.
 - first: seconds of sound, and of computing, before the first frame.
@@ -56,7 +57,7 @@ def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
     """One recording, as from a microphone."""
     stream = system.stream(latency=latency)
     parts: list[StreamFrames] = []
-    late, drew, other, first, clock = [], [], [], (0.0, 0.0), 0.0
+    late, drew, each, other, first, clock = [], [], [], [], (0.0, 0.0), 0.0
     spent = 0.0
     for at in range(0, len(speech.samples), PIECE):
         heard = min(at + PIECE, len(speech.samples)) / SAMPLE_RATE
@@ -66,11 +67,12 @@ def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
         spent += took
         clock = max(clock, heard) + took  # what comes while it computes, waits
         (drew if part.blocks else other).append(took)
+        each += [took / len(part.blocks)] * len(part.blocks)
         late += (clock - part.times).tolist()
         if len(part) and not any(len(one) for one in parts):
             first = (heard, spent)
         parts.append(part)
-    return {"late": late, "block": drew, "other": other, "busy": spent / speech.duration, "first": first,
+    return {"late": late, "block": drew, "each_block": each, "other": other, "busy": spent / speech.duration, "first": first,
             "bound": stream.look_ahead}
 
 
@@ -141,7 +143,7 @@ def main() -> None:
         percent = made.mean(axis=0)
         result[latency] = {
             **{name: percentiles([value for one in found for value in one[name]])
-               for name in ("late", "block", "other")},
+               for name in ("late", "block", "each_block", "other")},
             "late_at_most": round(found[0]["bound"], 3),
             "busy": round(float(np.average([one["busy"] for one in found], weights=seconds)), 4),
             "first_frame": {"sound": round(max(one["first"][0] for one in found), 3),

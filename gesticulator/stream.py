@@ -194,7 +194,7 @@ class Stream:
 
     @property
     def lacking(self) -> float:
-        """Least seconds of sound that `feed` needs to return any frame: sound is processed in ticks of 50 ms."""
+        """Least seconds of sound that `feed` needs to return any frame: sound is processed in ticks of 20 ms."""
         return TICK / SAMPLE_RATE if self._cutter is None else self._cutter.lacking
 
     @property

@@ -41,7 +41,8 @@ word are shorter (at most 0.7 s in eleven recordings)."""
 SHORTEST_PAUSE = 0.35
 """Least length of a pause, seconds; a shorter gap is part of the speech (the closure of a stop lasts up to 0.2 s)."""
 LOOK_AHEAD = SHORTEST_PAUSE + 0.05
-"""Seconds of sound after a frame that are needed to classify it: a pause, and half a step of the noise floor."""
+"""Seconds of sound after a frame that are needed to classify it: a pause, and in the first second half a step of the
+noise floor."""
 
 TYPICAL_LEVEL = -26.0
 """Mean level of the loud frames of well recorded speech, dBFS (active level about -23)."""
