@@ -8,8 +8,8 @@ Computing is counted in processor time, so that other programs on the machine do
 
 - late: seconds from the sound at t to the frame of t, computing included (sound comes by the clock, and what comes
   while it computes, waits).
-- block: seconds of computing of a piece of sound that drew a block, or two that became certain together; each_block: the
-  same, divided by the number of blocks; other: of a piece that drew none.
+- block: seconds of computing of a piece of sound that drew a block, or two that became certain together; each_block:
+  the same, divided by the number of blocks; other: of a piece that drew none.
 - busy: share of a processor that a stream takes; 1 / busy streams keep it wholly busy.
 - behind: frames that are lacking at their time behind a synthesiser that gives 10 s in 1 s, from its first sample.
 - first: seconds of sound, and of computing, before the first frame.
@@ -72,8 +72,8 @@ def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
         if len(part) and not any(len(one) for one in parts):
             first = (heard, spent)
         parts.append(part)
-    return {"late": late, "block": drew, "each_block": each, "other": other, "busy": spent / speech.duration, "first": first,
-            "bound": stream.look_ahead}
+    return {"late": late, "block": drew, "each_block": each, "other": other, "busy": spent / speech.duration,
+            "first": first, "bound": stream.look_ahead}
 
 
 def quality(system: Gesticulator, speech: Speech, latency: str, seed: int) -> tuple[float, ...]:
