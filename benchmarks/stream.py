@@ -67,7 +67,7 @@ def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
         spent += took
         clock = max(clock, heard) + took  # what comes while it computes, waits
         (drew if part.blocks else other).append(took)
-        each += [took / len(part.blocks)] * len(part.blocks)
+        each += [took / len(part.blocks) for _ in part.blocks]
         late += (clock - part.times).tolist()
         if len(part) and not any(len(one) for one in parts):
             first = (heard, spent)

@@ -373,7 +373,7 @@ def test_a_word_that_comes_late_makes_no_jump(g: Any, when: float, whole: float)
     assert len(changed) or when > 2.0
 
 
-def test_an_interruption_takes_the_gesture_back(g: Any, whole: float) -> None:
+def test_an_interruption_takes_the_gesture_back(g: Any) -> None:
     def frames(mark: bool) -> tuple[np.ndarray, int]:
         stream = g.stream(RATE, text=True)
         stream.add_words(_texts(_words(w2="shrug", w5="wave") if mark else _words()))
@@ -381,6 +381,7 @@ def test_an_interruption_takes_the_gesture_back(g: Any, whole: float) -> None:
         cut = stream.interrupt(1.6)
         return np.concatenate([made[:cut.first], cut.rotations, stream.idle(3.0).rotations]), cut.first
 
+    whole = _added(*(_streamed(g, [_texts(words)]) for words in (_words(w2="shrug"), _words()))).max()
     (marked, cut), (plain, _) = frames(True), frames(False)
     changed = np.flatnonzero((marked != plain).any((1, 2)))
     assert changed[0] < cut < changed[-1] < cut + 80, "the shrug is blended out in 1.2 s, the wave is forgotten"
