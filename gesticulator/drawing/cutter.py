@@ -45,6 +45,8 @@ LATENCIES = ("full", "low")
 """Latency modes, see `BlockCutter`."""
 TICK = 320
 """Samples (20 ms) that are processed at a time, as a microphone delivers them: two frames, two spectra."""
+_AT_ONCE = 10 * TICK
+"""Samples (0.2 s) that are processed at a time where the result does not depend on it, if there are so many."""
 CUTTER_EVERY = 100 * TICK
 """Samples (2 s) between two copies of a cutter: cutting them again takes 20 ms."""
 _SAME = 1e-6
@@ -214,8 +216,10 @@ class BlockCutter:
         if self._waiting >= TICK:
             sound = np.concatenate(self._pending)
             whole = len(sound) - len(sound) % TICK
-            for start in range(0, whole, TICK):
-                out += self._tick(sound[start:start + TICK])
+            # Only what is returned before the next block is known depends on when that is.
+            size = TICK if self._low else _AT_ONCE
+            for start in range(0, whole, size):
+                out += self._tick(sound[start:min(start + size, whole)])
             self._pending, self._waiting = [sound[whole:]], len(sound) - whole
         return out
 
