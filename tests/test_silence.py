@@ -81,6 +81,15 @@ def test_frames_are_classified_at_once_after_the_first_second_and_alike_in_any_p
     assert np.array_equal(np.concatenate([*quiet, start.finish()]), whole.silent), "it varies more than steady noise"
 
 
+@pytest.mark.parametrize("frames", [0, 1, 9, 10, 99, 100, 104, 110, 237])
+def test_sound_may_end_without_more_of_it_however_little_was_heard(frames: int) -> None:
+    levels = np.full(frames, -80.0)
+    whole, tracker = loudness(levels), LoudnessTracker()
+    parts = [tracker.step(levels[first:first + 2]) for first in range(0, frames, 2)]
+    parts.append(tracker.step(levels[:0], ended=True))
+    assert np.concatenate([part.silent for part in parts]).tolist() == whole.silent.tolist() == [True] * frames
+
+
 @pytest.mark.parametrize("size", [2, 10])
 def test_a_steady_first_second_is_silent_until_it_varies(size: int) -> None:
     """0.3 s of look-ahead: what is steady until 0.7 s is silent up to 0.4 s, and from there on it is what it is."""

@@ -118,7 +118,7 @@ class LoudnessTracker:
             new, levels = levels[:lacking], levels[lacking:]
             self._current = np.concatenate([self._current, new])
             whole = len(self._current) == STEP or (ended and not len(levels))
-            if not self._early:
+            if not self._early and len(new):
                 out.append(self._classified(new))
             if whole:
                 self._learn()

@@ -160,14 +160,18 @@ class PageServer(ThreadingHTTPServer):
     def settle(self, seconds: float = SETTLES) -> None:
         """End the connections that wait for a request, and wait for the threads of all, for a bounded time: a thread
         that is stopped within torch at the end of the process crashes it."""
-        with self._changing:
-            silent, threads = list(self._silent), list(self._answering)
-        for connection in silent:
-            with suppress(OSError):
-                connection.shutdown(socket.SHUT_RDWR)
-        end = time.monotonic() + seconds
-        for thread in threads:
-            thread.join(max(0.0, end - time.monotonic()))
+        end, left = time.monotonic() + seconds, True
+        while left:
+            with self._changing:
+                silent, threads = list(self._silent), list(self._answering)
+            for connection in silent:
+                with suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
+            alive, left = [thread for thread in threads if thread.is_alive()], time.monotonic() < end
+            if not alive:
+                return
+            # One that has just answered waits for a request from here on.
+            alive[0].join(min(0.05, max(0.0, end - time.monotonic())))
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore browsers that disconnect early."""
