@@ -159,9 +159,9 @@ def _tipped(turn: Array, hand: tuple[Array, Array], body: _Body, sign: float) ->
     axis = rotation.cross(before, after)
     sine = length(axis)
     angle = np.minimum(np.arctan2(sine, np.sum(before * after, axis=-1, keepdims=True)), FARTHEST_TIP)
-    half = rotation.from_exponential_map(axis / np.maximum(sine, 1e-9) * angle)
+    tipped = rotation.from_exponential_map(axis / np.maximum(sine, 1e-9) * angle)
     turn = turn.copy()
-    turn[at] = rotation.to_matrix(half) @ turn[at]
+    turn[at] = rotation.to_matrix(tipped) @ turn[at]
     return turn
 
 

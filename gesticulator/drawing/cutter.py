@@ -53,7 +53,6 @@ _SAME = 1e-6
 """Largest difference of two equal times, seconds."""
 _WORDS_NEAR = 30.0
 """Seconds around a block in which words are considered: no bridged pause is longer."""
-_NONE = np.zeros(0)
 
 
 @dataclass(frozen=True)
