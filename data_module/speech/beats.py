@@ -135,6 +135,11 @@ class BeatTracker:
         if self._frames * FRAME >= high + FRAME and min(onsets_until, available) >= high + s.d_min:
             return True
         near = next((time for time in self._onsets if time >= low - _EPS), None)
+        if (near is None or near > high + _EPS) and min(onsets_until, available) > high + _EPS:
+            # No onset is in reach. A loud frame is the beat if it leaves room for an onset, and an end, right after it.
+            loud = next((time for time in self._loud if time >= low - _EPS), np.inf)
+            if loud <= max(low, high - s.d_min):
+                return True
         if near is None or near >= onsets_until or s.rule != "bounded":
             return False
         if near <= high + _EPS:  # the first in reach, unless the end is too close

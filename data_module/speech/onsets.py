@@ -153,7 +153,8 @@ class OnsetTracker:
     def __init__(self, sample_rate: int) -> None:
         self._rise = RiseTracker(sample_rate)
         self._around, self._reach = round(_AROUND / _HOP), round(_PEAK / _HOP)
-        self._first = self._next = 0  # the frames of the first stored strength, and of the next candidate peak
+        # The frames of the first stored strength, of the next candidate peak, and before which there are no others.
+        self._first = self._next = self._excluded = 0
         self._strengths: list[float] = []
         self._totals = [0.0]  # cumulated strengths
         self._peaks: deque[tuple[int, float]] = deque()  # not yet known to be audible
@@ -174,7 +175,7 @@ class OnsetTracker:
     @property
     def known_until(self) -> float:
         """Seconds before which all onsets have been returned."""
-        return (self._peaks[0][0] if self._peaks else self._next) * _HOP + _LATE * _HOP
+        return (self._peaks[0][0] if self._peaks else max(self._next, self._excluded)) * _HOP + _LATE * _HOP
 
     def _add(self, strengths: Array) -> None:
         for one in strengths.tolist():
@@ -191,10 +192,21 @@ class OnsetTracker:
             if one >= highest and one >= (self._totals[high] - self._totals[low]) / (high - low) + _RISE:
                 self._peaks.append((self._next, one))
             self._next += 1
+        self._excluded = max(self._excluded, self._next)
+        while self._excluded < self._first + len(self._strengths) and self._no_peak(self._excluded - self._first):
+            self._excluded += 1
         old = self._next - self._around - self._first
         if old > 0:
             del self._strengths[:old], self._totals[:old]
             self._first += old
+
+    def _no_peak(self, at: int) -> bool:
+        """Whether a stored strength cannot be a peak, whatever follows: a higher one is near, or its surroundings are
+        too high already (strengths are never negative)."""
+        one, low = self._strengths[at], max(at - self._around, 0)
+        mean = (self._totals[min(at + self._around + 1, len(self._strengths))] - self._totals[low]) / (
+            at + self._around + 1 - low)
+        return one < mean + _RISE or one < max(self._strengths[max(at - self._reach, 0):at + self._reach + 1])
 
     def _certain(self, ended: bool) -> list[tuple[float, float]]:
         out = []
