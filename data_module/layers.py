@@ -10,6 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from data_module.few_rows import Linear, few, products_of
+
 SLOPE = 0.2
 """Negative slope of every LeakyReLU."""
 _FEW_ROWS = 64
@@ -60,30 +62,33 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
     """`lstm(rows, hidden)` for rows [B, T, W], faster for the few rows of a live block.
 
     On a CPU torch packs all weights again at each call: 0.3 ms of 0.5 for 8 rows of 192 units. Few rows without
-    gradient are therefore computed one by one. Under `torch.autocast` on a CPU without an LSTM in half precision, it is
+    gradient are therefore computed one by one, by `data_module.few_rows` if they are few enough for that. Under `torch.autocast` on a CPU without an LSTM in half precision, it is
     computed in single precision.
     """
     if rows.device.type == "cpu" and torch.is_autocast_enabled("cpu") \
             and not _has_narrow_lstm(torch.get_autocast_dtype("cpu")):
         with torch.autocast("cpu", enabled=False):
             return run_lstm(lstm, rows.float(), None if hidden is None else (hidden[0].float(), hidden[1].float()))
-    few = rows.shape[0] * rows.shape[1] <= _FEW_ROWS and rows.device.type == "cpu"
-    if not few or torch.is_grad_enabled() or lstm.training:
+    live = rows.shape[0] * rows.shape[1] <= _FEW_ROWS and rows.device.type == "cpu"
+    if not live or torch.is_grad_enabled() or lstm.training:
         out, hidden = lstm(rows, hidden)
         return out, hidden
+    batch, steps = rows.shape[:2]
+    weights = [(weight, bias) for layer in lstm.all_weights for weight, bias in zip(layer[:2], layer[2:], strict=True)]
+    maps = products_of(lstm, weights) if few(rows) else [
+        functools.partial(functional.linear, weight=weight, bias=bias) for weight, bias in weights]
     ends: list[tuple[Tensor, Tensor]] = []
-    for layer, (input_weight, hidden_weight, input_bias, hidden_bias) in enumerate(lstm.all_weights):
-        inputs, again = functional.linear(rows, input_weight, input_bias + hidden_bias), hidden_weight.t()
-        h, c = (None, None) if hidden is None else (hidden[0][layer], hidden[1][layer])
-        steps = []
-        for gates in inputs.unbind(1):
-            enter, forget, new, leave = (gates if h is None else torch.addmm(gates, h, again)).chunk(4, -1)
-            added = enter.sigmoid() * new.tanh()
-            c = added if c is None else torch.addcmul(added, forget.sigmoid(), c)
+    for layer in range(lstm.num_layers):
+        into, again = maps[2 * layer:2 * layer + 2]
+        h, c = (rows.new_zeros(2, batch, lstm.hidden_size) if hidden is None else
+                torch.stack([state[layer] for state in hidden])).unbind()
+        out = []
+        for inputs in into(rows.flatten(0, 1)).view(batch, steps, -1).unbind(1):
+            enter, forget, new, leave = (inputs + again(h)).chunk(4, -1)
+            c = torch.addcmul(enter.sigmoid() * new.tanh(), forget.sigmoid(), c)
             h = leave.sigmoid() * c.tanh()
-            steps.append(h)
-        assert h is not None and c is not None
-        rows = torch.stack(steps, 1)
+            out.append(h)
+        rows = torch.stack(out, 1)
         ends.append((h, c))
     return rows, (torch.stack([h for h, _ in ends]), torch.stack([c for _, c in ends]))
 
@@ -114,8 +119,8 @@ class BlockLinear(nn.Module):
         if blocks not in (1, 3):
             raise ValueError("blocks must be 1 or 3")
         self.frames, self.width, self.blocks = frames, width, blocks
-        self.narrow = nn.Linear(width_in, bottleneck) if bottleneck else None
-        self.linear = nn.Linear(blocks * frames * (bottleneck or width_in), frames * width)
+        self.narrow = Linear(width_in, bottleneck) if bottleneck else None
+        self.linear = Linear(blocks * frames * (bottleneck or width_in), frames * width)
 
     def forward(self, windows: Tensor) -> Tensor:
         """[..., 3K, D] to [..., K, width]."""

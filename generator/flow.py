@@ -34,6 +34,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from data_module.few_rows import Linear, Product, few, version
 from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames, run_lstm, without_after
 from data_module.motion.movement import PAST, MovementBasis, Pasts
 from generator.model import GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
@@ -134,13 +135,13 @@ class FlowGenerator(nn.Module):
         # Beside the code, unless it is the only way, audio and lexeme go straight to the LSTM and the head. The lexeme
         # does so as its coefficients, too, so that its meaning need not be learned.
         self.bypassed = c.hears_through == "both"
-        self.hear = nn.Sequential(nn.Linear(frames * c.audio_features, c.lexeme_width), nn.GELU(),
+        self.hear = nn.Sequential(Linear(frames * c.audio_features, c.lexeme_width), nn.GELU(),
                                   nn.Dropout(c.dropout)) if self.bypassed else nn.Identity()
         self.unheard = nn.Parameter(torch.zeros(frames, c.audio_features))
         self.name = nn.Embedding(widths.lexemes + 1, c.lexeme_width)
         nn.init.normal_(self.name.weight, std=0.1)
         rows = c.motion_features + c.audio_features + c.lexeme_width + c.position_width + self.control_width
-        self.mlp = nn.Sequential(nn.Linear(rows, c.hidden), nn.LeakyReLU(SLOPE))
+        self.mlp = nn.Sequential(Linear(rows, c.hidden), nn.LeakyReLU(SLOPE))
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
         beside, centre = (c.lexeme_width, basis.width) if self.bypassed else (0, 0)
         known = 2 * beside + c.groups * c.group_width + 3 * widths.motion + basis.width
@@ -148,9 +149,9 @@ class FlowGenerator(nn.Module):
         self.unit_width, self.style_width = widths.units if c.units else 0, c.style_width
         known += self.unit_width + self.style_width
         head_width = c.context + centre
-        self.gather = nn.Sequential(nn.Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
+        self.gather = nn.Sequential(Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
         self.lstm = nn.LSTM(c.context, c.context, c.lstm_layers, batch_first=True)
-        self.to_context = nn.Sequential(nn.Linear(2 * c.context + beside, c.context), nn.GELU(),
+        self.to_context = nn.Sequential(Linear(2 * c.context + beside, c.context), nn.GELU(),
                                         nn.Dropout(c.dropout))
         self.head = FlowHead(basis.width, head_width, c.flow_width, c.flow_layers)
 
@@ -351,11 +352,11 @@ class FlowHead(nn.Module):
     def __init__(self, width: int, context: int, hidden: int, layers: int) -> None:
         """width: n; context: C; hidden: units of each of the layers."""
         super().__init__()
-        self.enter = nn.Linear(width + 2 * _FREQUENCIES, hidden)
-        self.condition = nn.ModuleList([nn.Linear(context, 2 * hidden) for _ in range(layers)])
-        self.inner = nn.ModuleList([nn.Linear(hidden, hidden) for _ in range(layers)])
-        self.outer = nn.ModuleList([nn.Linear(hidden, hidden) for _ in range(layers)])
-        self.leave = nn.Linear(hidden, width)
+        self.enter = Linear(width + 2 * _FREQUENCIES, hidden)
+        self.condition = nn.ModuleList([Linear(context, 2 * hidden) for _ in range(layers)])
+        self.inner = nn.ModuleList([Linear(hidden, hidden) for _ in range(layers)])
+        self.outer = nn.ModuleList([Linear(hidden, hidden) for _ in range(layers)])
+        self.leave = Linear(hidden, width)
         nn.init.zeros_(self.leave.weight)
         nn.init.zeros_(self.leave.bias)
         self._sampling: SamplingHead | None = None
@@ -367,11 +368,10 @@ class FlowHead(nn.Module):
 
     def sampling(self) -> SamplingHead:
         """The `SamplingHead` of the current weights, cached until they change."""
-        version = tuple((weight.data_ptr(), 0 if weight.is_inference() else weight._version)
-                        for weight in self.parameters())
-        if self._sampling is None or self._sampling.version != version:
+        now = version(self.parameters())
+        if self._sampling is None or self._sampling.version != now:
             with torch.inference_mode(False), torch.no_grad():
-                self._sampling = SamplingHead(self, version)
+                self._sampling = SamplingHead(self, now)
         return self._sampling
 
     def forward(self, noisy: Tensor, time: FlowTime, conditions: list[tuple[Tensor, Tensor]]) -> Tensor:
@@ -387,16 +387,14 @@ class FlowHead(nn.Module):
 class SamplingHead:
     """v of a `FlowHead` for one noisy u and a mix of several contexts (guidance), without gradient."""
 
-    def __init__(self, head: FlowHead, version: tuple[tuple[int, int], ...]) -> None:
-        def rows(layer: nn.Module) -> tuple[Tensor, Tensor]:
-            assert isinstance(layer, nn.Linear)
-            return layer.weight.detach().t().contiguous(), layer.bias.detach().clone()
-
-        self.version, width = version, head.leave.out_features
-        enter, self._bias = rows(head.enter)
-        self._enter, self._waves = enter[:width], enter[width:]
-        self._layers = [(*rows(inner), *rows(outer)) for inner, outer in zip(head.inner, head.outer, strict=True)]
-        self._leave = rows(head.leave)
+    def __init__(self, head: FlowHead, of: list[tuple[int, int]]) -> None:
+        """of: `version` of the head's weights."""
+        self.version, width = of, head.leave.out_features
+        weight = head.enter.weight.detach()
+        self._enter, self._waves, self._bias = _map(weight[:, :width]), weight[:, width:], head.enter.bias.detach()
+        self._layers = [(_map(inner.weight, inner.bias), _map(outer.weight, outer.bias))
+                        for inner, outer in zip(head.inner, head.outer, strict=True)]
+        self._leave = _map(head.leave.weight, head.leave.bias)
         self._times: dict[float, tuple[Tensor, float, float]] = {}
 
     def __call__(self, noisy: Tensor, time: float, conditions: list[tuple[Tensor, Tensor]], mix: Tensor) -> Tensor:
@@ -405,13 +403,11 @@ class SamplingHead:
         bias, inverse, share = self._times.get(time) or self._at(time)
         contexts, rows = len(mix), len(noisy)
         # The input of the first layer is the same for all contexts.
-        x = torch.addmm(bias, noisy, self._enter, alpha=inverse)
-        for (scale, shift), (inner, inner_bias, outer, outer_bias) in zip(conditions, self._layers, strict=True):
+        x = self._enter(noisy * inverse) + bias
+        for (scale, shift), (inner, outer) in zip(conditions, self._layers, strict=True):
             scaled = torch.addcmul(shift, functional.layer_norm(x, x.shape[-1:]), scale).view(contexts * rows, -1)
-            added = torch.addmm(outer_bias, functional.gelu(torch.addmm(inner_bias, scaled, inner)), outer)
-            x = added.view(contexts, rows, -1).add_(x)
-        leave, leave_bias = self._leave
-        end = torch.addmm(leave_bias, x.view(contexts * rows, -1), leave).view(contexts, rows, -1)
+            x = outer(functional.gelu(inner(scaled))).view(contexts, rows, -1).add_(x)
+        end = self._leave(x.view(contexts * rows, -1)).view(contexts, rows, -1)
         # The share of u is the same for all contexts, and the mix sums to 1.
         return torch.add((end * mix).sum(0).mul_(inverse), noisy, alpha=share)
 
@@ -419,9 +415,16 @@ class SamplingHead:
         """The constants of this time: bias of the first layer [W], 1 / sqrt(s), and (2 t - 1) / s."""
         with torch.inference_mode(False), torch.no_grad():
             at = FlowTime.of(torch.full((1,), time, device=self._bias.device, dtype=self._bias.dtype))
-            constants = torch.addmv(self._bias, self._waves.t(), at.waves), 1.0 / float(at.deviation), float(at.share)
+            constants = torch.addmv(self._bias, self._waves, at.waves), 1.0 / float(at.deviation), float(at.share)
         self._times[time] = constants
         return constants
+
+
+def _map(weight: Tensor, bias: Tensor | None = None) -> Callable[[Tensor], Tensor]:
+    """The map of rows [M, K] by a weight [N, K] and a bias [N], as they are now."""
+    product = Product(weight, bias) if weight.device.type == "cpu" else None
+    weight, bias = weight.detach(), None if bias is None else bias.detach()
+    return lambda rows: functional.linear(rows, weight, bias) if product is None or not few(rows) else product(rows)
 
 
 @lru_cache(maxsize=4)

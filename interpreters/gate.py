@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from data_module.few_rows import Linear
 from data_module.layers import BlockLinear, run_lstm
 from interpreters.base import BlockFeatures
 from interpreters.settings import GateConfig
@@ -43,7 +44,7 @@ class ActivityGate(nn.Module):
         width = config.audio_features + (speakers if config.use_speaker else 0)
         self.dropout = nn.Dropout(config.dropout)
         self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
-        self.classify = nn.Linear(config.width, 1)
+        self.classify = Linear(config.width, 1)
 
     @property
     def weights(self) -> dict[str, float]:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from data_module.few_rows import Linear
 from data_module.layers import BlockLinear, repeat_frames, run_lstm, without_after
 from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores, pose_of
 from interpreters.settings import LstmConfig, StyleConfig
@@ -65,7 +66,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
                                         bottleneck=config.audio_bottleneck)
         self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
                                        config.text_bottleneck) if config.text_features else None
-        self.encode_pose = nn.Linear(3 * widths.motion, config.pose_features) if config.pose_features else None
+        self.encode_pose = Linear(3 * widths.motion, config.pose_features) if config.pose_features else None
         self.text_head = None
         if config.text_head:
             from interpreters.text_head import TextHead
@@ -85,9 +86,9 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         width = self.words_at + self.words_width + rows * self.control_width + config.pose_features
         width += speakers if config.use_speaker else 0
         self.dropout = nn.Dropout(config.dropout)
-        self.enter = nn.Linear(width, config.width) if self.by_block else None
+        self.enter = Linear(width, config.width) if self.by_block else None
         self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, config.layers, batch_first=True)
-        self.classify = nn.Linear((2 if self.by_block else 1) * config.width, len(lexemes))
+        self.classify = Linear((2 if self.by_block else 1) * config.width, len(lexemes))
 
     @classmethod
     def build(cls, settings: LstmConfig, sizes: InterpreterSizes) -> LstmInterpreter:
@@ -305,7 +306,7 @@ class StyleInterpreter(nn.Module):
         width += config.text_features
         self.dropout = nn.Dropout(config.dropout)
         self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
-        self.to_code = nn.Linear(config.width, code_width)
+        self.to_code = Linear(config.width, code_width)
 
     @property
     def weights(self) -> dict[str, float]:

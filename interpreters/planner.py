@@ -30,6 +30,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from data_module.few_rows import Linear
 from data_module.layers import BlockLinear
 from interpreters.base import BlockFeatures
 from interpreters.settings import PlannerConfig, StyleConfig
@@ -123,7 +124,7 @@ class UnitPlanner(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
         self.gru = nn.GRU(frames * config.audio_features + len(CLASSES) * config.embedding + speakers, config.width,
                           batch_first=True)
-        self.heads = nn.ModuleList(nn.Linear(config.width + level * config.embedding, count)
+        self.heads = nn.ModuleList(Linear(config.width + level * config.embedding, count)
                                    for level, count in enumerate(CLASSES))
         self.register_buffer("fit", torch.zeros(lexemes, len(PHASES) * len(HANDS)))
 
@@ -252,7 +253,7 @@ class UnitStyleInterpreter(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
         self.gru = nn.GRU(frames * config.audio_features + (speakers if config.use_speaker else 0), config.width,
                           config.layers, batch_first=True)
-        self.to_code = nn.Linear(config.width, code_width)
+        self.to_code = Linear(config.width, code_width)
         self.register_buffer("gain", torch.ones(code_width))
 
     @property

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from data_module.few_rows import Linear
+
 _PARTS = 6
 """Half blocks, over which the words of three blocks are averaged: a gesture starts before its word and outlasts it."""
 
@@ -25,10 +27,10 @@ class TextHead(nn.Module):
         The initial output is 0."""
         super().__init__()
         self.dropout = nn.Dropout(dropout)
-        self.narrow = nn.Linear(text_width, bottleneck)
-        self.hidden = nn.Linear(_PARTS * bottleneck, width)
-        self.weigh = nn.Linear(lexeme_width + speakers, width)
-        self.out = nn.Linear(width, size)
+        self.narrow = Linear(text_width, bottleneck)
+        self.hidden = Linear(_PARTS * bottleneck, width)
+        self.weigh = Linear(lexeme_width + speakers, width)
+        self.out = Linear(width, size)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 

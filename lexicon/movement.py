@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from data_module.few_rows import Linear
 from data_module.motion.movement import PAST, MovementBasis, Pasts
 from data_module.types import Array
 from lexicon.settings import LexiconConfig
@@ -157,12 +158,12 @@ class BentMap(nn.Module):
     def __init__(self, width: int, hidden: int, out: int) -> None:
         """hidden: units of each of the two hidden layers."""
         super().__init__()
-        self.straight = nn.Linear(width, out, bias=False)
+        self.straight = Linear(width, out, bias=False)
         nn.init.orthogonal_(self.straight.weight)
-        last = nn.Linear(hidden, out)
+        last = Linear(hidden, out)
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
-        self.bend = nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), last)
+        self.bend = nn.Sequential(Linear(width, hidden), nn.GELU(), Linear(hidden, hidden), nn.GELU(), last)
 
     def forward(self, x: Tensor) -> Tensor:
         """[..., width] to [..., out]."""
