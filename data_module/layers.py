@@ -62,8 +62,8 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
     """`lstm(rows, hidden)` for rows [B, T, W], faster for the few rows of a live block.
 
     On a CPU torch packs all weights again at each call: 0.3 ms of 0.5 for 8 rows of 192 units. Few rows without
-    gradient are therefore computed one by one, by `data_module.few_rows` if they are few enough for that. Under `torch.autocast` on a CPU without an LSTM in half precision, it is
-    computed in single precision.
+    gradient are therefore computed one by one, by `data_module.few_rows` if they are few enough for that. Under
+    `torch.autocast` on a CPU without an LSTM in half precision, it is computed in single precision.
     """
     if rows.device.type == "cpu" and torch.is_autocast_enabled("cpu") \
             and not _has_narrow_lstm(torch.get_autocast_dtype("cpu")):

@@ -392,9 +392,9 @@ class SamplingHead:
         self.version, width = of, head.leave.out_features
         weight = head.enter.weight.detach()
         self._enter, self._waves, self._bias = _map(weight[:, :width]), weight[:, width:], head.enter.bias.detach()
-        self._layers = [(_map(inner.weight, inner.bias), _map(outer.weight, outer.bias))
+        self._layers = [(_map(*inner.parameters()), _map(*outer.parameters()))
                         for inner, outer in zip(head.inner, head.outer, strict=True)]
-        self._leave = _map(head.leave.weight, head.leave.bias)
+        self._leave = _map(*head.leave.parameters())
         self._times: dict[float, tuple[Tensor, float, float]] = {}
 
     def __call__(self, noisy: Tensor, time: float, conditions: list[tuple[Tensor, Tensor]], mix: Tensor) -> Tensor:
