@@ -8,11 +8,14 @@ imported; only pages and recordings are read.
 
 from __future__ import annotations
 
+import copy
+import json
 import os
 import re
 import shlex
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -39,7 +42,8 @@ LEFT_OUT = {
     r"folder |mine|texts from": "names the data of a user",
 }
 """What a line looks like -> why it is not run here."""
-TINY = {r" --source DATA": " --preset tiny", r"(train --data store --out bundle)(?= *(#|$))": r"\1 --preset tiny"}
+TINY = {r" --source DATA --repertoire takes --carriage 1": " --preset tiny",
+        r"(train --data store --out bundle)(?= *(#|$))": r"\1 --preset tiny"}
 """What takes hours as it is written -> what is run in its place."""
 _FENCE = re.compile(r"^```(sh|python)\n(.*?)^```", re.M | re.S)
 _STUBS = """
@@ -100,9 +104,33 @@ def prepare(folder: Path) -> None:
     subprocess.run(command, cwd=folder, check=True)
     for name in ("avatar.glb", "avatar.vrm", "rig.vrm"):
         shutil.copy(folder / "rig.glb", folder / name)
+    (folder / "cast.glb").write_bytes(two_of((folder / "rig.glb").read_bytes(), ("Alice", "Bob")))
     for name in ("talk.plan.json", "gesture.json"):
         shutil.copy(folder / "plan.json", folder / name)
     subprocess.run(["gesticulator", "talk.wav", "--plan-out", "talk.plan.json", "--quiet"], cwd=folder, check=True)
+
+
+def two_of(glb: bytes, names: tuple[str, str]) -> bytes:
+    """A GLB of one skeleton as one of two, each under a node of its own with one of these names."""
+    (length,) = struct.unpack_from("<I", glb, 12)
+    scene, rest = json.loads(glb[20:20 + length]), glb[20 + length:]
+    nodes, skins, (roots,) = scene["nodes"], scene["skins"], [one["nodes"] for one in scene["scenes"]]
+    count, skin_count, held = len(nodes), len(skins), list(roots)
+    for node in copy.deepcopy(nodes):
+        node |= {key: [child + count for child in node[key]] for key in ("children",) if key in node}
+        node |= {"skin": node["skin"] + skin_count} if "skin" in node else {}
+        nodes.append(node)
+    for skin in copy.deepcopy(skins):
+        skin["joints"] = [joint + count for joint in skin["joints"]]
+        skin |= {"skeleton": skin["skeleton"] + count} if "skeleton" in skin else {}
+        skins.append(skin)
+    nodes += [{"name": name, "children": [root + shift for root in held], "translation": [shift / count, 0.0, 0.0]}
+              for name, shift in zip(names, (0, count), strict=True)]
+    roots[:] = [2 * count, 2 * count + 1]
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    whole = struct.pack("<II", len(text), 0x4E4F534A) + text + rest
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(whole)) + whole
 
 
 _CUT = """
@@ -120,7 +148,8 @@ def run(example: Example, folder: Path) -> str:
     text = example.text.removeprefix(".venv/bin/")
     for pattern, smaller in TINY.items():
         text = re.sub(pattern, smaller, text)
-    words = shlex.split(text, comments=True)
+    # A comment begins after a blank: the # of FILE#NAME is part of a word, which shlex does not see.
+    words = shlex.split(re.sub(r"\s#.*", "", text))
     serves = words[0] == "gesticulator" and words[1] in SERVERS
     if serves:
         words += (["--port", "0"] if "--port" not in words else []) + (
