@@ -213,6 +213,17 @@ WORD = st.text(st.characters(exclude_categories=["C", "Z"], exclude_characters="
                max_size=6)
 
 
+@pytest.mark.parametrize("start", [-1e308, 1e308, 2e7])
+def test_numbers_that_are_no_times_are_refused(tmp_path: Path, start: float) -> None:
+    """Also beside words without times, which are spread between their neighbours."""
+    words = [{"word": "hello", "start": start, "end": start}, {"word": "friend"},
+             {"word": "there", "start": 1e6, "end": 1e6}]
+    assert f"{start:g} s is no time of a recording" in _refusal(tmp_path, "a.json", json.dumps({"words": words}))
+    cue = "1\n2778:00:00,000 --> 2779:00:00,000\nhello there\n"  # some 115 days, and an hour
+    assert "is no time of a recording" in _refusal(tmp_path, "a.srt", cue)
+
+
+
 @given(st.lists(st.tuples(WORD, st.floats(0, 2), st.floats(0.01, 2)), min_size=1, max_size=8))
 @example([("a\"b", 0.0, 1.0)])
 def test_json_words_round_trip(tmp_path_factory: pytest.TempPathFactory, drawn: list[tuple[str, float, float]]) -> None:

@@ -76,6 +76,8 @@ LONGEST_MEDIAN = 5.0
 _FEW = 8
 """Words below which a rate says nothing."""
 _ENGLISH_ONLY = "the aligner supports English only"
+_LATEST = 1e7
+"""Seconds, 115 days: numbers beyond are no times, and sums of them overflow."""
 
 
 class TranscriptWarning(UserWarning):
@@ -187,6 +189,11 @@ def _spoken(words: Sequence[Word]) -> int:
 
 def _transcript(source: str, content: Content) -> Transcript:
     """A transcript from a file's content, its times checked and sorted, the marks out of its words."""
+    for entry in (*map(_entry_of, content.cues), *content.words):
+        for time in (entry.start, entry.end):
+            if time is not None and abs(time) > _LATEST:
+                raise InputError(source, f"{entry.where or repr(entry.text)}: {time:g} s is no time of a recording",
+                                 "give times in seconds from its start")
     if content.cues:
         raw, notes = _in_order(source, content.cues)
         parts = [marked_text(cue.text) for cue in raw]
