@@ -3,19 +3,88 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-
-from data_module.few_rows import Linear, few, products_of
 
 SLOPE = 0.2
 """Negative slope of every LeakyReLU."""
 _FEW_ROWS = 64
 """Most rows of a batch for which an LSTM is faster without oneDNN."""
+_COLUMNS = 32
+"""Columns of a product."""
+_MOST = (1 << 18) // _COLUMNS
+"""Numbers in the rows: up to these the BLAS uses one thread for a product, as more would wait for each other."""
+_LEAST = 1 << 15
+"""Numbers in a weight: with fewer the call takes longer than the product."""
+
+
+def few(rows: Tensor) -> bool:
+    """Whether `Product` is faster for these rows: they are few, in single precision and on a CPU, and need no
+    gradient."""
+    return (rows.numel() <= _MOST and rows.device.type == "cpu" and rows.dtype is torch.float32
+            and not torch.is_grad_enabled() and not torch.is_autocast_enabled("cpu"))
+
+
+class Product:
+    """x W^T + b of few rows x [M, K] on a CPU, for the weight W [N, K] and the bias b [N] of a layer.
+
+    torch (MKL) copies all of a weight before it multiplies, so that one row takes as long as sixteen. NumPy's BLAS does
+    not for products as small as those here, of `_COLUMNS` columns at a time: for the rows of a live block they take a
+    third to a half of the time.
+    """
+
+    def __init__(self, weight: Tensor, bias: Tensor | None = None) -> None:
+        """The weight is copied: a later change has no effect."""
+        self._width, depth = weight.shape
+        columns = nn.functional.pad(weight.detach(), (0, 0, 0, -self._width % _COLUMNS))
+        self._columns = columns.view(-1, _COLUMNS, depth).transpose(1, 2).contiguous().numpy()
+        self._bias = None if bias is None else bias.detach().clone().numpy()
+
+    def __call__(self, rows: Tensor) -> Tensor:
+        """[M, N] of rows [M, K] for which `few` holds."""
+        count, blocks = len(rows), len(self._columns)
+        out = np.empty((count, blocks, _COLUMNS), np.float32)
+        np.matmul(rows.detach().numpy(), self._columns, out=out.transpose(1, 0, 2))
+        made = out.reshape(count, -1)
+        if blocks * _COLUMNS > self._width:
+            made = made[:, :self._width].copy()
+        if self._bias is not None:
+            made += self._bias
+        return torch.from_numpy(made)
+
+
+def version(tensors: Iterable[Tensor]) -> list[tuple[int, int]]:
+    """What tells whether any of these tensors has been changed or replaced."""
+    return [(one.data_ptr(), 0 if one.is_inference() else one._version) for one in tensors]
+
+
+def products_of(module: nn.Module, layers: Sequence[tuple[Tensor, Tensor | None]]) -> list[Product]:
+    """The `Product` of each weight and bias of a module, cached until they change."""
+    now = version(one for pair in layers for one in pair if one is not None)
+    held: tuple[object, list[Product], object] | None = module.__dict__.get("_products")
+    if held is None or held[0] != now:
+        with torch.inference_mode(False), torch.no_grad():
+            # As long as the tensors are held, no other one has their addresses.
+            held = now, [Product(*pair) for pair in layers], layers
+        module.__dict__["_products"] = held
+    return held[1]
+
+
+class Linear(nn.Linear):
+    """A linear layer that is fast for few rows, too."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        """x W^T + b [..., N] of x [..., K]."""
+        if self.in_features * self.out_features < _LEAST or not few(input):
+            return super().forward(input)
+        product = products_of(self, [(self.weight, self.bias)])[0]
+        return product(input) if input.dim() == 2 else \
+            product(input.reshape(-1, self.in_features)).view(*input.shape[:-1], -1)
 
 
 def convolutions(widths: Sequence[int], kernel: int = 3, *, norm: bool = True, last_linear: bool = False
@@ -62,7 +131,7 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
     """`lstm(rows, hidden)` for rows [B, T, W], faster for the few rows of a live block.
 
     On a CPU torch packs all weights again at each call: 0.3 ms of 0.5 for 8 rows of 192 units. Few rows without
-    gradient are therefore computed one by one, by `data_module.few_rows` if they are few enough for that. Under
+    gradient are therefore computed one by one, by `Product` if they are few enough for that. Under
     `torch.autocast` on a CPU without an LSTM in half precision, it is computed in single precision.
     """
     if rows.device.type == "cpu" and torch.is_autocast_enabled("cpu") \

@@ -34,8 +34,18 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.few_rows import Linear, Product, few, version
-from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames, run_lstm, without_after
+from data_module.layers import (
+    SLOPE,
+    BlockLinear,
+    Linear,
+    Product,
+    convolutions,
+    few,
+    repeat_frames,
+    run_lstm,
+    version,
+    without_after,
+)
 from data_module.motion.movement import PAST, MovementBasis, Pasts
 from generator.model import GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
 

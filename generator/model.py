@@ -10,8 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.few_rows import Linear
-from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames, run_lstm
+from data_module.layers import SLOPE, BlockLinear, Linear, convolutions, repeat_frames, run_lstm
 from data_module.settings import (
     Count,
     Depth,

@@ -13,8 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.few_rows import Linear
-from data_module.layers import BlockLinear, run_lstm
+from data_module.layers import BlockLinear, Linear, run_lstm
 from interpreters.base import BlockFeatures
 from interpreters.settings import GateConfig
 

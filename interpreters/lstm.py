@@ -11,8 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.few_rows import Linear
-from data_module.layers import BlockLinear, repeat_frames, run_lstm, without_after
+from data_module.layers import BlockLinear, Linear, repeat_frames, run_lstm, without_after
 from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores, pose_of
 from interpreters.settings import LstmConfig, StyleConfig
 

@@ -30,8 +30,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.few_rows import Linear
-from data_module.layers import BlockLinear
+from data_module.layers import BlockLinear, Linear
 from interpreters.base import BlockFeatures
 from interpreters.settings import PlannerConfig, StyleConfig
 

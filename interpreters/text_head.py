@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.few_rows import Linear
+from data_module.layers import Linear
 
 _PARTS = 6
 """Half blocks, over which the words of three blocks are averaged: a gesture starts before its word and outlasts it."""

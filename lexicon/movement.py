@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from data_module.few_rows import Linear
+from data_module.layers import Linear
 from data_module.motion.movement import PAST, MovementBasis, Pasts
 from data_module.types import Array
 from lexicon.settings import LexiconConfig

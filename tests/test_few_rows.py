@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from data_module.few_rows import Linear, Product, few, products_of
+from data_module.layers import Linear, Product, few, products_of
 
 SIZES = st.integers(1, 200)
 
