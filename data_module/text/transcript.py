@@ -189,10 +189,10 @@ def _spoken(words: Sequence[Word]) -> int:
 
 def _transcript(source: str, content: Content) -> Transcript:
     """A transcript from a file's content, its times checked and sorted, the marks out of its words."""
-    for entry in [*(_entry_of(cue) for cue in content.cues), *content.words]:
+    for entry in (*content.cues, *content.words):
         for time in (entry.start, entry.end):
             if time is not None and abs(time) > _LATEST:
-                raise InputError(source, f"{entry.where or repr(entry.text)}: {time:g} s is no time of a recording",
+                raise InputError(source, f"{entry.where}: {time:g} s is no time of a recording",
                                  "give times in seconds from its start")
     if content.cues:
         raw, notes = _in_order(source, content.cues)
