@@ -45,6 +45,7 @@ def test_it_has_the_character_that_is_shown(tmp_path: Path) -> None:
     ({"format": ".bvh", "character": 3}, "cannot be used"),
     ({"format": ".bvh", "character": {"name": "../../rig.fbx", "data": ""}}, "cannot be used"),
     ({"format": ".bvh", "character": {"name": "rig.glb", "data": "!"}}, "did not arrive whole"),
+    ({"format": ".bvh", "character": {"name": "rig.glb", "data": "\u00e9"}}, "did not arrive whole"),
     ({"format": ".bvh", "character": {"name": "rig.glb", "data": "AAAA"}}, "character.glb"),
 ])
 def test_what_cannot_be_made_is_told(request_: dict[str, Any], said: str) -> None:

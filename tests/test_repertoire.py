@@ -255,6 +255,7 @@ def _edited(folder: Path, change: Callable[[str], str]) -> Path:
     (lambda table: table.replace("hold_end", "held"), "lacks columns hold_end"),
     (lambda table: table.replace("small_1.bvh", "small_9.bvh", 1), r"line 2.*is not a BVH file in this folder"),
     (lambda table: table.replace("thumbs_up_small_1.bvh", "../a.bvh", 1), r"line 2.*not a file in this folder"),
+    (lambda table: table.replace("thumbs_up_small_1", 300 * "a", 1), r"line 2.*not a file in this folder"),
     (lambda table: table.replace(",small,", ",tiny,", 1), r"line 2.*'tiny' as size, which is one of small, medium"),
     (lambda table: table.replace(",0.2,", ",9.0,", 1), "line 2.*out of order"),
     (lambda table: table.replace(",0.2,", ",soon,", 1), "line 2.*'soon' as the time of its start"),

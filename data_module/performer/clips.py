@@ -44,11 +44,15 @@ def complete_rows(file: Path, columns: Set[str]) -> list[tuple[str, dict[str, st
     return checked
 
 
+_LONGEST_NAME = 255
+"""Bytes of a name in the file systems of today."""
+
+
 def check_file(where: str, name: str) -> None:
     """InputError if a name is not that of a file in a folder or below it."""
     file = PurePosixPath(name.replace("\\", "/"))
     if file.is_absolute() or ".." in file.parts or not file.name or ":" in file.parts[0] \
-            or not str(file).isprintable():
+            or not str(file).isprintable() or max(len(part.encode()) for part in file.parts) > _LONGEST_NAME:
         raise InputError(where, f"names {shown(name)!r}, which is not a file in this folder", _ADVICE)
 
 

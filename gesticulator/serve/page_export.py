@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -58,6 +57,6 @@ def _character(told: Any, folder: Path) -> Path:
     file = folder / f"character{suffix}"
     try:
         file.write_bytes(base64.b64decode(data, validate=True))
-    except binascii.Error:
+    except ValueError:  # of `binascii`, or of a character that is not ASCII
         raise InputError("the character", "did not arrive whole", "try again") from None
     return file
