@@ -117,12 +117,15 @@ def two_of(glb: bytes, names: tuple[str, str]) -> bytes:
     nodes, skins, (roots,) = scene["nodes"], scene["skins"], [one["nodes"] for one in scene["scenes"]]
     count, skin_count, held = len(nodes), len(skins), list(roots)
     for node in copy.deepcopy(nodes):
-        node |= {key: [child + count for child in node[key]] for key in ("children",) if key in node}
-        node |= {"skin": node["skin"] + skin_count} if "skin" in node else {}
+        if "children" in node:
+            node["children"] = [child + count for child in node["children"]]
+        if "skin" in node:
+            node["skin"] += skin_count
         nodes.append(node)
     for skin in copy.deepcopy(skins):
         skin["joints"] = [joint + count for joint in skin["joints"]]
-        skin |= {"skeleton": skin["skeleton"] + count} if "skeleton" in skin else {}
+        if "skeleton" in skin:
+            skin["skeleton"] += count
         skins.append(skin)
     nodes += [{"name": name, "children": [root + shift for root in held], "translation": [shift / count, 0.0, 0.0]}
               for name, shift in zip(names, (0, count), strict=True)]

@@ -60,13 +60,6 @@ def test_matrices_are_scipys() -> None:
     assert np.array_equal(rotation.to_matrix(q.reshape(3, 4, 5, 4)), rotation.to_matrix(q).reshape(3, 4, 5, 3, 3))
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-5, 1.0, np.pi, 40.0])
-def test_matrices_of_exponential_maps_are_scipys(size: float) -> None:
-    v = size * np.random.default_rng(5).standard_normal((3, 20, 3))
-    matrices = Rotation.from_rotvec(v.reshape(-1, 3)).as_matrix().reshape(3, 20, 3, 3)
-    np.testing.assert_allclose(rotation.exponential_map_to_matrix(v), matrices, atol=1e-13)
-
-
 def test_one_quaternion_turns_many_vectors() -> None:
     quarter = rotation.from_euler(np.array([np.pi / 2, 0.0, 0.0]), "YXZ")
     turned = rotation.rotate(quarter, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))

@@ -209,10 +209,6 @@ def test_broken_json_is_named(tmp_path: Path, content: str, said: str) -> None:
     assert said in _refusal(tmp_path, "a.json", content)
 
 
-WORD = st.text(st.characters(exclude_categories=["C", "Z"], exclude_characters="[]<>" + "".join(EMOJI)), min_size=1,
-               max_size=6)
-
-
 @pytest.mark.parametrize("start", [-1e308, 1e308, 2e7])
 def test_numbers_that_are_no_times_are_refused(tmp_path: Path, start: float) -> None:
     """Also beside words without times, which are spread between their neighbours."""
@@ -222,6 +218,9 @@ def test_numbers_that_are_no_times_are_refused(tmp_path: Path, start: float) -> 
     cue = "1\n2778:00:00,000 --> 2779:00:00,000\nhello there\n"  # some 115 days, and an hour
     assert "is no time of a recording" in _refusal(tmp_path, "a.srt", cue)
 
+
+WORD = st.text(st.characters(exclude_categories=["C", "Z"], exclude_characters="[]<>" + "".join(EMOJI)), min_size=1,
+               max_size=6)
 
 
 @given(st.lists(st.tuples(WORD, st.floats(0, 2), st.floats(0.01, 2)), min_size=1, max_size=8))

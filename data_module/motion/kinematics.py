@@ -71,18 +71,12 @@ def joint_positions(skeleton: Skeleton, rotations: Array, root_positions: Array 
 
 def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
     """As `positions_of` for these joints only, [T, len(joints), 3]; computes only the chains from the root to them."""
+    parents, offsets = motion.skeleton.parents, motion.skeleton.offsets
+    order = with_ancestors(parents, tuple(joints))
     # Matrices: for few frames they take a third of the time of quaternions.
-    order = with_ancestors(motion.skeleton.parents, tuple(joints))
-    return places_of(motion.skeleton, rotation.to_matrix(motion.rotations[:, order]), joints, motion.root_positions)
-
-
-def places_of(skeleton: Skeleton, turns_of: Array, joints: Sequence[int], root: Array | float = 0.0) -> Array:
-    """Positions [T, len(joints), 3] of some joints in metres. turns_of: [T, n, 3, 3] local rotations of
-    `with_ancestors` of these joints; root: [T, 3] positions of the root, or 0."""
-    parents, offsets = skeleton.parents, skeleton.offsets
-    order, local = with_ancestors(parents, tuple(joints)), np.moveaxis(turns_of, 1, 0)
+    local = np.moveaxis(rotation.to_matrix(motion.rotations[:, order]), 1, 0)
     turns: dict[int, Array] = {}
-    places = {order[0]: np.broadcast_to(root, (local.shape[1], 3))}
+    places = {order[0]: motion.root_positions}
     above = {parents[joint] for joint in order}
     for turn, joint in zip(local, order, strict=True):
         parent = parents[joint]

@@ -128,23 +128,6 @@ def to_matrix(q: Array) -> Array:
     return out
 
 
-def exponential_map_to_matrix(v: Array) -> Array:
-    """`to_matrix` of `from_exponential_map` for v [..., 3] by Rodrigues' formula, for few rotations in a fifth of the
-    time: 1 + sin t / t K + (1 - cos t) / t^2 K^2, K the matrix of the cross product with v and t its length."""
-    x, y, z = np.moveaxis(np.asarray(v, dtype=np.float64), -1, 0)
-    xx, yy, zz = x * x, y * y, z * z
-    angle = np.sqrt(xx + yy + zz)
-    first, half = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi))
-    second = 0.5 * half * half
-    xy, xz, yz = second * x * y, second * x * z, second * y * z
-    x, y, z = first * x, first * y, first * z
-    out = np.empty((*angle.shape, 3, 3))
-    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1.0 - second * (yy + zz), xy - z, xz + y
-    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = xy + z, 1.0 - second * (xx + zz), yz - x
-    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = xz - y, yz + x, 1.0 - second * (xx + yy)
-    return out
-
-
 def to_exponential_map(q: Array) -> Array:
     """[..., 4] to the exponential map [..., 3] of the shorter way round (angle at most pi)."""
     r, shape = _scipy(q)

@@ -153,7 +153,7 @@ class OnsetTracker:
     def __init__(self, sample_rate: int) -> None:
         self._rise = RiseTracker(sample_rate)
         self._around, self._reach = round(_AROUND / _HOP), round(_PEAK / _HOP)
-        # The frames of the first stored strength, of the next candidate peak, and before which there are no others.
+        # The frames of the first stored strength, of the next to judge, and before which there are no further peaks.
         self._first = self._next = self._excluded = 0
         self._strengths: list[float] = []
         self._totals = [0.0]  # cumulated strengths
@@ -175,7 +175,7 @@ class OnsetTracker:
     @property
     def known_until(self) -> float:
         """Seconds before which all onsets have been returned."""
-        return (self._peaks[0][0] if self._peaks else max(self._next, self._excluded)) * _HOP + _LATE * _HOP
+        return (self._peaks[0][0] if self._peaks else self._excluded) * _HOP + _LATE * _HOP
 
     def _add(self, strengths: Array) -> None:
         for one in strengths.tolist():

@@ -43,9 +43,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module import controls
-from data_module.motion.kinematics import chains, places_of, positions_of_some
-from data_module.motion.rotation import cross, exponential_map_to_matrix
-from data_module.types import Array
+from data_module.motion.kinematics import chains, positions_of_some
+from data_module.motion.rotation import cross, from_exponential_map
+from data_module.types import Array, Motion
 from gesticulator.body.clearance import back_at, front_at
 from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
@@ -204,8 +204,9 @@ class CandidateChooser:
             places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
         else:
             skeleton, joints = self._arms
-            turns = exponential_map_to_matrix(poses.reshape(len(poses), -1, 3)[:, joints])
-            places = places_of(skeleton, turns, [joints.index(joint) for joint in self._joints])
+            rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
+            places = positions_of_some(Motion(skeleton, rotations, np.zeros((len(poses), 3)), 1.0),
+                                       [joints.index(joint) for joint in self._joints])
         return places.reshape(*frames.shape[:2], len(self._joints), 3)
 
     @staticmethod
