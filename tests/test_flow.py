@@ -108,9 +108,10 @@ def test_a_shift_is_taken_back_along_a_quintic() -> None:
     torch.testing.assert_close(_fade(4, torch.zeros(1)), torch.tensor([0.896484375, 0.5, 0.103515625, 0.0]))
 
 
-def test_drawing_follows_the_field_that_was_trained() -> None:
+@pytest.mark.parametrize("guided", [None, 1])
+def test_drawing_follows_the_field_that_was_trained(guided: int | None) -> None:
     """The Adams method over `FlowHead` itself, context by context, against the head that drawing uses: also after the
-    weights have changed."""
+    weights have changed. Where one row is guided, its guidance holds for the others."""
     generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
     contexts = torch.randn(3, CONFIG.context + generator.basis.width, generator=torch.manual_seed(1))
     gains, noise = torch.rand(2, generator.basis.width), torch.randn(4, generator.basis.width)
@@ -120,7 +121,8 @@ def test_drawing_follows_the_field_that_was_trained() -> None:
             at = FlowTime.of(torch.full((len(u), 1), time))
             one, *others = (generator.head(u, at, generator.head.conditions(own.expand(len(u), -1)))
                             for own in contexts)
-            return one + sum(gain * (one - other) for gain, other in zip(gains, others, strict=True))
+            pull = sum(gain * (one - other) for gain, other in zip(gains, others, strict=True))
+            return one + (pull[:1] if guided == 1 else pull)
 
         u, known = noise, [v(noise, 0.0)]
         for i in range(steps):
@@ -134,7 +136,7 @@ def test_drawing_follows_the_field_that_was_trained() -> None:
             for weight in generator.head.parameters():
                 weight.copy_(0.3 * torch.randn(weight.shape, generator=torch.manual_seed(seed)))
             wanted = slowly(3)
-            found = generator.draw(contexts, gains, noise, 3)
+            found = generator.draw(contexts, gains, noise, 3, guided)
         assert wanted.std() > 0.1
         torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-3)
 

@@ -23,7 +23,7 @@ from data_module.errors import InputError
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
-from generator.flow import SamplingHead
+from generator.flow import Guidance, SamplingHead
 from gesticulator import stream as stream_module
 from gesticulator.body.rest import Rest
 from gesticulator.bundle.features import representation_of
@@ -375,10 +375,10 @@ def asked_of_the_head() -> Iterator[list[int]]:
     rows: list[int] = []
     call = SamplingHead.__call__
 
-    def counted(self: SamplingHead, noisy: torch.Tensor, time: float, conditions: Any, mix: torch.Tensor
+    def counted(self: SamplingHead, noisy: torch.Tensor, time: float, conditions: Any, guidance: Guidance
                 ) -> torch.Tensor:
-        rows.append(len(noisy) * len(mix))
-        return call(self, noisy, time, conditions, mix)
+        rows.append(len(noisy) + len(guidance.gains) * guidance.guided)
+        return call(self, noisy, time, conditions, guidance)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SamplingHead, "__call__", counted)

@@ -101,8 +101,10 @@ def uniform(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
 
 def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
     """Standard normal numbers for each of `numbers` [...] (Box and Muller)."""
-    pairs = 2 * np.broadcast_to(numbers, np.broadcast_shapes(np.shape(numbers), np.shape(channel))).astype(np.int64)
-    one, two = uniform(seed, channel, np.stack([pairs, pairs + 1]))
+    pairs = np.empty((2, *np.broadcast(numbers, channel).shape), np.int64)
+    pairs[0] = 2 * np.asarray(numbers)
+    pairs[1] = pairs[0] + 1
+    one, two = uniform(seed, channel, pairs)
     return np.asarray(np.sqrt(-2.0 * np.log(one)) * np.cos(2.0 * np.pi * two))
 
 
