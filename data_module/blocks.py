@@ -249,9 +249,11 @@ class KnotPath:
             return self._values[:0]
         half = 0 if count == 1 else self._half
         at = np.arange(numbers[0] - half, numbers[-1] + half + 1)
-        # The motion is mirrored about the first and the last frame.
-        at = np.abs(at) if count is None or count == 1 else np.abs((at + count - 1) % (2 * (count - 1)) - (count - 1))
-        frames = hermite(self._times, self._values, at / self.fps, self._slopes)
+        frames = hermite(self._times, self._values, (np.abs(at) if count is None else _mirrored(at, count)) / self.fps,
+                         self._slopes)
+        if count is not None and at[-1] >= count:
+            last = hermite(self._times, self._values, np.array([(count - 1) / self.fps]), self._slopes)
+            frames[at >= count] = 2.0 * last - frames[at >= count]
         return _kernel(frames, self.fps, self._sigma)[half:len(at) - half] if half else frames
 
 
@@ -283,9 +285,20 @@ def hermite(times: Array, values: Array, at: Array, slope: Array | None = None) 
 
 def smooth(frames: Array, fps: float, sigma: float = SMOOTHING) -> Array:
     """Gaussian smoothing along time of [T, D] (RG 7.1.2: five taps at 20 fps). sigma: seconds; the kernel ends at two
-    sigma on both sides, whatever the rate. At the ends the motion is mirrored about its first and last frame."""
-    half = _half(fps, sigma)
-    return np.array(frames) if half < 1 or len(frames) < 2 else _kernel(frames, fps, sigma)
+    sigma on both sides, whatever the rate. Before the first frame the motion is mirrored in time, so that it begins at
+    rest; after the last one in time and space, so that motion that is cut off does not stop."""
+    half, count = _half(fps, sigma), len(frames)
+    if half < 1 or count < 2:
+        return np.array(frames)
+    at = np.arange(-half, count + half)
+    wide = frames[_mirrored(at, count)]
+    wide[at >= count] = 2.0 * frames[-1] - wide[at >= count]
+    return _kernel(wide, fps, sigma)[half:-half]
+
+
+def _mirrored(at: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Numbers of frames `at` [T], mirrored at the first and the last of `count` frames."""
+    return at * 0 if count == 1 else np.abs((at + count - 1) % (2 * (count - 1)) - (count - 1))
 
 
 def _half(fps: float, sigma: float) -> int:

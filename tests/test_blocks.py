@@ -316,9 +316,21 @@ def test_smoothing_is_five_taps_at_20_fps_and_the_same_in_seconds_elsewhere() ->
         rise = smooth(step, fps)
         assert np.count_nonzero((rise > 1e-12) & (rise < 1 - 1e-12)) == 2 * round(0.1 * fps)
     mirrored = np.array([[1.0], [5.0], [2.0], [7.0]])
-    wide = np.concatenate([mirrored[2:0:-1], mirrored, mirrored[-2:-4:-1]])
+    wide = np.concatenate([mirrored[2:0:-1], mirrored, 2 * mirrored[-1] - mirrored[-2:-4:-1]])
     assert np.allclose(smooth(mirrored, 20.0)[:, 0], np.convolve(wide[:, 0], weights / weights.sum(), "valid"))
     assert np.array_equal(smooth(mirrored[:1], 20.0), mirrored[:1])
+
+
+@pytest.mark.parametrize("fps", [30.0, 60.0, 120.0])
+def test_a_motion_that_is_cut_off_does_not_stop(fps: float) -> None:
+    """A line keeps its slope up to the last frame, at the very end of the recording and before; it begins at rest."""
+    blocks = blocks_of(np.full(4, 0.4))
+    knots = 3.0 * (blocks.knot_times - blocks.edges[0]).reshape(-1, 1)
+    made = denormalise(knots, np.zeros(1), blocks, fps)[:, 0]
+    assert len(made) == round(1.6 * fps)
+    np.testing.assert_allclose(np.diff(made[round(0.2 * fps):]) * fps, 3.0, rtol=1e-9)
+    np.testing.assert_allclose(made[round(0.2 * fps):], 3.0 * np.arange(round(0.2 * fps), len(made)) / fps, rtol=1e-9)
+    assert np.diff(made[:2])[0] * fps < 1.5
 
 
 def test_knots_that_do_not_fit_are_refused() -> None:

@@ -356,10 +356,9 @@ def test_what_is_passed_over_leaves_no_jump_and_no_gap(latency: str) -> None:
         assert stream.state == StreamState.SPEAKING
         assert stream.made == np.ceil(stream.time * FPS - 1e-6), "what is past is given at once"
         stream.hurried = False
-    last = np.concatenate([sound[10 * SAMPLE_RATE:12 * SAMPLE_RATE], np.zeros(SAMPLE_RATE, np.float32)])
-    parts += [*fed(stream, last, (1600,)), stream.finish()]  # a motion that ends in mid-word stops within a frame
+    parts += [*fed(stream, sound[10 * SAMPLE_RATE:12 * SAMPLE_RATE], (1600,)), stream.finish()]  # in mid-word
     made = joined(parts)
-    assert len(made) == round((3 * 4 + 4.7 + 3) * FPS)
+    assert len(made) == round((3 * 4 + 4.7 + 2) * FPS)
     found = moves(made, stream)
     assert found["hands"][1].max() < HURRIED_HARDEST and found["head"][1].max() < HEAD_HARDEST
     for seam in seams:  # into the pass, and out of it with what is drawn in the second after it
