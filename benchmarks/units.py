@@ -1,9 +1,10 @@
 """Are the planned gesture units played? `python benchmarks/units.py STORE [--bundle DIR] [--seconds 40] [--limit N]`.
 
-Every recording of the test split is gestured for by the default speaker. Of the units in each plan:
+Every recording of the test split is gestured for by the default speaker, without its words: a named gesture that a word
+calls for is played whatever the plan says. Of the units in each plan:
 
 - holds: the share of the time, after a stop of 0.3 s, in which the acting hand stays under 0.08 m/s, and how far it
-  drifts from where it stopped;
+  drifts from where it stopped; and the same where words call for named gestures;
 - phases: the share of the blocks in which the phase that is measured on the motion (`data_module.motion.phases`) is the
   planned one, beside the share with the plan rolled by half the recording;
 - preparations: the share of planned preparations that a stroke follows in the plan.
@@ -15,6 +16,7 @@ import argparse
 import shlex
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -74,6 +76,8 @@ def of_recording(hands: Array, units: tuple[GestureUnit, ...], edges: Array) -> 
 
 
 TITLES = {"slow": "holds: acting hand under 0.08 m/s, % of the time", "drift": "holds: drift, cm",
+          "slow, words": "holds, with words that call for gestures: under 0.08 m/s, % of the time",
+          "drift, words": "holds, with words that call for gestures: drift, cm",
           "agree": "blocks whose phase is played as planned, %", "chance": "the same with the plan rolled by half, %",
           "led": "preparations that a stroke follows in the plan, %"}
 
@@ -92,8 +96,10 @@ def main() -> None:
     system = Gesticulator(bundles.load(folder))
     rows = []
     for voice in held_out_voices(store, a.limit, system.bundle.config.motion.joints, seconds=a.seconds):
-        made = system(audio.resample(voice.speech, audio.SAMPLE_RATE), seed=0)
-        rows.append(of_recording(hand_places(made.motion, RATE), made.plan().units, made.blocks.edges))
+        said = audio.resample(voice.speech, audio.SAMPLE_RATE)
+        plain, worded = (of_recording(hand_places(made.motion, RATE), made.plan().units, made.blocks.edges)
+                         for made in (system(speech, seed=0) for speech in (replace(said, words=None), said)))
+        rows.append(plain | {f"{key}, words": worded[key] for key in ("slow", "drift")})
     cells = {title: {"value": stats.mean_interval([row[key] for row in rows])} for key, title in TITLES.items()}
     publish([Table("Gesture units, planned and played", {"value": Column("mean", "", 1)}, cells, "figure", [
         f"{len(rows)} recordings of the test split, {a.seconds:g} s of each; bootstrap 95 % intervals over "
