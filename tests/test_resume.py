@@ -561,10 +561,11 @@ def test_a_session_that_an_interruption_leaves_while_it_is_opened_is_not_gone_on
     run(test)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(40))
 def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
     """Sound, waits and interruptions, while connections break and servers forget: each frame follows the last one or is
-    where an interruption was, and in the end there are as many as the media time that was asked for."""
+    where an interruption was, and in the end there are as many as the media time that was asked for, though
+    interruptions lie between frames and sessions begin at frames. Of the commands none is lost, nor is the end."""
     rng = np.random.default_rng(seed)
 
     async def test() -> None:
@@ -584,7 +585,7 @@ def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
                     await stream.idle(float(rng.choice([0.0, rng.uniform(0, 0.5)])))
                 elif op == "interrupt" and came.next > 1 and came.source == stream._source:
                     came.cut(int(rng.integers(1, came.next)))
-                    await stream.interrupt(came.next / 60)
+                    await stream.interrupt((came.next - float(rng.choice([0.0, rng.uniform(0.0, 0.99)]))) / 60)
                 elif op in ("break", "forget"):
                     break_connections(server)
                     if op == "forget":

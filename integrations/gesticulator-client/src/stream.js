@@ -111,11 +111,15 @@ export class GestureStream {
   }
 
   record(message, seconds) {
-    this.journal.push({ message, start: this.time, seconds, heard: this.heard });
+    const said = { message, start: this.time, seconds, heard: this.heard };
     this.time += seconds;
+    // A session begins at a frame, which may lie after an interruption.
+    const sent = seconds && !this.anewNext ? cutStart(said, this.offset / this.fps, this.sampleRate, this.fps) : said;
+    if (!sent) return;
+    this.journal.push(sent);
     this.numbered++;
     while (this.journal.length && this.journal[0].start + this.journal[0].seconds < this.time - JOURNAL_SECONDS) this.journal.shift();
-    if (this.live) this.transmit(message);
+    if (this.live) this.transmit(sent.message);
   }
 
   transmit(message) {
@@ -182,7 +186,7 @@ export class GestureStream {
     this.cut = Infinity;
     this.source++;
     const begin = this.offset / this.fps;
-    this.journal = this.journal.map((sent) => cutStart(sent, begin, this.sampleRate)).filter(Boolean);
+    this.journal = this.journal.map((sent) => cutStart(sent, begin, this.sampleRate, this.fps)).filter(Boolean);
     if (this.journal[0]?.heard) this.journal.unshift({ message: { type: "listen" }, start: begin, seconds: 0, heard: true });
     this.numbered = this.journal.length;
   }
@@ -232,7 +236,7 @@ export class GestureStream {
 }
 
 /** What of a sent message lies after a media time; null for nothing. */
-function cutStart(sent, begin, rate) {
+function cutStart(sent, begin, rate, fps) {
   const { message, start, seconds } = sent, end = start + seconds, lost = Math.max(0, begin - start);
   if (ArrayBuffer.isView(message)) {
     return end <= begin + 1e-9 ? null : { ...sent, message: message.slice(Math.ceil(lost * rate - 1e-6)), start: Math.max(start, begin), seconds: seconds - lost };
@@ -241,7 +245,8 @@ function cutStart(sent, begin, rate) {
     const left = Math.min(seconds, end - begin);
     return left <= 0 ? null : { ...sent, message: { ...message, seconds: left }, start: Math.max(start, begin), seconds: left };
   }
-  return start >= begin - 1e-9 || message.type === "words" || (message.type === "idle" && !("seconds" in message)) ? sent : null;
+  // What was said after an interruption may lie in the frame before the one at which the session begins.
+  return start > begin - 1 / fps || message.type === "words" || (message.type === "idle" && !("seconds" in message)) ? sent : null;
 }
 
 /** What of a sent message lies before a media time; it is still one message. */

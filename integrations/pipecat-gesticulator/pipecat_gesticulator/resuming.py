@@ -229,13 +229,19 @@ class ResumingStream:
             self._socket = None
 
     async def _say(self, message: bytes | dict[str, Any], seconds: float) -> None:
-        self._journal.append(_Sent(message, self._time, seconds, self._heard))
-        self._journal_bytes += _size(message)
+        said = _Sent(message, self._time, seconds, self._heard)
         self._time += seconds
+        # A session begins at a frame, which may lie after an interruption.
+        begin = 0.0 if self._anew_next else self._offset / self._hello.fps
+        sent = _cut_start(said, begin, self._hello) if seconds else said
+        if sent is None:
+            return
+        self._journal.append(sent)
+        self._journal_bytes += _size(sent.message)
         self._numbered += 1
         while self._journal_bytes > JOURNAL_BYTES:
             self._journal_bytes -= _size(self._journal.popleft().message)
-        await self._transmit(message)
+        await self._transmit(sent.message)
 
     async def _transmit(self, message: bytes | dict[str, Any]) -> None:
         """Send, where there is a connection; one that is lost is noticed by who reads."""
@@ -367,7 +373,8 @@ def _cut_start(sent: _Sent, begin: float, hello: Hello) -> _Sent | None:
         if left < 0 or (left == 0 and sent.seconds > 0):
             return None
         return replace(sent, message={**sent.message, "seconds": left}, start=max(sent.start, begin), seconds=left)
-    return sent if sent.start >= begin - 1e-9 or sent.message["type"] == "words" else None
+    # What was said after an interruption may lie in the frame before the one at which the session begins.
+    return sent if sent.start > begin - 1.0 / hello.fps or sent.message["type"] == "words" else None
 
 
 def _cut_end(sent: _Sent, end: float, hello: Hello) -> _Sent:
