@@ -79,8 +79,7 @@ MUTANTS = (
     Mutant("slope at the end of a step of the Adams method taken at its start", "generator/flow.py",
            "head(predicted, i * step,", "head(u, (i - 1) * step,", "tests/test_flow.py"),
     Mutant("classifier-free guidance with the wrong sign", "generator/flow.py",
-           "1.0 + gains.sum(0, keepdim=True), -gains", "1.0 - gains.sum(0, keepdim=True), gains",
-           "tests/test_flow.py"),
+           "v = v + (gains *", "v = v - (gains *", "tests/test_flow.py"),
     Mutant("quintic fade of a shifted past", "generator/flow.py", "(1 + 3 * x + 6 * x * x)", "(1 + 3 * x)",
            "tests/test_flow.py"),
     # lexicon

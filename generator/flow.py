@@ -311,15 +311,15 @@ class FlowGenerator(nn.Module):
         evaluation a step and one more: four steps of Heun's method take eight, and their error is not smaller than that
         of five of these, which take six."""
         head, rows = self.head.sampling(), len(noise)
-        mix = Guidance(gains[:, None], rows if guided is None else guided)
-        of = torch.tensor([0] * rows + [context for context in range(1, len(contexts)) for _ in range(mix.guided)],
+        guidance = Guidance(gains[:, None], rows if guided is None else guided)
+        of = torch.tensor([0] * rows + [context for context in range(1, len(contexts)) for _ in range(guidance.guided)],
                           device=noise.device)
         conditions = [(scale[of], shift[of]) for scale, shift in self.head.conditions(contexts)]
         u, step, before = noise, 1.0 / steps, None
-        v = head(u, 0.0, conditions, mix)
+        v = head(u, 0.0, conditions, guidance)
         for i in range(1, steps + 1):
             predicted = u + step * (v if before is None else (3.0 * v - before) / 2)
-            after = head(predicted, i * step, conditions, mix)
+            after = head(predicted, i * step, conditions, guidance)
             u, before, v = u + step * (v + after) / 2, v, after
         return self.stretch(u)
 
