@@ -133,10 +133,12 @@ def _bend_arm(rotations: Array, skeleton: Skeleton, pose: Pose, side: tuple[str,
         upper, lower = np.where(inside, reaching[0], upper), np.where(inside, reaching[1], lower)
     for _ in range(_SWINGS):
         hidden = body.hidden(shoulder + upper, sign)
-        if not (length(hidden) > LEAST).any():
+        behind = length(hidden) > LEAST
+        if not behind.any():
             break
-        way, upper = upper + lower, swivelled(upper, lower, hidden)
-        lower = way - upper
+        # A frame does not depend on which others are cleared with it.
+        swung = swivelled(upper, lower, hidden)
+        upper, lower = np.where(behind, swung, upper), np.where(behind, upper + lower - swung, lower)
     turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
     chain = [skeleton.index(name + part) for part in ("Arm", "ForeArm", "Hand")]
     for node, before, after in zip(chain, bones, (upper, lower), strict=False):
