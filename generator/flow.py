@@ -299,19 +299,18 @@ class FlowGenerator(nn.Module):
     # -------------------------------------------------------------------------------------------------- drawing
 
     @torch.no_grad()
-    def draw(self, contexts: Tensor, gains: Tensor, noise: Tensor, steps: int, guided: int | None = None) -> Tensor:
+    def draw(self, contexts: Tensor, gains: Tensor, noise: Tensor, steps: int, shared: bool = False) -> Tensor:
         """Coefficients [M, n] from noise [M, n] by `steps` steps of the Adams method of second order. contexts: [1 + G,
         C] with all inputs, and with one input left out each; gains: [G, n] of the classifier-free guidance away from
-        the latter. guided: how many rows are guided by predictions of their own, all by default; with 1 the guidance of
-        the first is added to every row, which is enough for rows that differ little and costs M + G predictions
-        instead of M (1 + G).
+        the latter. shared: add the guidance of the first row to every row, which is enough for rows that differ little
+        and costs M + G predictions instead of M (1 + G).
 
         A step from u to u' is predicted by Adams and Bashforth, u + d (3 v - v_before) / 2 (the first one by Euler, u +
         d v), and corrected by Adams and Moulton, u' = u + d (v + v') / 2, where v' is taken at the predicted u'. One
         evaluation a step and one more: four steps of Heun's method take eight, and their error is not smaller than that
         of five of these, which take six."""
         head, rows = self.head.sampling(), len(noise)
-        guidance = Guidance(gains[:, None], rows if guided is None else guided)
+        guidance = Guidance(gains[:, None], 1 if shared else rows)
         of = torch.tensor([0] * rows + [context for context in range(1, len(contexts)) for _ in range(guidance.guided)],
                           device=noise.device)
         conditions = [(scale[of], shift[of]) for scale, shift in self.head.conditions(contexts)]

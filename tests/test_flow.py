@@ -108,10 +108,10 @@ def test_a_shift_is_taken_back_along_a_quintic() -> None:
     torch.testing.assert_close(_fade(4, torch.zeros(1)), torch.tensor([0.896484375, 0.5, 0.103515625, 0.0]))
 
 
-@pytest.mark.parametrize("guided", [None, 1])
-def test_drawing_follows_the_field_that_was_trained(guided: int | None) -> None:
+@pytest.mark.parametrize("shared", [False, True])
+def test_drawing_follows_the_field_that_was_trained(shared: bool) -> None:
     """The Adams method over `FlowHead` itself, context by context, against the head that drawing uses: also after the
-    weights have changed. Where one row is guided, its guidance holds for the others."""
+    weights have changed. Where guidance is shared, that of the first row holds for the others."""
     generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
     contexts = torch.randn(3, CONFIG.context + generator.basis.width, generator=torch.manual_seed(1))
     gains, noise = torch.rand(2, generator.basis.width), torch.randn(4, generator.basis.width)
@@ -122,7 +122,7 @@ def test_drawing_follows_the_field_that_was_trained(guided: int | None) -> None:
             one, *others = (generator.head(u, at, generator.head.conditions(own.expand(len(u), -1)))
                             for own in contexts)
             pull = sum(gain * (one - other) for gain, other in zip(gains, others, strict=True))
-            return one + (pull[:1] if guided == 1 else pull)
+            return one + (pull[:1] if shared else pull)
 
         u, known = noise, [v(noise, 0.0)]
         for i in range(steps):
@@ -136,7 +136,7 @@ def test_drawing_follows_the_field_that_was_trained(guided: int | None) -> None:
             for weight in generator.head.parameters():
                 weight.copy_(0.3 * torch.randn(weight.shape, generator=torch.manual_seed(seed)))
             wanted = slowly(3)
-            found = generator.draw(contexts, gains, noise, 3, guided)
+            found = generator.draw(contexts, gains, noise, 3, shared)
         assert wanted.std() > 0.1
         torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-3)
 

@@ -327,7 +327,7 @@ class FlowDrawer:
         if same:
             noise = torch.where(self.trunk, noise, noise[:1])
         # The arms of the first are guided by their own predictions; the trunks, which are hardly guided, by the same.
-        coefficients = self.generator.draw(context[:, 0], pull, noise, steps, 1 if same else None)
+        coefficients = self.generator.draw(context[:, 0], pull, noise, steps, same)
         if same:
             coefficients = torch.where(self.trunk, coefficients, coefficients[:1])
         return coefficients, (self.base + self.generator.basis.expand(coefficients)) * self.generator.present
