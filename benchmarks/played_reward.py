@@ -7,8 +7,9 @@ ensembles that share neither recordings, seeds nor sizes are trained in each of 
 - speeds: the same, and the motion encoder also reads speeds;
 - played: the same, and what other policies play to the same sound are negatives of the performer's lexemes.
 
-Then the test split: the reward of the performer's lexemes as played, less that of each policy, paired over recordings;
-what of it is common to any sound; how often the window of a sound is found among those of its recording; and whether a
+Then the test split: the reward of the performer's lexemes as played, less that of each policy, paired over recordings
+(unit selection splices captured motion, so it is also held against the captured motion of the recording itself); what
+of it is common to any sound; how often the window of a sound is found among those of its recording; and whether a
 member prefers the sound of the moment to that of another.
 """
 
@@ -24,9 +25,9 @@ import torch
 
 from eval import stats
 from eval.runner.context import opened
-from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, PlayedVoice, VoicePlayer
+from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, UNITS, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import PlayedScores, PlayedWindows, found, margins, scored, train
-from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
+from eval.runner.renderings import BundleSystem, KeptRenderings, UnitSystem, held_out_voices
 from eval.stats import Interval
 from eval.table import Cell, Column, Provenance, Table, publish
 from gesticulator.bundle.config import FitSettings
@@ -87,7 +88,9 @@ def tables(said: Mapping[tuple[str, str], Judged], test: Sequence[PlayedVoice], 
         return {row: {name: own[row] for name, own in cell.items()} for row in next(iter(cell.values()))}
 
     apart = [kind for kind in kinds if kind not in (REPLAYED, PERFORMER)]
-    less = {name: dict(margins(own.scores, apart, group)) for name, own in named.items()}
+    less = {name: {**margins(own.scores, apart, group),
+                   f"{PERFORMER} less {UNITS}": margins(own.scores, (UNITS,), group, PERFORMER)[UNITS]}
+            for name, own in named.items()}
     sound = {name: {kind: stats.paired(own.scores.own(REPLAYED), own.scores.own(kind), groups=group)
                     for kind in apart} for name, own in named.items()}
     means = {name: {kind: stats.mean_interval(own.scores.whole[kind], groups=group) for kind in kinds}
@@ -121,9 +124,11 @@ def main() -> None:
     folder = bundle_folder(a.bundle)
     ours = BundleSystem("ours", folder, KeptRenderings(None))
     player, joints = VoicePlayer(ours, work / "played"), ours.bundle.config.motion.joints
-    learn, test = (player.voices(held_out_voices(store, limit, joints, split, a.seconds, spread=True),
-                                 (REPLAYED, *RIVALS, *more), progress=not a.quiet)
-                   for split, limit, more in (("train", a.learn, ()), ("test", a.limit, a.others)))
+    spliced = {UNITS: UnitSystem(UNITS, store, work, KeptRenderings(work / "units"), ours.bundle.config.rhythm)}
+    learn = player.voices(held_out_voices(store, a.learn, joints, "train", a.seconds, spread=True),
+                          (REPLAYED, *RIVALS), progress=not a.quiet)
+    test = player.voices(held_out_voices(store, a.limit, joints, "test", a.seconds, spread=True),
+                         (REPLAYED, *RIVALS, *a.others), spliced, not a.quiet)
     torch.manual_seed(0)
     said = {(form, name): judge(trained(form, number, learn, a.steps, not a.quiet), test)
             for form in a.forms for number, name in enumerate(ENSEMBLES)}
