@@ -42,7 +42,7 @@ def pytest_runtest_setup() -> None:
 SLOW_FIXTURES = {"tiny_bundle", "tiny_movement_bundle"}
 """What takes half a minute or more to make."""
 SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
-"""FILE::FUNCTION of the other tests, and of fixtures of one file, that take more than two seconds of the processor."""
+"""FILE::FUNCTION of the other tests, and of fixtures of one file, that take about a second of the processor or more."""
 
 
 FULL = frozenset((Path(__file__).parent / "full.txt").read_text(encoding="utf-8").split())
