@@ -84,12 +84,13 @@ def stretch_piece(piece: Samples, length: int, rate: int, method: str = "wsola")
     context = round(CONTEXT * rate)
     out, inside = np.zeros(length, np.float32), piece[context:-context]
     if inside.any():
-        out[:] = _stretched(piece.astype(np.float64), context, length, rate, method)
+        # WSOLA compares single samples, for which float32 is enough, in little more than half the time.
+        out[:] = _stretched(piece if method == "wsola" else piece.astype(np.float64), context, length, rate, method)
         _keep_zeros(inside, out, round(_WINDOW * rate))
     return out
 
 
-def _stretched(piece: Array, context: int, length: int, rate: int, method: str) -> Array:
+def _stretched(piece: Array | Samples, context: int, length: int, rate: int, method: str) -> Array | Samples:
     inside = len(piece) - 2 * context
     if inside == length:  # at rate 1 WSOLA is not quite the identity
         return piece[context:-context]
@@ -104,7 +105,7 @@ def _stretched(piece: Array, context: int, length: int, rate: int, method: str) 
     return out[context:context + length]
 
 
-def _time_scale(piece: Array, anchors: Array, rate: int, method: str) -> Array:
+def _time_scale(piece: Array | Samples, anchors: Array, rate: int, method: str) -> Array:
     import pytsmod
 
     window, hop = round(_WINDOW * rate), round(_HOP * rate)
