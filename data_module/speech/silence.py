@@ -361,36 +361,39 @@ def pitch_of(samples: Samples, sample_rate: int) -> tuple[Array, NDArray[np.bool
     size, hop = round(PITCH_WINDOW * sample_rate), round(PITCH_HOP * sample_rate)
     if len(samples) < size:
         return np.zeros(0), np.zeros(0, dtype=bool)
-    frames = sliding_window_view(samples.astype(np.float64), size)[::hop]
+    frames = sliding_window_view(samples.astype(np.float32, copy=False), size)[::hop]
     frames = frames - frames.mean(axis=1, keepdims=True)
     shortest, longest = int(sample_rate / _HIGHEST), int(np.ceil(sample_rate / _LOWEST)) + 1
     window, own = _pitch_window(size, longest + 1)
     repeats = _autocorrelation(frames * window, longest + 1)
     power = repeats[:, :1]
     share = np.where(power > _NO_SOUND * size, repeats / np.maximum(power, 1e-30) / own, 0.0)
-    lags = np.arange(shortest, longest)
-    peak = (share[:, lags] >= share[:, lags - 1]) & (share[:, lags] >= share[:, lags + 1])
-    height = np.where(peak, share[:, lags] - _OCTAVE * np.log2(lags / shortest), -np.inf)
+    here, lags = share[:, shortest:longest], np.arange(shortest, longest)
+    peak = (here >= share[:, shortest - 1:longest - 1]) & (here >= share[:, shortest + 1:longest + 1])
+    height = np.where(peak, here - _OCTAVE * np.log2(lags / shortest), -np.inf)
     best = lags[height.argmax(axis=1)]
     rows = np.arange(len(share))
-    left, middle, right = (share[rows, best + step] for step in (-1, 0, 1))
+    left, middle, right = (share[rows, best + step].astype(np.float64) for step in (-1, 0, 1))
     bend = left - 2.0 * middle + right
     shift = np.where(bend < -1e-12, 0.5 * (left - right) / np.where(bend < -1e-12, bend, 1.0), 0.0)
     return np.log2(sample_rate / (best + np.clip(shift, -0.5, 0.5))), (middle >= _VOICED) & np.isfinite(
         height.max(axis=1))
 
 
-def _autocorrelation(frames: Array, lags: int) -> Array:
-    """[F, lags] of frames [F, n]."""
+def _autocorrelation(frames: Samples, lags: int) -> Samples:
+    """[F, lags] of frames [F, n], in single precision, which takes half the time."""
+    from scipy import fft
+
     size = 1 << int(np.ceil(np.log2(frames.shape[1] + lags)))
-    spectrum = np.fft.rfft(frames, size, axis=1)
-    return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, size, axis=1)[:, :lags])
+    spectrum = fft.rfft(frames, size, axis=1)
+    power = spectrum.real ** 2 + spectrum.imag ** 2
+    return np.asarray(fft.irfft(power, size, axis=1)[:, :lags], dtype=np.float32)
 
 
 @lru_cache(maxsize=4)
-def _pitch_window(size: int, lags: int) -> tuple[Array, Array]:
+def _pitch_window(size: int, lags: int) -> tuple[Samples, Samples]:
     """[size] the window of a frame, and [1, lags] its own autocorrelation, 1 at lag 0."""
-    window = np.hanning(size)
+    window = np.hanning(size).astype(np.float32)
     own = _autocorrelation(window[None], lags)
     return window, own / own[:, :1]
 
