@@ -245,7 +245,7 @@ def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array]
     `at`."""
     above = np.array([turns[skeleton.parents[joint]] for joint in joints])
     local = np.swapaxes(above, -1, -2) @ np.array([turns[joint] for joint in joints])
-    new = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(*local.shape[:2], 4)
+    new = rotation.w_first(Rotation.from_matrix(local.reshape(-1, 3, 3))).reshape(*local.shape[:2], 4)
     where = at, np.array(joints)[:, None]
     old = rotations[where]
     # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
