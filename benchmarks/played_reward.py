@@ -54,12 +54,13 @@ class Judged:
     captured: Mapping[str, Interval]
 
 
-def trained(form: str, number: int, learn: Sequence[PlayedVoice], steps: int, progress: bool) -> RewardEnsemble:
+def trained(form: str, number: int, learn: Sequence[PlayedVoice], a: argparse.Namespace) -> RewardEnsemble:
     """The ensemble of this number on its half of the recordings."""
-    config = replace(SIZES[number], speeds=form != "published", rivals=SIZES[number].rivals if form == "played" else 0)
+    config = replace(SIZES[number], speeds=form != "published", members=a.members,
+                     rivals=SIZES[number].rivals if form == "played" else 0)
     windows = PlayedWindows(learn[number::2], config, (PERFORMER, REPLAYED), RIVALS if form == "played" else ())
-    settings = FitSettings(steps=steps * config.members, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05)
-    return train(windows, settings, 1 + number, progress)
+    settings = FitSettings(steps=a.steps * config.members, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05)
+    return train(windows, settings, 1 + number, not a.quiet)
 
 
 def kinds_of(test: Sequence[PlayedVoice]) -> list[str]:
@@ -111,9 +112,12 @@ def main() -> None:
     p.add_argument("store", help="a store built by `gesticulator build`")
     p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     p.add_argument("--learn", type=int, default=60, help="recordings of the training split (default 60)")
-    p.add_argument("--limit", type=int, default=60, help="recordings of the test split (default 60)")
-    p.add_argument("--seconds", type=float, default=25.0, help="of each recording (default 25)")
+    p.add_argument("--split", default="test", choices=("val", "test"), help="judged on (val: to choose settings by)")
+    p.add_argument("--limit", type=int, default=60, help="recordings of that split (default 60)")
+    p.add_argument("--seconds", type=float, default=25.0, help="of each judged recording (default 25)")
+    p.add_argument("--learn-seconds", type=float, default=25.0, help="of each training recording (default 25)")
     p.add_argument("--steps", type=int, default=300, help="training steps of each model (default 300)")
+    p.add_argument("--members", type=int, default=2, help="models of an ensemble (default 2)")
     p.add_argument("--forms", nargs="+", default=list(FORMS), choices=FORMS)
     p.add_argument("--others", nargs="*", default=list(OTHERS), help="more interpreters on the test split")
     p.add_argument("--work", metavar="DIR", help="work folder, in which motion is kept (default: STORE.work)")
@@ -125,16 +129,17 @@ def main() -> None:
     ours = BundleSystem("ours", folder, KeptRenderings(None))
     player, joints = VoicePlayer(ours, work / "played"), ours.bundle.config.motion.joints
     spliced = {UNITS: UnitSystem(UNITS, store, work, KeptRenderings(work / "units"), ours.bundle.config.rhythm)}
-    learn = player.voices(held_out_voices(store, a.learn, joints, "train", a.seconds, spread=True),
+    learn = player.voices(held_out_voices(store, a.learn, joints, "train", a.learn_seconds, spread=True),
                           (REPLAYED, *RIVALS), progress=not a.quiet)
-    test = player.voices(held_out_voices(store, a.limit, joints, "test", a.seconds, spread=True),
+    test = player.voices(held_out_voices(store, a.limit, joints, a.split, a.seconds, spread=True),
                          (REPLAYED, *RIVALS, *a.others), spliced, not a.quiet)
     torch.manual_seed(0)
-    said = {(form, name): judge(trained(form, number, learn, a.steps, not a.quiet), test)
+    said = {(form, name): judge(trained(form, number, learn, a), test)
             for form in a.forms for number, name in enumerate(ENSEMBLES)}
-    note = (f"{len(learn)} training and {len(test)} test recordings, evenly spread, {a.seconds:g} s of each, one seed; "
-            f"{a.steps} steps of each of {SIZES[0].members} models an ensemble. Cosines, -1 to 1. {PERFORMER}: the "
-            f"captured motion; {REPLAYED}: what the generator makes of the lexemes that the motion is read as.")
+    note = (f"{len(learn)} training recordings ({a.learn_seconds:g} s of each) and {len(test)} {a.split} recordings "
+            f"({a.seconds:g} s), evenly spread, one seed; {a.steps} steps of each of {a.members} models an ensemble. "
+            f"Cosines, -1 to 1. {PERFORMER}: the captured motion; {REPLAYED}: what the generator makes of the lexemes "
+            "that the motion is read as.")
     publish(tables(said, test, [note]), a.out, Provenance.now(
         shlex.join(["python", "benchmarks/played_reward.py", *sys.argv[1:]]), folder / INDEX))
 
