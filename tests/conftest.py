@@ -46,7 +46,8 @@ SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8"
 
 
 FULL = frozenset((Path(__file__).parent / "full.txt").read_text(encoding="utf-8").split())
-"""FILE::FUNCTION of the longest tests, each of which covers in the large what other tests cover in the small."""
+"""FILE::FUNCTION of the longest tests, most of which cover in the large what other tests cover in the small: stories of
+browsers and characters, and commands from end to end."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
