@@ -13,7 +13,7 @@ from data_module.types import Array
 
 __all__ = ["angle_between", "between", "conjugate", "continuous", "cross", "from_euler", "from_exponential_map",
            "interpolate", "multiply", "normalise", "remove_yaw", "rotate", "to_euler", "to_exponential_map",
-           "to_matrix", "yaw_of"]
+           "to_matrix", "w_first", "yaw_of"]
 
 _EPS = 1e-12
 

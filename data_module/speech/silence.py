@@ -381,7 +381,7 @@ def pitch_of(samples: Samples, sample_rate: int) -> tuple[Array, NDArray[np.bool
 
 
 def _autocorrelation(frames: Samples, lags: int) -> Samples:
-    """[F, lags] of frames [F, n], in single precision, which takes half the time."""
+    """[F, lags] of frames [F, n], in single precision, which is faster."""
     from scipy import fft
 
     size = 1 << int(np.ceil(np.log2(frames.shape[1] + lags)))
