@@ -19,30 +19,22 @@ import argparse
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 
 from eval import stats
 from eval.runner.context import opened
-from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, UNITS, PlayedVoice, VoicePlayer
-from eval.runner.played_reward import PlayedScores, PlayedWindows, found, margins, scored, train
+from eval.runner.played import PERFORMER, REPLAYED, UNITS, PlayedVoice, VoicePlayer
+from eval.runner.played_reward import ENSEMBLES, FORMS, RIVALS, PlayedScores, found, margins, scored, trained
 from eval.runner.renderings import BundleSystem, KeptRenderings, UnitSystem, held_out_voices
 from eval.stats import Interval
 from eval.table import Cell, Column, Provenance, Table, publish
-from gesticulator.bundle.config import FitSettings
 from gesticulator.bundle.files import INDEX, bundle_folder
 from interpreters.reward import RewardEnsemble
-from interpreters.settings import RewardConfig
 
-RIVALS = (RANDOM, MAJORITY, "statistical", "lstm")
 OTHERS = ("cql", "advantage")
 """Played on the test split alone: no reward was trained against them."""
-SIZES = (RewardConfig(width=64, projection=48, rivals=3, members=2, shortest=4),
-         RewardConfig(width=80, projection=32, kernel=2, dilations=(1, 2, 3), rivals=3, members=2, shortest=4))
-"""Of the two ensembles."""
-ENSEMBLES = ("first", "second")
-FORMS = ("published", "speeds", "played")
 
 
 @dataclass(frozen=True)
@@ -52,15 +44,6 @@ class Judged:
     scores: PlayedScores
     retrieval: Mapping[str, Interval]
     captured: Mapping[str, Interval]
-
-
-def trained(form: str, number: int, learn: Sequence[PlayedVoice], a: argparse.Namespace) -> RewardEnsemble:
-    """The ensemble of this number on its half of the recordings."""
-    config = replace(SIZES[number], speeds=form != "published", members=a.members,
-                     rivals=SIZES[number].rivals if form == "played" else 0)
-    windows = PlayedWindows(learn[number::2], config, (PERFORMER, REPLAYED), RIVALS if form == "played" else ())
-    settings = FitSettings(steps=a.steps * config.members, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05)
-    return train(windows, settings, 1 + number, not a.quiet)
 
 
 def kinds_of(test: Sequence[PlayedVoice]) -> list[str]:
@@ -134,7 +117,7 @@ def main() -> None:
     test = player.voices(held_out_voices(store, a.limit, joints, a.split, a.seconds, spread=True),
                          (REPLAYED, *RIVALS, *a.others), spliced, not a.quiet)
     torch.manual_seed(0)
-    said = {(form, name): judge(trained(form, number, learn, a), test)
+    said = {(form, name): judge(trained(form, number, learn, a.steps, a.members, not a.quiet), test)
             for form in a.forms for number, name in enumerate(ENSEMBLES)}
     note = (f"{len(learn)} training recordings ({a.learn_seconds:g} s of each) and {len(test)} {a.split} recordings "
             f"({a.seconds:g} s), evenly spread, one seed; {a.steps} steps of each of {a.members} models an ensemble. "

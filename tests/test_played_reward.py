@@ -3,6 +3,8 @@ it does not."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -10,8 +12,8 @@ from test_infer import babble
 from torch import Tensor
 
 from data_module.speech.audio import as_speech
-from eval.baselines.interpreters import ReplayInterpreter
-from eval.runner.played import PERFORMER, REPLAYED, PlayedVoice
+from eval.baselines.interpreters import Majority, Random, ReplayInterpreter
+from eval.runner.played import MAJORITY, PERFORMER, REPLAYED, PlayedPolicy, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import (
     PlayedScores,
     PlayedWindows,
@@ -21,9 +23,11 @@ from eval.runner.played_reward import (
     train,
     whole_windows,
 )
+from eval.runner.renderings import TEST, AcceptanceVoice, BundleSystem, KeptRenderings
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import FitSettings
 from gesticulator.pipeline import Gesticulator
+from interpreters.base import LexemeInterpreter
 from interpreters.reward import RewardModel
 from interpreters.reward_table import RewardTable
 from interpreters.settings import RewardConfig
@@ -120,6 +124,28 @@ def test_what_is_replayed_is_played_by_the_shipped_bundle() -> None:
     spoken = ~(silent | np.append(silent[1:], False))  # rest is a rule, which chooses for itself
     assert spoken.sum() > 10
     np.testing.assert_array_equal(made.lexemes[spoken], wanted[spoken])
+
+
+def test_a_policy_of_no_bundle_is_played_and_kept_by_what_it_is(tmp_path: Path) -> None:
+    ours = BundleSystem("ours", bundles.SHIPPED, KeptRenderings(None))
+    sound = as_speech(babble(4.0), 16000)
+    own = ours.perform(AcceptanceVoice("babble", sound, TEST), 0)[0].motion
+    voice = AcceptanceVoice("babble", sound, TEST, own)
+    size = len(ours.bundle.vectors)
+
+    def policy(interpreter: LexemeInterpreter, key: str) -> PlayedPolicy:
+        return PlayedPolicy(interpreter, 1.0, key)
+
+    further = {"always": policy(Majority(ours.bundle), "always"), "any": policy(Random(size), "any")}
+    player = VoicePlayer(ours, tmp_path, further)
+    made = player.play(voice, 3, (MAJORITY, "always", "any"), {}).motions
+    torch.testing.assert_close(made["always"], made[MAJORITY])
+    assert not torch.equal(made["any"], made["always"])
+    files = sorted(tmp_path.iterdir())
+    assert len(files) == 3, "each is kept by itself"
+    player.further["always"] = further["any"]
+    assert torch.equal(player.play(voice, 3, ("always",), {}).motions["always"], made["any"])
+    assert sorted(tmp_path.iterdir()) == files, "what was kept is what it is, whatever it is called"
 
 
 # Speeds in the reward model

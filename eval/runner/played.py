@@ -26,6 +26,7 @@ from data_module.files import write_bytes
 from eval.baselines.interpreters import Majority, Random, ReplayInterpreter
 from eval.metrics.encode import SpeechBlocks, encode_motion
 from eval.runner.renderings import AcceptanceVoice, BundleSystem, program_key
+from interpreters.base import LexemeInterpreter
 
 PERFORMER, REPLAYED = "performer", "performer's lexemes"
 RANDOM, MAJORITY = "random", "majority"
@@ -48,11 +49,23 @@ class PlayedVoice:
     motions: Mapping[str, Tensor]
 
 
-class VoicePlayer:
-    """Plays voices with a bundle, and keeps what was played in a folder (None: nothing is kept)."""
+@dataclass(frozen=True)
+class PlayedPolicy:
+    """An interpreter that no bundle holds, and the temperature at which its lexemes are drawn (0: the best one). key:
+    a hash of all that shapes it."""
 
-    def __init__(self, ours: BundleSystem, folder: Path | None) -> None:
-        self.ours, self._folder = ours, folder
+    interpreter: LexemeInterpreter
+    temperature: float
+    key: str
+
+
+class VoicePlayer:
+    """Plays voices with a bundle, and keeps what was played in a folder (None: nothing is kept). further: policies that
+    are not in the bundle, by the name that they are asked for by."""
+
+    def __init__(self, ours: BundleSystem, folder: Path | None,
+                 further: Mapping[str, PlayedPolicy] | None = None) -> None:
+        self.ours, self._folder, self.further = ours, folder, dict(further or {})
 
     def voices(self, voices: Sequence[AcceptanceVoice], policies: Sequence[str],
                others: Mapping[str, Any] | None = None, progress: bool = True) -> list[PlayedVoice]:
@@ -82,7 +95,9 @@ class VoicePlayer:
                            {name: motion[:count].float() for name, motion in motions.items()})
 
     def _kept(self, voice: AcceptanceVoice, seed: int, policy: str, labels: NDArray[np.int64]) -> Tensor:
-        key = [self.ours.key, program_key(_PROGRAM), voice.key, self.ours.speaker(voice), seed, policy]
+        further = self.further.get(policy)
+        asked = policy if further is None else [further.key, further.temperature]
+        key = [self.ours.key, program_key(_PROGRAM), voice.key, self.ours.speaker(voice), seed, asked]
         name = hashlib.sha256(json.dumps(key).encode()).hexdigest()[:24]
         file = None if self._folder is None else self._folder / f"{name}.npz"
         if file is not None and file.is_file():
@@ -104,6 +119,8 @@ class VoicePlayer:
     def _asked(self, policy: str, labels: NDArray[np.int64]) -> dict[str, Any]:
         """What the pipeline is asked for."""
         bundle = self.ours.bundle
+        if policy in self.further:
+            return {"interpreter": self.further[policy].interpreter, "temperature": self.further[policy].temperature}
         if policy == REPLAYED:
             # The speech may be cut into a block more than the motion was read in.
             padded = np.concatenate([labels, labels[-1:].repeat(2)])

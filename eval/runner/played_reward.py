@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,7 @@ from data_module.layers import freeze
 from data_module.types import Array
 from eval import stats
 from eval.metrics.ranking import retrieval
-from eval.runner.played import PERFORMER, REPLAYED, PlayedVoice
+from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, PlayedVoice
 from eval.stats import Interval
 from gesticulator.bundle.config import FitSettings
 from gesticulator.training import fit as fitting
@@ -37,6 +37,13 @@ from interpreters.settings import RewardConfig
 
 _TOGETHER = 8
 """Windows of one voice in a batch."""
+RIVALS = (RANDOM, MAJORITY, "statistical", "lstm")
+"""What a reward is trained against."""
+SIZES = (RewardConfig(width=64, projection=48, rivals=3, members=2, shortest=4),
+         RewardConfig(width=80, projection=32, kernel=2, dilations=(1, 2, 3), rivals=3, members=2, shortest=4))
+"""Of the two ensembles."""
+ENSEMBLES = ("first", "second")
+FORMS = ("published", "speeds", "played")
 
 
 @dataclass(frozen=True)
@@ -85,18 +92,43 @@ class PlayedWindows:
         return batch
 
 
+def _sized(config: RewardConfig, one: PlayedVoice) -> RewardEnsemble:
+    """An untrained ensemble for voices like this one."""
+    return RewardEnsemble(config, one.audio.shape[1], one.motions[PERFORMER].shape[2], one.audio.shape[2])
+
+
 def train(windows: PlayedWindows, settings: FitSettings, seed: int, progress: bool = True) -> RewardEnsemble:
     """An ensemble of these settings, trained on the windows and frozen."""
-    one = windows.voices[0]
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        model = RewardEnsemble(windows.config, one.audio.shape[1], one.motions[PERFORMER].shape[2], one.audio.shape[2])
+        model = _sized(windows.config, windows.voices[0])
     with tempfile.TemporaryDirectory() as scratch:
         fitting.fit(f"reward {seed}", model, fitting.Task(
             lambda rng: windows.sample(rng, settings.batch), before_step=model.before_step), settings, Path(scratch),
             fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=progress))
     freeze(model)
     return model
+
+
+def _config(form: str, number: int, members: int) -> RewardConfig:
+    """Of the ensemble of this number in one of `FORMS`."""
+    return replace(SIZES[number], speeds=form != "published", members=members,
+                   rivals=SIZES[number].rivals if form == "played" else 0)
+
+
+def built(form: str, number: int, one: PlayedVoice, members: int) -> RewardEnsemble:
+    """The ensemble of this number, untrained, for voices like this one."""
+    with torch.random.fork_rng():
+        return _sized(_config(form, number, members), one)
+
+
+def trained(form: str, number: int, learn: Sequence[PlayedVoice], steps: int, members: int, progress: bool = True
+            ) -> RewardEnsemble:
+    """The ensemble of this number, in one of `FORMS`, on its half of the recordings; steps: of each member."""
+    config = _config(form, number, members)
+    windows = PlayedWindows(learn[number::2], config, (PERFORMER, REPLAYED), RIVALS if form == "played" else ())
+    settings = FitSettings(steps=steps * members, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05)
+    return train(windows, settings, 1 + number, progress)
 
 
 # ------------------------------------------------------------------------------------------------------- what it says

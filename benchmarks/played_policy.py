@@ -1,0 +1,231 @@
+"""What does a policy learn from a reward that knows a person from a shuffle?
+
+`python benchmarks/played_policy.py STORE [--policies NAME ...]`
+
+Two ensembles are trained on motion as it is played, as in `benchmarks/played_reward.py`: the first teaches policies,
+the second judges and shares neither recordings, seeds nor sizes with it. On the first, by the stages of training
+themselves and over the lexicon and the LSTM of a bundle, are trained
+
+- supervised: the Q-network by its conservative term alone, which is a classifier of the performers' lexemes;
+- cql A: conservative Q-learning with an alpha of A (RACER Eq. 11);
+- advantage B: the LSTM reweighted by exp(B A), with the critics of `interpreters.advantage`.
+
+Q-networks are drawn from at the temperature at which they are as undecided as the LSTM is, and `advantage` at its own.
+Every policy plays the judged split; rewards are paired over recordings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load_file, save_file
+
+from data_module.layers import freeze
+from eval import stats
+from eval.runner.context import EvalContext, opened
+from eval.runner.played import PERFORMER, REPLAYED, PlayedPolicy, PlayedVoice, VoicePlayer
+from eval.runner.played_reward import ENSEMBLES, RIVALS, PlayedScores, built, found, scored, trained
+from eval.runner.policy import entropy_of, matched_temperature
+from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
+from eval.table import Column, Provenance, Table, publish
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.config import digest, with_settings
+from gesticulator.bundle.files import INDEX, bundle_folder
+from gesticulator.training.stages import CORPUS, ENCODER, Corpus, Run
+from gesticulator.training.stages.advantage import ADVANTAGE
+from gesticulator.training.stages.caches import weights_hash
+from gesticulator.training.stages.corpus import BLOCKS
+from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
+from gesticulator.training.stages.labels import LABELS
+from gesticulator.training.stages.lexicon import LEXICON, TOKENS
+from gesticulator.training.stages.q_network import Q_NETWORK, q_batch, takes_of
+from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD
+from interpreters.advantage import AdvantageInterpreter
+from interpreters.cql import QNetwork
+from interpreters.reward import RewardEnsemble
+
+FORM = "played"
+OTHERS = ("cql", "advantage")
+"""Of the bundle, which learned from the published form of the reward."""
+
+
+@dataclass(frozen=True)
+class Pupil:
+    """A policy to train. settings: changes of the bundle's; beta: of `advantage`, None for a Q-network."""
+
+    settings: tuple[str, ...] = ()
+    beta: float | None = None
+
+    @classmethod
+    def named(cls, name: str) -> Pupil:
+        """supervised, "cql A" or "advantage B"; ValueError for others."""
+        kind, _, value = name.partition(" ")
+        if name == "supervised":
+            return cls(("cql.temporal=0",))
+        if kind == "cql":
+            return cls((f"cql.conservative={float(value)}", "cql.warm_up=0"))
+        if kind == "advantage":
+            return cls(beta=float(value))
+        raise ValueError(f"{name} is none of: supervised, cql A, advantage B")
+
+
+@dataclass(frozen=True)
+class School:
+    """What policies are trained on: a bundle's parts, a reward and a corpus."""
+
+    context: EvalContext
+    reward: RewardEnsemble
+    made: dict[str, Any] = field(default_factory=dict)
+    """The reward as it is taught, which takes minutes and is the same for all."""
+
+    @property
+    def bundle(self) -> Bundle:
+        """The bundle."""
+        return self.context.bundle
+
+    def run(self, settings: Sequence[str]) -> Run:
+        """A training run in which everything but the policies is there."""
+        context, parts = self.context, self.bundle.block_models
+        run = Run(with_settings(self.bundle.config, settings), context.store, context.work, progress=context.progress)
+        for node, model in ((LEXICON, parts.lexicon), (TOKENS, parts.lexicon), (INTERPRETER, parts.interpreter),
+                            (REWARD, self.reward), (ENCODER, self.bundle.encoder)):
+            if model is not None:
+                run.provide(node, model, weights_hash(model))
+        for corpus in (BLOCKS, CORPUS):
+            run.provide(corpus, context.corpus, context.store.fingerprint)
+        if not self.made:
+            self.made[TAUGHT_REWARD.name] = run.get(TAUGHT_REWARD)
+        run.provide(TAUGHT_REWARD, self.made[TAUGHT_REWARD.name])
+        return run
+
+    def taught(self, pupil: Pupil) -> PlayedPolicy:
+        """The policy, trained now or read from the work folder."""
+        run, selection = self.run(pupil.settings), self.bundle.config.selection
+        if pupil.beta is not None:
+            critics = run.get(ADVANTAGE)
+            prior = self.bundle.block_models.interpreter
+            return PlayedPolicy(AdvantageInterpreter(prior, critics, pupil.beta), selection.temperature or 1.0,
+                                digest(weights_hash(critics), pupil.beta))
+        network = run.get(Q_NETWORK)
+        return PlayedPolicy(network, self.temperature(run, network), weights_hash(network))
+
+    def temperature(self, run: Run, network: QNetwork) -> float:
+        """At which a Q-network is as undecided as the LSTM, on the performers' past of the validation split."""
+        corpus, labels, scores, nats = run.get(CORPUS), run.get(LABELS).hinted, [], []
+        selection = self.bundle.config.selection
+        for take in [take for take in takes_of(corpus, labels, "val") if len(take.blocks) > 1][:8]:
+            scores.append(self._values(corpus, network, take))
+            nats.append(teacher_logits(self.bundle.block_models.interpreter, corpus, take.blocks, take.lexemes))
+        return matched_temperature(torch.cat(scores), entropy_of(torch.cat(nats) / (selection.temperature or 1.0)))
+
+    @staticmethod
+    @torch.no_grad()
+    def _values(corpus: Corpus, network: QNetwork, take: object) -> torch.Tensor:
+        seen = {"block": torch.as_tensor(take.blocks[1:])[None],  # type: ignore[attr-defined]
+                "previous": torch.as_tensor(take.lexemes[:-1])[None],  # type: ignore[attr-defined]
+                "silent": torch.as_tensor(take.silent[1:])[None],  # type: ignore[attr-defined]
+                "speaker": torch.tensor([take.speaker])}  # type: ignore[attr-defined]
+        batch = q_batch(corpus, seen, network.config.lookahead)
+        return network.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[0]
+
+
+def ensemble(number: int, learn: Sequence[PlayedVoice], work: Path, a: argparse.Namespace) -> RewardEnsemble:
+    """The ensemble of this number, trained now or read from the work folder."""
+    made_of = digest([voice.name for voice in learn], [float(voice.motions[kind].double().sum()) for voice in learn
+                                                       for kind in (PERFORMER, REPLAYED, *RIVALS)])
+    file = work / f"ensemble-{digest(made_of, FORM, number, a.steps, a.members)}.safetensors"
+    if not file.is_file():
+        save_file(trained(FORM, number, learn, a.steps, a.members, not a.quiet).state_dict(), file)
+    model = built(FORM, number, learn[0], a.members)
+    model.load_state_dict(load_file(file))
+    freeze(model)
+    return model
+
+
+# ------------------------------------------------------------------------------------------------------------- tables
+
+def less(scores: PlayedScores, kinds: Sequence[str], than: str, group: Sequence[str], own: bool = False
+         ) -> dict[str, stats.Interval]:
+    """The reward of each kind less that of one, paired over voices; own: of what only the sound of the moment gives."""
+    value = scores.own if own else scores.whole.__getitem__
+    return {kind: stats.paired(value(kind), value(than), groups=list(group)) for kind in kinds if kind != than}
+
+
+def tables(models: Mapping[str, RewardEnsemble], test: Sequence[PlayedVoice], pupils: Sequence[str],
+           temperatures: Mapping[str, float], notes: Sequence[str]) -> list[Table]:
+    """Rewards of all policies by both ensembles, and their margins."""
+    kinds = [kind for kind in test[0].motions if kind != PERFORMER]
+    group = [voice.group for voice in test]
+    scores = {name: scored(model, test, kinds) for name, model in models.items()}
+    columns = {name: Column(f"{name} ensemble, which {role}", digits=3)
+               for name, role in zip(models, ("teaches", "judges"), strict=True)}
+    policies = [*pupils, *(kind for kind in kinds if kind not in (REPLAYED, *pupils))]
+
+    def rows(title: str, than: str, own: bool = False) -> Table:
+        each = {name: less(score, policies, than, group, own) for name, score in scores.items()}
+        return Table(title, columns, {kind: {name: each[name][kind] for name in each}
+                                      for kind in policies if kind != than}, "policy",
+                     ["An interval above 0: the ensemble prefers this policy."])
+
+    means = {name: {kind: stats.mean_interval(score.whole[kind], groups=group) for kind in kinds}
+             for name, score in scores.items()}
+    hits = {name: found(model, test, REPLAYED) for name, model in models.items()}
+    return [Table("Mean reward of motion as played", columns | {"temperature": Column("temperature", digits=3)},
+                  {kind: {name: means[name][kind] for name in means} | {"temperature": temperatures.get(kind)}
+                   for kind in kinds}, "policy", list(notes)),
+            rows("Less the LSTM, paired over recordings", "lstm"),
+            rows("Less the LSTM, of what only the sound of the moment gives", "lstm", True),
+            rows("Less the performer's lexemes", REPLAYED),
+            Table("Retrieval within a recording, windows one window apart, times chance", columns,
+                  {REPLAYED: {name: own["times"] for name, own in hits.items()}}, "motion", [])]
+
+
+def main() -> None:
+    """Entry point."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("store", help="a store built by `gesticulator build`")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
+    p.add_argument("--learn", type=int, default=153, help="recordings of the training split (default 153)")
+    p.add_argument("--learn-seconds", type=float, default=60.0, help="of each training recording (default 60)")
+    p.add_argument("--split", default="test", choices=("val", "test"), help="judged on (val: to choose settings by)")
+    p.add_argument("--limit", type=int, default=60, help="recordings of that split (default 60)")
+    p.add_argument("--seconds", type=float, default=25.0, help="of each judged recording (default 25)")
+    p.add_argument("--steps", type=int, default=1500, help="training steps of each reward model (default 1500)")
+    p.add_argument("--members", type=int, default=4, help="reward models of an ensemble (default 4)")
+    p.add_argument("--policies", nargs="+", default=["supervised", "cql 1", "cql 0.02", "advantage 1"])
+    p.add_argument("--others", nargs="*", default=list(OTHERS), help="more interpreters of the bundle")
+    p.add_argument("--work", metavar="DIR", help="work folder, in which motion is kept (default: STORE.work)")
+    p.add_argument("--quiet", action="store_true")
+    p.add_argument("--out")
+    a = p.parse_args()
+    store, work = opened(a.store, a.work)
+    folder = bundle_folder(a.bundle)
+    ours = BundleSystem("ours", folder, KeptRenderings(None))
+    player, joints = VoicePlayer(ours, work / "played"), ours.bundle.config.motion.joints
+    learn = player.voices(held_out_voices(store, a.learn, joints, "train", a.learn_seconds, spread=True),
+                          (REPLAYED, *RIVALS), progress=not a.quiet)
+    torch.manual_seed(0)
+    models = {name: ensemble(number, learn, work, a) for number, name in enumerate(ENSEMBLES)}
+    heard = len(learn)
+    del learn
+    school = School(EvalContext.over(store, ours.bundle, work, None, not a.quiet), models[ENSEMBLES[0]])
+    player.further = {name: school.taught(Pupil.named(name)) for name in a.policies}
+    test = player.voices(held_out_voices(store, a.limit, joints, a.split, a.seconds, spread=True),
+                         (REPLAYED, *RIVALS, *a.others, *a.policies), progress=not a.quiet)
+    temperatures = {name: policy.temperature for name, policy in player.further.items()}
+    note = (f"Rewards of {heard} training recordings ({a.learn_seconds:g} s of each), {a.steps} steps of each of "
+            f"{a.members} models an ensemble; {len(test)} {a.split} recordings ({a.seconds:g} s), evenly spread, one "
+            "seed. Cosines, -1 to 1.")
+    publish(tables(models, test, a.policies, temperatures, [note]), a.out, Provenance.now(
+        shlex.join(["python", "benchmarks/played_policy.py", *sys.argv[1:]]), folder / INDEX))
+
+
+if __name__ == "__main__":
+    main()
