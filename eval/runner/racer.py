@@ -55,8 +55,8 @@ MEMORY = 4096
 """Windows that it remembers."""
 GREEDY_AT, LEAST_EPSILON = 0.5, 0.1
 """epsilon falls from 1 to the least one by this share of the steps."""
-MOTION = 4
-"""Test recordings that are played: the generator costs more than all that is judged of the lexemes."""
+MOTION = 60
+"""Test recordings that are played at most, which is what claims of motion need."""
 
 
 # ------------------------------------------------------------------------------------------- what all rows stand on
