@@ -30,7 +30,7 @@ from safetensors.torch import load_file, save_file
 from data_module.layers import freeze
 from eval import stats
 from eval.runner.context import EvalContext, opened
-from eval.runner.played import PERFORMER, REPLAYED, PlayedPolicy, PlayedVoice, VoicePlayer
+from eval.runner.played import PERFORMER, REPLAYED, FurtherPolicy, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import ENSEMBLES, RIVALS, PlayedScores, built, found, scored, trained
 from eval.runner.policy import entropy_of, matched_temperature
 from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
@@ -105,16 +105,16 @@ class School:
         run.provide(TAUGHT_REWARD, self.made[TAUGHT_REWARD.name])
         return run
 
-    def taught(self, pupil: Pupil) -> PlayedPolicy:
+    def taught(self, pupil: Pupil) -> FurtherPolicy:
         """The policy, trained now or read from the work folder."""
         run, selection = self.run(pupil.settings), self.bundle.config.selection
         if pupil.beta is not None:
             critics = run.get(ADVANTAGE)
             prior = self.bundle.block_models.interpreter
-            return PlayedPolicy(AdvantageInterpreter(prior, critics, pupil.beta), selection.temperature or 1.0,
+            return FurtherPolicy(AdvantageInterpreter(prior, critics, pupil.beta), selection.temperature or 1.0,
                                 digest(weights_hash(critics), pupil.beta))
         network = run.get(Q_NETWORK)
-        return PlayedPolicy(network, self.temperature(run, network), weights_hash(network))
+        return FurtherPolicy(network, self.temperature(run, network), weights_hash(network))
 
     def temperature(self, run: Run, network: QNetwork) -> float:
         """At which a Q-network is as undecided as the LSTM, on the performers' past of the validation split."""

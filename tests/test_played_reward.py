@@ -13,7 +13,7 @@ from torch import Tensor
 
 from data_module.speech.audio import as_speech
 from eval.baselines.interpreters import Majority, Random, ReplayInterpreter
-from eval.runner.played import MAJORITY, PERFORMER, REPLAYED, PlayedPolicy, PlayedVoice, VoicePlayer
+from eval.runner.played import MAJORITY, PERFORMER, REPLAYED, FurtherPolicy, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import (
     PlayedScores,
     PlayedWindows,
@@ -133,8 +133,8 @@ def test_a_policy_of_no_bundle_is_played_and_kept_by_what_it_is(tmp_path: Path) 
     voice = AcceptanceVoice("babble", sound, TEST, own)
     size = len(ours.bundle.vectors)
 
-    def policy(interpreter: LexemeInterpreter, key: str) -> PlayedPolicy:
-        return PlayedPolicy(interpreter, 1.0, key)
+    def policy(interpreter: LexemeInterpreter, key: str) -> FurtherPolicy:
+        return FurtherPolicy(interpreter, 1.0, key)
 
     further = {"always": policy(Majority(ours.bundle), "always"), "any": policy(Random(size), "any")}
     player = VoicePlayer(ours, tmp_path, further)

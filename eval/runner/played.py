@@ -50,7 +50,7 @@ class PlayedVoice:
 
 
 @dataclass(frozen=True)
-class PlayedPolicy:
+class FurtherPolicy:
     """An interpreter that no bundle holds, and the temperature at which its lexemes are drawn (0: the best one). key:
     a hash of all that shapes it."""
 
@@ -64,7 +64,7 @@ class VoicePlayer:
     are not in the bundle, by the name that they are asked for by."""
 
     def __init__(self, ours: BundleSystem, folder: Path | None,
-                 further: Mapping[str, PlayedPolicy] | None = None) -> None:
+                 further: Mapping[str, FurtherPolicy] | None = None) -> None:
         self.ours, self._folder, self.further = ours, folder, dict(further or {})
 
     def voices(self, voices: Sequence[AcceptanceVoice], policies: Sequence[str],
