@@ -20,9 +20,9 @@ import argparse
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors.torch import load_file, save_file
@@ -31,25 +31,39 @@ from data_module.layers import freeze
 from eval import stats
 from eval.runner.context import EvalContext, opened
 from eval.runner.played import PERFORMER, REPLAYED, FurtherPolicy, PlayedVoice, VoicePlayer
-from eval.runner.played_reward import ENSEMBLES, RIVALS, PlayedScores, built, found, scored, trained
+from eval.runner.played_reward import (
+    ENSEMBLES,
+    RIVALS,
+    Amounts,
+    PlayedScores,
+    arguments,
+    built,
+    found,
+    judged,
+    learned,
+    scored,
+    trained,
+)
 from eval.runner.policy import entropy_of, matched_temperature
-from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
+from eval.runner.racer import forced_values
+from eval.runner.renderings import BundleSystem, KeptRenderings
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import digest, with_settings
 from gesticulator.bundle.files import INDEX, bundle_folder
-from gesticulator.training.stages import CORPUS, ENCODER, Corpus, Run
+from gesticulator.training.stages import CORPUS, ENCODER, Run
 from gesticulator.training.stages.advantage import ADVANTAGE
 from gesticulator.training.stages.caches import weights_hash
 from gesticulator.training.stages.corpus import BLOCKS
 from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
 from gesticulator.training.stages.labels import LABELS
 from gesticulator.training.stages.lexicon import LEXICON, TOKENS
-from gesticulator.training.stages.q_network import Q_NETWORK, q_batch, takes_of
+from gesticulator.training.stages.q_network import Q_NETWORK, takes_of
 from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD
 from interpreters.advantage import AdvantageInterpreter
 from interpreters.cql import QNetwork
 from interpreters.reward import RewardEnsemble
+from interpreters.reward_table import Centred, EnsembleReward
 
 FORM = "played"
 OTHERS = ("cql", "advantage")
@@ -82,16 +96,24 @@ class School:
 
     context: EvalContext
     reward: RewardEnsemble
-    made: dict[str, Any] = field(default_factory=dict)
-    """The reward as it is taught, which takes minutes and is the same for all."""
 
     @property
     def bundle(self) -> Bundle:
         """The bundle."""
         return self.context.bundle
 
+    @cached_property
+    def taught_reward(self) -> EnsembleReward | Centred:
+        """The reward as policies are taught it, which takes minutes and is the same for all."""
+        return self._begun(()).get(TAUGHT_REWARD)
+
     def run(self, settings: Sequence[str]) -> Run:
         """A training run in which everything but the policies is there."""
+        run = self._begun(settings)
+        run.provide(TAUGHT_REWARD, self.taught_reward)
+        return run
+
+    def _begun(self, settings: Sequence[str]) -> Run:
         context, parts = self.context, self.bundle.block_models
         run = Run(with_settings(self.bundle.config, settings), context.store, context.work, progress=context.progress)
         for node, model in ((LEXICON, parts.lexicon), (TOKENS, parts.lexicon), (INTERPRETER, parts.interpreter),
@@ -100,9 +122,6 @@ class School:
                 run.provide(node, model, weights_hash(model))
         for corpus in (BLOCKS, CORPUS):
             run.provide(corpus, context.corpus, context.store.fingerprint)
-        if not self.made:
-            self.made[TAUGHT_REWARD.name] = run.get(TAUGHT_REWARD)
-        run.provide(TAUGHT_REWARD, self.made[TAUGHT_REWARD.name])
         return run
 
     def taught(self, pupil: Pupil) -> FurtherPolicy:
@@ -112,28 +131,19 @@ class School:
             critics = run.get(ADVANTAGE)
             prior = self.bundle.block_models.interpreter
             return FurtherPolicy(AdvantageInterpreter(prior, critics, pupil.beta), selection.temperature or 1.0,
-                                digest(weights_hash(critics), pupil.beta))
+                                 digest(weights_hash(critics), pupil.beta))
         network = run.get(Q_NETWORK)
         return FurtherPolicy(network, self.temperature(run, network), weights_hash(network))
 
+    @torch.no_grad()
     def temperature(self, run: Run, network: QNetwork) -> float:
         """At which a Q-network is as undecided as the LSTM, on the performers' past of the validation split."""
         corpus, labels, scores, nats = run.get(CORPUS), run.get(LABELS).hinted, [], []
         selection = self.bundle.config.selection
         for take in [take for take in takes_of(corpus, labels, "val") if len(take.blocks) > 1][:8]:
-            scores.append(self._values(corpus, network, take))
+            scores.append(forced_values(network, corpus, take))
             nats.append(teacher_logits(self.bundle.block_models.interpreter, corpus, take.blocks, take.lexemes))
         return matched_temperature(torch.cat(scores), entropy_of(torch.cat(nats) / (selection.temperature or 1.0)))
-
-    @staticmethod
-    @torch.no_grad()
-    def _values(corpus: Corpus, network: QNetwork, take: object) -> torch.Tensor:
-        seen = {"block": torch.as_tensor(take.blocks[1:])[None],  # type: ignore[attr-defined]
-                "previous": torch.as_tensor(take.lexemes[:-1])[None],  # type: ignore[attr-defined]
-                "silent": torch.as_tensor(take.silent[1:])[None],  # type: ignore[attr-defined]
-                "speaker": torch.tensor([take.speaker])}  # type: ignore[attr-defined]
-        batch = q_batch(corpus, seen, network.config.lookahead)
-        return network.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[0]
 
 
 def ensemble(number: int, learn: Sequence[PlayedVoice], work: Path, a: argparse.Namespace) -> RewardEnsemble:
@@ -190,35 +200,22 @@ def tables(models: Mapping[str, RewardEnsemble], test: Sequence[PlayedVoice], pu
 def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("store", help="a store built by `gesticulator build`")
-    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
-    p.add_argument("--learn", type=int, default=153, help="recordings of the training split (default 153)")
-    p.add_argument("--learn-seconds", type=float, default=60.0, help="of each training recording (default 60)")
-    p.add_argument("--split", default="test", choices=("val", "test"), help="judged on (val: to choose settings by)")
-    p.add_argument("--limit", type=int, default=60, help="recordings of that split (default 60)")
-    p.add_argument("--seconds", type=float, default=25.0, help="of each judged recording (default 25)")
-    p.add_argument("--steps", type=int, default=1500, help="training steps of each reward model (default 1500)")
-    p.add_argument("--members", type=int, default=4, help="reward models of an ensemble (default 4)")
+    arguments(p, Amounts(153, 60.0, 4, 1500))
     p.add_argument("--policies", nargs="+", default=["supervised", "cql 1", "cql 0.02", "advantage 1"])
     p.add_argument("--others", nargs="*", default=list(OTHERS), help="more interpreters of the bundle")
-    p.add_argument("--work", metavar="DIR", help="work folder, in which motion is kept (default: STORE.work)")
-    p.add_argument("--quiet", action="store_true")
-    p.add_argument("--out")
     a = p.parse_args()
     store, work = opened(a.store, a.work)
     folder = bundle_folder(a.bundle)
     ours = BundleSystem("ours", folder, KeptRenderings(None))
-    player, joints = VoicePlayer(ours, work / "played"), ours.bundle.config.motion.joints
-    learn = player.voices(held_out_voices(store, a.learn, joints, "train", a.learn_seconds, spread=True),
-                          (REPLAYED, *RIVALS), progress=not a.quiet)
+    player = VoicePlayer(ours, work / "played")
+    learn = learned(player, store, a)
     torch.manual_seed(0)
     models = {name: ensemble(number, learn, work, a) for number, name in enumerate(ENSEMBLES)}
     heard = len(learn)
     del learn
     school = School(EvalContext.over(store, ours.bundle, work, None, not a.quiet), models[ENSEMBLES[0]])
     player.further = {name: school.taught(Pupil.named(name)) for name in a.policies}
-    test = player.voices(held_out_voices(store, a.limit, joints, a.split, a.seconds, spread=True),
-                         (REPLAYED, *RIVALS, *a.others, *a.policies), progress=not a.quiet)
+    test = judged(player, store, a, (*a.others, *a.policies))
     temperatures = {name: policy.temperature for name, policy in player.further.items()}
     note = (f"Rewards of {heard} training recordings ({a.learn_seconds:g} s of each), {a.steps} steps of each of "
             f"{a.members} models an ensemble; {len(test)} {a.split} recordings ({a.seconds:g} s), evenly spread, one "

@@ -26,8 +26,20 @@ import torch
 from eval import stats
 from eval.runner.context import opened
 from eval.runner.played import PERFORMER, REPLAYED, UNITS, PlayedVoice, VoicePlayer
-from eval.runner.played_reward import ENSEMBLES, FORMS, RIVALS, PlayedScores, found, margins, scored, trained
-from eval.runner.renderings import BundleSystem, KeptRenderings, UnitSystem, held_out_voices
+from eval.runner.played_reward import (
+    ENSEMBLES,
+    FORMS,
+    Amounts,
+    PlayedScores,
+    arguments,
+    found,
+    judged,
+    learned,
+    margins,
+    scored,
+    trained,
+)
+from eval.runner.renderings import BundleSystem, KeptRenderings, UnitSystem
 from eval.stats import Interval
 from eval.table import Cell, Column, Provenance, Table, publish
 from gesticulator.bundle.files import INDEX, bundle_folder
@@ -92,30 +104,17 @@ def tables(said: Mapping[tuple[str, str], Judged], test: Sequence[PlayedVoice], 
 def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("store", help="a store built by `gesticulator build`")
-    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
-    p.add_argument("--learn", type=int, default=60, help="recordings of the training split (default 60)")
-    p.add_argument("--split", default="test", choices=("val", "test"), help="judged on (val: to choose settings by)")
-    p.add_argument("--limit", type=int, default=60, help="recordings of that split (default 60)")
-    p.add_argument("--seconds", type=float, default=25.0, help="of each judged recording (default 25)")
-    p.add_argument("--learn-seconds", type=float, default=25.0, help="of each training recording (default 25)")
-    p.add_argument("--steps", type=int, default=300, help="training steps of each model (default 300)")
-    p.add_argument("--members", type=int, default=2, help="models of an ensemble (default 2)")
+    arguments(p, Amounts(60, 25.0, 2, 300))
     p.add_argument("--forms", nargs="+", default=list(FORMS), choices=FORMS)
     p.add_argument("--others", nargs="*", default=list(OTHERS), help="more interpreters on the test split")
-    p.add_argument("--work", metavar="DIR", help="work folder, in which motion is kept (default: STORE.work)")
-    p.add_argument("--quiet", action="store_true")
-    p.add_argument("--out")
     a = p.parse_args()
     store, work = opened(a.store, a.work)
     folder = bundle_folder(a.bundle)
     ours = BundleSystem("ours", folder, KeptRenderings(None))
-    player, joints = VoicePlayer(ours, work / "played"), ours.bundle.config.motion.joints
+    player = VoicePlayer(ours, work / "played")
     spliced = {UNITS: UnitSystem(UNITS, store, work, KeptRenderings(work / "units"), ours.bundle.config.rhythm)}
-    learn = player.voices(held_out_voices(store, a.learn, joints, "train", a.learn_seconds, spread=True),
-                          (REPLAYED, *RIVALS), progress=not a.quiet)
-    test = player.voices(held_out_voices(store, a.limit, joints, a.split, a.seconds, spread=True),
-                         (REPLAYED, *RIVALS, *a.others), spliced, not a.quiet)
+    learn = learned(player, store, a)
+    test = judged(player, store, a, a.others, spliced)
     torch.manual_seed(0)
     said = {(form, name): judge(trained(form, number, learn, a.steps, a.members, not a.quiet), test)
             for form in a.forms for number, name in enumerate(ENSEMBLES)}

@@ -67,6 +67,11 @@ class VoicePlayer:
                  further: Mapping[str, FurtherPolicy] | None = None) -> None:
         self.ours, self._folder, self.further = ours, folder, dict(further or {})
 
+    @property
+    def joints(self) -> int:
+        """Of the bundle's motion."""
+        return self.ours.bundle.config.motion.joints
+
     def voices(self, voices: Sequence[AcceptanceVoice], policies: Sequence[str],
                others: Mapping[str, Any] | None = None, progress: bool = True) -> list[PlayedVoice]:
         """Each voice as captured and by each policy; others: systems by name (`RenderedSystem`), which need not be of

@@ -13,10 +13,12 @@ generated, too, and only lexemes differ; the captured motion is shown and not cl
 
 from __future__ import annotations
 
+import argparse
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,10 +26,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.layers import freeze
+from data_module.store import Store
 from data_module.types import Array
 from eval import stats
 from eval.metrics.ranking import retrieval
-from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, PlayedVoice
+from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, PlayedVoice, VoicePlayer
+from eval.runner.renderings import held_out_voices
 from eval.stats import Interval
 from gesticulator.bundle.config import FitSettings
 from gesticulator.training import fit as fitting
@@ -44,6 +48,49 @@ SIZES = (RewardConfig(width=64, projection=48, rivals=3, members=2, shortest=4),
 """Of the two ensembles."""
 ENSEMBLES = ("first", "second")
 FORMS = ("published", "speeds", "played")
+
+
+@dataclass(frozen=True)
+class Amounts:
+    """What an ensemble is trained on by default: recordings and seconds of each, models and steps of each."""
+
+    learn: int
+    learn_seconds: float
+    members: int
+    steps: int
+
+
+def arguments(p: argparse.ArgumentParser, default: Amounts) -> None:
+    """What `learned` and `judged` read, and how ensembles are trained."""
+    p.add_argument("store", help="a store built by `gesticulator build`")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
+    p.add_argument("--learn", type=int, default=default.learn,
+                   help=f"recordings of the training split (default {default.learn})")
+    p.add_argument("--learn-seconds", type=float, default=default.learn_seconds,
+                   help=f"of each training recording (default {default.learn_seconds:g})")
+    p.add_argument("--split", default="test", choices=("val", "test"), help="judged on (val: to choose settings by)")
+    p.add_argument("--limit", type=int, default=60, help="recordings of that split (default 60)")
+    p.add_argument("--seconds", type=float, default=25.0, help="of each judged recording (default 25)")
+    p.add_argument("--steps", type=int, default=default.steps,
+                   help=f"training steps of each reward model (default {default.steps})")
+    p.add_argument("--members", type=int, default=default.members,
+                   help=f"reward models of an ensemble (default {default.members})")
+    p.add_argument("--work", metavar="DIR", help="work folder, in which motion is kept (default: STORE.work)")
+    p.add_argument("--quiet", action="store_true")
+    p.add_argument("--out")
+
+
+def learned(player: VoicePlayer, store: Store, a: argparse.Namespace) -> list[PlayedVoice]:
+    """The training voices, as the performer's lexemes and the rivals play them."""
+    voices = held_out_voices(store, a.learn, player.joints, "train", a.learn_seconds, spread=True)
+    return player.voices(voices, (REPLAYED, *RIVALS), progress=not a.quiet)
+
+
+def judged(player: VoicePlayer, store: Store, a: argparse.Namespace, more: Sequence[str],
+           others: Mapping[str, Any] | None = None) -> list[PlayedVoice]:
+    """The voices that are judged, played by more policies and by other systems, too (see `VoicePlayer.voices`)."""
+    voices = held_out_voices(store, a.limit, player.joints, a.split, a.seconds, spread=True)
+    return player.voices(voices, (REPLAYED, *RIVALS, *more), others, not a.quiet)
 
 
 @dataclass(frozen=True)

@@ -195,15 +195,17 @@ class RacerRows:
         if not ROWS[name].matched:
             return 0.0
         with torch.no_grad():
-            scores = []
-            for take in self.held:
-                seen = {"block": torch.as_tensor(take.blocks[1:])[None],
-                        "previous": torch.as_tensor(take.lexemes[:-1])[None],
-                        "silent": torch.as_tensor(take.silent[1:])[None], "speaker": torch.tensor([take.speaker])}
-                config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
-                batch = q_batch(self.corpus, seen, config.lookahead)
-                scores.append(policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[0])
+            scores = [forced_values(policy, self.corpus, take) for take in self.held]
         return matched_temperature(torch.cat(scores), self.nats)
+
+
+def forced_values(policy: QNetwork | ActorCritic, corpus: Corpus, take: Demonstration) -> Tensor:
+    """[M - 1, S] a policy's scores on a recording of M blocks, on the performer's past."""
+    seen = {"block": torch.as_tensor(take.blocks[1:])[None], "previous": torch.as_tensor(take.lexemes[:-1])[None],
+            "silent": torch.as_tensor(take.silent[1:])[None], "speaker": torch.tensor([take.speaker])}
+    config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
+    batch = q_batch(corpus, seen, config.lookahead)
+    return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[0]
 
 
 class ScaledReward:
