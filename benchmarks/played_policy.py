@@ -2,9 +2,9 @@
 
 `python benchmarks/played_policy.py STORE [--policies NAME ...]`
 
-Two ensembles are trained on motion as it is played, as in `benchmarks/played_reward.py`: the first teaches policies,
-the second judges and shares neither recordings, seeds nor sizes with it. On the first, by the stages of training
-themselves and over the lexicon and the LSTM of a bundle, are trained
+Two ensembles are trained on motion as it is played and as it is decoded (`benchmarks/played_reward.py`, the form
+"both"): the first teaches policies, the second judges and shares neither recordings, seeds nor sizes with it. On the
+first, by the stages of training themselves and over the lexicon and the LSTM of a bundle, are trained
 
 - supervised: the Q-network by its conservative term alone, which is a classifier of the performers' lexemes;
 - cql A: conservative Q-learning with an alpha of A (RACER Eq. 11);
@@ -22,28 +22,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import torch
-from safetensors.torch import load_file, save_file
 
-from data_module.layers import freeze
 from eval import stats
 from eval.runner.context import EvalContext, opened
+from eval.runner.decoded_windows import Decoder
 from eval.runner.played import PERFORMER, REPLAYED, FurtherPolicy, PlayedVoice, VoicePlayer
-from eval.runner.played_reward import (
-    ENSEMBLES,
-    RIVALS,
-    Amounts,
-    PlayedScores,
-    arguments,
-    built,
-    found,
-    judged,
-    learned,
-    scored,
-    trained,
-)
+from eval.runner.played_reward import ENSEMBLES, Amounts, PlayedScores, arguments, found, judged, kept, learned, scored
 from eval.runner.policy import entropy_of, matched_temperature
 from eval.runner.racer import forced_values
 from eval.runner.renderings import BundleSystem, KeptRenderings
@@ -59,13 +45,13 @@ from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
 from gesticulator.training.stages.labels import LABELS
 from gesticulator.training.stages.lexicon import LEXICON, TOKENS
 from gesticulator.training.stages.q_network import Q_NETWORK, takes_of
-from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD
+from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD, reward_table, taught_reward
 from interpreters.advantage import AdvantageInterpreter
 from interpreters.cql import QNetwork
 from interpreters.reward import RewardEnsemble
 from interpreters.reward_table import Centred, EnsembleReward
 
-FORM = "played"
+FORM = "both"
 OTHERS = ("cql", "advantage")
 """Of the bundle, which learned from the published form of the reward."""
 
@@ -92,10 +78,11 @@ class Pupil:
 
 @dataclass(frozen=True)
 class School:
-    """What policies are trained on: a bundle's parts, a reward and a corpus."""
+    """What policies are trained on: a bundle's parts, a reward, and a corpus with what decodes lexemes on it."""
 
     context: EvalContext
     reward: RewardEnsemble
+    decoder: Decoder
 
     @property
     def bundle(self) -> Bundle:
@@ -104,13 +91,16 @@ class School:
 
     @cached_property
     def taught_reward(self) -> EnsembleReward | Centred:
-        """The reward as policies are taught it, which takes minutes and is the same for all."""
-        return self._begun(()).get(TAUGHT_REWARD)
+        """The reward as policies are taught it, which takes minutes and is the same for all. Lexemes are decoded as the
+        reward has learned to read them."""
+        corpus = self.context.corpus
+        table = reward_table(self.reward, self.bundle.block_models.lexicon, corpus, context=self.decoder.context)
+        return taught_reward(table, corpus, self.bundle.config.episodes.baseline)
 
     def run(self, settings: Sequence[str]) -> Run:
         """A training run in which everything but the policies is there."""
         run = self._begun(settings)
-        run.provide(TAUGHT_REWARD, self.taught_reward)
+        run.provide(TAUGHT_REWARD, self.taught_reward, digest(weights_hash(self.reward), "decoded without residuals"))
         return run
 
     def _begun(self, settings: Sequence[str]) -> Run:
@@ -144,19 +134,6 @@ class School:
             scores.append(forced_values(network, corpus, take))
             nats.append(teacher_logits(self.bundle.block_models.interpreter, corpus, take.blocks, take.lexemes))
         return matched_temperature(torch.cat(scores), entropy_of(torch.cat(nats) / (selection.temperature or 1.0)))
-
-
-def ensemble(number: int, learn: Sequence[PlayedVoice], work: Path, a: argparse.Namespace) -> RewardEnsemble:
-    """The ensemble of this number, trained now or read from the work folder."""
-    made_of = digest([voice.name for voice in learn], [float(voice.motions[kind].double().sum()) for voice in learn
-                                                       for kind in (PERFORMER, REPLAYED, *RIVALS)])
-    file = work / f"ensemble-{digest(made_of, FORM, number, a.steps, a.members)}.safetensors"
-    if not file.is_file():
-        save_file(trained(FORM, number, learn, a.steps, a.members, not a.quiet).state_dict(), file)
-    model = built(FORM, number, learn[0], a.members)
-    model.load_state_dict(load_file(file))
-    freeze(model)
-    return model
 
 
 # ------------------------------------------------------------------------------------------------------------- tables
@@ -210,10 +187,12 @@ def main() -> None:
     player = VoicePlayer(ours, work / "played")
     learn = learned(player, store, a)
     torch.manual_seed(0)
-    models = {name: ensemble(number, learn, work, a) for number, name in enumerate(ENSEMBLES)}
+    context = EvalContext.over(store, ours.bundle, work, None, not a.quiet)
+    decoder = Decoder.of(ours.bundle, context.corpus, context.labels)
+    models = {name: kept(FORM, number, learn, work, a, decoder) for number, name in enumerate(ENSEMBLES)}
     heard = len(learn)
     del learn
-    school = School(EvalContext.over(store, ours.bundle, work, None, not a.quiet), models[ENSEMBLES[0]])
+    school = School(context, models[ENSEMBLES[0]], decoder)
     player.further = {name: school.taught(Pupil.named(name)) for name in a.policies}
     test = judged(player, store, a, (*a.others, *a.policies))
     temperatures = {name: policy.temperature for name, policy in player.further.items()}

@@ -5,12 +5,13 @@ ensembles that share neither recordings, seeds nor sizes are trained in each of 
 
 - published: the contrast of windows (RACER Eq. 6 and 7), poses read linearly, captured and played motion;
 - speeds: the same, and the motion encoder also reads speeds;
-- played: the same, and what other policies play to the same sound are negatives of the performer's lexemes.
+- played: the same, and what other policies play to the same sound are negatives of the performer's lexemes;
+- both: the same, and half of the windows are of lexemes that the lexicon decodes, as policies are taught on them.
 
 Then the test split: the reward of the performer's lexemes as played, less that of each policy, paired over recordings
 (unit selection splices captured motion, so it is also held against the captured motion of the recording itself); what
-of it is common to any sound; how often the window of a sound is found among those of its recording; and whether a
-member prefers the sound of the moment to that of another.
+of it is common to any sound; how often the window of a sound is found among those of its recording; and what
+`gesticulator probe rewards` asks of a reward (`eval.probes.rewards`), of lexemes as they are decoded.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import torch
-
 from eval import stats
-from eval.runner.context import opened
+from eval.metrics.reward_model import RewardProbe
+from eval.probes.rewards import figures, spoken
+from eval.runner.context import EvalContext, opened
+from eval.runner.decoded_windows import Decoder
 from eval.runner.played import PERFORMER, REPLAYED, UNITS, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import (
     ENSEMBLES,
@@ -34,15 +36,16 @@ from eval.runner.played_reward import (
     arguments,
     found,
     judged,
+    kept,
     learned,
     margins,
     scored,
-    trained,
 )
 from eval.runner.renderings import BundleSystem, KeptRenderings, UnitSystem
 from eval.stats import Interval
 from eval.table import Cell, Column, Provenance, Table, publish
 from gesticulator.bundle.files import INDEX, bundle_folder
+from gesticulator.training.stages.q_network import takes_of
 from interpreters.reward import RewardEnsemble
 
 OTHERS = ("cql", "advantage")
@@ -56,6 +59,7 @@ class Judged:
     scores: PlayedScores
     retrieval: Mapping[str, Interval]
     captured: Mapping[str, Interval]
+    asked: Mapping[str, bool]
 
 
 def kinds_of(test: Sequence[PlayedVoice]) -> list[str]:
@@ -63,9 +67,20 @@ def kinds_of(test: Sequence[PlayedVoice]) -> list[str]:
     return [kind for kind in test[0].motions if all(kind in voice.motions for voice in test)]
 
 
-def judge(model: RewardEnsemble, test: Sequence[PlayedVoice]) -> Judged:
-    """Everything that an ensemble says of the test voices."""
-    return Judged(scored(model, test, kinds_of(test)), found(model, test, REPLAYED), found(model, test, PERFORMER))
+def asked(model: RewardEnsemble, form: str, context: EvalContext, decoder: Decoder, split: str) -> dict[str, bool]:
+    """What `gesticulator probe rewards` asks of a reward, of the recordings of a split."""
+    takes = [take for take in takes_of(context.corpus, decoder.labels, split)
+             if len(take.blocks) >= model.config.window][:context.limit]
+    probe = RewardProbe.of(model, context.bundle, context.corpus, decoder.labels,
+                           decoder.context if form == "both" else None)
+    every = spoken([probe.every(take) for take in takes], takes)
+    return figures(probe, takes, context.corpus.silent, every)[3]
+
+
+def judge(model: RewardEnsemble, test: Sequence[PlayedVoice], said: Mapping[str, bool]) -> Judged:
+    """Everything that an ensemble says of the test voices; said: see `asked`."""
+    return Judged(scored(model, test, kinds_of(test)), found(model, test, REPLAYED), found(model, test, PERFORMER),
+                  said)
 
 
 # ------------------------------------------------------------------------------------------------------------- tables
@@ -98,7 +113,11 @@ def tables(said: Mapping[tuple[str, str], Judged], test: Sequence[PlayedVoice], 
                   ["An interval above 0: the ensemble prefers what the performer's lexemes give."]),
             Table("The same, of what only the sound of the moment gives", columns, rows(sound), "less",
                   ["m . (u - mean u): what any sound would give is left out."]),
-            Table("Retrieval within a recording, windows one window apart", columns, rows(hits), "figure")]
+            Table("Retrieval within a recording, windows one window apart", columns, rows(hits), "figure"),
+            Table("Asked of a reward", columns, rows({
+                name: {claim: "yes" if holds else "no" for claim, holds in own.asked.items()}
+                for name, own in named.items()}), "claim",
+                ["As by `gesticulator probe rewards`: captured motion, and lexemes as the lexicon decodes them."])]
 
 
 def main() -> None:
@@ -115,9 +134,13 @@ def main() -> None:
     spliced = {UNITS: UnitSystem(UNITS, store, work, KeptRenderings(work / "units"), ours.bundle.config.rhythm)}
     learn = learned(player, store, a)
     test = judged(player, store, a, a.others, spliced)
-    torch.manual_seed(0)
-    said = {(form, name): judge(trained(form, number, learn, a.steps, a.members, not a.quiet), test)
-            for form in a.forms for number, name in enumerate(ENSEMBLES)}
+    context = EvalContext.over(store, ours.bundle, work, a.limit, not a.quiet)
+    decoder = Decoder.of(ours.bundle, context.corpus, context.labels)
+    said = {}
+    for form in a.forms:
+        for number, name in enumerate(ENSEMBLES):
+            model = kept(form, number, learn, work, a, decoder)
+            said[form, name] = judge(model, test, asked(model, form, context, decoder, a.split))
     note = (f"{len(learn)} training recordings ({a.learn_seconds:g} s of each) and {len(test)} {a.split} recordings "
             f"({a.seconds:g} s), evenly spread, one seed; {a.steps} steps of each of {a.members} models an ensemble. "
             f"Cosines, -1 to 1. {PERFORMER}: the captured motion; {REPLAYED}: what the generator makes of the lexemes "

@@ -80,6 +80,17 @@ def test_where_it_follows_nothing_the_performer_does_not_win() -> None:
     assert hits["times"] < 2
 
 
+def test_the_reward_follows_the_strength_that_was_planted() -> None:
+    group = [str(k) for k in range(20)]
+    gains, times = [], []
+    for strength in (0.0, 0.5, 1.0):
+        scores, hits = taught(strength)
+        gains.append(margins(scores, (RIVAL,), group)[RIVAL])
+        times.append(hits["times"])
+    assert gains[0].high < gains[1].low and gains[1].high < gains[2].low, "margins over a rival"
+    assert times == sorted(times), "windows found"
+
+
 def test_the_parts_of_a_score_add_up_and_silent_windows_are_left_out() -> None:
     voice = planted(0, 1.0)
     voice.silent[:10] = True

@@ -14,7 +14,7 @@ from data_module.types import Array
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.lexicon import decoded_blocks
-from gesticulator.training.stages.reward import block_audio, reward_table
+from gesticulator.training.stages.reward import MovementContext, block_audio, reward_table
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardEnsemble, RewardModel
 from interpreters.reward_table import EnsembleReward
@@ -40,13 +40,15 @@ class RewardProbe:
 
     @classmethod
     @torch.no_grad()
-    def of(cls, model: RewardModel | RewardEnsemble, bundle: Bundle, corpus: Corpus, labels: Integers) -> RewardProbe:
-        """labels: [N] the lexeme of every block."""
+    def of(cls, model: RewardModel | RewardEnsemble, bundle: Bundle, corpus: Corpus, labels: Integers,
+           context: MovementContext | None = None) -> RewardProbe:
+        """labels: [N] the lexeme of every block; context: how lexemes are decoded (default: with the performer's
+        detail, as policies are taught)."""
         shown = {"captured": corpus.motion, "decoded": decoded_blocks(bundle.lexicon, labels, corpus),
                  DURATIONS: torch.zeros_like(corpus.motion)}
         no_duration = torch.zeros(len(corpus.motion))
         heard, times = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
-        return cls(model, reward_table(model, bundle.lexicon, corpus, literal=True),
+        return cls(model, reward_table(model, bundle.lexicon, corpus, literal=True, context=context),
                    [{name: own.block_motion(motion, no_duration) for name, motion in shown.items()}
                     for own in model.models],
                    [own.block_audio(heard) for own in model.models], [own.tempo(times) for own in model.models])

@@ -5,6 +5,9 @@ that a policy makes, so nothing in it speaks against lexemes drawn at random, an
 every sound a little. `train` can add what it lacks: rivals that other policies play to the same sound, as negatives of
 the performer's lexemes played by the same generator, and speeds (`RewardConfig.speeds`).
 
+That reward says little of motion as policies are taught on it, which the lexicon decodes: so in the form "both" half of
+the windows are decoded (`eval.runner.decoded_windows`).
+
 Two ensembles of other recordings, sizes and seeds share nothing. A score is the mean cosine of the windows of a clip.
 
 What fools it: a reward that is taught to refuse a generator's look would refuse every policy. So its positives are
@@ -23,17 +26,20 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors.torch import load_file, save
 from torch import Tensor
 
+from data_module.files import write_bytes
 from data_module.layers import freeze
 from data_module.store import Store
 from data_module.types import Array
 from eval import stats
 from eval.metrics.ranking import retrieval
+from eval.runner.decoded_windows import DecodedWindows, Decoder
 from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, PlayedVoice, VoicePlayer
 from eval.runner.renderings import held_out_voices
 from eval.stats import Interval
-from gesticulator.bundle.config import FitSettings
+from gesticulator.bundle.config import FitSettings, digest
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.reward import groups
 from interpreters.reward import RewardEnsemble
@@ -41,13 +47,15 @@ from interpreters.settings import RewardConfig
 
 _TOGETHER = 8
 """Windows of one voice in a batch."""
+_DECODED = 0.5
+"""Share of the batches that are decoded windows, where there are any."""
 RIVALS = (RANDOM, MAJORITY, "statistical", "lstm")
 """What a reward is trained against."""
 SIZES = (RewardConfig(width=64, projection=48, rivals=3, members=2, shortest=4),
          RewardConfig(width=80, projection=32, kernel=2, dilations=(1, 2, 3), rivals=3, members=2, shortest=4))
 """Of the two ensembles."""
 ENSEMBLES = ("first", "second")
-FORMS = ("published", "speeds", "played")
+FORMS = ("published", "speeds", "played", "both")
 
 
 @dataclass(frozen=True)
@@ -75,7 +83,8 @@ def arguments(p: argparse.ArgumentParser, default: Amounts) -> None:
                    help=f"training steps of each reward model (default {default.steps})")
     p.add_argument("--members", type=int, default=default.members,
                    help=f"reward models of an ensemble (default {default.members})")
-    p.add_argument("--work", metavar="DIR", help="work folder, in which motion is kept (default: STORE.work)")
+    p.add_argument("--work", metavar="DIR",
+                   help="work folder, in which motion and ensembles are kept (default: STORE.work)")
     p.add_argument("--quiet", action="store_true")
     p.add_argument("--out")
 
@@ -144,14 +153,20 @@ def _sized(config: RewardConfig, one: PlayedVoice) -> RewardEnsemble:
     return RewardEnsemble(config, one.audio.shape[1], one.motions[PERFORMER].shape[2], one.audio.shape[2])
 
 
-def train(windows: PlayedWindows, settings: FitSettings, seed: int, progress: bool = True) -> RewardEnsemble:
-    """An ensemble of these settings, trained on the windows and frozen."""
+def train(windows: PlayedWindows, settings: FitSettings, seed: int, progress: bool = True,
+          decoded: DecodedWindows | None = None) -> RewardEnsemble:
+    """An ensemble of these settings, trained on the windows and frozen; decoded: half of the batches are of these."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         model = _sized(windows.config, windows.voices[0])
+
+    def sample(rng: np.random.Generator) -> fitting.Batch:
+        source = decoded if decoded is not None and rng.random() < _DECODED else windows
+        return source.sample(rng, settings.batch)
+
     with tempfile.TemporaryDirectory() as scratch:
-        fitting.fit(f"reward {seed}", model, fitting.Task(
-            lambda rng: windows.sample(rng, settings.batch), before_step=model.before_step), settings, Path(scratch),
+        fitting.fit(f"reward {seed}", model, fitting.Task(sample, before_step=model.before_step), settings,
+                    Path(scratch),
             fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=progress))
     freeze(model)
     return model
@@ -160,22 +175,42 @@ def train(windows: PlayedWindows, settings: FitSettings, seed: int, progress: bo
 def _config(form: str, number: int, members: int) -> RewardConfig:
     """Of the ensemble of this number in one of `FORMS`."""
     return replace(SIZES[number], speeds=form != "published", members=members,
-                   rivals=SIZES[number].rivals if form == "played" else 0)
+                   rivals=SIZES[number].rivals if form in ("played", "both") else 0)
 
 
-def built(form: str, number: int, one: PlayedVoice, members: int) -> RewardEnsemble:
-    """The ensemble of this number, untrained, for voices like this one."""
+def trained(form: str, number: int, learn: Sequence[PlayedVoice], how: Amounts, decoder: Decoder | None = None,
+            progress: bool = True) -> RewardEnsemble:
+    """The ensemble of this number, in one of `FORMS`, on its half of the recordings. decoder: for the form "both",
+    which trains as many steps again."""
+    config, half = _config(form, number, how.members), learn[number::2]
+    windows = PlayedWindows(half, config, (PERFORMER, REPLAYED), RIVALS if form in ("played", "both") else ())
+    decoded = None
+    if form == "both":
+        assert decoder is not None
+        names = {voice.name for voice in half}
+        decoded = DecodedWindows(decoder, [r for r, name in enumerate(decoder.corpus.names) if name in names], config)
+    steps = how.steps * how.members * (1 if decoded is None else 2)
+    settings = FitSettings(steps=steps, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05)
+    return train(windows, settings, 1 + number, progress, decoded)
+
+
+def kept(form: str, number: int, learn: Sequence[PlayedVoice], work: Path, a: argparse.Namespace,
+         decoder: Decoder | None = None) -> RewardEnsemble:
+    """The ensemble of this number, trained now or read from the work folder (see `trained`)."""
+    made_of = [digest([voice.name for voice in learn], [float(voice.motions[kind].double().sum()) for voice in learn
+                                                        for kind in (PERFORMER, REPLAYED, *RIVALS)])]
+    if form == "both":
+        assert decoder is not None
+        made_of.append(digest(decoder.labels.tolist(), decoder.drawn.tolist(), float(decoder.context.added.sum())))
+    file = work / f"ensemble-{digest(made_of, _config(form, number, a.members), number, a.steps)}.safetensors"
+    if not file.is_file():
+        how = Amounts(a.learn, a.learn_seconds, a.members, a.steps)
+        write_bytes(file, save(trained(form, number, learn, how, decoder, not a.quiet).state_dict()))
     with torch.random.fork_rng():
-        return _sized(_config(form, number, members), one)
-
-
-def trained(form: str, number: int, learn: Sequence[PlayedVoice], steps: int, members: int, progress: bool = True
-            ) -> RewardEnsemble:
-    """The ensemble of this number, in one of `FORMS`, on its half of the recordings; steps: of each member."""
-    config = _config(form, number, members)
-    windows = PlayedWindows(learn[number::2], config, (PERFORMER, REPLAYED), RIVALS if form == "played" else ())
-    settings = FitSettings(steps=steps * members, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05)
-    return train(windows, settings, 1 + number, progress)
+        model = _sized(_config(form, number, a.members), learn[0])
+    model.load_state_dict(load_file(file))
+    freeze(model)
+    return model
 
 
 # ------------------------------------------------------------------------------------------------------- what it says

@@ -63,10 +63,14 @@ class MovementContext:
     gives a movement with the same detail and affects all later blocks of the window.
     """
 
-    def __init__(self, lexicon: MovementLexicon, corpus: Corpus, labels: NDArray[np.int64]) -> None:
-        """labels: [N] the lexeme of every block."""
+    def __init__(self, lexicon: MovementLexicon, corpus: Corpus, labels: NDArray[np.int64] | None) -> None:
+        """labels: [N] the lexeme of every block; None leaves the residuals out, so that nothing in a window but its
+        lexemes tells which the performer had."""
         self.basis, self.pasts = lexicon.basis, corpus.pasts
         self.added = added_by(lexicon)
+        self.manner: Tensor | None = None
+        if labels is None:
+            return
         with torch.no_grad():
             parts = torch.arange(len(labels)).split(_DECODED)
             self.manner = torch.cat([(corpus.motion[part] - lexicon.basis.base(self.pasts[part])
@@ -84,8 +88,12 @@ class MovementContext:
                 before = (out[-1] + self.added[lexemes[:, i - 1]])[:, -frames.shape[1]:]
                 frames = torch.where(valid[:, i - 1].bool()[:, None, None], before, frames)
             base = self.basis.base(Pasts(frames, self.pasts.ratio[blocks[:, i]]))
-            out.append(base + self.manner[blocks[:, i]].float())
+            out.append(base if self.manner is None else base + self.manner[blocks[:, i]].float())
         return torch.stack(out, 1)
+
+    def shown(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """[B, W, K, D_m] the motion of lexemes [B, W] on blocks [B, W]."""
+        return self(lexemes, blocks, valid) + self.added[lexemes]
 
 
 def context_of(tokens: Tokens, corpus: Corpus) -> MovementContext | None:
@@ -139,16 +147,7 @@ class RewardWindows:
         """A batch of `count` windows for `RewardModel.losses`, a share `decoded` of them decoded from lexemes; only
         this process's rows."""
         config = self.config
-        chosen = rng.choice(self.recordings, size=-(-count // _TOGETHER))
-        owners = np.repeat(chosen, _TOGETHER)[:count]
-        blocks, valid = np.zeros((count, config.longest), np.int64), np.zeros((count, config.longest), np.float32)
-        for row, recording in enumerate(owners):
-            blocks_of = self.corpus.blocks_of(int(recording))
-            length = min(int(rng.integers(config.shortest, config.longest + 1)), len(blocks_of))
-            start = int(rng.integers(len(blocks_of) - length + 1))
-            blocks[row] = blocks_of[start]
-            blocks[row, -length:] = blocks_of[start:start + length]
-            valid[row, -length:] = 1
+        blocks, valid = drawn_windows(self.corpus, self.recordings, config, rng, count)
         share = config.decoded if decoded is None else decoded
         mine = own_rows(count)
         batch = self.batch(blocks[mine], valid[mine], (rng.random(count) < share)[mine])
@@ -197,6 +196,23 @@ class RewardWindows:
                         other = (current + 1 + int(rng.integers(size - 1))) % size
                     lexemes[row, rival, at] = other
         return lexemes
+
+
+def drawn_windows(corpus: Corpus, recordings: Sequence[int], config: RewardConfig, rng: np.random.Generator, count: int
+                  ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """`count` windows of blocks [count, W], right-aligned, and which of them are valid; eight of each recording, so
+    that a batch cannot be told apart by voices."""
+    chosen = rng.choice(recordings, size=-(-count // _TOGETHER))
+    owners = np.repeat(chosen, _TOGETHER)[:count]
+    blocks, valid = np.zeros((count, config.longest), np.int64), np.zeros((count, config.longest), np.float32)
+    for row, recording in enumerate(owners):
+        blocks_of = corpus.blocks_of(int(recording))
+        length = min(int(rng.integers(config.shortest, config.longest + 1)), len(blocks_of))
+        start = int(rng.integers(len(blocks_of) - length + 1))
+        blocks[row] = blocks_of[start]
+        blocks[row, -length:] = blocks_of[start:start + length]
+        valid[row, -length:] = 1
+    return blocks, valid
 
 
 def groups(blocks: NDArray[np.int64], valid: NDArray[np.float32], silent: NDArray[np.bool_]) -> NDArray[np.int64]:

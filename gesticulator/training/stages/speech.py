@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,24 +76,41 @@ def speech_stage(known: Names, held: Names, more: Sequence[Any] = ()) -> Stage[P
 SPEECH = speech_stage(_names("train"), _held)
 
 
-def _contrast_batches(corpus: Corpus, recordings: list[int], frames: int, size: int) -> fitting.MakeBatch:
-    """Windows of three blocks with a word in the middle one, as the anchor of Eq. 1."""
-    assert corpus.word_at is not None
-    spoken = (corpus.word_at[:, frames:2 * frames] > 0).any(1).numpy()
-    sounds = {r: corpus.sound(r) for r in recordings}
-    begins = {r: int(corpus.blocks_of(r)[0]) for r in recordings}
-    blocks = np.concatenate([corpus.blocks_of(r)[spoken[corpus.blocks_of(r)]] for r in recordings])
+@dataclass(frozen=True)
+class ContrastWindows:
+    """Windows of three blocks with a word in the middle one, as the anchors of Eq. 1.
 
-    def make(rng: np.random.Generator) -> fitting.Batch:
+    blocks: [n] the middle ones; sounds: by recording; begins: the first block of each recording.
+    """
+
+    corpus: Corpus
+    frames: int
+    blocks: NDArray[np.int64]
+    sounds: Mapping[int, NDArray[np.float16] | StoredRows]
+    begins: Mapping[int, int]
+
+    @classmethod
+    def of(cls, corpus: Corpus, recordings: Sequence[int], frames: int) -> ContrastWindows:
+        """All of these recordings, which have words; frames: of a block."""
         assert corpus.word_at is not None
-        chosen = rng.choice(blocks, size)[own_rows(size)]
-        owners = corpus.recording[chosen]
-        samples = np.stack([_around(sounds[r], b - begins[r]) for r, b in zip(owners, chosen, strict=True)])
-        return {"samples": torch.as_tensor(samples).float(),
-                "text": corpus.text(chosen)[:, frames:2 * frames, :-1],
-                "word": corpus.word_at[torch.as_tensor(chosen), frames:2 * frames].long() - 1}
+        spoken = (corpus.word_at[:, frames:2 * frames] > 0).any(1).numpy()
+        own = [corpus.blocks_of(r) for r in recordings]
+        return cls(corpus, frames, np.concatenate([each[spoken[each]] for each in own]),
+                   {r: corpus.sound(r) for r in recordings},
+                   {r: int(each[0]) for r, each in zip(recordings, own, strict=True)})
 
-    return make
+    def batch(self, chosen: NDArray[np.int64]) -> fitting.Batch:
+        """The windows around these blocks [B], as `TextContrast` reads them."""
+        corpus, middle = self.corpus, slice(self.frames, 2 * self.frames)
+        assert corpus.word_at is not None
+        owners = corpus.recording[chosen]
+        samples = np.stack([_around(self.sounds[r], b - self.begins[r]) for r, b in zip(owners, chosen, strict=True)])
+        return {"samples": torch.as_tensor(samples).float(), "text": corpus.text(chosen)[:, middle, :-1],
+                "word": corpus.word_at[torch.as_tensor(chosen), middle].long() - 1}
+
+    def sample(self, rng: np.random.Generator, size: int) -> fitting.Batch:
+        """Some of them; with several processes this one's rows."""
+        return self.batch(rng.choice(self.blocks, size)[own_rows(size)])
 
 
 def _around(sound: NDArray[np.float16] | StoredRows, block: int) -> NDArray[np.float16]:
@@ -113,8 +130,9 @@ def _build_contrast(run: Run) -> nn.Module:
 def _train_contrast(run: Run, model: TextContrast, folder: Path) -> Figures:
     corpus, frames, size = run.get(BLOCKS), run.config.rhythm.frames, run.schedule(CONTRAST).batch
     known = corpus.recordings("train", with_text=True)
-    held = _contrast_batches(corpus, corpus.recordings("val", with_text=True) or known[:1], frames, size)
-    checks = [held(fitting.generator_for(1, i)) for i in range(_CHECKS)]
+    held = ContrastWindows.of(corpus, corpus.recordings("val", with_text=True) or known[:1], frames)
+    checks = [held.sample(fitting.generator_for(1, i), size) for i in range(_CHECKS)]
+    learn = ContrastWindows.of(corpus, known, frames)
 
     @torch.no_grad()
     def validate() -> Figures:
@@ -123,8 +141,7 @@ def _train_contrast(run: Run, model: TextContrast, folder: Path) -> Figures:
         return {"contrast": sum(float(model.losses(b)["contrast"]) for b in on) / len(on),
                 **{f"retrieval_{level + 1}": float(value) for level, value in enumerate(retrieval)}}
 
-    return run.fit(CONTRAST, model, fitting.Task(_contrast_batches(corpus, known, frames, size), validate=validate),
-                   folder)
+    return run.fit(CONTRAST, model, fitting.Task(lambda rng: learn.sample(rng, size), validate=validate), folder)
 
 
 def _contrasted(config: Config) -> bool:
