@@ -121,7 +121,7 @@ class DecodedWindows:
                 np.where(replaced, np.where(likely, drawn, random), own))
         way = rng.integers(len(WRONG), size=(*shape[:2], 1))
         out: NDArray[np.int64] = np.select([way == number for number in range(len(ways))], ways)
-        same = (out == own).all(-1)
+        same = ((out == own) | (valid == 0)[:, None]).all(-1)
         out[same, -1] = (out[same, -1] + 1 + rng.integers(decoder.size - 1, size=int(same.sum()))) % decoder.size
         return out
 
