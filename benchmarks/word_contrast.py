@@ -103,13 +103,13 @@ def tables(shares: dict[str, Array], luck: Array, groups: Sequence[str], notes: 
     brought = {f"{TRAINED} - {FIXED}, {OWN}": apart(f"{TRAINED}, {OWN}", f"{FIXED}, {OWN}"),
                f"{TRAINED}: {OWN} - {OTHER}": apart(f"{TRAINED}, {OWN}", f"{TRAINED}, {OTHER}")}
     shown = brought | {f"{FIXED}: {OWN} - {OTHER}": apart(f"{FIXED}, {OWN}", f"{FIXED}, {OTHER}")}
-    return [Table("Frames of a word whose nearest frame has the same word", columns,
-                  levels | {"chance": dict.fromkeys(columns, by_luck)}, "level",
-                  [*notes, "By the frame's own word, and by another of the recording: what loudness alone finds."]),
-            Table("Level 8", {"difference": Column("difference", "points", 1)},
+    return [Table("Level 8", {"difference": Column("difference", "points", 1)},
                   {name: {"difference": value} for name, value in shown.items()}, "less",
-                  ["Paired over recordings. The claim rests on the first two."],
-                  {"claim": [value.to_dict() for value in brought.values()]})]
+                  [*notes, "Paired over recordings. The claim rests on the first two."],
+                  {"claim": [value.to_dict() for value in brought.values()]}),
+            Table("Frames of a word whose nearest frame has the same word", columns,
+                  levels | {"chance": dict.fromkeys(columns, by_luck)}, "level",
+                  ["By the frame's own word, and by another of the recording: what loudness alone finds."])]
 
 
 def main() -> None:

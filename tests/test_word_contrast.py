@@ -34,7 +34,7 @@ def test_the_claim_is_of_level_8_alone() -> None:
     shares = {f"{name}, {word}": value for name, value in (("encoder trained", better), ("encoder fixed", base))
               for word in ("own word", "another word")}
     shares["encoder trained, another word"] = base
-    _, level = word_contrast.tables(shares, np.full(12, 0.4), [str(k) for k in range(12)], [])
+    level, _ = word_contrast.tables(shares, np.full(12, 0.4), [str(k) for k in range(12)], [])
     for held in level.facts["claim"]:
         assert held["mean"] == pytest.approx(20.0)
     assert level.rows["encoder fixed: own word - another word"]["difference"].mean == 0.0

@@ -38,8 +38,8 @@ from gesticulator.options import FPS
 from gesticulator.pipeline import Gesticulator
 from interpreters import INTERPRETERS
 
-PIECE = 15.0
-"""Seconds of the pieces whose means have an interval."""
+PIECE = 10.0
+"""Seconds of the pieces whose means have an interval: half a minute of a language is three."""
 NAMES = {"en": "English", "de": "German", "es": "Spanish", "cmn": "Mandarin"}
 RULE = "the performer of the store, by its rule"
 MEASURED = {"onsets_per_second": Column("onsets", "Hz"), "motion_beats_per_second": Column("motion beats", "Hz"),

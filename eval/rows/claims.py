@@ -124,7 +124,7 @@ NOT_HERE = [PaperClaim(where, says, "", "", needs=needs) for where, says, needs 
     ("RACER Fig. 4", "people prefer RACER", _PEOPLE),
     ("RG 4.1.3", "sound is told better from a low level, words from a high one", f"{_PROBE}the table of speech levels"),
     ("RG Eq. 1", "contrast with the words brings the high level nearer to them",
-     "trained for less than an epoch: its loss stood at 2.268 of 2.303 nats"),
+     f"{_PROBE}python benchmarks/word_contrast.py"),
     ("RG 7.1.2", "speech of a second language helps the encoder, for either",
      f"{_PROBE}the table of two languages"),
     ("RACER 4.2", "the reward finds the motion of a sound among others more often than chance, either way",

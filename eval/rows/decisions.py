@@ -93,6 +93,7 @@ PROBED: dict[str, tuple[tuple[str, ...], Callable[[Sequence[Table]], list[Interv
     "RG Fig. 10": (("style_editing", "earlier/style_editing"), _facts),
     "RG Fig. 13": (("languages", "earlier/languages"), _facts),
     "RG Fig. 14": (("earlier/speech_levels",), _facts),
+    "RG Eq. 1": (("word_contrast",), _facts),
     "RG 4.1.3": (("earlier/speech_levels",), _column("What is said of the levels", "difference", *_LEVELS)),
     "RG 7.1.2": (("two_languages", "earlier/two_languages"),
                  _column("A speech encoder of one language or of two", "two - one")),
