@@ -30,6 +30,7 @@ from eval.runner.context import EvalContext, opened
 from eval.runner.decoded_windows import Decoder
 from eval.runner.played import PERFORMER, REPLAYED, FurtherPolicy, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import ENSEMBLES, Amounts, PlayedScores, arguments, found, judged, kept, learned, scored
+from eval.runner.played_seen import SEEN, agreement
 from eval.runner.policy import entropy_of, matched_temperature
 from eval.runner.racer import forced_values
 from eval.runner.renderings import BundleSystem, KeptRenderings
@@ -174,6 +175,15 @@ def tables(models: Mapping[str, RewardEnsemble], test: Sequence[PlayedVoice], pu
                   {REPLAYED: {name: own["times"] for name, own in hits.items()}}, "motion", [])]
 
 
+def seen_table(bundle: Bundle, test: Sequence[PlayedVoice]) -> Table:
+    """What a viewer sees of all policies."""
+    kinds = [kind for kind in test[0].motions if kind != PERFORMER]
+    return Table("Decisions that a viewer sees: agreement with the performer", {
+        name: Column(name, digits=3) for name in SEEN}, agreement(bundle, test, kinds), "policy",
+        ["Cohen's kappa of the blocks of a recording: 1 for the performer's decisions, 0 for chance. Without words, so "
+         "without meanings."])
+
+
 def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -199,7 +209,8 @@ def main() -> None:
     note = (f"Rewards of {heard} training recordings ({a.learn_seconds:g} s of each), {a.steps} steps of each of "
             f"{a.members} models an ensemble; {len(test)} {a.split} recordings ({a.seconds:g} s), evenly spread, one "
             "seed. Cosines, -1 to 1.")
-    publish(tables(models, test, a.policies, temperatures, [note]), a.out, Provenance.now(
+    made = [*tables(models, test, a.policies, temperatures, [note]), seen_table(ours.bundle, test)]
+    publish(made, a.out, Provenance.now(
         shlex.join(["python", "benchmarks/played_policy.py", *sys.argv[1:]]), folder / INDEX))
 
 

@@ -39,7 +39,7 @@ _PROGRAM = ("data_module", "lexicon", "generator", "gesticulator.drawing", "gest
 @dataclass(frozen=True)
 class PlayedVoice:
     """A voice in N blocks. audio: [N, K, d]; silent: [N]; log_duration: [N]; motions: by policy [N, K, D_m],
-    normalised; group: voices of one group are alike."""
+    normalised by the statistics of `speaker`; group: voices of one group are alike."""
 
     name: str
     group: str
@@ -47,6 +47,7 @@ class PlayedVoice:
     silent: NDArray[np.bool_]
     log_duration: Tensor
     motions: Mapping[str, Tensor]
+    speaker: int = 0
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,8 @@ class VoicePlayer:
         assert heard.audio is not None
         return PlayedVoice(voice.name, voice.group or voice.name, heard.audio[:count], heard.blocks.silent[:count],
                            torch.as_tensor(np.log(heard.blocks.durations[:count])).float(),
-                           {name: motion[:count].float() for name, motion in motions.items()})
+                           {name: motion[:count].float() for name, motion in motions.items()},
+                           self.ours.gesticulator.speaker_index(speaker))
 
     def _kept(self, voice: AcceptanceVoice, seed: int, policy: str, labels: NDArray[np.int64]) -> Tensor:
         further = self.further.get(policy)
