@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from data_module.layers import freeze
 from data_module.store import Store
+from eval.metrics.reward_model import RewardProbe
 from eval.runner.context import EvalContext
 from eval.runner.decoded_windows import WRONG, DecodedWindows, Decoder
 from gesticulator.bundle import bundle as bundles
 from gesticulator.training.stages.lexicon import decoded_blocks
 from gesticulator.training.stages.reward import drawn_windows
+from interpreters.reward import RewardModel
 from interpreters.settings import RewardConfig
 
 CONFIG = RewardConfig(width=16, projection=8, rivals=3, window=6, shortest=4, longest=8)
@@ -72,6 +76,20 @@ def test_what_the_lstm_draws_is_its_distribution(decoder: Decoder) -> None:
     assert (decoder.drawn[:, known] != decoder.labels[known]).mean() > 0.3
     others = np.setdiff1d(np.arange(len(decoder.labels)), known)
     assert (decoder.drawn[:, others] == decoder.labels[others]).all(), "only the training split is drawn"
+
+
+def test_a_probe_scores_them_as_the_table_that_teaches_does(decoder: Decoder, tiny_movement_bundle: Path) -> None:
+    bundle = bundles.load(tiny_movement_bundle)
+    torch.manual_seed(2)
+    model = RewardModel(dataclasses.replace(CONFIG, speeds=True), decoder.audio.shape[1],
+                        decoder.corpus.motion.shape[2], decoder.audio.shape[2])
+    freeze(model)
+    probe = RewardProbe.of(model, bundle, decoder.corpus, decoder.labels, decoder.context)
+    blocks = decoder.corpus.blocks_of(0)[:CONFIG.window + 3]
+    at = np.lib.stride_tricks.sliding_window_view(blocks, CONFIG.window).copy()
+    decoded = probe.score("decoded", at, at)
+    np.testing.assert_allclose(decoded, probe.played(decoder.labels[at], at), atol=1e-5)
+    assert abs(decoded - probe.score("captured", at, at)).max() > 1e-4, "lexemes without the performer's detail"
 
 
 def test_half_of_the_batches_are_captured_motion(windows: DecodedWindows) -> None:

@@ -208,6 +208,27 @@ def test_a_probe_gives_the_reward_of_the_model(bundle: bundles.Bundle, corpus: C
     np.testing.assert_allclose((as_trained * heard).sum(-1).numpy(), probe.score("captured", at, at), atol=1e-5)
 
 
+def test_a_model_that_reads_speeds_is_asked_in_the_durations_of_the_sound(bundle: bundles.Bundle, corpus: Corpus
+                                                                        ) -> None:
+    labels = token_labels(bundle.lexicon, corpus)
+    torch.manual_seed(3)
+    frames = bundle.config.rhythm.frames
+    model = RewardModel(RewardConfig(width=16, projection=8, window=4, shortest=2, longest=6, speeds=True), frames,
+                        corpus.motion.shape[2], corpus.low.shape[2])
+    freeze(model)
+    probe = RewardProbe.of(model, bundle, corpus, labels)
+    own, _ = rewards.windows(takes_of(corpus, labels, "test"), 4)
+    motion, audio = own[:6], own[5:11]
+    with torch.no_grad():
+        wanted = model.window_rewards(
+            corpus.motion[torch.as_tensor(motion)], torch.as_tensor(np.log(corpus.durations[audio])).float(),
+            corpus.low[torch.as_tensor(audio), frames:2 * frames].float(), torch.ones(audio.shape))
+    np.testing.assert_allclose(probe.score("captured", motion, audio), wanted.numpy(), atol=1e-5)
+    pairs = probe.pairs("captured", own[:12], retimed=True)
+    np.testing.assert_allclose(pairs[np.arange(6), np.arange(5, 11)], wanted.numpy(), atol=1e-5)
+    assert abs(pairs - probe.pairs("captured", own[:12], retimed=False)).max() > 1e-4, "durations are heard in speeds"
+
+
 class Knows:
     """A reward that knows the moment: what is less far away has more; nothing but the pose tells it."""
 

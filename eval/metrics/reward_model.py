@@ -22,21 +22,25 @@ from interpreters.reward_table import EnsembleReward
 DURATIONS = "durations alone"
 """Motion that is the mean pose throughout."""
 Integers = NDArray[np.int64]
+_AT_ONCE = 2048
+"""Windows that are scored at a time, to bound memory."""
 
 
 @dataclass(frozen=True)
 class RewardProbe:
-    """A reward model or an ensemble over a corpus, all blocks read once by each member; rewards are the members' mean.
+    """A reward model or an ensemble over a corpus; rewards are the members' mean.
 
-    motion: for each member tokens [N, C] by the kind of motion, without the duration of the block; audio: [N, C];
-    tempo: [N, C] what a block's duration adds to the motion played in it.
+    blocks: [N, K, D_m] by the kind of motion; audio: [N, C] tokens for each member; times: [N] log durations. decoded:
+    how windows of the performer's lexemes, labels [N], are decoded in context; None for blocks decoded one by one.
     """
 
     model: RewardModel | RewardEnsemble
     table: EnsembleReward
-    motion: list[dict[str, Tensor]]
+    blocks: dict[str, Tensor]
     audio: list[Tensor]
-    tempo: list[Tensor]
+    times: Tensor
+    labels: Tensor
+    decoded: MovementContext | None = None
 
     @classmethod
     @torch.no_grad()
@@ -44,22 +48,25 @@ class RewardProbe:
            context: MovementContext | None = None) -> RewardProbe:
         """labels: [N] the lexeme of every block; context: how lexemes are decoded (default: with the performer's
         detail, as policies are taught)."""
-        shown = {"captured": corpus.motion, "decoded": decoded_blocks(bundle.lexicon, labels, corpus),
-                 DURATIONS: torch.zeros_like(corpus.motion)}
-        no_duration = torch.zeros(len(corpus.motion))
+        shown = {"captured": corpus.motion, DURATIONS: torch.zeros_like(corpus.motion)}
+        if context is None:
+            shown["decoded"] = decoded_blocks(bundle.lexicon, labels, corpus)
         heard, times = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
-        return cls(model, reward_table(model, bundle.lexicon, corpus, literal=True, context=context),
-                   [{name: own.block_motion(motion, no_duration) for name, motion in shown.items()}
-                    for own in model.models],
-                   [own.block_audio(heard) for own in model.models], [own.tempo(times) for own in model.models])
+        return cls(model, reward_table(model, bundle.lexicon, corpus, literal=True, context=context), shown,
+                   [own.block_audio(heard) for own in model.models], times, torch.as_tensor(labels), context)
 
     @torch.no_grad()
     def score(self, kind: str, motion: Integers, audio: Integers) -> Array:
         """[B] the reward of motion blocks [B, W] that are played on audio blocks [B, W], in their durations."""
-        heard, at = torch.as_tensor(audio), torch.as_tensor(motion)
+        return np.concatenate([self._score(kind, torch.as_tensor(motion[first:first + _AT_ONCE]),
+                                           torch.as_tensor(audio[first:first + _AT_ONCE]))
+                               for first in range(0, len(motion), _AT_ONCE)] or [np.zeros(0)])
+
+    def _score(self, kind: str, at: Tensor, heard: Tensor) -> Array:
+        shown = self._shown(kind, at)
         return _numbers(torch.stack([
-            (_embedded(own, kinds[kind][at] + tempo[heard]) * _heard(own, sound[heard])).sum(-1)
-            for own, kinds, sound, tempo in self._members()]).mean(0))
+            (_embedded(own, shown, self.times[heard]) * _heard(own, sound[heard])).sum(-1)
+            for own, sound in self._members()]).mean(0))
 
     @torch.no_grad()
     def pairs(self, kind: str, own: Integers, retimed: bool) -> Array:
@@ -68,12 +75,13 @@ class RewardProbe:
         retimed: in the durations of that audio; else in its own, which tell the true pair by themselves.
         """
         at, out = torch.as_tensor(own), []
-        for model, kinds, sound, tempo in self._members():
-            tokens, heard = kinds[kind][at], _heard(model, sound[at])
-            if not retimed or model.read_tempo is None:  # who is told no durations sees the same in all
-                out.append(_numbers(_embedded(model, tokens + tempo[at]) @ heard.T))
+        shown = self._shown(kind, at)
+        for model, sound in self._members():
+            heard = _heard(model, sound[at])
+            if not retimed or (model.read_tempo is None and model.read_speeds is None):  # the same in any durations
+                out.append(_numbers(_embedded(model, shown, self.times[at]) @ heard.T))
             else:
-                out.append(np.stack([_numbers(_embedded(model, tokens + tempo[there]) @ vector)
+                out.append(np.stack([_numbers(_embedded(model, shown, self.times[there].expand(len(at), -1)) @ vector)
                                      for there, vector in zip(at, heard, strict=True)], axis=1))
         return np.mean(out, axis=0)
 
@@ -86,12 +94,19 @@ class RewardProbe:
         """[M - 1, S] the reward of each lexeme at each block of a take but the first, after the true ones."""
         return _numbers(self.table.sequence_every(torch.as_tensor(take.lexemes), torch.as_tensor(take.blocks))[1:])
 
-    def _members(self) -> Iterator[tuple[RewardModel, dict[str, Tensor], Tensor, Tensor]]:
-        return zip(self.model.models, self.motion, self.audio, self.tempo, strict=True)
+    def _shown(self, kind: str, at: Tensor) -> Tensor:
+        """[B, W, K, D_m] the motion of windows [B, W]."""
+        if kind == "decoded" and self.decoded is not None:
+            return self.decoded.shown(self.labels[at], at, torch.ones(at.shape))
+        return self.blocks[kind][at].float()
+
+    def _members(self) -> Iterator[tuple[RewardModel, Tensor]]:
+        return zip(self.model.models, self.audio, strict=True)
 
 
-def _embedded(model: RewardModel, tokens: Tensor) -> Tensor:
-    return model.embed_motion(tokens, torch.ones(tokens.shape[:2]))
+def _embedded(model: RewardModel, motion: Tensor, times: Tensor) -> Tensor:
+    """[B, P] of windows [B, W, K, D_m] whose blocks last exp(times [B, W]) seconds."""
+    return model.embed_motion(model.block_motion(motion, times), torch.ones(times.shape))
 
 
 def _heard(model: RewardModel, tokens: Tensor) -> Tensor:

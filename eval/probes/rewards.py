@@ -33,6 +33,7 @@ from data_module.types import Array
 from eval.metrics.ranking import agreement, retrieval, share_of_range, spreads, true_rank
 from eval.metrics.reward_model import DURATIONS, RewardProbe
 from eval.runner.context import EvalContext
+from eval.runner.renderings import spread_evenly
 from eval.stats import Interval, mean_interval, paired
 from eval.table import Column, Table
 from gesticulator.training.stages.lexicon import token_labels
@@ -59,6 +60,8 @@ RETRIEVED = {"captured, own durations": ("captured", False), "decoded, own durat
 """Rows of retrieval: the kind of motion, and whether it is played in the durations of the audio's blocks."""
 MODELS = ("reward", "judge")
 SEED = 0
+MOST = 24
+"""Recordings in which windows are sought, evenly spread: the pairs grow with the square of the windows."""
 
 
 def windows(takes: Sequence[Demonstration], length: int, step: int = 1) -> tuple[Integers, Integers]:
@@ -68,8 +71,8 @@ def windows(takes: Sequence[Demonstration], length: int, step: int = 1) -> tuple
 
 
 def retrieved(probe: RewardProbe, takes: Sequence[Demonstration], silent: Mask) -> dict[str, Cells]:
-    """Retrieval by the kind of motion and of rivals; windows of all takes, one window apart."""
-    own, owner = windows(takes, probe.model.config.window, probe.model.config.window)
+    """Retrieval by the kind of motion and of rivals; windows of `MOST` takes, one window apart."""
+    own, owner = windows(spread_evenly(takes, MOST), probe.model.config.window, probe.model.config.window)
     audible = ~silent[own].all(axis=1)
     own, owner = own[audible], owner[audible]
     same = owner[:, None] == owner
