@@ -91,7 +91,7 @@ def _spared(tables: Sequence[Table]) -> list[Interval]:
 _LEVELS = ("new words, AUC: level 8 - level 2", "energy, R2: level 2 - level 8", "pitch, R2: level 2 - level 8")
 PROBED: dict[str, tuple[tuple[str, ...], Callable[[Sequence[Table]], list[Interval]]]] = {
     "RG Fig. 10": (("style_editing", "earlier/style_editing"), _facts),
-    "RG Fig. 13": (("languages", "earlier/languages"), _facts),
+    "RG Fig. 13": (("paper_languages", "languages", "earlier/languages"), _facts),
     "RG Fig. 14": (("earlier/speech_levels",), _facts),
     "RG Eq. 1": (("word_contrast",), _facts),
     "RG 4.1.3": (("earlier/speech_levels",), _column("What is said of the levels", "difference", *_LEVELS)),
