@@ -147,7 +147,7 @@ def test_pieces_hold_everything_once(duration: float) -> None:
     clip = _clip(duration)
     starts = np.arange(0.0, duration, 0.3)
     parts = languages.pieces(clip, starts, np.arange(len(starts)), 60.0)
-    assert len(parts) == max(1, round(duration / 15)) and sum(p.clip.duration for p in parts) == pytest.approx(duration)
+    assert len(parts) == max(1, round(duration / 10)) and sum(p.clip.duration for p in parts) == pytest.approx(duration)
     begun = np.cumsum([0.0, *(p.clip.duration for p in parts)])
     np.testing.assert_allclose(np.concatenate([p.clip.onsets + b for p, b in zip(parts, begun, strict=False)]),
                                clip.onsets)
@@ -221,7 +221,7 @@ def test_no_words_reach_the_model(tiny_store: Path, tiny_bundle: Path) -> None:
     listener = _Listener(Gesticulator.from_pretrained(tiny_bundle))
     played = languages.played_by(listener, passage, "lstm", takes=2)  # type: ignore[arg-type]
     assert listener.given == [("one", 0, None), ("one", 1, None), ("two", 0, None), ("two", 1, None)]
-    assert [len(players) for players in played] == [4] * max(1, round(passage.speech.duration / 15))
+    assert [len(players) for players in played] == [4] * max(1, round(passage.speech.duration / 10))
 
 
 def test_the_lexicon_that_plays_is_the_one_that_is_used(tiny_store: Path, tiny_bundle: Path) -> None:
