@@ -114,7 +114,8 @@ NO_CASE = {
         eval/rows/cells.py:CellStore._append eval/rows/cells.py:CellStore.gather eval/rows/cells.py:CellStore.lines
         eval/runner/figures.py:_key_of eval/runner/context.py:_reward_model eval/runner/racer.py:_trained
         eval/runner/renderings.py:KeptRenderings.get eval/runner/renderings.py:Rendering.unpacked
-        eval/runner/judge.py:PlayedStore.read eval/runner/played.py:VoicePlayer._kept""",
+        eval/runner/judge.py:PlayedStore.read eval/runner/played.py:VoicePlayer._kept
+        eval/runner/played_reward.py:kept""",
     "calls a reader that has a case": """
         data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._reading
         data_module/corpora/ted.py:Ted.read eval/runner/ablate.py:ablate eval/runner/ablate.py:redraw
