@@ -230,7 +230,7 @@ def tables(models: Sequence[tuple[dict[str, Cells], dict[str, Cells], Cells, dic
     shifts = {f"{name}: {kind}": cells for name, own in kinds.items() for kind, cells in own.items()}
     told = facts["store"]
     about = (f"Test split: {told['test_recordings']} recordings, {told['blocks']} blocks, windows of "
-             f"{facts['settings']['window']} blocks.")
+             f"{facts['settings']['window']} blocks; sought in {min(told['test_recordings'], MOST)} of the recordings.")
     return [
         Table("Retrieval", _RETRIEVAL, {f"{name}: {row}": hits for name, own in found.items()
                                         for row, hits in own.items()}, "model, motion, rivals", [about], facts),
