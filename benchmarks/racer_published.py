@@ -30,8 +30,10 @@ Batch = dict[str, Tensor]
 
 
 def trained(model: RacerCodec | ConservativeQ, make: Callable[[], Batch], steps: int, rate: float) -> dict[str, float]:
-    """The weighted loss of windows that are not trained on, before and after some steps, and seconds a step. make: gives
-    new windows at every call."""
+    """The weighted loss of windows that are not trained on, before and after some steps, and seconds a step.
+
+    make: gives new windows at every call.
+    """
     optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=rate, betas=(0.5, 0.999))
 
     def loss(batch: Batch) -> Tensor:
@@ -102,7 +104,8 @@ def table(rows: dict[str, dict[str, float]], windows: int, steps: int) -> Table:
     """What is shown."""
     return Table("RACER at its published widths", {
         key: Column(key, digits=3) for key in next(iter(rows.values()))}, rows,
-                 f"{steps} steps of {windows} new windows; losses of {windows} others", facts={"windows": windows, "steps": steps})
+                 f"{steps} steps of {windows} new windows; losses of {windows} others",
+                 facts={"windows": windows, "steps": steps})
 
 
 if __name__ == "__main__":
