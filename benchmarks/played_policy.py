@@ -29,7 +29,18 @@ from eval import stats
 from eval.runner.context import EvalContext, opened
 from eval.runner.decoded_windows import Decoder
 from eval.runner.played import PERFORMER, REPLAYED, FurtherPolicy, PlayedVoice, VoicePlayer
-from eval.runner.played_reward import ENSEMBLES, Amounts, PlayedScores, arguments, found, judged, kept, learned, scored
+from eval.runner.played_reward import (
+    BOTH,
+    ENSEMBLES,
+    Amounts,
+    PlayedScores,
+    arguments,
+    found,
+    judged,
+    kept,
+    learned,
+    scored,
+)
 from eval.runner.played_seen import SEEN, agreement
 from eval.runner.policy import entropy_of, matched_temperature
 from eval.runner.racer import forced_values
@@ -52,7 +63,6 @@ from interpreters.cql import QNetwork
 from interpreters.reward import RewardEnsemble
 from interpreters.reward_table import Centred, EnsembleReward
 
-FORM = "both"
 OTHERS = ("cql", "advantage")
 """Of the bundle, which learned from the published form of the reward."""
 
@@ -199,7 +209,7 @@ def main() -> None:
     torch.manual_seed(0)
     context = EvalContext.over(store, ours.bundle, work, None, not a.quiet)
     decoder = Decoder.of(ours.bundle, context.corpus, context.labels)
-    models = {name: kept(FORM, number, learn, work, a, decoder) for number, name in enumerate(ENSEMBLES)}
+    models = {name: kept(BOTH, number, learn, work, a, decoder) for number, name in enumerate(ENSEMBLES)}
     heard = len(learn)
     del learn
     school = School(context, models[ENSEMBLES[0]], decoder)

@@ -29,6 +29,7 @@ from eval.runner.context import EvalContext, opened
 from eval.runner.decoded_windows import Decoder
 from eval.runner.played import PERFORMER, REPLAYED, UNITS, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import (
+    BOTH,
     ENSEMBLES,
     FORMS,
     Amounts,
@@ -67,12 +68,13 @@ def kinds_of(test: Sequence[PlayedVoice]) -> list[str]:
     return [kind for kind in test[0].motions if all(kind in voice.motions for voice in test)]
 
 
-def asked(model: RewardEnsemble, form: str, context: EvalContext, decoder: Decoder, split: str) -> dict[str, bool]:
-    """What `gesticulator probe rewards` asks of a reward, of the recordings of a split."""
-    takes = [take for take in takes_of(context.corpus, decoder.labels, split)
+def asked(model: RewardEnsemble, context: EvalContext, split: str, decoder: Decoder | None) -> dict[str, bool]:
+    """What `gesticulator probe rewards` asks of a reward, of the recordings of a split. decoder: of a reward that was
+    trained on what it decodes."""
+    takes = [take for take in takes_of(context.corpus, context.labels, split)
              if len(take.blocks) >= model.config.window][:context.limit]
-    probe = RewardProbe.of(model, context.bundle, context.corpus, decoder.labels,
-                           decoder.context if form == "both" else None)
+    probe = RewardProbe.of(model, context.bundle, context.corpus, context.labels,
+                           None if decoder is None else decoder.context)
     every = spoken([probe.every(take) for take in takes], takes)
     return figures(probe, takes, context.corpus.silent, every)[3]
 
@@ -135,12 +137,12 @@ def main() -> None:
     learn = learned(player, store, a)
     test = judged(player, store, a, a.others, spliced)
     context = EvalContext.over(store, ours.bundle, work, a.limit, not a.quiet)
-    decoder = Decoder.of(ours.bundle, context.corpus, context.labels)
     said = {}
     for form in a.forms:
+        decoder = Decoder.of(ours.bundle, context.corpus, context.labels) if form == BOTH else None
         for number, name in enumerate(ENSEMBLES):
             model = kept(form, number, learn, work, a, decoder)
-            said[form, name] = judge(model, test, asked(model, form, context, decoder, a.split))
+            said[form, name] = judge(model, test, asked(model, context, a.split, decoder))
     note = (f"{len(learn)} training recordings ({a.learn_seconds:g} s of each) and {len(test)} {a.split} recordings "
             f"({a.seconds:g} s), evenly spread, one seed; {a.steps} steps of each of {a.members} models an ensemble. "
             f"Cosines, -1 to 1. {PERFORMER}: the captured motion; {REPLAYED}: what the generator makes of the lexemes "

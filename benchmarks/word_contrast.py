@@ -14,9 +14,9 @@ is due to the words.
 from __future__ import annotations
 
 import argparse
-import copy
 import shlex
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,7 +35,7 @@ from gesticulator.training import fit as fitting
 from gesticulator.training.presets import preset
 from gesticulator.training.stages.base import Run
 from gesticulator.training.stages.corpus import BLOCKS
-from gesticulator.training.stages.speech import CONTRAST, SPEECH, ContrastWindows
+from gesticulator.training.stages.speech import CONTRAST, ContrastWindows
 
 _WINDOWS = 64
 """Of a test recording, evenly spread."""
@@ -43,16 +43,18 @@ TRAINED, FIXED = "encoder trained", "encoder fixed"
 OWN, OTHER = "own word", "another word"
 
 
-def fixed(run: Run, folder: Path) -> TextContrast:
+def fixed(run: Run, learn: ContrastWindows) -> TextContrast:
     """The projections alone, trained as `CONTRAST` is, on the encoder as predictive coding left it."""
-    corpus, frames, settings = run.get(BLOCKS), run.config.rhythm.frames, run.schedule(CONTRAST)
+    settings, seed = run.schedule(CONTRAST), run.seed(CONTRAST)
+    assert CONTRAST.build is not None
     with torch.random.fork_rng():
-        torch.manual_seed(run.seed(CONTRAST))
-        model = TextContrast(copy.deepcopy(run.get(SPEECH).encoder), run.config.encoder, corpus.text_width - 1, frames)
+        torch.manual_seed(seed)
+        model = CONTRAST.build(run)
     model.encoder.requires_grad_(False)
-    learn = ContrastWindows.of(corpus, corpus.recordings("train", with_text=True), frames)
-    fitting.fit("contrast, fixed", model, fitting.Task(lambda rng: learn.sample(rng, settings.batch)), settings, folder,
-                fitting.FitOptions(seed=run.seed(CONTRAST), progress=run.progress))
+    with tempfile.TemporaryDirectory() as scratch:  # a checkpoint would be continued with other settings, too
+        fitting.fit("contrast, fixed", model, fitting.Task(lambda rng: learn.sample(rng, settings.batch)), settings,
+                    Path(scratch),
+                    fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=run.progress))
     freeze(model)
     return model
 
@@ -127,8 +129,8 @@ def main() -> None:
     run = Run(with_settings(preset(a.preset), (f"schedules.contrast.steps={a.steps}",)), store, work,
               progress=not a.quiet)
     corpus, frames = run.get(BLOCKS), run.config.rhythm.frames
-    models = {TRAINED: run.get(CONTRAST), FIXED: fixed(run, work)}
     known = ContrastWindows.of(corpus, corpus.recordings("train", with_text=True), frames)
+    models = {TRAINED: run.get(CONTRAST), FIXED: fixed(run, known)}
     test = corpus.recordings("test", with_text=True)[:a.limit]
     shares, luck = asked(models, [ContrastWindows.of(corpus, (recording,), frames) for recording in test])
     passes = a.steps * run.schedule(CONTRAST).batch / len(known.blocks)

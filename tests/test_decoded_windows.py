@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from untrained import PLAIN, untrained
 
+from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.store import Store
 from eval.metrics.reward_model import RewardProbe
@@ -53,6 +55,11 @@ def test_a_block_is_decoded_from_its_recorded_past_and_the_next_from_that(decode
     added = decoder.context.added
     moved = added[torch.as_tensor(changed[:, -1])] - added[torch.as_tensor(decoder.labels[blocks[:, -1]])]
     torch.testing.assert_close(other[:, -1] - shown[:, -1], moved, atol=1e-4, rtol=1e-3)
+
+
+def test_a_bundle_of_poses_is_refused_in_a_line(decoder: Decoder) -> None:
+    with pytest.raises(InputError, match="has no lexicon of movements"):
+        Decoder.of(untrained(*PLAIN), decoder.corpus, decoder.labels)
 
 
 def test_wrong_lexemes_are_wrong_where_it_counts_and_in_every_way(decoder: Decoder, windows: DecodedWindows) -> None:

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from data_module.errors import InputError
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.corpus import Corpus
@@ -50,9 +51,11 @@ class Decoder:
 
     @classmethod
     def of(cls, bundle: Bundle, corpus: Corpus, labels: NDArray[np.int64], seed: int = 0) -> Decoder:
-        """labels: [N] the lexemes of a corpus by the bundle, which has a lexicon of movements."""
+        """labels: [N] the lexemes of a corpus by the bundle; InputError where its lexicon is not one of movements."""
         lexicon = bundle.block_models.lexicon
-        assert isinstance(lexicon, MovementLexicon)
+        if not isinstance(lexicon, MovementLexicon):
+            raise InputError(f"bundle {bundle.config.name}", "has no lexicon of movements, decoded in context",
+                             "choose a bundle that has one, such as default")
         known = corpus.recordings("train")
         follow = count((("all", labels[corpus.blocks_of(r)]) for r in known), len(bundle.vectors)).transitions
         return cls(corpus, block_audio(corpus).float(), MovementContext(lexicon, corpus, None), labels,

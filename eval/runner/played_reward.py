@@ -55,7 +55,10 @@ SIZES = (RewardConfig(width=64, projection=48, rivals=3, members=2, shortest=4),
          RewardConfig(width=80, projection=32, kernel=2, dilations=(1, 2, 3), rivals=3, members=2, shortest=4))
 """Of the two ensembles."""
 ENSEMBLES = ("first", "second")
-FORMS = ("published", "speeds", "played", "both")
+BOTH = "both"
+RIVALLED = ("played", BOTH)
+"""Forms that are trained against rivals."""
+FORMS = ("published", "speeds", *RIVALLED)
 
 
 @dataclass(frozen=True)
@@ -166,8 +169,7 @@ def train(windows: PlayedWindows, settings: FitSettings, seed: int, progress: bo
 
     with tempfile.TemporaryDirectory() as scratch:
         fitting.fit(f"reward {seed}", model, fitting.Task(sample, before_step=model.before_step), settings,
-                    Path(scratch),
-            fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=progress))
+                    Path(scratch), fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=progress))
     freeze(model)
     return model
 
@@ -175,7 +177,7 @@ def train(windows: PlayedWindows, settings: FitSettings, seed: int, progress: bo
 def _config(form: str, number: int, members: int) -> RewardConfig:
     """Of the ensemble of this number in one of `FORMS`."""
     return replace(SIZES[number], speeds=form != "published", members=members,
-                   rivals=SIZES[number].rivals if form in ("played", "both") else 0)
+                   rivals=SIZES[number].rivals if form in RIVALLED else 0)
 
 
 def trained(form: str, number: int, learn: Sequence[PlayedVoice], how: Amounts, decoder: Decoder | None = None,
@@ -183,9 +185,9 @@ def trained(form: str, number: int, learn: Sequence[PlayedVoice], how: Amounts, 
     """The ensemble of this number, in one of `FORMS`, on its half of the recordings. decoder: for the form "both",
     which trains as many steps again."""
     config, half = _config(form, number, how.members), learn[number::2]
-    windows = PlayedWindows(half, config, (PERFORMER, REPLAYED), RIVALS if form in ("played", "both") else ())
+    windows = PlayedWindows(half, config, (PERFORMER, REPLAYED), RIVALS if form in RIVALLED else ())
     decoded = None
-    if form == "both":
+    if form == BOTH:
         assert decoder is not None
         names = {voice.name for voice in half}
         decoded = DecodedWindows(decoder, [r for r, name in enumerate(decoder.corpus.names) if name in names], config)
@@ -199,7 +201,7 @@ def kept(form: str, number: int, learn: Sequence[PlayedVoice], work: Path, a: ar
     """The ensemble of this number, trained now or read from the work folder (see `trained`)."""
     made_of = [digest([voice.name for voice in learn], [float(voice.motions[kind].double().sum()) for voice in learn
                                                         for kind in (PERFORMER, REPLAYED, *RIVALS)])]
-    if form == "both":
+    if form == BOTH:
         assert decoder is not None
         made_of.append(digest(decoder.labels.tolist(), decoder.drawn.tolist(), float(decoder.context.added.sum())))
     file = work / f"ensemble-{digest(made_of, _config(form, number, a.members), number, a.steps)}.safetensors"
