@@ -6,6 +6,7 @@ import dataclasses
 import json
 import pickle
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,6 +22,8 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import from_vector
 from data_module.store import Store
+from data_module.text.word_vectors import WordEncoder
+from data_module.types import Word
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
@@ -29,6 +32,7 @@ from gesticulator.training import command as train
 from gesticulator.training import fit as fitting
 from gesticulator.training import presets
 from gesticulator.training.stages import BLOCKS, LABELS, STAGES, Run, Stage, closure, training
+from gesticulator.training.stages.caches import word_file
 from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.labels import lexeme_speeds
 from gesticulator.training.stages.training import TrainOptions
@@ -89,6 +93,23 @@ def with_caches(work: Path, folder: Path) -> Path:
     for cached in (*work.glob("blocks-*"), *work.glob("words-*")):
         (shutil.copytree if cached.is_dir() else shutil.copy)(cached, folder / cached.name)
     return folder
+
+
+def test_two_commands_may_make_the_word_vectors_of_one_work_folder_at_once(
+        tiny_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, encode, others = Store.open(tiny_store), WordEncoder.encode, []
+
+    def second_command_first(self: WordEncoder, words: Sequence[Word]) -> np.ndarray:
+        if not others:
+            monkeypatch.setattr(WordEncoder, "encode", encode)
+            others.append(word_file(store, short(), tmp_path, progress=False))
+        return encode(self, words)
+
+    monkeypatch.setattr(WordEncoder, "encode", second_command_first)
+    file = word_file(store, short(), tmp_path, progress=False)
+    assert others == [file] and list(tmp_path.iterdir()) == [file]
+    with np.load(file) as vectors:
+        assert sorted(vectors) == sorted(info.name for info in store.recordings)
 
 
 def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(

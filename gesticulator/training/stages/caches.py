@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -21,7 +20,7 @@ from data_module import blocks as block_module
 from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
 from data_module.errors import InputError
-from data_module.files import rename
+from data_module.files import new_file
 from data_module.speech.silence import reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder, word_frames
@@ -64,12 +63,8 @@ def _encode_one(source: str, config: Config, encoder: SpeechEncoder | None, targ
 
 
 def _write(target: str, arrays: dict[str, NDArray[Any]], name: str) -> str:
-    temporary = Path(f"{target}.tmp")
-    with temporary.open("wb") as stream:
+    with new_file(target) as stream:
         np.savez(stream, allow_pickle=False, **arrays)
-        stream.flush()
-        os.fsync(stream.fileno())
-    rename(temporary, Path(target))
     return name
 
 
@@ -148,16 +143,13 @@ def word_file(store: Store, config: Config, folder: Path, *, progress: bool = Tr
     key = digest(store.fingerprint, encoder.name, encoder.fingerprint)
     cache = folder / f"words-{key}.npz"
     if not whole(cache):
-        temporary = Path(f"{cache}.tmp")
-        with zipfile.ZipFile(temporary, "w") as archive:  # like numpy's savez, but one array at a time
+        # Like numpy's savez, but one array at a time.
+        with new_file(cache) as file, zipfile.ZipFile(file, "w") as archive:
             for info in tqdm(store.recordings, desc="words", disable=not progress):
                 words = store.load(info.name).speech.words
                 if words is not None and any(word.text for word in words):
                     with archive.open(f"{info.name}.npy", "w", force_zip64=True) as stream:
                         np.lib.format.write_array(stream, encoder.encode(words).astype(np.float16), allow_pickle=False)
-        with temporary.open("rb") as finished:
-            os.fsync(finished.fileno())
-        rename(temporary, cache)
     return cache
 
 
