@@ -211,12 +211,13 @@ def test_values_that_know_the_return_are_calibrated() -> None:
     returns = policy.return_to_go(got, 0.9)
     for more in (0.0, 2.5):
         judge = PolicyJudge(own, {}, None, [])  # type: ignore[arg-type]
-        q = judge.score_values(Policy(Knows(returns, more)), take, rewards, 0.9)
+        free, forced = (policy.walk(Policy(Knows(returns, more)), own, take, teacher) for teacher in (False, True))
+        q = judge.score_values(take, free, forced, rewards, 0.9)
         assert q["calibration"] == pytest.approx(more) and q["spearman"] == pytest.approx(1.0)
         assert q["gap"] == pytest.approx(0.0) and q["nll"] == pytest.approx(math.log(math.e + 3) - 1)
 
 
-    assert math.isnan(judge.score_values(Policy(Knows(returns, 0.0)), take, None, 0.9)["calibration"]), "logits"
+    assert math.isnan(judge.score_values(take, free, forced, None, 0.9)["calibration"]), "logits"
 
 
 def test_accuracy_of_known_interpreters() -> None:

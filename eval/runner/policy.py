@@ -172,9 +172,13 @@ class Rewards(Protocol):
         ...
 
 
+Walk = tuple[Lexemes, Array]
+"""The lexemes [M] that a policy took and its scores [M - 1, S] for them."""
+
+
 @torch.inference_mode()
-def walk(policy: Policy, decisions: Decisions, take: Demonstration, teacher: bool = False) -> tuple[Lexemes, Array]:
-    """The lexemes [M] that a policy takes and its scores [M - 1, S] for them; the first lexeme is given.
+def walk(policy: Policy, decisions: Decisions, take: Demonstration, teacher: bool = False) -> Walk:
+    """What a policy does with a recording; the first lexeme is given.
 
     teacher: its past is the performer's lexemes. Draws depend on the seed and the recording alone.
     """
@@ -241,16 +245,16 @@ class PolicyJudge:
             "unseen_bigrams": 100.0 * unseen_bigrams([free], self.training),
             "silent": silent_share(own, take.silent[1:], self.decisions.silent)}
 
-    def score_values(self, policy: Policy, take: Demonstration, valued: Rewards | None, gamma: float
+    def score_values(self, take: Demonstration, free: Walk, forced: Walk, valued: Rewards | None, gamma: float
                      ) -> dict[str, float]:
         """What scores tell as Q values: the gaps on the performer's lexemes, by how much Q overrates the first decision
-        and Spearman's rho of Q with the return-to-go on the policy's own. valued: the reward whose discounted sum they
-        estimate; None where they are no values."""
-        _, on_data = walk(policy, self.decisions, take, teacher=True)
-        nll, gap = conservative_gaps(on_data, take.lexemes[1:], self.decisions.allowed(take)[1:])
+        and Spearman's rho of Q with the return-to-go on the policy's own. free, forced: `walk` on the policy's own past
+        and on the performer's. valued: the reward whose discounted sum the scores estimate; None where they are no
+        values."""
+        nll, gap = conservative_gaps(forced[1], take.lexemes[1:], self.decisions.allowed(take)[1:])
         values = {"nll": nll, "gap": gap, "calibration": float("nan"), "spearman": float("nan")}
         if valued is not None:
-            lexemes, scores = walk(policy, self.decisions, take)
+            lexemes, scores = free
             q = taken(scores, lexemes[1:])
             returns = return_to_go(taken(every_reward(valued, take, lexemes), lexemes[1:]), gamma)
             values |= {"calibration": float(q[0] - returns[0]), "spearman": rank_correlation(q, returns)}

@@ -22,6 +22,9 @@ from torch import Tensor
 from data_module.errors import InputError
 from data_module.files import lock
 from data_module.layers import freeze
+from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.audio import resample as resample_speech
+from data_module.store import Recording
 from eval.clip.measure import measure, motion_values
 from eval.metrics import pmb
 from eval.rows.racer import ROWS, SUPERVISED, twins
@@ -32,6 +35,7 @@ from eval.runner.policy import Decisions, Policy, PolicyJudge, Rewards, entropy_
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages import Corpus
 from gesticulator.training.stages import base as stages
@@ -149,9 +153,9 @@ class RacerRows:
         """"clips", "sets" and "seconds" of a row's cell: all test recordings judged, the first `MOTION` played."""
         policy, seconds = trained(self, name, seed)
         chosen, clips = judged(self, name, policy)
-        store, progress, by = self.context.store, self.context.progress, list(self.context.networks.values())
-        recordings = [store.load(clip["name"]) for clip in clips[:MOTION]]
-        motions = perform(self.context.system, recordings, chosen[:MOTION], name, progress)
+        progress, by = self.context.progress, list(self.context.networks.values())
+        recordings, encoded = self.recordings, self.encoded
+        motions = perform(self.context.system, recordings, chosen[:MOTION], name, progress, encoded)
         for place, (motion, recording) in enumerate(zip(motions, recordings, strict=True)):
             clip = measure(motion, recording.speech)
             clips[place] |= {"pmb_narrow": pmb.pmb(clip.beats, clip.onsets),
@@ -162,6 +166,18 @@ class RacerRows:
             clips[place]["fgd"] = float(value)
         return {"clips": clips, "sets": {"fgd": set_distances(by, ours, real)},
                 "seconds": {"training": round(seconds, 1)}}
+
+    @cached_property
+    def recordings(self) -> list[Recording]:
+        """The first `MOTION` test recordings, which every row is played on."""
+        return [self.context.store.load(self.corpus.names[take.recording])
+                for take in self.judge.decisions.takes[:MOTION]]
+
+    @cached_property
+    def encoded(self) -> list[SpeechFeatures]:
+        """Their speech as the system hears it without words, the same for every row."""
+        return [self.context.system.encode_speech(replace(resample_speech(one.speech, SAMPLE_RATE), words=None))
+                for one in self.recordings]
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
@@ -419,9 +435,9 @@ def judged(racer: RacerRows, name: str, policy: QNetwork | ActorCritic
     decisions, gamma, valued = racer.judge.decisions, racer.config(name).cql.gamma, racer.valued(name)
     chooser, chosen, rows = Policy(policy, racer.temperature(name, policy)), [], []
     for take in decisions.takes:
-        free, forced = (walk(chooser, decisions, take, teacher)[0] for teacher in (False, True))
-        chosen.append(free)
+        free, forced = (walk(chooser, decisions, take, teacher) for teacher in (False, True))
+        chosen.append(free[0])
         rows.append({"name": racer.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
-                     **racer.judge.lexeme_values(take, free, forced),
-                     **racer.judge.score_values(chooser, take, valued, gamma)})
+                     **racer.judge.lexeme_values(take, free[0], forced[0]),
+                     **racer.judge.score_values(take, free, forced, valued, gamma)})
     return chosen, rows
