@@ -215,8 +215,6 @@ def test_values_that_know_the_return_are_calibrated() -> None:
         q = judge.score_values(take, free, forced, rewards, 0.9)
         assert q["calibration"] == pytest.approx(more) and q["spearman"] == pytest.approx(1.0)
         assert q["gap"] == pytest.approx(0.0) and q["nll"] == pytest.approx(math.log(math.e + 3) - 1)
-
-
     assert math.isnan(judge.score_values(take, free, forced, None, 0.9)["calibration"]), "logits"
 
 
