@@ -104,7 +104,7 @@ NO_CASE = {
         gesticulator/training/stages/base.py:Run.train_stage gesticulator/training/stages/base.py:finished
         gesticulator/training/stages/base.py:keep gesticulator/training/stages/caches.py:_encode_one
         gesticulator/training/stages/caches.py:read_arrays gesticulator/training/stages/caches.py:whole
-        gesticulator/training/stages/caches.py:word_file gesticulator/training/stages/corpus.py:Corpus.sound
+        gesticulator/training/stages/corpus.py:Corpus.sound
         gesticulator/training/stages/rows.py:StoredRows.__init__ gesticulator/training/stages/rows.py:StoredRows._read
         gesticulator/training/stages/rows.py:_to_member gesticulator/training/stages/stored.py:_write
         gesticulator/training/stages/stored.py:written gesticulator/training/stages/training.py:TimedRun.times
