@@ -11,6 +11,9 @@ Only the command line and the public names of `gesticulator` are used, so module
     recording   ten pieces of real speech from $GESTICULATOR_DATA/speech, or of the example where that is absent
     stream      the example in pieces of odd sizes, with pauses, thinking, listening and an interruption
     edit        gesture plans that were edited as JSON and rendered again
+    paper       the bundle in the papers' own form: options, words, a plan rendered again, and a stream
+    clips       loops, masks, layers, keys, faces, several recordings in one file, and a folder with texts
+    foreign     a downloaded form of character (VRM, and GLB with blend shapes), where $GESTICULATOR_CASES names them
 
 A name is KIND:GROUP/CASE, such as bvh:edit/swap. `plan:` and `html:` hold what was decided, the others the motion;
 `--motion` compares the motion alone, for a change that adds fields to the plan. `--only GROUP` runs one group.
@@ -422,7 +425,69 @@ def changed(golden: Golden, base: Path, name: str, change: Callable[[Plan], obje
     return path
 
 
-GROUPS = {"example": example, "variation": variation, "recording": recording, "stream": stream, "edit": edit}
+def paper(golden: Golden) -> None:
+    """The papers' own form, by the command and as a stream."""
+    sound, text, both = golden.sound(PIECE), golden.text(), (".bvh", ".json")
+    for name, options in {"plain": (), "cql": ("--interpreter", "cql"), "statistical": ("--interpreter", "statistical"),
+                          "seed": ("--seed", "3"), "low": ("--hand-height", "low"), "variation": ("--variation", "1"),
+                          "activity": ("--activity", ".5"), "text": ("--text", str(text))}.items():
+        golden.infer(f"paper/{name}", sound, "--bundle", "paper", *options, suffixes=both)
+    base = golden.infer("paper/base", sound, "--bundle", "paper", suffixes=both)
+    for name in ("swap", "variation", "silence", "move_later"):
+        golden.infer(f"paper/edit_{name}", sound, "--bundle", "paper", "--plan",
+                     changed(golden, base, f"paper_{name}", EDITS[name]), suffixes=both)
+    with golden.case("paper/stream"):
+        speech = gesticulator.load_speech(SPEECH)
+        streamed = Streamed(Gesticulator.from_pretrained("paper").stream(sample_rate=speech.sample_rate))
+        conversation(streamed, speech.samples, speech.sample_rate)
+        streamed.take(streamed.stream.finish())
+        for kind in ("frames", "blocks", "calls"):
+            golden.digests[f"{kind}:paper/stream"] = getattr(streamed, kind).hexdigest()
+
+
+def clips(golden: Golden) -> None:
+    """Layouts of a clip, faces, and several recordings at once."""
+    sound, text = golden.sound(PIECE), golden.text()
+    for name, options in {"loop": ("--loop",), "keys": ("--keys", "all"), "upper": ("--mask", "upper"),
+                          "still": ("--root", "none"), "name": ("--clip-name", "talk"), "lips": ("--face", "lips"),
+                          "face": ("--face", "full", "--mood", ".4", "--cue", "2.5=smile"),
+                          "face_legs": ("--face", "full", "--legs", "--mouth", "1.5")}.items():
+        golden.infer(f"clips/{name}", sound, *options, suffixes=(".glb", ".vrma"))
+    golden.infer("clips/face_words", sound, "--text", text, "--face", "full", suffixes=(".glb", ".npz", ".csv"))
+    figure = golden.infer("clips/figure", golden.sound(3.0), "--legs", suffixes=(".glb",)).with_suffix(".glb")
+    golden.infer("clips/additive", sound, "--character", figure, "--layer", "additive", suffixes=(".glb",))
+    folder, texts, out = (golden.folder / name for name in ("talks", "texts", "clips_out"))
+    folder.mkdir()
+    texts.mkdir()
+    for index in range(3):
+        cut(SPEECH, folder / f"talk{index}.wav", 3.0 * index, 3.0)
+        (texts / f"talk{index}.txt").write_text("you can wave at me\n", encoding="utf-8")
+    with golden.case("clips/folder"):
+        run_command([str(folder), "-o", f"{out}/", "--preview", f"{out}/", "--text", f"{texts}/", "--manifest",
+                     str(out / "manifest.jsonl"), "--quiet"])
+        for path in sorted([*out.glob("*.bvh"), *out.glob("*.html")]):
+            golden.add(path.suffix[1:], f"clips/folder_{path.stem}", path.read_bytes())
+    with golden.case("clips/together"):
+        together = golden.folder / "together.glb"
+        run_command([str(folder), "-o", str(together), "--one-file", "--quiet"])
+        golden.add("glb", "clips/together", together.read_bytes())
+
+
+def foreign(golden: Golden) -> None:
+    """Characters that were not made here."""
+    cases = os.environ.get("GESTICULATOR_CASES")
+    if not cases:
+        print("left out: foreign (GESTICULATOR_CASES is not set)", file=sys.stderr)
+        return
+    for path in sorted((Path(cases) / "base-forms").glob("human.*")):
+        suffix = {".vrm": ".glb"}.get(path.suffix, path.suffix)
+        for name, options in {"plain": (), "legs": ("--legs",), "seated": ("--seated",), "face": ("--face", "full")}.items():
+            golden.infer(f"foreign/{path.suffix[1:]}_{name}", golden.sound(PIECE), "--character", path, *options,
+                         suffixes=(suffix,))
+
+
+GROUPS = {"example": example, "variation": variation, "recording": recording, "stream": stream, "edit": edit,
+          "paper": paper, "clips": clips, "foreign": foreign}
 
 
 # ---------------------------------------------------------------------------------------------------------- the verbs
