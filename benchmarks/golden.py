@@ -481,7 +481,8 @@ def foreign(golden: Golden) -> None:
         return
     for path in sorted((Path(cases) / "base-forms").glob("human.*")):
         suffix = {".vrm": ".glb"}.get(path.suffix, path.suffix)
-        for name, options in {"plain": (), "legs": ("--legs",), "seated": ("--seated",), "face": ("--face", "full")}.items():
+        for name, options in {"plain": (), "legs": ("--legs",), "seated": ("--seated",),
+                              "face": ("--face", "full")}.items():
             golden.infer(f"foreign/{path.suffix[1:]}_{name}", golden.sound(PIECE), "--character", path, *options,
                          suffixes=(suffix,))
 
