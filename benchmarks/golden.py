@@ -468,12 +468,13 @@ def clips(golden: Golden) -> None:
 
 def foreign(golden: Golden) -> None:
     """Characters that were not made here."""
-    cases = os.environ.get("GESTICULATOR_CASES")
-    if not cases:
+    folder = os.environ.get("GESTICULATOR_CASES")
+    if not folder:
         print("left out: foreign (GESTICULATOR_CASES is not set)", file=sys.stderr)
         return
-    for path in sorted([*Path(cases, "base-forms").glob("*.glb"), *Path(cases, "base-forms").glob("*.vrm")]):
-        for name, options in {"plain": (), "legs": ("--legs",), "seated": ("--seated",), "face": ("--face", "full")}.items():
+    for path in sorted([*Path(folder, "base-forms").glob("*.glb"), *Path(folder, "base-forms").glob("*.vrm")]):
+        cases = {"plain": (), "legs": ("--legs",), "seated": ("--seated",), "face": ("--face", "full")}
+        for name, options in cases.items():
             golden.infer(f"foreign/{path.stem}{path.suffix}_{name}", golden.sound(PIECE), "--character", path, *options,
                          suffixes=(".glb",))
 
