@@ -34,7 +34,7 @@ from data_module.speech import audio
 from data_module.types import Array
 from eval import stats
 from eval.acceptance.motion.bounds import BOUNDS
-from eval.claim import Bound
+from eval.acceptance.bounds import Bound
 from eval.metrics import eye
 from eval.metrics.diversity import diversity, longest_run
 from eval.metrics.encode import SpeechBlocks, encode_motion

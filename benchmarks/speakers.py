@@ -17,7 +17,7 @@ import numpy as np
 
 from data_module.speech import audio
 from eval.acceptance.motion.bounds import BOUNDS, digits, title
-from eval.claim import Bound
+from eval.acceptance.bounds import Bound
 from eval.clip.measure import real_take
 from eval.metrics import eye
 from eval.metrics.eye import common_body

@@ -95,7 +95,11 @@ ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.runn
               "ablate --data STORE --work DIR --ray local:8", "ablate --data STORE --work DIR --slurm mem_gb=8",
               "ablate --tables --out docs/results/ablation")
 PROBE = choice("probe", "answer one question about a bundle or a data set (--list shows them)", PROBES, _publish, _out,
-               ("probe --list", "probe quality --data STORE", "probe motion --store STORE --out motion.json"))
+               ("probe --list", "probe corpus --data STORE"))
+ACCEPTANCE = verb("judge the motion of a bundle by the table of bounds", "eval.acceptance.command",
+                  "acceptance --data STORE --out motion.json", "acceptance --data STORE --only rest effort --limit 4")
+QUALITY = verb("measure the models of a bundle on the test split, beside baselines", "eval.quality",
+               "quality --data STORE --out docs/results/quality.json")
 REPORT = verb("collect all stored results on one page", "eval.report",
               "report", "report --results docs/results --out docs/report")
 STUDY = verb("make a user study, or analyse its ratings", "eval.study.command",

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from eval import crossed
-from eval.claim import FAILS, HOLDS, UNDECIDED
+from eval.acceptance.bounds import FAILS, HOLDS, UNDECIDED
 from eval.rows import controls, verdicts
 from eval.rows.verdicts import NO_TEST
 from eval.stats import Interval

@@ -26,7 +26,7 @@ from eval.acceptance.corpus.bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTa
 from eval.acceptance.corpus.style_from_sound import StyledWindows
 from eval.acceptance.motion.bounds import BOUNDS, title
 from eval.baselines import controls as baselines
-from eval.claim import Verdict
+from eval.acceptance.bounds import Verdict
 from eval.commands import PROBE
 from eval.metrics.eye import common_body
 from eval.table import load

@@ -19,7 +19,7 @@ from eval import stats
 from eval.acceptance.motion import bounds, rest, seen, sounds, timing
 from eval.acceptance.motion.timing import FIRST, FIRST_P, PITCH, PITCH_LAG, PITCH_P, Timed
 from eval.baselines import controls as baselines
-from eval.claim import Verdict
+from eval.acceptance.bounds import Verdict
 from eval.clip.foreign import read_motion
 from eval.clip.measure import real_take
 from eval.metrics import eye

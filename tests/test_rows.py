@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from data_module.errors import InputError
-from eval.claim import FAILS, HOLDS, UNDECIDED
+from eval.acceptance.bounds import FAILS, HOLDS, UNDECIDED
 from eval.commands import ABLATE
 from eval.rows import (
     CONTROLS,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
-from eval.claim import FAILS, HOLDS, UNDECIDED
+from eval.acceptance.bounds import FAILS, HOLDS, UNDECIDED
 from eval.crossed import robust
 from eval.rows import OURS
 from eval.rows.cells import Cells

@@ -30,7 +30,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import t
 
-from eval.claim import FAILS, HOLDS, UNDECIDED
+from eval.acceptance.bounds import FAILS, HOLDS, UNDECIDED
 from eval.crossed import Components, satterthwaite
 from eval.rows.row import DECIDED
 from eval.stats import Interval

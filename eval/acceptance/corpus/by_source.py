@@ -21,7 +21,7 @@ import numpy as np
 from eval.acceptance.corpus.bounds import POOLED, MeasuredTalk
 from eval.acceptance.motion import bounds as gestures
 from eval.acceptance.motion import timing
-from eval.claim import SHOWN, Bound, Verdict, at_most, judged
+from eval.acceptance.bounds import SHOWN, Bound, Verdict, at_most, judged
 from eval.metrics.eye.units import Leads
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table

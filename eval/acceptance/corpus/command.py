@@ -27,7 +27,7 @@ from eval.acceptance.corpus import by_source, meanings, planned_strokes, style_f
 from eval.acceptance.corpus.bounds import POOLED, STYLE_CLAIMS, MeasuredTalk, TalksVerdict
 from eval.acceptance.corpus.planned_strokes import TOLERANCE
 from eval.acceptance.corpus.style_from_sound import StyledWindows
-from eval.claim import SHOWN
+from eval.acceptance.bounds import SHOWN
 from eval.metrics.eye import common_body
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table

@@ -41,7 +41,7 @@ from eval.acceptance.racer.playing import (
     figures,
     policies,
 )
-from eval.claim import HIGH, POSITIVE, Bound, Verdict, at_least, at_most, judged, verdict_table
+from eval.acceptance.bounds import HIGH, POSITIVE, Bound, Verdict, at_least, at_most, judged, verdict_table
 from eval.metrics import fgd, gesture_features
 from eval.metrics.diversity import distinct_2, diversity, longest_run
 from eval.runner.context import EvalContext

@@ -26,7 +26,7 @@ from data_module.layers import freeze
 from data_module.types import Array
 from eval import stats
 from eval.baselines.controls import ROLLED
-from eval.claim import Verdict, at_least, judged, skipped
+from eval.acceptance.bounds import Verdict, at_least, judged, skipped
 from eval.metrics.ranking import agreement
 from eval.runner.context import EvalContext
 from gesticulator.bundle.config import FitSettings

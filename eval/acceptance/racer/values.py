@@ -17,7 +17,7 @@ import torch
 from data_module.types import Array
 from eval import stats
 from eval.acceptance.racer.playing import PERFORMER, PlayedPolicy, teacher_inputs
-from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged
+from eval.acceptance.bounds import ANY, Bound, Verdict, at_least, at_most, judged
 from eval.runner.context import EvalContext
 from eval.runner.policy import Decisions, Policy, PolicyJudge, rank_correlation, return_to_go, taken, walk
 from gesticulator.training.stages.interpreter import teacher_logits
