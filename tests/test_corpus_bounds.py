@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from eval.acceptance.motion.bounds import BOUNDS, title
 
 from data_module.errors import InputError
 from data_module.motion import rotation
@@ -19,14 +20,13 @@ from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
 from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
+from eval.acceptance.bounds import Verdict
 from eval.acceptance.corpus import bounds as corpus_bounds
 from eval.acceptance.corpus import by_source, style_from_sound
 from eval.acceptance.corpus import command as corpus
 from eval.acceptance.corpus.bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTalk, TalkClaim
 from eval.acceptance.corpus.style_from_sound import StyledWindows
-from eval.acceptance.motion.bounds import BOUNDS, title
 from eval.baselines import controls as baselines
-from eval.acceptance.bounds import Verdict
 from eval.commands import PROBE
 from eval.metrics.eye import common_body
 from eval.table import load

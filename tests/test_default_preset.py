@@ -17,10 +17,10 @@ from data_module.motion.skeletons import CHARACTERS
 from data_module.speech.audio import write_flac
 from data_module.store import Recording, Store
 from data_module.types import Speech
-from eval.commands import DRAW, PROBE
+from eval.commands import DRAW, QUALITY
+from eval.context import EvalContext
 from eval.metrics.encode import encode_motion, latents_of, normalised_blocks
 from eval.pictures import lexicon_map
-from eval.runner.context import EvalContext
 from eval.table import load
 from generator.flow import FlowGenerator
 from gesticulator.bundle import bundle as bundles
@@ -161,8 +161,8 @@ def test_levels_and_lexemes_tell_more_than_the_past_alone(context: EvalContext, 
                                                           tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
     out = tmp_path / "quality.json"
-    assert PROBE.main("gesticulator probe", [
-        "quality", "--data", str(context.store.path), "--bundle", str(tiny_movement_bundle), "--work",
+    assert QUALITY.main("gesticulator quality", [
+        "--data", str(context.store.path), "--bundle", str(tiny_movement_bundle), "--work",
         str(context.work), "--out", str(out), "--quiet"]) == 0
     rows = load(out)[0].rows
     error = {name: row["error"].mean for name, row in rows.items()}  # type: ignore[union-attr]

@@ -30,7 +30,6 @@ __all__ = ["Bound", "Claim", "Measured", "Row", "Verdict", "at_least", "at_most"
 
 TABLE = Path(__file__).with_name("bounds.toml")
 MEAN, LOW, HIGH, WHOLE = "mean", "low", "high", "whole"
-HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 SHOWN = {True: "yes", False: "NO", None: ""}
 COLUMNS = {"value": Column("figure"), "bound": Column("bound"), "holds": Column("holds"), "reason": Column("remark")}
 _PART = {MEAN: "", LOW: "lower end ", HIGH: "upper end ", WHOLE: "interval "}
@@ -79,6 +78,8 @@ class Bound:
 
 ANY = Bound()
 """Shown, not judged."""
+POSITIVE = Bound(low=0.0, strict=True, of=LOW)
+"""A difference that is more than chance."""
 
 
 def at_most(high: float) -> Bound:
@@ -126,11 +127,6 @@ class Verdict:
     def figure(self) -> str:
         """What was measured."""
         return self.claim.figure
-
-    @property
-    def word(self) -> str:
-        """`HOLDS`, `FAILS` or `UNDECIDED`."""
-        return UNDECIDED if self.holds is None else HOLDS if self.holds else FAILS
 
     @property
     def entry(self) -> dict[str, Any]:

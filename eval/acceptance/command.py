@@ -37,11 +37,11 @@ from eval.acceptance.voices import OURS, REAL, WITHOUT_SOUND, renderings_on
 from eval.baselines.unit_selection import NAME as UNITS
 from eval.clip.foreign import named
 from eval.clip.measure import real_take
+from eval.context import EvalContext, provenance
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.frechet import REFERENCE
 from eval.metrics.eye.sample import CORPUS
-from eval.runner.context import EvalContext, provenance
-from eval.runner.renderings import (
+from eval.renderings import (
     TAKE,
     AcceptanceVoice,
     BundleSystem,

@@ -36,7 +36,7 @@ from eval import stats
 from eval.acceptance.bounds import LACKING, Measured, Results
 from eval.metrics.eye import common_body, hands, strokes
 from eval.metrics.eye.body import HZ
-from eval.runner.renderings import AcceptanceVoice, BundleSystem, Rendering
+from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of

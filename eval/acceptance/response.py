@@ -28,6 +28,7 @@ from data_module.controls import FEATURES, LEVELS, UNITS
 from data_module.errors import InputError
 from data_module.types import Array, Speech
 from eval import stats
+from eval.ablate.style_editing import realised
 from eval.acceptance.bounds import Measured, Results
 from eval.acceptance.stimuli import (
     EXPORTS,
@@ -47,8 +48,7 @@ from eval.metrics.eye import common_body, hear, stability
 from eval.metrics.eye.body import HZ, CommonBody
 from eval.metrics.eye.together import hand_speeds
 from eval.metrics.eye.units import gesture_units
-from eval.runner.renderings import AcceptanceVoice, BundleSystem, Rendering
-from eval.runner.style_editing import realised
+from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 

@@ -34,7 +34,7 @@ from eval.acceptance.bounds import Measured, Results
 from eval.acceptance.stimuli import derived, faint, middle_of, noise, pauses_in, spread_out, unbroken, with_pauses
 from eval.metrics.eye import common_body, hands, together, trunk
 from eval.metrics.eye.body import HZ, CommonBody
-from eval.runner.renderings import TAKE, AcceptanceVoice, BundleSystem, Rendering
+from eval.renderings import TAKE, AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 
