@@ -475,23 +475,6 @@ def _read_silent(file: Path) -> object:
     return silent_of(read_index(file.parent), file.parent)
 
 
-def _older_bundle(damaged: str) -> Callable[[Path], Path]:
-    """A bundle of format 3."""
-    def write(folder: Path) -> Path:
-        from test_bundle import SMALL, as_format_3
-        from untrained import PLAIN, untrained
-
-        return as_format_3(untrained(*PLAIN, *SMALL), folder / "bundle") / damaged
-
-    return write
-
-
-def _read_older_bundle(file: Path) -> object:
-    from gesticulator.bundle.upgrade import upgrade
-
-    return upgrade(file.parent, file.parent.with_name("new"))
-
-
 def _with_index(file: Path, data: bytes) -> None:
     """Weights that were damaged, and the list of hashes made to fit."""
     file.write_bytes(data)
@@ -957,10 +940,6 @@ READERS: dict[str, Case] = {
     "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
     "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
     "bundle, silent lexemes": Case(_bundle("bundle.json"), _read_silent),
-    "older bundle, index": Case(_older_bundle("bundle.json"), _read_older_bundle),
-    **{f"older bundle, {name} and its hash": Case(_older_bundle(f"{name}.safetensors"), _read_older_bundle,
-                                                  packed=_with_index)
-       for name in ("statistics", "lexicon", "style_interpreter")},
     "glb character": Case(_glb("a.glb"), _read_character),
     "glb character, its JSON": Case(_glb("a.glb"), _read_character, _gltf_text, _with_gltf_text, 2.0),
     "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _gltf_text, _with_gltf_text),

@@ -20,7 +20,7 @@ PACKAGES = ("data_module", "lexicon", "interpreters", "generator", "gesticulator
 NEVER = ("sklearn", "transformers", "matplotlib", "av", "tqdm.notebook")
 NOT_ASKED = ("interpreters.cql", "interpreters.reward", "interpreters.episodes", "interpreters.gate", "lexicon.racer",
              "lexicon.autoencoder", "gesticulator.training.fit", "gesticulator.training.stages",
-             "gesticulator.bundle.upgrade", "data_module.store", "data_module.text.transcript",
+             "data_module.store", "data_module.text.transcript",
              "data_module.speech.speech_encoder", "data_module.speech.learned_front_ends", "eval")
 
 WALK = """

@@ -290,7 +290,7 @@ def run(ours: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoic
     made = [ours.render(voice, k % renderings) for k, voice in enumerate(voices)]
     groups = [voice.group or voice.name for voice in voices]
     clauses += _obedience(ours, voices, made)
-    if ours.bundle.system.lives:
+    if ours.bundle.rests_by_phrase:
         bare = ours.bare()
         clauses += _obedience(ours, voices, [bare.render(voice, k % renderings) for k, voice in enumerate(voices)],
                               bare=True)
