@@ -323,7 +323,7 @@ def test_pictures_of_the_glossary_are_drawn_by_their_script(tmp_path: Path) -> N
         assert path.stat().st_size < PICTURE_BYTES, path
 
 
-@pytest.mark.parametrize("tool", ["blender", "unity", "unreal", "godot", "threejs", "vrm", "robot"])
+@pytest.mark.parametrize("tool", ["blender", "unity", "unreal", "godot", "threejs", "vrm"])
 def test_the_page_of_a_tool_shows_its_picture(tool: str) -> None:
     picture = DOCS / "pictures" / "tools" / f"{tool}.png"
     assert f"(pictures/tools/{tool}.png)" in text(DOCS / f"{tool}.md")

@@ -16,7 +16,7 @@ import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
-UNTRIED = {"fbx", "robot", "scale"}
+UNTRIED = {"fbx", "scale"}
 """Extras whose packages the tests do not install."""
 
 
