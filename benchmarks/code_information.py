@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from eval import stats
-from eval.runner.context import opened
+from eval.context import opened
 from eval.table import Column, Provenance, Table, publish
 from generator.flow import FlowGenerator
 from generator.model import GumbelCodes

@@ -34,7 +34,7 @@ from eval.claim import Verdict
 from eval.commands import PROBE
 from eval.metrics.eye import ReferenceSpace, common_body, frechet, hear
 from eval.metrics.eye.sample import EyeSample
-from eval.runner.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
+from eval.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
 from lexicon.movement import MovementLexicon

@@ -14,8 +14,8 @@ from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.speech.audio import load_speech
 from data_module.types import Speech
+from eval.renderings import BundleSystem, KeptRenderings, system_at
 from eval.rows import rg
-from eval.runner.renderings import BundleSystem, KeptRenderings, system_at
 from eval.score.played_rows import PlayedBundle
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles

@@ -12,7 +12,7 @@ import torch
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.store import Store
-from eval.runner.context import with_judges
+from eval.context import with_judges
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs

@@ -15,6 +15,7 @@ import pytest
 from data_module.errors import InputError
 from eval.claim import FAILS, HOLDS, UNDECIDED
 from eval.commands import ABLATE
+from eval.context import EvalContext
 from eval.rows import (
     CONTROLS,
     OURS,
@@ -35,7 +36,6 @@ from eval.rows.effects import EFFECTS
 from eval.rows.row import COLUMNS, DECISIONS
 from eval.rows.verdicts import ALIKE, NO_TEST, Decision
 from eval.runner.ablate import FIGURES
-from eval.runner.context import EvalContext
 from eval.runner.rg import RgRows, configured
 from eval.stats import Interval
 from eval.table import NO_BUNDLE, NOT_RECORDED, Column, Provenance, Table, dumps, load, loads, save

@@ -36,7 +36,7 @@ from eval import stats
 from eval.claim import ANY, Verdict, at_least, at_most, judged, skipped
 from eval.metrics.eye import common_body, hands, strokes
 from eval.metrics.eye.body import HZ
-from eval.runner.renderings import AcceptanceVoice, BundleSystem, Rendering
+from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
 from eval.table import Table
 from gesticulator.bundle.bundle import Bundle
