@@ -80,7 +80,7 @@ def table(found: dict[str, dict[str, float]], voices: int) -> Table:
         beyond = [name for name, value in known.items() if not doubled(FIGURES[name]).keeps(value)]
         rows[speaker] = {"kept": sum(FIGURES[name].keeps(value) for name, value in known.items()), "of": len(known),
                          "beyond": len(beyond),
-                         "which": "; ".join(f"{ROWS[name].figure} {known[name]:.{ROWS[name].digits}f}" for name in beyond) or "-"}
+                         "which": "; ".join(f"{name} {known[name]:.{ROWS[name].digits}f}" for name in beyond) or "-"}
     return Table("Speakers against the bounds of the acceptance", columns, rows, "speaker",
                  [f"Means over {voices} voices: the real take's and recordings of the test split, one seed each."])
 

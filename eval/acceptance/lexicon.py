@@ -274,7 +274,7 @@ def measure(system: BundleSystem, store: Store | None, voices: Sequence[Acceptan
                                           system.bundle.statistics.present)
     played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
     results |= _obedience(system, voices, played, PLAYED)
-    if system.bundle.system.lives:
+    if system.bundle.rests_by_phrase:
         bare = system.bare()
         results |= _obedience(system, voices, [bare.render(voice, k % renderings) for k, voice in enumerate(voices)],
                               ALONE_PLAYED)
