@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
-from eval.pictures import DRAWINGS
+from eval.pictures import PLOTS
 from eval.probes import PROBES
 from gesticulator.cli import PROGRAM, Command
 
@@ -105,7 +105,6 @@ REPORT = verb("collect all stored results on one page", "eval.report",
 STUDY = verb("make a user study, or analyse its ratings", "eval.study.command",
              "study make --systems ours=DIR truth=DIR --out FOLDER",
              "study analyse --key FOLDER/key.json ratings-*.json --out study.json")
-DRAW = choice("draw", "draw a strip, a video or the lexicon (--list shows them)", DRAWINGS, _name_files,
-              lambda parser: None, ("draw strip gesture.bvh --sound speech.wav",
-                                    "draw video gesture.bvh --sound speech.wav --out film.mp4",
-                                    "draw lexicon --data STORE --out FOLDER"))
+PLOT = choice("plot", "plot a strip of motion or the lexicon (--list shows them)", PLOTS, _name_files,
+              lambda parser: None, ("plot strip gesture.bvh --sound speech.wav",
+                                    "plot lexicon --data STORE --out FOLDER"))

@@ -109,9 +109,9 @@ class Claim:
             "undefined: the motion has nothing of it")
         return Verdict(self, measured, self.bound.holds(measured), "; ".join(filter(None, (undefined, reason))))
 
-    def skip(self, reason: str) -> Verdict:
+    def undecided(self, reason: str) -> Verdict:
         """The verdict where there is no value to judge."""
-        return Verdict(self, Interval.undefined(), None, f"not measured: {reason}")
+        return Verdict(self, Interval.undefined(), None, reason)
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def judged(figure: str, value: Interval | float, bound: Bound = ANY, *, digits: 
 
 def skipped(figure: str, why: str) -> Verdict:
     """A figure that was not measured."""
-    return Claim(figure).skip(why)
+    return Claim(figure).undecided(f"not measured: {why}")
 
 
 def count(entries: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
@@ -227,11 +227,11 @@ class Row:
         value, remark = measured.value, measured.remark
         lacking = measured.missing or self._lacking(on, figures)
         if lacking:
-            return self.claim(on, ANY).skip(lacking)
+            return self.claim(on, ANY).undecided(f"not measured: {lacking}")
         other = figures.get((self.figure, self.over or self.limit))
         if self.over:
             if other is None:
-                return self.claim(on, ANY).skip(LACKING["corpus"])
+                return self.claim(on, ANY).undecided(f"not measured: {LACKING['corpus']}")
             reference = other.value.mean
             return self.claim(on).judge(value.times(1.0 / reference), f"{value.mean:.2f} and {reference:.2f}")
         if not self.limit:
