@@ -561,33 +561,15 @@ def _plan(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         from test_plan import a_plan
 
-        from gesticulator.plan.bml import bml_of
-
-        plan = a_plan(6)
-        return _written(name, bml_of(plan) if name.endswith(".bml") else plan.to_json())(folder)
+        return _written(name, a_plan(6).to_json())(folder)
 
     return write
 
 
 def _read_plan(file: Path) -> object:
-    from gesticulator.plan.bml import bml_of, read_any_plan
+    from gesticulator.plan.plan_file import read_plan
 
-    plan = read_any_plan(file)
-    return plan.to_json().encode(), bml_of(plan).encode()
-
-
-def _read_sent_plan(file: Path) -> object:
-    """As a page sends a plan: parsed, then read twice by one exchange, the second time from what it remembers."""
-    from data_module.files import read_json
-    from gesticulator.plan.exchange import PlanExchange
-
-    exchange = PlanExchange()
-    plain = read_json(file, "send it again")
-    if not isinstance(plain, dict):
-        raise InputError(file, "is not a plan", "send it again")
-    plan = exchange.read(plain, str(file))
-    assert exchange.read(plain, str(file)) == plan
-    return exchange.plain(plan)
+    return read_plan(file).to_json().encode()
 
 
 def _request(folder: Path) -> Path:
@@ -617,15 +599,13 @@ class _Client:
 
 def _read_request(file: Path) -> object:
     """The answer of a server whose rendering reads the plan; AssertionError where it says that the program failed."""
-    from gesticulator.plan.exchange import PlanExchange
+    from gesticulator.plan.plan_file import plan_from
     from gesticulator.serve.page_server import _PageHandler
-
-    exchange = PlanExchange()
 
     def render(request: dict[str, Any], abandoned: Callable[[], bool]) -> Iterator[bytes]:
         if not isinstance(request.get("plan"), dict):
             raise InputError("the request", "holds no plan", "send one")
-        return iter([json.dumps(exchange.plain(exchange.read(request["plan"]))).encode()])
+        return iter([json.dumps(plan_from(request["plan"]).to_dict()).encode()])
 
     server = SimpleNamespace(
         hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0, figures=None, export=None,
@@ -910,8 +890,6 @@ READERS: dict[str, Case] = {
     "plan": Case(_plan("a.json"), _read_plan),
     "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
-    "plan sent by a page": Case(_plan("a.json"), _read_sent_plan, examples=2.0),
-    "plan in BML": Case(_plan("a.bml"), _read_plan, examples=2.0),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     **{f"manifest {name}": Case(_manifest(name), _read_manifest)
        for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},
