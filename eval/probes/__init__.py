@@ -11,18 +11,8 @@ from __future__ import annotations
 from data_module.registry import Registry, RegistryEntry, is_tool
 
 PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
-    "eye": RegistryEntry("does the motion look human, compared with a real recording, the corpus and unit selection?",
-                         "eval.probes.eye"),
     "face": RegistryEntry("does the mouth follow the sound? Visemes, closures and silence beside simpler mouths",
                           "eval.probes.face"),
-    "stability": RegistryEntry("does the same sound give the same motion when it is exported again?",
-                               "eval.probes.stability"),
-    "stance": RegistryEntry("are legs stable, and like people's? Foot sliding, knees, weight shifts, hips",
-                            "eval.probes.stance"),
-    "motion": RegistryEntry("does the motion of a bundle meet the acceptance criteria? Each with bound and verdict",
-                            "eval.acceptance.motion.command"),
-    "quality": RegistryEntry("how good is a bundle on the test split, compared with baselines?", "eval.probes.quality"),
     "corpus": RegistryEntry("is a built data set good enough to learn from?", "eval.acceptance.corpus.command"),
     "rewards": RegistryEntry("does RACER's reward rank motion?", "eval.probes.rewards"),
-    "style-editing": RegistryEntry("does the motion follow the style controls?", "eval.probes.style_editing"),
 }, RegistryEntry, fits=is_tool)
