@@ -1,13 +1,15 @@
 """What every entry of every table of plug-ins keeps.
 
 What a kind does beyond that is tested beside it: writers in `test_export`, interpreters in `test_interpreters`, data
-sets on samples in `test_corpora`, metrics in `test_metric_contracts`, verbs in `test_house`.
+sets on samples in `test_corpora`, metrics in `test_metric_contracts`.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 from dataclasses import replace
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,9 +20,10 @@ from data_module.corpora.table import CORPORA, STROKE_SOURCES, open_corpus
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
 from eval.metrics import METRICS
-from eval.pictures import DRAWINGS
+from eval.pictures import PLOTS
 from eval.probes import PROBES
 from gesticulator.characters.reading import READERS, read_character
+from gesticulator.cli import VERBS, Command
 from gesticulator.export.writers import WRITERS
 from gesticulator.training.presets import preset
 from gesticulator.training.stages import ENTRIES, STAGES
@@ -57,7 +60,7 @@ def test_a_reader_of_characters_refuses_what_is_none_in_one_line(suffix: str, tm
 
 
 @pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")
-                                             for table in (PROBES, DRAWINGS) for name in table])
+                                             for table in (PROBES, PLOTS) for name in table])
 def test_a_probe_or_a_drawing_has_arguments_a_run_and_a_line_about_it(table: Registry[RegistryEntry], name: str
                                                                       ) -> None:
     tool = table.load(name)
@@ -78,3 +81,11 @@ def test_a_stage_is_trained_and_kept_by_what_shapes_it(name: str) -> None:
     reseeded = Run(replace(config, seed=config.seed + 1), run.store, run.work)
     assert run.key(stage) == run.key(stage) != reseeded.key(stage)
     assert run.schedule(stage).steps >= 0
+
+
+@pytest.mark.parametrize("point", sorted(entry_points(group=VERBS.group)), ids=lambda point: point.name)
+def test_a_verb_is_a_command_with_a_summary_and_an_example(point: EntryPoint) -> None:
+    command = getattr(importlib.import_module(point.module), point.attr)
+    assert isinstance(command, Command) and command.summary
+    assert command.examples, f"{point.name} shows no example in its help"
+    assert point.name in command.parser(f"gesticulator {point.name}").format_help()

@@ -13,9 +13,9 @@ import pytest
 from data_module.errors import InputError
 from eval import report, report_claims
 from eval.commands import REPORT
+from eval.context import without_work
 from eval.metrics import METRICS
 from eval.probes import PROBES
-from eval.runner.context import without_work
 from eval.stats import Interval
 from eval.table import (
     MOST_COLUMNS,
@@ -32,8 +32,8 @@ from eval.table import (
 
 DOCS = Path(__file__).parent.parent / "docs"
 STORED = [file for file in sorted((DOCS / "results").rglob("*.json")) if file.with_suffix(".md").is_file()
-          and file.stem not in ("cluster", "look_ahead", "soak")]
-"""Files of tables; the pages of the cluster, of look-ahead and of the soak are written by their benchmarks."""
+          and file.stem not in ("cluster", "look_ahead")]
+"""Files of tables; the pages of the cluster and of look-ahead are written by their benchmarks."""
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><path d="M0 0L9 9"/></svg>'
 ABOUT = Provenance("gesticulator probe x", "abc1234", NO_BUNDLE, "2026-01-02", NOT_RECORDED)
 STORE = {"store": {"name": "made up", "fingerprint": "f" * 64}}

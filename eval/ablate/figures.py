@@ -1,0 +1,281 @@
+"""The papers' figures, drawn from what the rows of an ablation left behind (see `eval.runner.ablate`).
+
+A figure is FIGURE.svg or FIGURE.png in the folder of the cells, with FIGURE.json beside it: which figure of the paper
+it is, its title, caption and numbers. It is drawn again when what it is drawn from has another key. What it shows of
+motion is of the first seed and, where one clip is shown, of the first test recording, whatever it looks like.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from data_module import intervals
+from data_module.blocks import cut
+from data_module.errors import InputError
+from data_module.files import write_text
+from data_module.motion.motion_beats import acting_positions, acting_speed
+from data_module.speech.beats import find_beats
+from data_module.store import Recording
+from eval.ablate import style_editing
+from eval.clip.excerpts import evenly
+from eval.metrics import audio_clusters, pmb
+from eval.metrics.diversity import nearest_lexemes
+from eval.metrics.encode import latents_of
+from eval.pictures.edited import figure_10
+from eval.pictures.embedding import NEIGHBOURS, embed, embedding_panels, joint_embedding, neighbours_agree
+from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
+from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_strip
+from eval.rows import OURS, PERFORMER, REAL_TAKE, TABLES
+from eval.rows.rg import SIZES
+from eval.rows.row import COLUMNS, PAPERS_DELTA
+from eval.runner.rg import SHOWN_SEED, RgRows
+from eval.table import dumps, loads
+from gesticulator.bundle import config as configs
+from gesticulator.pipeline import Gesticulator
+from gesticulator.training.stages import LABELS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+VERSION = 3
+"""Raised when the same rows would be drawn otherwise."""
+POINTS = 3000
+"""Blocks in the picture of the lexicon."""
+EACH = 500
+"""Blocks of each row in a joint picture."""
+COUNTED = 24
+"""Training recordings whose intervals are counted."""
+STRETCH = 8.0
+"""Seconds of a clip that are shown."""
+Drawn = tuple["Picture", str, dict[str, Any]]
+"""The picture, its caption, its numbers."""
+Summaries = Mapping[str, Any]
+"""`eval.rows.cells.summaries`."""
+Draw = Callable[[RgRows, Summaries], Drawn]
+
+
+def start_of(recording: Recording) -> float:
+    """Where the stretch that is shown begins, seconds: a third into the recording, or earlier in a short one."""
+    return max(0.0, min(recording.speech.duration / 3, recording.speech.duration - STRETCH))
+
+
+# -------------------------------------------------------------------------------------------------------- the pictures
+
+def onset_intervals(rg: RgRows, rows: Summaries) -> Drawn:
+    """RG Fig. 5 and 8a."""
+    store = rg.context.store
+    infos = evenly(store, "train", COUNTED)
+    counted = sum((intervals.measure(store.load(info.name).speech)[1] for info in infos), intervals.Intervals())
+    bounds = rg.first.config.rhythm.beats
+    share = counted.share(bounds.d_min, bounds.d_max)
+    return intervals.drawn(counted, f"{store.corpus}, {len(infos)} recordings"), (
+        f"Intervals between onsets of the speech, and between beats; {share:.0%} of the former lie between "
+        f"{bounds.d_min:g} and {bounds.d_max:g} s."), {"recordings": len(infos), "share_within_bounds": share}
+
+
+def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
+    """RG Fig. 6 and 8b."""
+    judge, labelled, corpus = rg.judge.lexicon, rg.first.get(LABELS), rg.context.corpus
+    few = np.sort(np.random.default_rng(0).permutation(corpus.select("train"))[:POINTS])
+    at = torch.as_tensor(few)
+    latents = latents_of(judge, corpus.motion[at], corpus.pasts[at]).double().numpy()
+    labels = np.asarray(labelled.labels)[few]
+    flat = embed(latents)
+    shown, true = neighbours_agree(flat, labels), neighbours_agree(latents, labels)
+    caption = (f"E(M) of {len(few)} blocks by t-SNE, coloured by lexeme, silent ones crossed. {100 * shown:.0f} % of "
+               f"the {NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space.")
+    return embedding_panels({"E(M)": (flat, labels)}, len(judge.vectors), labelled.silent.tolist()), caption, {
+        "blocks": len(few), "lexemes_used": len(np.unique(labels)), "neighbours_in_picture": shown,
+        "neighbours_in_latents": true}
+
+
+def pipeline(rg: RgRows, rows: Summaries) -> Drawn:
+    """RG Fig. 2, on a stretch of real data."""
+    recording, clip, motion = rg.shown, rg.clips(OURS)[0], rg.motion(OURS)
+    rhythm = rg.first.config.rhythm
+    shown = Overview(recording.speech, find_beats(recording.speech, rhythm.beats),
+                     cut(recording.speech, rhythm).edges, clip["lexemes"],
+                     acting_speed(acting_positions(motion), motion.fps), motion.fps, clip["beats"],
+                     recording.speech.words or (), rg.first.get(LABELS).silent.tolist())
+    return (overview(shown, start_of(rg.shown), STRETCH),
+            "Speech is cut at its beats; each block gets a lexeme; the generator draws the motion.", {})
+
+
+def strip(name: str) -> Draw:
+    """RG Fig. 9, of a row or of the performer."""
+    def drawn(rg: RgRows, rows: Summaries) -> Drawn:
+        recording, motion = rg.shown, rg.motion(name)
+        times = frame_times(motion, start_of(rg.shown), STRETCH / 2, 9)
+        return draw_page([Source("", motion)], times, recording.speech, find_beats(recording.speech),
+                         layout=replace(STRIP, views=("front",))), (
+            f"{name}: {STRETCH / 2:g} s of {recording.info.name}."), {}
+
+    return drawn
+
+
+def edited(rg: RgRows, rows: Summaries) -> Drawn:
+    """RG Fig. 10."""
+    bundle, _ = rg.trained("style-editing", SHOWN_SEED)
+    if bundle.levels is None:
+        raise InputError("style-editing", "hears no controls", "leave generator.use_control as the row sets it")
+    found = style_editing.figures(style_editing.played_by(Gesticulator(bundle)),
+                                  style_editing.excerpts(rg.context.store, 4), bundle.levels)
+    numbers = {f"{feature}, asked {level}": row.mean for feature in style_editing.FEATURES
+               for level in style_editing.LEVELS
+               for row in [found["rows"][style_editing.row_name(feature, level)][feature]]}
+    return figure_10(found), (
+        "Motion for the same speech when low, middle and high values of each feature are asked for."), numbers
+
+
+def curves(rg: RgRows, rows: Summaries) -> Drawn:
+    """RG Fig. 11."""
+    names = [line.row for line in TABLES["RG Table 1"].lines if line.row in rows]
+    beside = [name for name in (REAL_TAKE, "shuffled") if name in rows]
+    shown = {name: rows[name]["pmb_curve"] for name in (*names, *beside)}
+    return delta_curves(shown, pmb.DELTAS, dashed=(PERFORMER, *beside)), (
+        "PMB over the distance delta at which a motion beat counts as matched; shuffled motion shows how much of it is "
+        "chance."), {name: dict(zip(map(str, pmb.DELTAS), curve, strict=True)) for name, curve in shown.items()}
+
+
+def clusters(rg: RgRows, rows: Summaries) -> Drawn:
+    """RG Fig. 14."""
+    corpus, frames = rg.context.corpus, rg.first.config.rhythm.frames
+    groups = np.unique(rg.groups("test"), return_inverse=True)[1]
+    blocks = [corpus.blocks_of(corpus.names.index(name)) for name in rg.names("test")]
+    spoken = [~np.asarray(corpus.silent)[own].astype(bool) for own in blocks]
+    every = np.concatenate([own[heard] for own, heard in zip(blocks, spoken, strict=True)])
+    place = np.repeat(np.arange(len(blocks)), [int(heard.sum()) for heard in spoken])
+    levels = {f"{kind} level": audio_clusters.cluster(
+        features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
+        for kind, features in (("low", corpus.low), ("high", corpus.high))}
+    vectors = rg.judge.lexicon.vectors.double().numpy()
+    found = {}
+    for name in (PERFORMER, OURS):
+        lexemes = [nearest_lexemes(clip["latents"], vectors)[heard]
+                   for clip, heard in zip(rg.clips(name), spoken, strict=True)]
+        found[name] = audio_clusters.association(levels, np.concatenate(lexemes), place, groups[place])
+    return cluster_bars(found), (
+        "H(lexeme of the motion | cluster of the audio), less than by chance where the level says something of the "
+        "lexeme. The paper's claim is that the high level says more than the low one."), {
+        f"{name}, {what}": value for name, own in found.items() for what, value in (
+            *((f"{level}, gain in nats", own[level]["gain"].mean) for level in levels),
+            *((f"{pair}, difference of gains", one.mean) for pair, one in own["gain_differences"].items()))}
+
+
+def panels(title: str, *names: str) -> Draw:
+    """RG Figs 15 and 17: the latents of rows in one embedding."""
+    def drawn(rg: RgRows, rows: Summaries) -> Drawn:
+        clips = {name: rg.clips(name) for name in names}
+        latents = {name: np.concatenate([clip["latents"] for clip in own]) for name, own in clips.items()}
+        labels = {name: np.concatenate([clip["lexemes"] for clip in own]) for name, own in clips.items()}
+        silent, size = rg.first.get(LABELS).silent.tolist(), len(rg.judge.lexicon.vectors)
+        shown = {name: (points, labels[name][chosen])
+                 for name, (points, chosen) in joint_embedding(latents, EACH).items()}
+        return embedding_panels(shown, size, silent), title, {
+            f"{name}, lexemes": len(np.unique(own)) for name, own in labels.items()}
+
+    return drawn
+
+
+def strips_of_beats(rg: RgRows, rows: Summaries) -> Drawn:
+    """RG Fig. 16."""
+    names = [line.row for line in TABLES["RG Table 4"].lines]
+    first = {name: rg.clips(name)[0] for name in (*names, PERFORMER)}
+    shown = {name: (own["beats"], own["onsets"], own["edges"]) for name, own in first.items()}
+    return beat_strips(shown, start_of(rg.shown), STRETCH, PAPERS_DELTA), (
+        f"Onsets of the speech above, beats of the motion below, pairs within {PAPERS_DELTA} s joined. No chance level "
+        "is drawn: at this delta most beats find an onset in any motion (Fig. 11)."), {
+        name: pmb.pmb(own["beats"], own["onsets"], PAPERS_DELTA) for name, own in first.items()}
+
+
+def sizes(rg: RgRows, rows: Summaries) -> Drawn:
+    """RG Fig. 18."""
+    there = [size for size in SIZES if f"size-{size}" in rows]
+    if len(there) < 2:
+        raise InputError("figure-18", "needs two sizes", "run the rows size-N")
+    keys = {COLUMNS[key].heading: key for key in ("fgd", "pmb_above_chance")}
+    figures = {title: [rows[f"size-{size}"]["figures"][key] for size in there] for title, key in keys.items()}
+    beside = rows.get(f"{PERFORMER}-val")
+    reference = {title: beside["figures"][key].mean for title, key in keys.items()} if beside else {}
+    chosen = rg.first.config.lexicon.size
+    return size_sweep(there, {title: [(one.mean, one.low, one.high) for one in own] for title, own in figures.items()},
+                      reference, chosen=chosen), (
+        "Lexicons of different sizes on the validation split; the performer dashed."), {
+        f"{size} lexemes, {title}": own[k].mean for title, own in figures.items() for k, size in enumerate(there)}
+
+
+# ------------------------------------------------------------------------------------------------------------ the list
+
+@dataclass(frozen=True)
+class PaperFigure:
+    """A figure: which of the paper it is, what it shows, the rows that it is drawn from, how; dots: as PNG."""
+
+    paper: str
+    title: str
+    draw: Draw
+    rows: tuple[str, ...] = ()
+    dots: bool = False
+
+
+_STEPS = ("no-audio-no-style", "no-style", "random-style", OURS)
+FIGURES: dict[str, PaperFigure] = {
+    "figure-2": PaperFigure("RG Fig. 2", "from speech to motion", pipeline, (OURS,)),
+    "figure-5": PaperFigure("RG Fig. 5 and 8a", "intervals between onsets", onset_intervals),
+    "figure-6": PaperFigure("RG Fig. 6 and 8b", "the lexicon", lexicon, dots=True),
+    "figure-9-performer": PaperFigure("RG Fig. 9", "the performer", strip(PERFORMER), (PERFORMER,), dots=True),
+    "figure-9-ours": PaperFigure("RG Fig. 9", "ours", strip(OURS), (OURS,), dots=True),
+    "figure-10": PaperFigure("RG Fig. 10", "style editing", edited, ("style-editing",), dots=True),
+    "figure-11": PaperFigure("RG Fig. 11", "PMB over delta", curves),
+    "figure-14": PaperFigure("RG Fig. 14", "what two levels of the audio say of the lexeme", clusters,
+                             (PERFORMER, OURS)),
+    "figure-15": PaperFigure("RG Fig. 15", "what style codes add", panels(
+        "Latents of the motion in one t-SNE, coloured by the lexeme that it was made of (the performer: nearest).",
+        PERFORMER, *_STEPS), (PERFORMER, *_STEPS), dots=True),
+    "figure-16": PaperFigure("RG Fig. 16", "beats under three ranges of intervals", strips_of_beats,
+                             (*(line.row for line in TABLES["RG Table 4"].lines), PERFORMER)),
+    "figure-17": PaperFigure("RG Fig. 17", "what lexemes add", panels(
+        "Latents of the motion in one t-SNE, coloured by the lexeme that it was made of (else: nearest).",
+        PERFORMER, "no-lexemes", OURS), (PERFORMER, "no-lexemes", OURS), dots=True),
+    "figure-18": PaperFigure("RG Fig. 18", "how many lexemes", sizes),
+}
+
+
+def figure_key(rg: RgRows, name: str, rows: Summaries) -> str:
+    """Hash of what a figure is drawn from: the rows whose motion it shows, or else all figures of the tables."""
+    shown = FIGURES[name].rows
+    stands = ([rg.place(row).key for row in shown] if shown else
+              [rg.shared, {row: {key: value.to_dict() for key, value in own["figures"].items()}
+                                      for row, own in rows.items()}])
+    return configs.digest(VERSION, name, stands)
+
+
+def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
+    """Write a figure to a folder unless it stands there; why it cannot be drawn, or ""."""
+    figure, place = FIGURES[name], out / f"{name}.json"
+    lacking = [row for row in figure.rows if row not in rows]
+    if lacking:
+        return f"not run: {', '.join(lacking)}"
+    key = figure_key(rg, name, rows)
+    if _key_of(place) == key:
+        return ""
+    try:
+        picture, caption, numbers = figure.draw(rg, rows)
+    except InputError as error:
+        return str(error)
+    save_strip(picture, out / f"{name}.{'png' if figure.dots else 'svg'}")
+    write_text(place, dumps({"figure": figure.paper, "title": figure.title, "caption": caption, "numbers": numbers,
+                             "key": key}))
+    return ""
+
+
+def _key_of(place: Path) -> str:
+    try:
+        return str(loads(place.read_text())["key"])
+    except (FileNotFoundError, ValueError, KeyError, TypeError):
+        return ""

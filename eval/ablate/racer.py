@@ -1,0 +1,443 @@
+"""How RACER's rows are trained and judged: `eval.rows.racer` says what they are.
+
+The lexicon, the speech levels and both reward models are a bundle's. A finished network is kept in the work folder
+under a hash of all that shapes it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors.torch import load_file
+from torch import Tensor
+
+from data_module.errors import InputError
+from data_module.files import lock
+from data_module.layers import freeze
+from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.audio import resample as resample_speech
+from data_module.store import Recording
+from eval.ablate.actor_critic import ActorCritic, ActorCriticConfig
+from eval.ablate.policy import Decisions, Policy, PolicyJudge, Rewards, entropy_of, matched_temperature, perform, walk
+from eval.ablate.simulator import Choose, Replay, Simulator, collect
+from eval.clip.measure import measure, motion_values
+from eval.context import EvalContext, Lexemes, with_judges
+from eval.metrics import pmb
+from eval.rows.racer import ROWS, SUPERVISED, twins
+from eval.runner.judge import distances, identity, set_distances
+from eval.runner.judge import features_of as features_of_motion
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle import config as configs
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import SpeechFeatures
+from gesticulator.training import fit as fitting
+from gesticulator.training.stages import Corpus
+from gesticulator.training.stages import base as stages
+from gesticulator.training.stages.caches import weights_hash
+from gesticulator.training.stages.interpreter import teacher_logits
+from gesticulator.training.stages.q_network import features_of, new_q_network, q_batch, takes_of
+from gesticulator.training.stages.reward import reward_table, taught_reward
+from interpreters.base import LexemeInterpreter
+from interpreters.cql import ConservativeQ, QNetwork, without_dropout
+from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, SilentLexemes, build, distance_rewards
+from interpreters.reward_table import Centred, EnsembleReward
+from lexicon.inventory import nearest_silent
+
+VERSION = 2
+"""Raised when the same settings would no longer give the same figures."""
+ACT_EVERY = 2
+"""Steps of the online row between two roll-outs of a batch of episodes."""
+MEMORY = 4096
+"""Windows that it remembers."""
+GREEDY_AT, LEAST_EPSILON = 0.5, 0.1
+"""epsilon falls from 1 to the least one by this share of the steps."""
+MOTION = 60
+"""Test recordings that are played at most, which is what claims of motion need."""
+
+
+# ------------------------------------------------------------------------------------------- what all rows stand on
+
+@dataclass(frozen=True)
+class RacerRows:
+    """What RACER's rows share. context: a store and a bundle with both reward models; settings: those that the rows
+    change; takes: the training split; judge: decisions on the test split with the reward tables, "" the one that
+    policies are taught and "judge_" the other; shapes: hash of the data and of the bundle's parts."""
+
+    context: EvalContext
+    settings: Config
+    takes: list[Demonstration]
+    silent: SilentLexemes
+    judge: PolicyJudge
+    tables: dict[str, EnsembleReward]
+    shapes: str
+    _taught: dict[int, EnsembleReward | Centred] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, context: EvalContext, preset: Sequence[str]) -> RacerRows:
+        """From a bundle over a lexicon with both reward models; InputError for another, and without test speech."""
+        context = replace(context, models=with_judges(context.bundle, context.work))
+        bundle, store = context.bundle, context.store
+        if bundle.reward is None or bundle.reward_judge is None:
+            raise InputError(context.work, "lacks one of the two reward models of the bundle's training",
+                             "give the work folder of its training, with schedules.reward.steps")
+        parts = bundle.block_models
+        config = configs.with_settings(bundle.config, preset)
+        corpus, labels = context.corpus, context.labels
+        decisions = Decisions.of(bundle, corpus, labels, context.limit)
+        if not decisions.takes:
+            raise InputError(store.path, "has no test recording with a decision in it", "build the store again")
+        silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.double().numpy(), bundle.silent))
+        takes = [replace(take, lexemes=silent.relabel(take)) for take in takes_of(corpus, labels, "train")]
+        models = (parts.lexicon, parts.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder)
+        hashes = [weights_hash(model) for model in models if model is not None]
+        shapes = configs.digest(VERSION, store.fingerprint, hashes, bundle.silent.tolist(), config.silence.mask)
+        tables = {"": reward_table(bundle.reward, parts.lexicon, corpus),
+                  "judge_": reward_table(bundle.reward_judge, parts.lexicon, corpus)}
+        judge = PolicyJudge(decisions, tables, parts.interpreter, [take.lexemes for take in takes])
+        return cls(context, config, takes, silent, judge, tables, shapes)
+
+    @property
+    def bundle(self) -> bundles.Bundle:
+        """What the rows stand on."""
+        return self.context.bundle
+
+    @property
+    def corpus(self) -> Corpus:
+        """The store's blocks."""
+        return self.context.corpus
+
+    def taught(self, config: Config) -> EnsembleReward | Centred:
+        """The training reward as policies are taught it under the settings."""
+        draws = config.episodes.baseline
+        if draws not in self._taught:
+            self._taught[draws] = taught_reward(self.tables[""], self.corpus, draws)
+        return self._taught[draws]
+
+    def config(self, name: str) -> Config:
+        """The settings of a row."""
+        return configs.with_settings(self.settings, ROWS[name].settings)
+
+    def key(self, name: str, seed: int) -> str:
+        """Hash of everything that shapes the network of a row."""
+        row = ROWS[name]
+        how = {"online": [ACT_EVERY, MEMORY, GREEDY_AT, LEAST_EPSILON], "offline": [],
+               "actor-critic": [ActorCriticConfig(), self.config(SUPERVISED)]}[row.training]
+        return configs.digest(self.shapes, self.config(name), row.training, row.scale, how, seed)
+
+    @cached_property
+    def shared(self) -> str:
+        """Hash of what the rows share."""
+        parts = self.bundle.block_models
+        style = weights_hash(parts.style) if parts.style else ""
+        return configs.digest(VERSION, self.shapes, weights_hash(parts.generator), style,
+                              identity(list(self.context.networks.values())), self.context.limit, MOTION)
+
+    def original(self, name: str) -> str:
+        """Of rows that are one network, the first."""
+        return twins(self.settings)[name]
+
+    def cell_key(self, name: str, seed: int) -> str:
+        """Hash of everything that shapes a row's cell."""
+        names = [self.corpus.names[take.recording] for take in self.judge.decisions.takes]
+        return configs.digest(self.shared, self.key(name, seed), names)
+
+    def measured(self, name: str, seed: int) -> dict[str, Any]:
+        """"clips", "sets" and "seconds" of a row's cell: all test recordings judged, the first `MOTION` played."""
+        policy, seconds = trained(self, name, seed)
+        chosen, clips = judged(self, name, policy)
+        progress, by = self.context.progress, list(self.context.networks.values())
+        recordings, encoded = self.recordings, self.encoded
+        motions = perform(self.context.system, recordings, chosen[:MOTION], name, progress, encoded)
+        for place, (motion, recording) in enumerate(zip(motions, recordings, strict=True)):
+            clip = measure(motion, recording.speech)
+            clips[place] |= {"pmb_narrow": pmb.pmb(clip.beats, clip.onsets),
+                             **motion_values(clip, motion, recording.motion, seed=place)}
+        ours, real = ([features_of_motion(motion, by) for motion in own]
+                      for own in (motions, [recording.motion for recording in recordings]))
+        for place, value in enumerate(distances(by, ours, real)):
+            clips[place]["fgd"] = float(value)
+        return {"clips": clips, "sets": {"fgd": set_distances(by, ours, real)},
+                "seconds": {"training": round(seconds, 1)}}
+
+    @cached_property
+    def recordings(self) -> list[Recording]:
+        """The first `MOTION` test recordings, which every row is played on."""
+        return [self.context.store.load(self.corpus.names[take.recording])
+                for take in self.judge.decisions.takes[:MOTION]]
+
+    @cached_property
+    def encoded(self) -> list[SpeechFeatures]:
+        """Their speech as the system hears it without words, the same for every row."""
+        return [self.context.system.encode_speech(replace(resample_speech(one.speech, SAMPLE_RATE), words=None))
+                for one in self.recordings]
+
+    def untrained(self, name: str, seed: int) -> QNetwork:
+        """The network that a row begins with, the same for all rows of a seed."""
+        torch.manual_seed(seed)
+        return new_q_network(self.config(name), self.corpus, self.bundle.vectors, self.bundle.silent)
+
+    def valued(self, name: str) -> Rewards | None:
+        """The reward that a row's scores are sums of; None where they are logits."""
+        row, config = ROWS[name], self.config(name)
+        if row.training == "actor-critic" or not config.cql.temporal:
+            return None
+        found: Rewards = self.taught(config) if row.training == "online" else rewarded(self, config)[1]
+        return found if row.scale == 1 else ScaledReward(found, row.scale)
+
+    @cached_property
+    def nats(self) -> float:
+        """Mean entropy of the lstm's choice on the validation split as the bundle samples it, on the person's past."""
+        model, temperature = self.bundle.block_models.interpreter, self.bundle.config.selection.temperature or 1.0
+        return entropy_of(torch.cat([teacher_logits(model, self.corpus, take.blocks, take.lexemes)
+                                     for take in self.held]) / temperature)
+
+    @cached_property
+    def held(self) -> list[Demonstration]:
+        """The recordings on which temperatures are matched: the validation split, or training where there is none."""
+        corpus = self.corpus
+        takes = takes_of(corpus, self.context.labels, "val" if corpus.recordings("val") else "train")
+        return [take for take in takes if len(take.blocks) > 1][:4]
+
+    def temperature(self, name: str, policy: QNetwork | ActorCritic) -> float:
+        """What a row's scores are divided by: 0 for the best lexeme, or what makes it as undecided as the lstm."""
+        if not ROWS[name].matched:
+            return 0.0
+        with torch.no_grad():
+            scores = [forced_values(policy, self.corpus, take) for take in self.held]
+        return matched_temperature(torch.cat(scores), self.nats)
+
+
+def forced_values(policy: QNetwork | ActorCritic, corpus: Corpus, take: Demonstration) -> Tensor:
+    """[M - 1, S] a policy's scores on a recording of M blocks, on the performer's past."""
+    seen = {"block": torch.as_tensor(take.blocks[1:])[None], "previous": torch.as_tensor(take.lexemes[:-1])[None],
+            "silent": torch.as_tensor(take.silent[1:])[None], "speaker": torch.tensor([take.speaker])}
+    config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
+    batch = q_batch(corpus, seen, config.lookahead)
+    return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[0]
+
+
+class ScaledReward:
+    """A reward times a factor (what `Rewards` asks for)."""
+
+    def __init__(self, reward: Rewards, factor: float) -> None:
+        self.reward, self.factor, self.window = reward, factor, reward.window
+
+    def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """[B, S], as of the reward."""
+        return self.factor * self.reward.every(history, blocks, valid)
+
+    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
+        """[M, S], as of the reward."""
+        return self.factor * self.reward.sequence_every(lexemes, blocks)
+
+
+class TabledReward:
+    """A reward that is written down for every lexeme on every block of the corpus (what `Rewards` asks for)."""
+
+    def __init__(self, table: Tensor) -> None:
+        """table: [N, S]."""
+        self.table, self.window = table, 1
+
+    def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        """[B, S] on the last of blocks [B, 1]."""
+        return self.table[blocks[:, -1]]
+
+    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
+        """[M, S] on blocks [M]."""
+        return self.table[blocks]
+
+
+def rescaled(table: Tensor, episodes: Episodes) -> Tensor:
+    """A reward table [N, S] with the mean and spread, over the decisions of a data set, of the rewards there.
+
+    That changes no order between lexemes, and by how much to trust the data's is then asked at one scale for both.
+    """
+    theirs = np.concatenate([episode.reward[1:] for episode in episodes.episodes]).astype(np.float64)
+    ours = np.concatenate([table.numpy()[episode.blocks, episode.actions][1:] for episode in episodes.episodes])
+    scale = theirs.std() / max(float(ours.std()), 1e-6)
+    return (table - float(ours.mean())) * float(scale) + float(theirs.mean())
+
+
+def rewarded(racer: RacerRows, config: Config) -> tuple[Episodes, Rewards]:
+    """The offline data set with the reward of the settings, and that reward."""
+    episodes = _episodes(racer, config)
+    if config.episodes.reward == "contrastive":
+        return episodes, racer.taught(config)
+    lexicon = racer.bundle.block_models.lexicon
+    table = rescaled(distance_rewards(lexicon.shown(), racer.corpus.motion), episodes)
+    with_distance = [replace(e, reward=table.numpy()[e.blocks, e.actions].astype(np.float32))
+                     for e in episodes.episodes]
+    return Episodes(with_distance, cloned=episodes.cloned, stretch=episodes.stretch), TabledReward(table)
+
+
+def _episodes(racer: RacerRows, config: Config) -> Episodes:
+    """The offline data set with the contrastive reward, kept in the work folder; every seed learns from the same."""
+    plain = replace(config.episodes, reward="contrastive")
+    file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.statistical, config.seed)}.npz"
+    with lock(file, "a row that makes its data", beside=True, wait=True):
+        if not file.exists():
+            interpreters: dict[str, LexemeInterpreter] = {
+                "sampled": racer.bundle.block_models.interpreter, "statistical": racer.bundle.statistical()}
+            build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
+                  vectors=racer.bundle.vectors.numpy(), seed=config.seed,
+                  policies=BehaviourPolicies(interpreters, features_of(racer.corpus))).save(file)
+    return Episodes.load(file)
+
+
+# --------------------------------------------------------------------------------------------------------- learning
+
+Learner = tuple[ConservativeQ | ActorCritic, fitting.MakeBatch]
+"""What `fit` needs: a model, which knows what happens before a step, and its batches."""
+
+
+def latest(policy: QNetwork | ActorCritic, corpus: Corpus, seen: dict[str, Tensor]) -> Tensor:
+    """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `eval.ablate.simulator.Choose`)."""
+    config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
+    batch = q_batch(corpus, seen, config.lookahead)
+    return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[:, -1]
+
+
+def epsilon_greedy(network: QNetwork, corpus: Corpus, epsilon: float, rng: np.random.Generator) -> Choose:
+    """The best allowed lexeme, or with probability epsilon any allowed one."""
+    def choose(seen: dict[str, Tensor]) -> Tensor:
+        values, silent = latest(network, corpus, seen), seen["silent"][:, -1]
+        anything = network.choose(torch.as_tensor(rng.random(values.shape)), silent)
+        explores = torch.as_tensor(rng.random(len(values)) < epsilon)
+        return torch.where(explores, anything, network.choose(values, silent))
+
+    return choose
+
+
+def sampled(policy: ActorCritic, corpus: Corpus, rng: np.random.Generator) -> Choose:
+    """A lexeme sampled from pi(. | s) over those allowed: the best after Gumbel noise on the log-probabilities."""
+    def choose(seen: dict[str, Tensor]) -> Tensor:
+        values = latest(policy, corpus, seen)
+        noise = torch.as_tensor(rng.gumbel(size=values.shape))
+        return policy.actor.choose(values + noise, seen["silent"][:, -1])
+
+    return choose
+
+
+def epsilon_at(step: int, steps: int) -> float:
+    """How often the online row tries anything, at a step of so many."""
+    return max(LEAST_EPSILON, 1 - (1 - LEAST_EPSILON) * step / max(1.0, GREEDY_AT * steps))
+
+
+def offline(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
+    """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
+    episodes, _ = rewarded(racer, config)
+    return ConservativeQ(network), lambda rng: q_batch(racer.corpus, episodes.windows(
+        rng, config.schedules.cql.batch, config.cql.decisions), config.cql.lookahead)
+
+
+class Acting(ConservativeQ):
+    """A Q-network that acts in the recorded speech every `ACT_EVERY` steps and remembers a batch of episodes (DQN)."""
+
+    def __init__(self, racer: RacerRows, config: Config, network: QNetwork, seed: int) -> None:
+        super().__init__(network)
+        self._racer, self._config, self._seed, self._memory = racer, config, seed, Replay(MEMORY)
+        self._simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
+
+    def before_step(self, step: int) -> None:
+        """The target network, and what it does now and then."""
+        super().before_step(step)
+        if step % ACT_EVERY == 0:
+            rng = np.random.default_rng([self._seed, step, 1])  # not the numbers that the step's batch is drawn with
+            epsilon = epsilon_at(step, self._config.schedules.cql.steps)
+            with without_dropout(self.online):
+                self._memory.add(collect(self._simulator, epsilon_greedy(
+                    self.online, self._racer.corpus, epsilon, rng), rng, self._config.schedules.cql.batch,
+                    self._config.cql.decisions))
+
+    def batch(self, rng: np.random.Generator) -> fitting.Batch:
+        """Windows of what it remembers."""
+        return q_batch(self._racer.corpus, self._memory.windows(rng, self._config.schedules.cql.batch),
+                       self._config.cql.lookahead)
+
+
+def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
+    """DQN."""
+    model = Acting(racer, config, network, seed)
+    return model, model.batch
+
+
+def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
+    """Policy gradients on what the policy has just done, beginning as the supervised network of the seed."""
+    supervised = trained(racer, SUPERVISED, seed)[0]
+    model = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
+    assert isinstance(supervised, QNetwork)
+    model.begin_as(supervised)
+    simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
+    return model, lambda rng: q_batch(racer.corpus, collect(
+        simulator, sampled(model, racer.corpus, rng), rng, config.schedules.cql.batch, config.cql.decisions),
+        config.cql.lookahead)
+
+
+def scaled(make_batch: fitting.MakeBatch, factor: float) -> fitting.MakeBatch:
+    """The same batches with rewards times a factor."""
+    def made(rng: np.random.Generator) -> fitting.Batch:
+        batch = make_batch(rng)
+        return {**batch, "reward": factor * batch["reward"]}
+
+    return made
+
+
+TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
+
+
+def trained(racer: RacerRows, name: str, seed: int) -> tuple[QNetwork | ActorCritic, float]:
+    """The network of a row, trained now or read from the work folder, and how many seconds that took.
+
+    A training that is stopped begins anew: what was remembered of roll-outs is not kept. One that another process is at
+    is waited for.
+    """
+    name = ROWS[name].matched or name
+    folder = racer.context.work / f"{name}-{racer.key(name, seed)}"
+    with lock(folder, "a row", beside=True, wait=True):
+        return _trained(racer, name, seed, folder)
+
+
+def _trained(racer: RacerRows, name: str, seed: int, folder: Path) -> tuple[QNetwork | ActorCritic, float]:
+    row, config, began = ROWS[name], racer.config(name), time.monotonic()
+    network = racer.untrained(name, seed)
+    if stages.finished(folder):
+        policy: QNetwork | ActorCritic = network
+        if row.training == "actor-critic":
+            policy = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
+        policy.load_state_dict(load_file(folder / stages.WEIGHTS))
+    else:
+        model, make_batch = TRAININGS[row.training](racer, config, network, seed)
+        if row.scale != 1:
+            make_batch = scaled(make_batch, row.scale)
+        began = time.monotonic()  # without the data set, or the network that it begins as
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory() as scratch:
+            fitting.fit(f"{name}, seed {seed}", model, fitting.Task(
+                make_batch, before_step=model.before_step), config.schedules.cql, Path(scratch),
+                fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=racer.context.progress))
+        policy = model.online if isinstance(model, ConservativeQ) else model
+        stages.keep(folder, policy, {})
+    freeze(policy)
+    return policy, time.monotonic() - began
+
+
+def judged(racer: RacerRows, name: str, policy: QNetwork | ActorCritic
+           ) -> tuple[list[Lexemes], list[dict[str, Any]]]:
+    """What a policy did on the test recordings [M], and its figures on each."""
+    decisions, gamma, valued = racer.judge.decisions, racer.config(name).cql.gamma, racer.valued(name)
+    chooser, chosen, rows = Policy(policy, racer.temperature(name, policy)), [], []
+    for take in decisions.takes:
+        free, forced = (walk(chooser, decisions, take, teacher) for teacher in (False, True))
+        chosen.append(free[0])
+        rows.append({"name": racer.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
+                     **racer.judge.lexeme_values(take, free[0], forced[0]),
+                     **racer.judge.score_values(take, free, forced, valued, gamma)})
+    return chosen, rows
