@@ -25,7 +25,7 @@ from reader_finder import readers_of
 from data_module.corpora.base import DroppedError
 from data_module.errors import InputError
 from data_module.text.transcript import FORMATS
-from gesticulator.serve.protocol import RefusedError
+from gesticulator.live.protocol import RefusedError
 
 resource = pytest.importorskip("resource", reason="what a process has taken is POSIX's to tell")
 
@@ -100,7 +100,7 @@ NO_CASE = {
         eval/ablate/*:* eval/context.py:* eval/renderings.py:*""",
     "calls a reader that has a case": """
         data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._reading
-        data_module/corpora/ted.py:Ted.read eval/probes/face.py:run gesticulator/serve/edits.py:*
+        data_module/corpora/ted.py:Ted.read eval/probes/face.py:run gesticulator/serve/edits.py:* gesticulator/live/*:*
         gesticulator/serve/page_export.py:exported gesticulator/bundle/models.py:StoredParts.__getitem__
         gesticulator/serve/connection.py:* gesticulator/serve/session.py:Session._add_words interpreters/base.py:opened
         eval/probes/stability.py:_words_changed""",
