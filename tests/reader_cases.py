@@ -702,12 +702,6 @@ def _read_lips(file: Path) -> object:
     return load_weights(file.parent)
 
 
-def _read_keys(file: Path) -> object:
-    from gesticulator.serve.door import read_keys
-
-    return read_keys(file)
-
-
 def _read_sent_character(file: Path) -> object:
     from data_module.files import read_json
     from gesticulator.serve.page_export import _character
@@ -749,8 +743,8 @@ def _read_words_of_a_command(file: Path) -> object:
     from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch.run import parse_shard
     from gesticulator.bundle.silent import numbers
+    from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES
-    from gesticulator.serve.vmc import read_target
     from interpreters.settings import LstmConfig
 
     lines = file.read_bytes().decode("utf-8", "surrogateescape").split("\n")
@@ -768,14 +762,14 @@ def _read_words_of_a_command(file: Path) -> object:
 
 
 def _read_message(file: Path) -> object:
-    from gesticulator.serve.protocol import read_hello, read_message
+    from gesticulator.live.protocol import read_hello, read_message
 
     text = file.read_bytes().decode("utf-8", "replace")
     return read_message(text), read_hello(text)
 
 
 def _read_sound_message(file: Path) -> object:
-    from gesticulator.serve.protocol import StreamRequest
+    from gesticulator.live.protocol import StreamRequest
 
     return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
 
@@ -795,7 +789,7 @@ def _read_place(file: Path) -> object:
 def _read_token(file: Path) -> object:
     from argparse import Namespace
 
-    from gesticulator.serve.command import read_token
+    from gesticulator.live.command import read_token
 
     return read_token(Namespace(token_file=file, no_token=False, host="0.0.0.0"))
 
@@ -897,7 +891,6 @@ READERS: dict[str, Case] = {
     **{f"study of meanings, {name}": Case(_meaning_study(name), _read_meaning_study)
        for name in ("key.json", "1.json")},
     "weights of the lips": Case(_lips, _read_lips),
-    "keys of tenants": Case(_written("keys", "# tenants\nacme first-key-of-acme streams=3 priority=2\n"), _read_keys),
     "character sent by a page": Case(_written("a.json", '{"name": "a.glb", "data": "Z2xURg=="}'), _read_sent_character),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (

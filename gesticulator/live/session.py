@@ -13,13 +13,13 @@ from data_module.errors import InputError
 from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.types import Word
 from gesticulator.body.motion_path import HISTORY, LONGEST_HISTORY
-from gesticulator.serve.pace import Effort
-from gesticulator.serve.protocol import VERSION, CloseCode, RefusedError, StreamRequest, joints, pack
+from gesticulator.live.pace import Effort
+from gesticulator.live.protocol import VERSION, CloseCode, RefusedError, StreamRequest, joints, pack
 
 if TYPE_CHECKING:
     from data_module.types import Samples
+    from gesticulator.live.limits import ServerLimits
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.serve.settings import ServerLimits
     from gesticulator.stream import Stream, StreamFrames
 
 
@@ -58,8 +58,6 @@ class Session:
         self._state = "idle"
         self._effort, self._skipped = Effort.FULL, 0.0
         self._latency = stream.latency
-        self.saving = max(0.0, stream.look_ahead - stream.look_ahead_at("low"))
-        """Seconds by which low look-ahead brings poses earlier than the one that was asked for."""
         self._lift: float | None = None
         """Offset of the root above the floor, metres."""
         self._words: list[Word] = []

@@ -1,11 +1,8 @@
-"""One client's stream: messages wait in a bounded queue, are processed turn by turn, and poses wait in another.
+"""One client's stream: messages wait in a bounded queue, are processed block by block, and poses wait in another.
 
-Three tasks share a stream. `_read` takes messages and rejects excess; `_work` asks for turns of the compute thread, in
-competition with all other streams; `_write` sends. A client that does not read fills its own queue of poses: then its
-stream pauses, and other streams are not affected.
-
-A stream that its client may resume outlives its socket: without one, `_work` goes on until its queues are full or
-empty, and the next socket sends what is missing on both sides (`Connection.attach`).
+Three tasks share a stream. `_read` takes messages and rejects excess; `_work` submits one step at a time to the compute
+thread, which takes the steps of all streams in the order of their arrival, so that streams take turns; `_write` sends.
+A client that does not read fills its own queue of poses: then its stream pauses, and other streams are not affected.
 """
 
 from __future__ import annotations
@@ -17,34 +14,35 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed
 
 from data_module.errors import InputError
-from gesticulator.serve.pace import Effort, Pace
-from gesticulator.serve.protocol import CloseCode, RefusedError, StreamRequest, read_hello, read_message
-from gesticulator.serve.resume import SentMessages, new_session
-from gesticulator.serve.scheduler import AHEAD_SECONDS, TURN_SECONDS, Account, Member, Scheduler
-from gesticulator.serve.session import SessionAnswer
+from gesticulator.live.pace import Effort, Pace
+from gesticulator.live.protocol import CloseCode, RefusedError, StreamRequest, read_hello, read_message
+from gesticulator.live.session import SessionAnswer
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
     from data_module.types import Samples
-    from gesticulator.serve.metrics import ServerMetrics
-    from gesticulator.serve.session import Session, Work
-    from gesticulator.serve.settings import ServerLimits
-    from gesticulator.serve.vmc import PoseOutput
+    from gesticulator.live.limits import ServerLimits
+    from gesticulator.live.metrics import ServerMetrics
+    from gesticulator.live.session import Session, Work
+    from gesticulator.live.vmc import VmcOutput
 
+T = TypeVar("T")
+
+TURN_SECONDS = 0.015
+"""Time after which a turn ends at the next step: a block takes about as long, so a turn takes at most 30 ms."""
 PIECE_SECONDS = 0.5
 """Audio taken up at a time, seconds; it is computed in turns of a block."""
 IDLE_SECONDS = 0.1
 """Idle motion generated at a time, seconds, after a client requested it until audio arrives."""
-STILL_SECONDS = 0.25
-"""Audio passed over at a time, seconds, in a stream that idles because compute is short."""
 CLOSE_SECONDS = 2.0
 """Time for a client to answer a close frame, seconds; then the connection is aborted."""
 _REASON_BYTES = 120
@@ -52,16 +50,13 @@ _REASON_BYTES = 120
 _MOST_WAITING = 10_000
 """Most queued messages: a minute of 6 ms packets; bounds empty commands too."""
 _WAITS = ("idle", "think")
-_DOWNGRADED = {Effort.LOW: "shortened_seconds_total", Effort.LESS: "hurried_seconds_total",
-               Effort.NONE: "passed_seconds_total"}
-"""Metrics of audio that was not processed as the client asked."""
 
 
 @dataclass(frozen=True)
 class _Sound:
     samples: Samples
-    heard: bool
-    """Whether it is another's voice."""
+    other_voice: bool
+    """Whether another person speaks, to whom the character listens."""
     arrived: float
     """time.monotonic()"""
     effort: Effort = Effort.FULL
@@ -77,59 +72,61 @@ class _Command:
         return float(self.message.get("seconds", 0.0)) if self.message["type"] in _WAITS else 0.0
 
 
-class Host(Protocol):
-    """The server, as a connection sees it."""
+class ComputeThread:
+    """The one thread that computes for all streams, first come first served. Python runs one thread at a time, so more
+    threads would compute no faster: use more processes for more cores."""
 
-    async def passed_on(self, connection: Connection, request: StreamRequest) -> bool:
-        """Serve the client at another worker, if that one has its session, until the end; False if not."""
+    def __init__(self) -> None:
+        self._executor = ThreadPoolExecutor(1, "compute")
+        self._started: float | None = None
 
-    def admit(self, connection: Connection, request: StreamRequest) -> Connection | None:
-        """Give the connection a place, or find the stream that it resumes; `RefusedError` if there is no place or the
-        token is wrong."""
+    async def run(self, job: Callable[[], T]) -> T:
+        """Wait for the thread, and for the job's result."""
+        return await asyncio.get_running_loop().run_in_executor(self._executor, self._timed, job)
 
-    def effort(self, connection: Connection) -> Effort:
-        """How the stream is served while compute is short."""
+    def _timed(self, job: Callable[[], T]) -> T:
+        self._started = time.monotonic()
+        try:
+            return job()
+        finally:
+            self._started = None
 
-    def worked(self, seconds: float, took: float) -> None:
-        """`seconds` of speech at full quality took so much computing."""
+    @property
+    def stuck_seconds(self) -> float:
+        """Time since the running job began; 0 if none is running."""
+        started = self._started
+        return 0.0 if started is None else time.monotonic() - started
+
+    def stop(self) -> None:
+        """Drop the jobs that wait; the running one ends by itself."""
+        self._executor.shutdown(wait=False, cancel_futures=True)
 
 
 @dataclass(frozen=True)
 class Workplace:
     """Resources shared by connections.
 
-    scheduler: the compute thread. open_session: creates a session for a request, in that thread. output: also receives
-    the motion, beside the WebSocket.
+    open_session: creates a session for a request, in the compute thread. admit: gives a connection a place;
+    `RefusedError` if there is none or the token is wrong. output: also receives the motion, beside the WebSocket.
     """
 
     limits: ServerLimits
     metrics: ServerMetrics
-    scheduler: Scheduler
+    compute: ComputeThread
     open_session: Callable[[str, StreamRequest], Session]
-    host: Host
-    output: PoseOutput | None = None
+    admit: Callable[[Connection, StreamRequest], None]
+    output: VmcOutput | None = None
 
 
 class Connection:
     """A client's stream from its hello to its end."""
 
-    def __init__(self, socket: ServerConnection, name: str, workplace: Workplace, address: str = "") -> None:
-        self.socket, self.name, self.place, self.address = socket, name, workplace, address
+    def __init__(self, socket: ServerConnection, name: str, workplace: Workplace) -> None:
+        self.socket, self.name, self.place = socket, name, workplace
         self.reason = "closed by the client"
         self.code: int = CloseCode.NORMAL
         self.frames = 0
         self.seconds = 0.0
-        self.member = Member(Account(address))
-        self.number = 0
-        """Later streams have higher ones."""
-        self.priority = 0
-        self.tenant = ""
-        self.hello = ""
-        """The client's hello, as it came."""
-        self.session: str | None = None
-        """What a client may resume it by."""
-        self.parked = False
-        """Whether it waits for its client to come back."""
         self._waiting: deque[_Sound | _Command] = deque()
         self._waiting_seconds = 0.0
         self._waiting_idle = 0.0
@@ -148,51 +145,19 @@ class Connection:
         self._cut_at = math.inf
         """Media time at which an interruption ends all waits."""
         self._leaving = False
-        self._finishing = False
-        """Whether no message is to come."""
         self._pace = Pace()
         self._taken_back = 0.0
         """Seconds that cannot have been played at the time of a pending interruption."""
         self._keeps_up = False
         """Whether late audio is processed at lower cost or skipped."""
-        self._heard = False
-        """Whether the sound that comes is another's voice."""
-        self._heard_messages = 0
-        """Messages of the client that were queued."""
-        self._sent: SentMessages | None = None
-        self._back = asyncio.Event()
-        """Set when a parked stream has a new socket, or is given up."""
-        self._detached: asyncio.Future[None] | None = None
-        """Done when the socket that resumed the stream is no longer used by it."""
-        self._welcome: dict[str, Any] = {}
-        self.saving = 0.0
-        """Seconds by which low look-ahead brings poses earlier, see `Governed`."""
-
-    @property
-    def lateness(self) -> float | None:
-        """Seconds of sound that must have been played and are not answered; None if the stream is rendered whole."""
-        return self._pace.late(self._waiting_seconds) if self._keeps_up else None
 
     async def run(self) -> None:
         """Serve the client; returns whatever the client does."""
         try:
             request = await self._hello()
-            if await self.place.host.passed_on(self, request):
-                return
-            other = self.place.host.admit(self, request)
-            if other is not None:
-                if await other.attach(self.socket, request):
-                    self.reason = f"went on as stream {other.name}"
-                    return
-                other.give_up()
-                self.place.host.admit(self, replace(request, resume=None))
-            session = await self.place.scheduler.run(self.member, lambda: self.place.open_session(self.name, request))
-            self._welcome, self.saving = session.welcome(), session.saving
-            if request.resumable:
-                self.session = self.session or new_session(self.name.partition("-")[0])
-                self._sent = SentMessages(self.place.limits.resume_bytes)
-                self._welcome["session"] = self.session
-            await self.socket.send(self._greeting(resumed=False))
+            self.place.admit(self, request)
+            session = await self.place.compute.run(lambda: self.place.open_session(self.name, request))
+            await self.socket.send(json.dumps(session.welcome()))
             await self._serve(request, session)
         except RefusedError as refused:
             await self.refuse(refused)
@@ -203,24 +168,18 @@ class Connection:
         except Exception as error:  # noqa: BLE001 - one stream's failure must end that stream alone
             await self.refuse(RefusedError(CloseCode.FAILED, f"the stream failed ({type(error).__name__}: {error})"))
         finally:
-            self._let_go()
             if self.place.output is not None:
                 self.place.output.leave(self.name)
-            self.place.metrics.add("waiting_seconds", -self._waiting_seconds)
-            self.place.metrics.add("unread_bytes", -self._unread_bytes)
+            self.place.metrics.waiting_seconds.dec(self._waiting_seconds)
+            self.place.metrics.unread_bytes.dec(self._unread_bytes)
             self._waiting.clear()
             self._unread.clear()
 
     async def leave(self) -> None:
-        """Finish processing and close, because the server is stopping; at once if the client is gone."""
+        """Finish processing and close, because the server is stopping."""
         async with self._changed:
             self._leaving = True
             self._changed.notify_all()
-        self._back.set()
-
-    def give_up(self) -> None:
-        """End a parked stream: its place is needed."""
-        self._back.set()
 
     async def _hello(self) -> StreamRequest:
         try:
@@ -230,120 +189,28 @@ class Connection:
             raise RefusedError(CloseCode.TOO_QUIET, "no hello came") from None
         if not isinstance(message, str):
             raise RefusedError(CloseCode.BAD_MESSAGE, "the first message must be a hello, as text")
-        self.hello = message
         return read_hello(message)
 
-    def _greeting(self, resumed: bool) -> str:
-        return json.dumps({**self._welcome, "resumed": resumed, "messages": self._heard_messages})
-
-    # ------------------------------------------------------------------------------------------- sockets of a stream
-
-    async def attach(self, socket: ServerConnection, request: StreamRequest) -> bool:
-        """Go on with another socket, until it is lost or the stream ends; False if that cannot be: the client missed
-        more than was kept."""
-        assert request.resume is not None and self._sent is not None
-        if self.parked is False:  # the client noticed first
-            self.socket.transport.abort()
-            for _ in range(100):
-                if self.parked:
-                    break  # type: ignore[unreachable]  # another task parks it meanwhile
-                await asyncio.sleep(0.01)
-        if not self.parked or self._leaving:
-            return False
-        async with self._changed:
-            if not self._catch_up(int(request.resume["messages"])):
-                return False
-            self.parked = False
-            self.socket = socket
-            self._detached = detached = asyncio.get_running_loop().create_future()
-        self.place.metrics.add("resumed_total")
-        await socket.send(self._greeting(resumed=True))
-        self._back.set()
-        await detached
-        return True
-
-    def _catch_up(self, got: int) -> bool:
-        """Queue again what the client did not get. got: messages that it got."""
-        assert self._sent is not None
-        beyond = got - self._sent.count
-        if beyond > 0:  # the last one was sent, and the connection broke before that was known
-            if beyond > 1 or not self._unread or self._unread[0] is None:
-                return False
-            message = self._unread.popleft()
-            assert message is not None
-            self._count_unread(-len(message))
-            self._sent.add(message)
-            return True
-        again = self._sent.since(got)
-        if again is None:
-            return False
-        self._unread.extendleft(reversed(again))
-        self._count_unread(sum(map(len, again)))
-        return True
-
-    def _let_go(self) -> None:
-        if self._detached is not None and not self._detached.done():
-            self._detached.set_result(None)
-
-    async def _park(self, worker: asyncio.Task[None], closed: ConnectionClosed) -> None:
-        """Wait for another socket; raises `closed` if none comes, and what ends the worker."""
-        self._back.clear()
-        self._let_go()
-        self.parked = True
-        self.place.metrics.add("parked")
-        back = asyncio.create_task(self._back.wait())
-        until = time.monotonic() + self.place.limits.resume_seconds
-        try:
-            while not back.done() and (left := until - time.monotonic()) > 0:
-                if worker.done():
-                    worker.result()
-                await asyncio.wait({back} if worker.done() else {back, worker}, timeout=left,
-                                   return_when=asyncio.FIRST_COMPLETED)
-            if self.parked:
-                raise closed
-        finally:
-            back.cancel()
-            self.parked = False
-            self.place.metrics.add("parked", -1)
-
     async def _serve(self, request: StreamRequest, session: Session) -> None:
+        """Read, compute and write until all is written."""
         self._keeps_up = request.keeps_up
-        worker = asyncio.create_task(self._work(session))
-        try:
-            while True:
-                try:
-                    await self._talk(request, worker)
-                    break
-                except ConnectionClosed as closed:
-                    gone = closed.rcvd is None or closed.rcvd.code == CloseCode.GOING_AWAY
-                    if self._sent is None or self._leaving or not gone:
-                        raise
-                    await self._park(worker, closed)
-        finally:
-            worker.cancel()
-            await asyncio.gather(worker, return_exceptions=True)
-        await self._close(self.code, self.reason if self._leaving else "")
-
-    async def _talk(self, request: StreamRequest, worker: asyncio.Task[None]) -> None:
-        """Read and write on the present socket until all is written."""
-        if worker.done():
-            worker.result()
         writer = asyncio.create_task(self._write())
-        own = {writer} if self._finishing else {writer, asyncio.create_task(self._read(request))}
-        tasks = own | ({worker} if not worker.done() else set())
+        started = {writer, asyncio.create_task(self._read(request)), asyncio.create_task(self._work(session))}
+        running = set(started)
         try:
-            while writer in tasks:
-                done, tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            while writer in running:
+                done, running = await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
                 for task in done:
                     task.result()  # re-raise its exception
         finally:
-            for task in own:
+            for task in started:
                 task.cancel()
-            await asyncio.gather(*own, return_exceptions=True)
+            await asyncio.gather(*started, return_exceptions=True)
+        await self._close(self.code, self.reason if self._leaving else "")
 
     async def _read(self, request: StreamRequest) -> None:
         """Take messages until the client finishes; `RefusedError` for too much, too little or invalid data."""
-        limits, heard = self.place.limits, self._heard
+        limits, other_voice = self.place.limits, False
         while True:
             try:
                 async with asyncio.timeout(limits.quiet_seconds):
@@ -352,19 +219,19 @@ class Connection:
                 raise RefusedError(CloseCode.TOO_QUIET, f"nothing came for {limits.quiet_seconds:g} s") from None
             if isinstance(message, bytes):
                 samples = request.samples(message)
-                await self._wait_with(_Sound(samples, heard, time.monotonic()), len(samples) / request.sample_rate)
+                sound = _Sound(samples, other_voice, time.monotonic())
+                await self._wait_with(sound, len(samples) / request.sample_rate)
                 continue
             command = read_message(message)
             if command["type"] == "hello":
                 raise RefusedError(CloseCode.BAD_MESSAGE, "a second hello came")
-            heard = self._heard = command["type"] == "listen" or (heard and command["type"] != "speak")
+            other_voice = command["type"] == "listen" or (other_voice and command["type"] != "speak")
             self._pace.arrived(float(command.get("seconds", 0.0)))
             if command["type"] == "interrupt":
                 self._cut_at = float(command.get("time", -math.inf))
                 await self._drop_waiting(request)
-            self._finishing = command["type"] == "finish"
             await self._wait_with(_Command(command), 0.0)
-            if self._finishing:
+            if command["type"] == "finish":
                 return
 
     async def _wait_with(self, item: _Sound | _Command, seconds: float) -> None:
@@ -377,13 +244,12 @@ class Connection:
         if waiting > limits.waiting_seconds or len(self._waiting) >= _MOST_WAITING:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {limits.waiting_seconds:g} s of sound and waits, "
                                f"or {_MOST_WAITING} messages, wait to be worked on")
-        self.place.metrics.add("sound_seconds_total", seconds)
+        self.place.metrics.sound_seconds.inc(seconds)
         self._pace.arrived(seconds)
         async with self._changed:
-            self._heard_messages += 1
             if seconds or isinstance(item, _Command):
                 self._waiting.append(item)
-            if seconds and not item.heard:  # type: ignore[union-attr]
+            if seconds and not item.other_voice:  # type: ignore[union-attr]
                 self._end_early()
             self._waiting_idle += waits
             self._count_waiting(seconds)
@@ -402,27 +268,27 @@ class Connection:
         self._taken_back = max(self._taken_back, self._pace.ahead)
         self._pace.forget()
         async with self._changed:
-            kept: deque[_Sound | _Command] = deque()
+            remaining: deque[_Sound | _Command] = deque()
             for item in self._waiting:
-                if isinstance(item, _Sound) and not item.heard:
+                if isinstance(item, _Sound) and not item.other_voice:
                     self._count_waiting(-len(item.samples) / request.sample_rate)
                 else:
-                    kept.append(item)
-            self._waiting = kept
+                    remaining.append(item)
+            self._waiting = remaining
+
     def _count_waiting(self, seconds: float) -> None:
         self._waiting_seconds += seconds
-        self.place.metrics.add("waiting_seconds", seconds)
+        self.place.metrics.waiting_seconds.inc(seconds)
 
     async def _work(self, session: Session) -> None:
         """Turn queued messages into poses, turn by turn, until the stream is finished."""
         while True:
-            still = self._keeps_up and self.place.host.effort(self) == Effort.NONE
-            item = await self._next(session.request.sample_rate, max(session.lacking, STILL_SECONDS if still else 0.0))
+            item = await self._next(session.request.sample_rate, session.lacking)
             begin = time.monotonic()
             session.unplayed(max(self._pace.ahead, self._taken_back))
             if isinstance(item, _Sound):
-                took = await self._compute(session, session.feed(item.samples, item.heard, item.effort))
-                self._count_sound(item, len(item.samples) / session.request.sample_rate, time.monotonic() - begin, took)
+                await self._compute(session, session.feed(item.samples, item.other_voice, item.effort))
+                self._count_sound(item, len(item.samples) / session.request.sample_rate, time.monotonic() - begin)
             elif item is None:
                 self._pace.arrived(IDLE_SECONDS)
                 await self._compute(session, session.wait(self._waits, IDLE_SECONDS))
@@ -447,36 +313,33 @@ class Connection:
         if command.message in ({"type": "idle"}, {"type": "think"}):
             self._waits, self._idling = command.message["type"], begin
 
-    def _count_sound(self, sound: _Sound, seconds: float, elapsed: float, took: float) -> None:
-        """Count a processed piece of audio; elapsed: seconds it took, with the turns of others; took: without them."""
+    def _count_sound(self, sound: _Sound, seconds: float, elapsed: float) -> None:
+        """Count a processed piece of audio; elapsed: seconds it took, with the turns of others."""
         metrics = self.place.metrics
-        metrics.time("answer_seconds", time.monotonic() - sound.arrived)
-        if sound.effort != Effort.NONE:
-            self._pace.worked(seconds, elapsed)
-        if sound.effort in (Effort.FULL, Effort.LOW) and not sound.heard:
-            self.place.host.worked(seconds, took)
-        if sound.effort in _DOWNGRADED:
-            metrics.add(_DOWNGRADED[sound.effort], seconds)
+        metrics.answer_seconds.observe(time.monotonic() - sound.arrived)
+        if sound.effort == Effort.NONE:
+            metrics.passed_seconds.inc(seconds)
+            return
+        self._pace.worked(seconds, elapsed)
+        if sound.effort == Effort.LESS:
+            metrics.hurried_seconds.inc(seconds)
 
     def _ends(self, session: Session) -> bool:
         """Whether the wait that is being computed ends here."""
         return self._computed is not None and (self._cut or session.until >= self._cut_at)
 
-    async def _compute(self, session: Session, work: Work) -> float:
-        """Do some work turn by turn, and queue its answers; returns seconds of computing. A wait ends when it is cut,
-        and all work pauses while the client does not read."""
-        spent, done = 0.0, False
+    async def _compute(self, session: Session, work: Work) -> None:
+        """Do some work turn by turn, and queue its answers. A wait ends when it is cut, and all work pauses while the
+        client does not read."""
+        done = False
         while not done and not self._ends(session):
-            self.member.waits = self._pace.ahead - self._waiting_seconds - self._waiting_idle > AHEAD_SECONDS
-            answer, done, took = await self.place.scheduler.run(self.member, lambda: _turn(work))
-            self.place.metrics.time("compute_seconds", took)
-            spent += took
+            answer, done, elapsed = await self.place.compute.run(lambda: _turn(work))
+            self.place.metrics.compute_seconds.observe(elapsed)
             await self._put(answer)
             if not done:
                 async with self._changed:
                     await self._room()
         work.close()
-        return spent
 
     async def _next(self, sample_rate: int, lacking: float) -> _Sound | _Command | None:
         """The next item: a command, up to half a second of audio, or None for idle motion that is due.
@@ -505,35 +368,30 @@ class Connection:
             return True
         if self._waiting_seconds >= lacking - 1e-6 or self._leaving or self._idling is not None:
             return False
-        return all(isinstance(item, _Sound) and not item.heard for item in self._waiting)
+        return all(isinstance(item, _Sound) and not item.other_voice for item in self._waiting)
 
     def _piece(self, sample_rate: int) -> _Sound:
         """Up to half a second of queued audio of one voice; all of it, to be skipped, if it comes too late."""
         first = self._waiting[0]
         assert isinstance(first, _Sound)
-        self.place.metrics.time("late_seconds", self._pace.late(self._waiting_seconds))
-        effort = self._effort() if self._keeps_up and not first.heard else Effort.FULL
+        self.place.metrics.late_seconds.observe(self._pace.late(self._waiting_seconds))
+        paced = self._keeps_up and not first.other_voice
+        effort = self._pace.effort(self._waiting_seconds) if paced else Effort.FULL
         most = int((self._waiting_seconds if effort == Effort.NONE else PIECE_SECONDS) * sample_rate) + 1
         pieces: list[Samples] = []
         while self._waiting and most > 0:
             item = self._waiting[0]
-            if isinstance(item, _Command) or item.heard != first.heard:
+            if isinstance(item, _Command) or item.other_voice != first.other_voice:
                 break
             pieces.append(item.samples[:most])
             most -= len(pieces[-1])
             if len(pieces[-1]) < len(item.samples):
-                self._waiting[0] = _Sound(item.samples[len(pieces[-1]):], item.heard, item.arrived)
+                self._waiting[0] = _Sound(item.samples[len(pieces[-1]):], item.other_voice, item.arrived)
             else:
                 self._waiting.popleft()
         samples = np.concatenate(pieces)
         self._count_waiting(-len(samples) / sample_rate)
-        return _Sound(samples, first.heard, first.arrived, effort)
-
-    def _effort(self) -> Effort:
-        """How the next piece is processed: as the server has time for, and not at all if it is hopelessly late."""
-        level = self.place.host.effort(self)
-        hopeless = self._pace.effort(self._waiting_seconds) == Effort.NONE
-        return Effort.NONE if hopeless else level
+        return _Sound(samples, first.other_voice, first.arrived, effort)
 
     async def _sleep(self) -> bool:
         """Wait for a change; False if idle motion is due first. Called with the lock held."""
@@ -555,21 +413,18 @@ class Connection:
     async def _room(self) -> None:
         """Wait until few enough poses are unread; `RefusedError` after a timeout. Called with the lock held."""
         limits = self.place.limits
-        while self._unread_bytes >= limits.unread_bytes:
-            parked = self.parked
-            try:
-                async with asyncio.timeout(limits.unread_seconds):
-                    await self._changed.wait_for(lambda: self._unread_bytes < limits.unread_bytes)
-            except TimeoutError:
-                if not (parked or self.parked):
-                    raise RefusedError(CloseCode.UNREAD, f"{self._unread_bytes} bytes of poses were not read for "
-                                       f"{limits.unread_seconds:g} s") from None
+        try:
+            async with asyncio.timeout(limits.unread_seconds):
+                await self._changed.wait_for(lambda: self._unread_bytes < limits.unread_bytes)
+        except TimeoutError:
+            raise RefusedError(CloseCode.UNREAD, f"{self._unread_bytes} bytes of poses were not read for "
+                               f"{limits.unread_seconds:g} s") from None
 
     async def _put(self, answer: SessionAnswer) -> None:
         """Queue an answer for the client, and pass its motion to the other output."""
         for frames in answer.frames:
             self.frames += len(frames)
-            self.place.metrics.add("frames_total", len(frames))
+            self.place.metrics.frames.inc(len(frames))
             if self.place.output is not None:
                 self.place.output.take(self.name, frames)
         async with self._changed:
@@ -580,7 +435,7 @@ class Connection:
 
     def _count_unread(self, size: int) -> None:
         self._unread_bytes += size
-        self.place.metrics.add("unread_bytes", size)
+        self.place.metrics.unread_bytes.inc(size)
 
     async def _write(self) -> None:
         """Send queued messages until the end; each counts as unread until the system has accepted it."""
@@ -594,10 +449,8 @@ class Connection:
             async with self._changed:
                 self._unread.popleft()
                 self._count_unread(-len(message))
-                if self._sent is not None:
-                    self._sent.add(message)
                 self._changed.notify_all()
-            self.place.metrics.add("sent_bytes_total", len(message))
+            self.place.metrics.sent_bytes.inc(len(message))
 
     def _record_close(self, closed: ConnectionClosed) -> None:
         """Record why the connection ended."""
@@ -611,8 +464,8 @@ class Connection:
     async def refuse(self, refused: RefusedError) -> None:
         """Send the client the reason, if it is still connected, and close."""
         self.code, self.reason = refused.code, refused.reason
-        told = {} if refused.retry_after is None else {"retry_after": refused.retry_after}
-        message = json.dumps({"type": "error", "code": int(refused.code), "message": refused.reason, **told})
+        again = {} if refused.retry_after is None else {"retry_after": refused.retry_after}
+        message = json.dumps({"type": "error", "code": int(refused.code), "message": refused.reason, **again})
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             async with asyncio.timeout(1.0):
                 await self.socket.send(message)

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jsonschema import Draft202012Validator
 
 from data_module.errors import InputError, shown
 from data_module.files import parse_json, read_object
-from gesticulator.serve import schema
 
 if TYPE_CHECKING:
     from data_module.types import Samples, Skeleton
@@ -31,6 +31,8 @@ _PCM16_FULL = 32768.0
 """Full scale of 16-bit audio."""
 _HALF_IN_TOKEN = re.compile(r'"token"\s*:\s*"[^"]*\\u[dD][89a-fA-F]')
 """A token with a surrogate, which is no character by itself, and so no valid JSON."""
+_LONGEST_REASON = 300
+"""Characters of the description of an invalid message; its own text may be as long as the message."""
 _MOST_SAMPLE = 1e4
 """Largest float sample: full scale is 1; 16-bit values sent as floats by mistake reach 32768."""
 
@@ -82,9 +84,6 @@ class StreamRequest:
     output: str = "joints"
     options: dict[str, Any] = field(default_factory=dict)
     token: str = ""
-    resumable: bool = False
-    resume: dict[str, Any] | None = None
-    """The session to go on with, and how many of the server's messages came; see the schema."""
 
     @property
     def keeps_up(self) -> bool:
@@ -114,18 +113,28 @@ class StreamRequest:
 def read_message(text: str) -> dict[str, Any]:
     """Parse a client's text message; `RefusedError` if it does not match the schema."""
     try:
-        message = parse_json(text, "the message", "")
+        message: dict[str, Any] = parse_json(text, "the message", "")
     except InputError as error:
         raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
-    kinds = [one["$ref"].removeprefix("#/$defs/") for one in published()["client"]["oneOf"]]
+    validators = _validators()
     kind = message.get("type") if isinstance(message, dict) else None
-    if not isinstance(kind, str) or kind not in kinds:
-        raise RefusedError(CloseCode.BAD_MESSAGE, f"the message's type is {shown(kind)}, none of {', '.join(kinds)}")
-    try:
-        schema.check(message, {"$ref": f"#/$defs/{kind}"}, published(), kind)
-    except InputError as error:
-        raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
+    if not isinstance(kind, str) or kind not in validators:
+        known = ", ".join(validators)
+        raise RefusedError(CloseCode.BAD_MESSAGE, f"the message's type is {shown(kind)}, none of {known}")
+    # The first error alone: a list that is too long is refused before its entries are looked at.
+    fault = next(validators[kind].iter_errors(message), None)
+    if fault is not None:
+        place = kind + fault.json_path.removeprefix("$")
+        raise RefusedError(CloseCode.BAD_MESSAGE, shown(f"{place}: {fault.message}", _LONGEST_REASON))
     return message
+
+
+@functools.cache
+def _validators() -> dict[str, Draft202012Validator]:
+    """Type of a client's message -> what checks it."""
+    schema = published()
+    kinds = [entry["$ref"].removeprefix("#/$defs/") for entry in schema["client"]["oneOf"]]
+    return {kind: Draft202012Validator({"$ref": f"#/$defs/{kind}", "$defs": schema["$defs"]}) for kind in kinds}
 
 
 def read_hello(text: str) -> StreamRequest:

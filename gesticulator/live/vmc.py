@@ -3,21 +3,21 @@
 Each frame is some OSC bundles, each small enough for one packet of a network: the model's availability, the sender's
 time, the root, and every bone of the VRM humanoid under its Unity name, with position and rotation in the parent bone's
 frame. Unity's axes are left-handed: Y up, the character faces +Z, and its left is -X. Ours are their mirror image in X.
-Frames are sent from a thread of its own; a server has it in another process (`OutputProcess`), so that their pace does
-not depend on what it computes.
+Frames are sent from a thread of its own. It shares Python's lock with what the server computes, so frames are late by
+some milliseconds beside many streams; each is sent at most once, and late ones are skipped.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import struct
 import threading
 import time
 from bisect import bisect_right
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -47,16 +47,16 @@ _THUMB = {"Metacarpal": "Proximal", "Proximal": "Intermediate", "Distal": "Dista
 """Thumb bones of VRM 1.0 -> Unity, which names them like those of a finger."""
 
 
-def read_target(text: str, option: str = "--vmc", usual: int = PORT) -> tuple[str, int]:
-    """Host and port of "HOST:PORT"; `InputError` for anything else. usual: a port for the message."""
+def read_target(text: str) -> tuple[str, int]:
+    """Host and port of "HOST:PORT"; `InputError` for anything else."""
     host, _, port = text.rpartition(":")
     number = whole_number(port, 65535)
     if not host or not number:
-        raise InputError(f"{option} {text[:80]}", "is not HOST:PORT", f"such as 127.0.0.1:{usual}")
+        raise InputError(f"--vmc {text[:80]}", "is not HOST:PORT", f"such as 127.0.0.1:{PORT}")
     try:
         import pythonosc  # noqa: F401
     except ImportError:
-        raise InputError(option, "needs the package python-osc", "pip install 'gesticulator[live]'") from None
+        raise InputError("--vmc", "needs the package python-osc", "pip install 'gesticulator[live]'") from None
     return host.strip("[]"), number
 
 
@@ -75,24 +75,6 @@ def mirrored_place(place: Array) -> Array:
 def mirrored_turn(turn: Array) -> Array:
     """[..., 4] (x, y, z, w) a rotation in Unity's axes from [..., 4] (w, x, y, z) in ours."""
     return turn[..., [1, 2, 3, 0]] * np.array([1.0, -1.0, -1.0, 1.0])
-
-
-@dataclass(frozen=True)
-class SentFrames:
-    """Frames of a stream without what only the server needs: `StreamFrames`, for a process without models."""
-
-    first: int
-    whole: Motion
-    face: FaceMotion | None
-
-    @property
-    def fps(self) -> float:
-        """Frames per second."""
-        return self.whole.fps
-
-    def motion(self) -> Motion:
-        """The frames as a motion."""
-        return self.whole
 
 
 class VmcFrames:
@@ -115,9 +97,6 @@ class VmcFrames:
         for node, path in nodes.shifts.items():
             places[:, node] = path
         return np.concatenate([mirrored_place(places), mirrored_turn(nodes.turns)], axis=-1)
-
-    def __len__(self) -> int:
-        return len(self._numbers)
 
     def bundles(self, frame: int, seconds: float) -> list[bytes]:
         """A frame as bundles of at most `DATAGRAM` bytes; seconds: the sender's time."""
@@ -205,49 +184,17 @@ _ROOT = b"/VMC/Ext/Root/Pos\0\0\0,sfffffff\0\0\0root\0\0\0\0"
 """The start of the root's message, up to its floats; a test compares it with python-osc."""
 
 
-class FrameBundles(Protocol):
-    """Frames as OSC bundles, such as `VmcFrames`."""
+class _Part:
+    """Frames of a stream that were not sent yet; they become datagrams in the sender's thread."""
 
-    fps: float
+    def __init__(self, frames: StreamFrames) -> None:
+        self.first, self.fps, self.count = frames.first, frames.fps, len(frames)
+        self._frames = frames
 
-    def __len__(self) -> int:
-        """Count of frames."""
-
-    def bundles(self, frame: int, seconds: float) -> list[bytes]:
-        """A frame as bundles of at most `DATAGRAM` bytes; seconds: the sender's time."""
-
-
-@dataclass
-class _Played:
-    first: int
-    frames: FrameBundles
-
-
-class PoseOutput(Protocol):
-    """What also receives the motion of streams."""
-
-    def take(self, stream: str, frames: StreamFrames) -> None:
-        """Add at least one frame of a stream."""
-
-    def leave(self, stream: str) -> None:
-        """End a stream."""
-
-
-@dataclass
-class SeveralOutputs:
-    """Outputs that receive the same motion."""
-
-    outputs: Sequence[PoseOutput]
-
-    def take(self, stream: str, frames: StreamFrames) -> None:
-        """See `PoseOutput`."""
-        for output in self.outputs:
-            output.take(stream, frames)
-
-    def leave(self, stream: str) -> None:
-        """See `PoseOutput`."""
-        for output in self.outputs:
-            output.leave(stream)
+    @cached_property
+    def bundles(self) -> VmcFrames:
+        """The frames as they are sent."""
+        return VmcFrames(self._frames.motion(), self._frames.face)
 
 
 class VmcOutput:
@@ -256,41 +203,31 @@ class VmcOutput:
     The first stream with frames has the output until it ends. A frame that is sent again replaces the earlier one.
     """
 
-    option, usual_port = "--vmc", PORT
-
     def __init__(self, target: str) -> None:
-        self.host, self.port = read_target(target, self.option, self.usual_port)
+        """target: "HOST:PORT"; `InputError` for anything else."""
+        self.host, self.port = read_target(target)
         self.stream: str | None = None
-        self._parts: list[_Played] = []
+        self._parts: list[_Part] = []
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
-        self._begin = time.monotonic()
+        self._start = time.monotonic()
         self._zero = 0.0
         """time.monotonic() of frame 0."""
         try:
             family, _, _, _, address = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)[0]
         except OSError as error:
-            raise InputError(f"{self.option} {target}", f"cannot be resolved ({error.strerror})",
+            raise InputError(f"--vmc {target}", f"cannot be resolved ({error.strerror})",
                              "name an address") from None
         self._address = address
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
-    def bundles_of(self, frames: StreamFrames | SentFrames) -> FrameBundles:
-        """Frames as they are sent."""
-        return VmcFrames(frames.motion(), frames.face)
-
-    def without_frames(self, seconds: float) -> list[bytes]:
-        """What is sent once a second while there are none; seconds: the sender's time."""
-        return [_bundled(_available(0, seconds))]
-
-    def take(self, stream: str, frames: StreamFrames | SentFrames) -> None:
+    def take(self, stream: str, frames: StreamFrames) -> None:
         """Add at least one frame of a stream."""
         first, fps = frames.first, frames.fps
         if self.stream not in (None, stream):
             return
-        made = self.bundles_of(frames)
         with self._lock:
             now = time.monotonic()
             if self.stream is None or now > self._zero + first / fps + LATEST:
@@ -298,7 +235,7 @@ class VmcOutput:
             self.stream = stream
             self._parts = [part for part in self._parts if part.first < first]
             if first / fps < now - self._zero + MOST_SECONDS:
-                self._parts.append(_Played(first, made))
+                self._parts.append(_Part(frames))
 
     def leave(self, stream: str) -> None:
         """End a stream. Its remaining frames are played unless another stream adds frames."""
@@ -310,18 +247,17 @@ class VmcOutput:
         with self._lock:
             if not self._parts:
                 return None
-            fps = self._parts[0].frames.fps
-            frame = int((now - self._zero) * fps)
+            frame = int((now - self._zero) * self._parts[0].fps)
             place = max(bisect_right([part.first for part in self._parts], frame) - 1, 0)
             del self._parts[:place]
             part = self._parts[0]
-            end = self._parts[1].first if len(self._parts) > 1 else part.first + len(part.frames)
-        at = min(max(frame, part.first), end - 1) - part.first
-        return part.frames.bundles(min(at, len(part.frames) - 1), now - self._begin)
+            end = self._parts[1].first if len(self._parts) > 1 else part.first + part.count
+        number = min(max(frame, part.first), end - 1) - part.first
+        return part.bundles.bundles(min(number, part.count - 1), now - self._start)
 
     def start(self) -> None:
         """Send the bundles of each frame from a thread, until `stop`."""
-        self._thread = threading.Thread(target=self._run, name=self.option.strip("-"), daemon=True)
+        self._thread = threading.Thread(target=self._run, name="vmc", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -339,17 +275,17 @@ class VmcOutput:
         with self._lock:
             if not self._parts:
                 return 1 / RATE
-            period = 1 / self._parts[0].frames.fps
+            period = 1 / self._parts[0].fps
             return period - (now - self._zero) % period
 
     def _run(self) -> None:
-        told = -1.0
+        last_notice = -math.inf
         try:
             while not self._ended.is_set():
                 now = time.monotonic()
                 bundles = self.due(now)
-                if bundles is None and now - told >= 1.0:  # no model yet: said once a second
-                    bundles, told = self.without_frames(now - self._begin), now
+                if bundles is None and now - last_notice >= 1.0:  # no model yet: said once a second
+                    bundles, last_notice = [_bundled(_available(0, now - self._start))], now
                 for bundle in bundles or ():
                     # A missing receiver or a congested network must not end anything.
                     with contextlib.suppress(OSError):
