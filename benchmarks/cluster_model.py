@@ -193,8 +193,8 @@ def fresh_process(clip: Path, out: Path) -> float:
 def driver_times(clip: Path, folder: Path, count: int) -> tuple[dict[str, float], float]:
     """Processor seconds of the driver for a recording, without Ray, as `BatchCosts` has them; and bytes of the manifest
     for it."""
-    from gesticulator.batch.jobs import plan
-    from gesticulator.batch.run import READERS, BatchTask, TaskOutcome, estimated_seconds, file_hash, run_batch
+    from gesticulator.batch import READERS, BatchTask, TaskOutcome, estimated_seconds, file_hash, run_batch
+    from gesticulator.jobs import jobs_for
 
     for number in range(count):
         (folder / "many").mkdir(exist_ok=True)
@@ -210,7 +210,7 @@ def driver_times(clip: Path, folder: Path, count: int) -> tuple[dict[str, float]
         noted = time.process_time() - begin
 
     begin = time.process_time()
-    jobs = plan([str(folder / "many")], {".bvh": str(folder / "out") + "/"}, None)
+    jobs = jobs_for([str(folder / "many")], {".bvh": str(folder / "out") + "/"}, None)
     tasks = [BatchTask(number, job.source, job.targets, ("0.1.0", "0" * 64, "0" * 64))
              for number, job in enumerate(jobs) if job.source is not None]
     run_batch(tasks, folder / "manifest.parquet", outcomes, quiet=True)
