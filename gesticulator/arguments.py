@@ -276,9 +276,9 @@ def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
 def _plan_of(args: argparse.Namespace) -> GesturePlan | None:
     if args.plan is None:
         return None
-    from gesticulator.plan.bml import read_any_plan
+    from gesticulator.plan.plan_file import read_plan
 
-    return read_any_plan(args.plan)
+    return read_plan(args.plan)
 
 
 def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | None:
