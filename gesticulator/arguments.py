@@ -214,8 +214,12 @@ def check_options(gesticulator: Gesticulator, options: InferenceOptions) -> None
         raise InputError("--hand-height, --hand-speed, --hand-radius", "are not supported by this bundle",
                          "use a bundle trained with style editing, or leave them out")
     gesticulator.controls(options)
-    if not options.cues:
-        return
+    if options.cues:
+        check_cues(gesticulator, options)
+
+
+def check_cues(gesticulator: Gesticulator, options: InferenceOptions) -> None:
+    """`InputError` for a cue that names an unknown gesture, or an expression without a face to show it."""
     from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
 
     shown_by_face = [cue.gesture for cue in options.cues if cue.gesture in EXPRESSIONS]
