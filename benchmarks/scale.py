@@ -142,7 +142,7 @@ def sleeping(workers: int, count: int, seconds: float, slow: bool = False, doubl
     """A row: tasks that sleep, on a cluster that runs; wall: without the start of the workers."""
     import ray
 
-    from gesticulator.batch import ray_pool
+    from gesticulator import ray_pool
 
     with tempfile.TemporaryDirectory() as folder:
         stream = ray_pool.done_on_ray(f"local:{workers}", partial(sleeper, seconds, folder if slow else None),
@@ -168,7 +168,7 @@ def ray_rows(speech: Path, clips: int) -> list[dict[str, Any]]:
     ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR",
              runtime_env={"env_vars": told})
     rows += [sleeping(1, 1000, 0.0), sleeping(1, 40, 0.25), sleeping(2, 80, 0.25)]
-    from gesticulator.batch import ray_pool
+    from gesticulator import ray_pool
 
     ray_pool.SLOW_SECONDS = 1.0  # as tasks are short
     rows += [sleeping(2, 6, 3.0, slow=True, doubles=doubles) for doubles in (False, True)]

@@ -610,7 +610,7 @@ def _read_request(file: Path) -> object:
 
 def _manifest(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        from gesticulator.batch.manifest import FAILED, ManifestRow, write_manifest
+        from gesticulator.manifest import FAILED, ManifestRow, write_manifest
 
         rows = [ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, "cut short", 0.125, "1", "2", "3", "h"),
                 ManifestRow("b.wav", "13", 1.0, ("b.bvh",))]
@@ -624,7 +624,7 @@ def _manifest(name: str) -> Callable[[Path], Path]:
 
 def _read_manifest(file: Path) -> object:
     """The rows, written back in both formats."""
-    from gesticulator.batch.manifest import read_manifest, table, write_manifest
+    from gesticulator.manifest import read_manifest, table, write_manifest
 
     rows = read_manifest(file.with_name(file.name.removesuffix(".journal")))
     for suffix in (".jsonl", ".parquet"):
@@ -708,7 +708,7 @@ def _read_words_of_a_command(file: Path) -> object:
     from data_module.settings import with_settings
     from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
-    from gesticulator.batch.run import parse_shard
+    from gesticulator.batch import parse_shard
     from gesticulator.bundle.silent import numbers
     from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES

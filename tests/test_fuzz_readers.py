@@ -106,7 +106,7 @@ NO_CASE = {
         eval/probes/stability.py:_words_changed""",
     "the bytes are hashed, copied or thrown away, not parsed": """
         data_module/corpora/smartbody.py:SmartBody.write data_module/text/word_vectors.py:_fingerprint
-        gesticulator/batch/run.py:file_hash gesticulator/export/html.py:character_data""",
+        gesticulator/batch.py:file_hash gesticulator/export/html.py:character_data""",
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:_holder data_module/performer/espeak.py:_spoken
         data_module/performer/flite.py:timed_phrase gesticulator/characters/fbx_rig.py:read_fbx_character
@@ -119,7 +119,7 @@ NO_CASE = {
         data_module/performer/espeak_child.py:main data_module/speech/mp3_child.py:main
         gesticulator/export/fbx_child.py:animate gesticulator/characters/blender_jobs.py:main""",
     "a file of the installation": """
-        gesticulator/batch/ray_pool.py:_runs_here gesticulator/serve/page.py:pages gesticulator/version.py:_is_ours""",
+        gesticulator/ray_pool.py:_runs_here gesticulator/serve/page.py:pages gesticulator/version.py:_is_ours""",
     "a model that another library reads": """
         data_module/speech/learned_front_ends.py:_open data_module/text/alignment.py:_loaded_decoder
         data_module/text/word_vectors.py:_load""",

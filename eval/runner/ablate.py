@@ -249,7 +249,7 @@ def run(arguments: argparse.Namespace) -> int:
     at_once: AtOnce | None = None
     if arguments.ray:
         from eval.runner import sweep
-        from gesticulator.batch.ray_pool import check_ray, done_on_ray
+        from gesticulator.ray_pool import check_ray, done_on_ray
 
         check_ray(arguments.ray)
         own = partial(ablation_of, argparse.Namespace(**{**vars(arguments), "quiet": True, "workers": 1}))

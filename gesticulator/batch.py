@@ -18,17 +18,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
-from data_module.build import end_with_parent
 from data_module.errors import InputError, complain, one_line
 from data_module.files import remove_unfinished_of
 from data_module.settings import whole_number
-from gesticulator.batch.manifest import DONE, FAILED, Manifest, ManifestRow, table
+from gesticulator.bundle.files import INDEX, bundle_folder, read_index
 from gesticulator.cli import PROGRAM
+from gesticulator.jobs import BatchRequest, Job
+from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, check_manifest, default_name, table
+from gesticulator.version import __version__
 
 Doing: TypeAlias = "Callable[[int], float]"
 """Processes the recording of that number and returns its duration in seconds; raises InputError or OSError."""
 Maker: TypeAlias = "Callable[[], Doing]"
 """Loads the models. It is called once in each worker and must be picklable."""
+Outcomes: TypeAlias = "Callable[[Sequence[int]], Iterator[TaskOutcome]]"
+"""Processes the recordings of these numbers; the outcomes come in any order."""
 READERS = 8
 """Threads that read and hash recordings before processing."""
 _Given = TypeVar("_Given")
@@ -138,44 +142,6 @@ def attempted(doing: Doing, number: int) -> TaskOutcome:
     return TaskOutcome(number, seconds, fault, time.perf_counter() - begin, f"{socket.gethostname()}:{os.getpid()}")
 
 
-def done_in_processes(workers: int, make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
-    """Process recordings in several local processes; `InputError` if one of them is killed."""
-    if workers <= 1 or len(numbers) <= 1:
-        yield from done_here(make, numbers)
-        return
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from concurrent.futures.process import BrokenProcessPool
-
-    # Spawned, not forked: the same on every system, and numpy re-reads the number of threads.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(numbers)), context, _begin, (make,)) as pool:
-        try:
-            for future in as_completed([pool.submit(_do, number) for number in numbers]):
-                yield future.result()
-        except BrokenProcessPool:
-            raise InputError("a process", "was killed (perhaps out of memory)", "repeat the command with "
-                             "fewer processes: finished recordings are kept") from None
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-_doing: Doing | None = None
-"""The function that processes recordings in a worker of `done_in_processes`."""
-
-
-def _begin(make: Maker) -> None:
-    global _doing
-    end_with_parent()
-    _doing = make()
-
-
-def _do(number: int) -> TaskOutcome:
-    assert _doing is not None
-    return attempted(_doing, number)
-
-
 def done_here(make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
     """Process recordings one by one in this process."""
     doing = make()
@@ -183,8 +149,32 @@ def done_here(make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
         yield attempted(doing, number)
 
 
-def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Callable[[Sequence[int]], Iterator[TaskOutcome]],
-              shard: tuple[int, int] = (1, 1), quiet: bool = False) -> tuple[int, int]:
+def run_jobs(jobs: Sequence[Job], request: BatchRequest, bundle: str | None, threads: int, quiet: bool,
+             outcomes: Outcomes) -> tuple[int, int]:
+    """Process recordings that are missing or changed; returns (number of recordings, number done).
+
+    bundle: its name or folder. threads: of torch, which decide the last bits of the output. outcomes: see `run_batch`.
+    `InputError` for invalid input.
+    """
+    if any(job.source is None for job in jobs):
+        raise InputError("standard input", "is not a recording of a batch", "name files or folders")
+    shard = parse_shard(request.shard)
+    path = Path(request.manifest or jobs[0].targets[0].parent / default_name(*shard))
+    check_manifest(path)
+    folder = bundle_folder(bundle)
+    read_index(folder)
+    index = file_hash(folder / INDEX)
+    tasks = [BatchTask(number, job.source, job.targets, (__version__, index, _settings(job, threads)), job.fault)
+             for number, job in enumerate(jobs) if job.source is not None]
+    return run_batch(tasks, path, outcomes, shard, quiet)
+
+
+def _settings(job: Job, threads: int) -> str:
+    return hashlib.sha256(f"{job.digest} {threads}".encode()).hexdigest()
+
+
+def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, shard: tuple[int, int] = (1, 1),
+              quiet: bool = False) -> tuple[int, int]:
     """Process recordings that are missing or changed and record them; returns (recordings in the shard, number done).
 
     outcomes: processes recordings by number, given longest first, yielding in any order. `InputError` if another

@@ -23,7 +23,7 @@ from typing import Any
 
 from data_module.errors import InputError, one_line
 from data_module.settings import whole_number
-from gesticulator.batch.run import Doing, Maker, TaskOutcome, attempted
+from gesticulator.batch import Doing, Maker, TaskOutcome, attempted
 
 ATTEMPTS = 3
 """Attempts at a task whose worker dies: the task itself is the likelier cause (memory) than chance."""
