@@ -1,12 +1,7 @@
-"""The package for three.js: its licence, what it imports, and what it shows in a browser."""
+"""The browser client with three.js: clips and poses of a stream on characters."""
 
 from __future__ import annotations
 
-import json
-import os
-import re
-import shutil
-import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -28,36 +23,10 @@ from gesticulator.performance import Performance
 from gesticulator.stream import StreamFrames
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDER, JS = ROOT / "integrations" / "three-gesticulator", Path(__file__).resolve().parent / "js"
+FOLDER, JS = ROOT / "integrations" / "gesticulator-client" / "src", Path(__file__).resolve().parent / "js"
 FPS, FRAMES = 25.0, (0, 10, 21)
 TIMES = [frame / FPS for frame in FRAMES]
 VRMS = {"vrm0": "0.x", "vrm1": "1.0"}
-
-
-def test_it_needs_three_alone_and_has_its_own_licence() -> None:
-    package = json.loads((FOLDER / "package.json").read_text())
-    assert package["license"] == "BSD-2-Clause" and list(package["peerDependencies"]) == ["three"]
-    assert not package.get("dependencies") and (FOLDER / "LICENSE").read_text().startswith("BSD 2-Clause License")
-    for file in FOLDER.glob("*.js"):
-        assert file.name in package["files"]
-        for source in re.findall(r'from "([^"]+)"', file.read_text()):
-            assert source == "three" or (source.startswith("./") and (FOLDER / source).is_file()), (file, source)
-    assert "integrations/three-gesticulator" in (ROOT / "NOTICE").read_text()
-
-
-def test_npm_packs_every_file_of_it(tmp_path: Path) -> None:
-    npm = shutil.which("npm")
-    if npm is None:
-        pytest.skip("npm is not installed")
-    done = subprocess.run([npm, "pack", "--dry-run", "--json", str(FOLDER)], cwd=tmp_path, capture_output=True,
-                          text=True, check=True, env={**os.environ, "npm_config_cache": str(tmp_path / "cache")})
-    packed = {entry["path"] for entry in json.loads(done.stdout)[0]["files"]}
-    assert packed == {file.name for file in FOLDER.iterdir() if file.is_file()}
-
-
-def test_the_first_example_takes_ten_lines() -> None:
-    example = (FOLDER / "README.md").read_text().split("```js\n")[1].split("```")[0]
-    assert len([line for line in example.splitlines() if line.strip()]) <= 10
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +66,8 @@ def check_bones(got: dict[str, Any], version: str, ours: Performance, path: bool
     turns = global_rotations(Skeleton(wanted.names, wanted.parents, wanted.translations), wanted.turns)
     world = dict(zip(wanted.names, np.moveaxis(turns, 1, 0), strict=True))
     pairs = [(above, bone) for bone, (above, _, _) in BONES.items() if above in world and bone in places]
+    if not path:  # of the two joints of the spine, the client takes the upper one
+        pairs = [(above, bone) for above, bone in pairs if above != "spine"]
     assert len(pairs) > 40
     from data_module.motion import rotation
 

@@ -46,33 +46,3 @@ export class GesturePlayer {
 export function additiveClip(clip: AnimationClip, root: Object3D): AnimationClip;
 
 export function vrmClip(gltf: GltfLike, vrm: VrmLike, index?: number): Promise<AnimationClip>;
-
-export interface StreamOptions {
-  /** Hertz of the sound that is sent. */
-  sampleRate?: number;
-  token?: string | null;
-  fps?: number;
-  /** Options of the performance, as in protocol.json. */
-  options?: Record<string, unknown>;
-  onEvent?: (message: { type: string; [key: string]: unknown }) => void;
-}
-
-export interface Frame {
-  /** Local rotations of the joints, four numbers each, w first. */
-  turns: Float32Array;
-  /** Place of the hips, metres. */
-  root: Float32Array;
-  /** 20 numbers of the face, with the option `face`. */
-  face?: Float32Array;
-}
-
-export class GestureStream {
-  constructor(url: string, options?: StreamOptions);
-  /** Resolved when the server has answered, rejected when it closes the connection before. */
-  readonly ready: Promise<GestureStream>;
-  say(message: { type: string; [key: string]: unknown }): void;
-  send(samples: Float32Array): void;
-  close(): void;
-  at(time: number): Frame | undefined;
-  show(vrm: VrmLike, time: number): boolean;
-}
