@@ -78,8 +78,6 @@ class Bound:
 
 ANY = Bound()
 """Shown, not judged."""
-POSITIVE = Bound(low=0.0, strict=True, of=LOW)
-"""A difference that is more than chance."""
 
 
 def at_most(high: float) -> Bound:
