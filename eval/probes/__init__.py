@@ -30,7 +30,6 @@ PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
     "languages": RegistryEntry("is a model of one language in time with another?", "eval.probes.languages"),
     "racer": RegistryEntry("does RACER improve the motion? Every acceptance criterion with bound and verdict",
                            "eval.acceptance.racer.command"),
-    "rewards": RegistryEntry("does RACER's reward rank motion?", "eval.probes.rewards"),
     "style-editing": RegistryEntry("does the motion follow the style controls?", "eval.probes.style_editing"),
     "knobs": RegistryEntry("what is the effect of the knobs? Response curves against the range of real people",
                            "eval.probes.knobs"),
