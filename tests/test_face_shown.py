@@ -26,9 +26,9 @@ from gesticulator.characters.face_shapes import vrm
 from gesticulator.export import film
 from gesticulator.export.figure import figure_points
 from gesticulator.export.figure_face import face_points, lip_curves
+from gesticulator.live.limits import ServerLimits
+from gesticulator.live.server import live_pages
 from gesticulator.performance import Performance
-from gesticulator.serve.page import pages
-from gesticulator.serve.settings import ServerLimits
 
 ROOT = Path(__file__).resolve().parents[1]
 @pytest.fixture(scope="module")
@@ -256,7 +256,7 @@ def test_lids_eyes_and_brows_move_as_the_numbers_say(shown: OpenedPage) -> None:
 
 
 def test_the_live_page_shows_a_face_where_it_is_asked_for(browser: Any) -> None:
-    with served(ServerLimits(core_share=100.0), pages()) as (_, port):
+    with served(ServerLimits(), live_pages()) as (_, port):
         page = browser.new_page(viewport={"width": 640, "height": 480})
         page.set_default_timeout(240_000)
         page.goto(f"http://127.0.0.1:{port}/")

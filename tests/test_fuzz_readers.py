@@ -24,7 +24,7 @@ from reader_finder import readers_of
 from data_module.corpora.base import DroppedError
 from data_module.errors import InputError
 from data_module.text.transcript import FORMATS
-from gesticulator.serve.protocol import RefusedError
+from gesticulator.live.protocol import RefusedError
 
 resource = pytest.importorskip("resource", reason="what a process has taken is POSIX's to tell")
 
@@ -111,43 +111,38 @@ NO_CASE = {
         gesticulator/training/stages/training.py:claim interpreters/episodes.py:Episodes.load""",
     "an evaluation's own work folder": """
         eval/acceptance/motion/command.py:run eval/baselines/unit_selection.py:_read
-        eval/rows/cells.py:CellStore._append eval/rows/cells.py:CellStore.gather eval/rows/cells.py:CellStore.lines
         eval/ablate/figures.py:_key_of eval/context.py:_reward_model eval/ablate/racer.py:_trained
         eval/renderings.py:KeptRenderings.get eval/renderings.py:Rendering.unpacked
-        eval/runner/judge.py:PlayedStore.read eval/runner/played.py:VoicePlayer._kept
-        eval/runner/played_reward.py:kept""",
+        eval/ablate/cells.py:_read eval/ablate/run.py:RgRows.motions""",
     "calls a reader that has a case": """
         data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._reading
-        data_module/corpora/ted.py:Ted.read eval/runner/ablate.py:ablate eval/runner/ablate.py:redraw
-        eval/runner/rg.py:RgRows.clips eval/probes/face.py:run gesticulator/training/face.py:recordings_of
+        data_module/corpora/ted.py:Ted.read eval/ablate/command.py:ablate eval/ablate/tables.py:redraw
+        eval/probes/face.py:run gesticulator/training/face.py:recordings_of
         gesticulator/serve/edits.py:LivePlans.performance gesticulator/serve/edits.py:LivePlans.opened
         gesticulator/serve/page_export.py:exported
-        gesticulator/bundle/models.py:StoredParts.__getitem__ gesticulator/serve/connection.py:Connection._hello
-        gesticulator/serve/connection.py:Connection._read gesticulator/serve/edits.py:LivePlans.answer
-        gesticulator/serve/session.py:Session._add_words interpreters/base.py:opened""",
+        gesticulator/bundle/models.py:StoredParts.__getitem__ gesticulator/live/connection.py:Connection._hello
+        gesticulator/live/connection.py:Connection._read gesticulator/serve/edits.py:LivePlans.answer
+        gesticulator/live/session.py:Session._add_words interpreters/base.py:opened""",
     "the bytes are hashed, copied or thrown away, not parsed": """
         data_module/corpora/smartbody.py:SmartBody.write data_module/text/word_vectors.py:_fingerprint
         gesticulator/batch/run.py:file_hash gesticulator/export/html.py:character_data
-        gesticulator/serve/connection.py:Connection._swallow eval/renderings.py:program_key""",
+        gesticulator/live/connection.py:Connection._swallow eval/renderings.py:program_key""",
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:_holder data_module/performer/espeak.py:_spoken
         data_module/performer/flite.py:timed_phrase gesticulator/characters/fbx_rig.py:read_fbx_character
         gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:_frame
         gesticulator/export/film.py:encode_pictures
         gesticulator/export/own_fbx.py:write_animated gesticulator/export/usd.py:write_usd
-        gesticulator/serve/metrics.py:read_figures eval/probes/stability.py:_as_mp3
+        eval/probes/stability.py:_as_mp3
         gesticulator/characters/blender.py:_Worker.wait gesticulator/characters/blender.py:_Worker._last_line""",
-    "messages of another process of the same server": """
-        gesticulator/serve/output_process.py:_play gesticulator/serve/relay.py:_goes_on
-        gesticulator/serve/relay.py:relay gesticulator/serve/relay.py:_carry""",
     "runs in a child process, whose parent has a case": """
         data_module/performer/espeak_child.py:main data_module/speech/mp3_child.py:main
         gesticulator/export/fbx_child.py:animate gesticulator/characters/blender_jobs.py:main""",
     "Gesticulator.read, whose transcripts have a case": """
         eval/probes/stability.py:_words_changed""",
     "a file of the installation": """
-        gesticulator/batch/ray_pool.py:_runs_here gesticulator/serve/page.py:pages gesticulator/version.py:_is_ours
-        eval/probes/meaning.py:judgements""",
+        gesticulator/batch/ray_pool.py:_runs_here gesticulator/live/server.py:live_pages
+        gesticulator/version.py:_is_ours eval/probes/meaning.py:judgements""",
     "a model that another library reads": """
         data_module/speech/learned_front_ends.py:_open data_module/text/alignment.py:_loaded_decoder
         eval/metrics/stressed_vowels.py:_decoder

@@ -33,12 +33,12 @@ from gesticulator.directing.marks import (
 )
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.directing.stream_marks import LATEST
+from gesticulator.live.limits import ServerLimits
+from gesticulator.live.protocol import StreamRequest
+from gesticulator.live.session import session_opener
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.gestures import GESTURES, REPERTOIRE
 from gesticulator.plan.plan import GestureCue
-from gesticulator.serve.protocol import StreamRequest
-from gesticulator.serve.session import session_opener
-from gesticulator.serve.settings import ServerLimits
 
 ROOT = Path(__file__).parents[1]
 RATE = 16000

@@ -17,7 +17,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parent.parent
-UNTRIED = {"fbx", "robot", "scale"}
+UNTRIED = {"fbx", "scale"}
 """Extras whose packages the tests do not install."""
 
 

@@ -162,9 +162,9 @@ def test_a_seed_shares_speech_levels_and_lexicon_and_nothing_that_another_comman
 def test_the_row_of_movements_is_the_shipped_systems_and_all_others_are_the_papers(preset: str) -> None:
     base, shipped = PRESETS[preset](), presets.preset("default")
     flow = configured(base, "flow")
-    for read in (lambda c: c.lexicon.kind, lambda c: c.lexicon.size, lambda c: c.lexicon.quantizer,
+    for read in (lambda c: c.system, lambda c: c.lexicon.size, lambda c: c.lexicon.quantizer,
                  lambda c: c.lexicon.code_width, lambda c: c.lexicon.commitment, lambda c: c.lexicon.revive_below,
-                 lambda c: c.lexicon.warm_up, lambda c: c.generator.head,
+                 lambda c: c.lexicon.warm_up,
                  lambda c: c.motion.least_deviation, lambda c: c.motion.smoothing,
                  lambda c: c.silence.hint, lambda c: c.silence.mask, lambda c: c.interpreter.pose_features,
                  lambda c: c.interpreter.memory):
@@ -172,7 +172,7 @@ def test_the_row_of_movements_is_the_shipped_systems_and_all_others_are_the_pape
     assert not flow.generator.styled and not flow.generator.units, "the row asks about lexicon and head alone"
     for name in (name for name in ROWS if not is_racer(name)):
         other = configured(base, name)
-        assert name in ("flow", "k-means") or (other.lexicon.kind, other.generator.head) == ("pose", "regression")
+        assert name in ("flow", "k-means") or other.system == "paper"
 
 
 # -------------------------------------------------------------------------------------------------------------- cells

@@ -23,8 +23,8 @@ from data_module.motion.skeletons import FINGERED, WHOLE_BODY, standing
 from data_module.types import Array, Skeleton
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.vrma import BONES, humanoid
+from gesticulator.live.protocol import StreamRequest, joints, pack
 from gesticulator.performance import Performance
-from gesticulator.serve.protocol import StreamRequest, joints, pack
 from gesticulator.stream import StreamFrames
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 UNNEEDED = (
     "sklearn", "transformers", "matplotlib", "av", "tqdm.notebook", "interpreters.cql", "interpreters.reward",
     "interpreters.episodes", "interpreters.gate", "lexicon.racer", "lexicon.autoencoder", "gesticulator.training.fit",
-    "gesticulator.training.stages", "gesticulator.bundle.upgrade", "data_module.store", "data_module.text.transcript",
+    "gesticulator.training.stages", "data_module.store", "data_module.text.transcript",
     "data_module.speech.speech_encoder", "data_module.speech.learned_front_ends", "eval")
 RUN = """
 import json, runpy, sys

@@ -129,18 +129,18 @@ def parse_systems(entries: Sequence[str]) -> dict[str, Path]:
 
 def read_takes(systems: Mapping[str, Path]) -> list[StudyTake]:
     """The recordings that every system has; InputError when there is none, or when the sound of one differs."""
-    found = []
+    folders = []
     for folder in systems.values():
-        found.append({file.stem: (file, heard) for file in sorted(folder.iterdir()) if file.suffix.lower() == ".bvh"
-                      and (heard := find_sound(folder, file.stem))})
-        if not found[-1]:
+        folders.append({file.stem: (file, sound_file) for file in sorted(folder.iterdir())
+                        if file.suffix.lower() == ".bvh" and (sound_file := find_sound(folder, file.stem))})
+        if not folders[-1]:
             raise InputError(folder, "has no BVH file with a sound file of the same name", "put both there")
-    common = sorted(set.intersection(*map(set, found)))
+    common = sorted(set.intersection(*map(set, folders)))
     if not common:
         raise InputError("--systems", "have no recording in common", "use the same file names in each folder")
     takes = []
     for stem in common:
-        (_, first), *others = files = [pairs[stem] for pairs in found]
+        (_, first), *others = files = [pairs[stem] for pairs in folders]
         speech = load_speech(first)
         for _, other in others:
             if not _same_sound(speech, load_speech(other)):
@@ -221,18 +221,19 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     study = _opaque(source, f"study {clips} {seconds:g} {list(aspects)}")
     key = {"study": study, "seed": seed, "seconds": float(seconds), "scale": SCALE, "aspects": list(aspects),
            "systems": list(systems),
-           "clips": [{"recording": takes[own.take].name, "start": own.start, "speech": own.speech} for own in chosen],
+           "clips": [{"recording": takes[clip.take].name, "start": clip.start, "speech": clip.speech}
+                     for clip in chosen],
            "items": {name: {"clip": c, "system": list(systems)[k]} for (c, k), name in ids.items()}}
     # Sorted by hash: neither items nor sounds lie in the page in the order of systems and clips.
     items = sorted(ids, key=lambda pair: ids[pair])
     sounds = sorted(range(clips), key=lambda c: _opaque(source, f"sound {c}"))
     shown = {(c, k): _places(takes[chosen[c].take].motions[k], chosen[c].start, seconds) for c, k in items}
-    heard = {c: _stretch(takes[chosen[c].take].speech, chosen[c].start, seconds) for c in sounds}
+    stretches = {c: _stretch(takes[chosen[c].take].speech, chosen[c].start, seconds) for c in sounds}
     data = {"study": study, "fps": FPS, "seconds": float(seconds), "scale": SCALE,
             "questions": [[name, ASPECTS[name]] for name in aspects]}
     if videos is None:
         data |= {"stepsPerMetre": STEPS_PER_METRE, "points": list(shown[items[0]]), "soundType": sound.MEDIA_TYPE,
-                 "sounds": [base64.b64encode(sound.compress(heard[c])).decode() for c in sounds],
+                 "sounds": [base64.b64encode(sound.compress(stretches[c])).decode() for c in sounds],
                  "items": [{"id": ids[c, k], "sound": sounds.index(c), "motion": encoded_points(shown[c, k])}
                            for c, k in items]}
     else:
@@ -241,7 +242,7 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     (out / "page").mkdir(parents=True, exist_ok=True)
     write_text(out / "key.json", json.dumps(key, indent=1) + "\n")
     if videos is not None:
-        _film({ids[c, k]: (shown[c, k], heard[c]) for c, k in items}, out / "page", f".{videos}")
+        _film({ids[c, k]: (shown[c, k], stretches[c]) for c, k in items}, out / "page", f".{videos}")
     # Videos lie beside the page, on a disk or a server; without them nothing but the page itself is ever read.
     write_text(out / "page" / "index.html", page_of("study.html", data, "blob:" if videos is None else "'self' file:"))
     return out / "page" / "index.html"
@@ -250,8 +251,8 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
 def _film(items: dict[str, tuple[dict[str, NDArray[np.float64]], Speech]], folder: Path, suffix: str) -> None:
     """Each item as `folder`/ID`suffix`, all of one size in bytes, written in the order of their ids."""
     # The page's last place is the end of its last frame; a video's last frame begins one before.
-    films = {name: film.encode({joint: places[:-1] for joint, places in shown.items()}, heard, suffix, fps=FPS)
-             for name, (shown, heard) in items.items()}
+    films = {name: film.encode({joint: places[:-1] for joint, places in shown.items()}, speech, suffix, fps=FPS)
+             for name, (shown, speech) in items.items()}
     size = max(map(len, films.values())) + film.LEAST_FILLING
     for name, data in films.items():
         write_bytes(folder / f"{name}{suffix}", film.filled(data, size, suffix))

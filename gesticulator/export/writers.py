@@ -27,8 +27,6 @@ _VIDEO = Requirement("av", "PyAV", "video")
 _USD = Requirement("pxr", "usd-core", "usd")
 
 WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be written", {
-    ".bml": RegistryEntry("gestures with their times in Behavior Markup Language",
-                          "gesticulator.export.plan_file:write_bml"),
     ".bvh": RegistryEntry("motion in centimetres and degrees", "gesticulator.export.writers:write_bvh_file"),
     ".csv": RegistryEntry("positions and rotations, a row per joint and frame", "gesticulator.export.table:write_csv"),
     ".face.csv": RegistryEntry("the face in ARKit's names, as Live Link Face records it",
@@ -36,13 +34,12 @@ WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be wri
     ".face.parquet": RegistryEntry("the table of .face.csv as Parquet", "gesticulator.export.face:write_face_parquet",
                                    needs=Requirement("pyarrow", "pyarrow", "parquet")),
     ".fbx": RegistryEntry("motion, or your own character, through Blender", "gesticulator.export.fbx:write_fbx"),
-    ".g1.csv": RegistryEntry("joint angles of the robot Unitree G1", "gesticulator.export.g1:write_g1"),
     ".gif": RegistryEntry("an animated figure, looping", "gesticulator.export.film:write_gif",
                   needs=Requirement("PIL", "Pillow", "video")),
     ".glb": RegistryEntry("motion, or your own character, as binary glTF", "gesticulator.export.glb:write_glb"),
     ".html": RegistryEntry("a page that plays and edits the performance", "gesticulator.export.html:write_preview"),
     ".json": RegistryEntry("the gesture plan: the choice for each block and its reasons",
-                           "gesticulator.export.plan_file:write_plan"),
+                           "gesticulator.export.writers:write_plan"),
     ".mp4": RegistryEntry("an animated figure with audio", "gesticulator.export.film:write_film", needs=_VIDEO),
     ".npz": RegistryEntry("SMPL-X poses in the format of BEAT2", "gesticulator.export.smplx:write_smplx"),
     ".parquet": RegistryEntry("the table of .csv as Parquet", "gesticulator.export.table:write_parquet",
@@ -53,6 +50,10 @@ WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be wri
     ".webm": RegistryEntry("an animated figure with audio", "gesticulator.export.film:write_film", needs=_VIDEO),
 }, RegistryEntry)
 """By suffix: writer(path, scene) -> path; writers write atomically."""
+
+ELSEWHERE = {".g1.csv": "gesticulator-extra"}
+"""Suffix -> the distribution that writes it, for the message where that is not installed: without it, a path such as
+"talk.g1.csv" would become a plain table."""
 
 UNITS = {"cm": 0.01, "m": 1.0}
 """Unit of length of a BVH file -> metres."""
@@ -116,7 +117,7 @@ def suffix_of(path: str | os.PathLike[str]) -> str:
     (".g1.csv"); "" without one."""
     suffixes = [suffix.lower() for suffix in Path(path).suffixes]
     both = "".join(suffixes[-2:])
-    return both if both in WRITERS else "".join(suffixes[-1:])
+    return both if both in WRITERS or both in ELSEWHERE else "".join(suffixes[-1:])
 
 
 def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
@@ -124,6 +125,9 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
     dependency, or a unit that its format does not support."""
     target = Path(path)
     suffix = suffix_of(target)
+    if suffix not in WRITERS and suffix in ELSEWHERE:
+        package = ELSEWHERE[suffix]
+        raise InputError(target, f"needs {package}, which is not installed", f"pip install {package}")
     if suffix not in WRITERS:
         wrong = f"'{target.suffix}' is not a format that can be written" if target.suffix else "has no suffix"
         raise InputError(target, wrong, f"use one of {', '.join(sorted(WRITERS))}")
@@ -152,6 +156,13 @@ def write(path: str | os.PathLike[str], scene: Scene, *, unit: str = "cm") -> Pa
     check_output(path, unit)
     writer = writer_for(path)
     return (writer if unit == "cm" else partial(writer, unit=unit))(Path(path), scene)
+
+
+def write_plan(path: Path, scene: Scene) -> Path:
+    """`.json`: write the gesture plan. Returns `path`."""
+    from gesticulator.plan.plan_file import write_plan_file
+
+    return write_plan_file(path, scene.plan)
 
 
 def write_bvh_file(path: Path, scene: Scene, unit: str = "cm") -> Path:

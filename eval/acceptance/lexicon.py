@@ -1,0 +1,291 @@
+"""Does a lexeme name a movement, and does the generator sample the movement that was requested?
+
+Measured on held-out motion, in joint positions (metres, hips at the origin, the joints of the 16-joint character), over
+the blocks of strokes: those in which a wrist is faster than 0.3 m/s. With x the truth, y the decoded motion, both
+[K, J, 3], and l the last true frame before the block:
+
+- within-block R2: 1 - sum |(y - mean y) - (x - mean x)|^2 / sum |x - mean x|^2. A lexicon of postures has none.
+- displacement R2: 1 - sum |y - x|^2 / sum |x - l|^2. Holding the last pose has none.
+
+Open loop decodes each block from the true frames before it, closed loop from what was decoded. A lexicon of poses takes
+no notice of either.
+
+Obedience: free-running, a sampled block is encoded again, after the block that was sampled before it; its rank is how
+many lexemes are nearer than the one that was requested. What fools it: a lexicon of few lexemes, or a lexeme that is
+used alone; beside it stands the share that the most frequent lexeme would reach.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module import blocks as block_module
+from data_module.motion.kinematics import positions_of
+from data_module.motion.movement import Pasts, joined, pasts_of
+from data_module.motion.skeletons import CHARACTER
+from data_module.store import Store
+from data_module.types import Array, Motion
+from eval import stats
+from eval.acceptance.bounds import LACKING, Measured, Results
+from eval.metrics.eye import common_body, hands, strokes
+from eval.metrics.eye.body import HZ
+from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
+from eval.stats import Interval
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import representation_of
+from lexicon.autoencoder import Lexicon
+from lexicon.movement import MovementLexicon
+
+BEST = 5
+"""Lexemes that count as near the requested one."""
+PLAYED, ALONE_PLAYED = "as played", "generator alone"
+"""As played: with rest and life laid over the sampled motion; generator alone: without them."""
+ALL, ALONE = "all levels", "the lexeme alone"
+
+Decode = Callable[[Tensor, Pasts], Tensor]
+"""Blocks [B, K, D_m] and what came before each, to the blocks as their codes tell them."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A recording's own motion in N blocks. motion: [N, K, D_m] normalised; durations: [N] s; first: [D_m] the pose at
+    time 0; positions: [D_m vectors -> joints] metres."""
+
+    name: str
+    motion: Tensor
+    durations: Tensor
+    first: Tensor
+    positions: Callable[[Tensor], Array]
+
+    def pasts(self) -> Pasts:
+        """The true frames before each block; before the first it stands still."""
+        return pasts_of(self.motion, self.durations, self.first)
+
+
+def codes_of(lexicon: Lexicon | MovementLexicon) -> dict[str, Decode]:
+    """What a lexicon makes of blocks by all of its codes, and by the lexeme alone."""
+    if isinstance(lexicon, MovementLexicon):
+        return {ALL: partial(_movements, lexicon, None), ALONE: partial(_movements, lexicon, 0)}
+    # A lexicon of poses has one level.
+    return {ALL: partial(_poses, lexicon), ALONE: partial(_poses, lexicon)}
+
+
+@torch.no_grad()
+def _movements(lexicon: MovementLexicon, levels: int | None, blocks: Tensor, past: Pasts) -> Tensor:
+    return lexicon.basis.compose(lexicon.quantised(lexicon.basis.coefficients(blocks, past), levels), past)
+
+
+@torch.no_grad()
+def _poses(lexicon: Lexicon, blocks: Tensor, past: Pasts) -> Tensor:
+    return lexicon.decode(lexicon.vectors[lexicon.label(blocks)])
+
+
+def open_loop(decode: Decode, held: HeldOut) -> Tensor:
+    """[N, K, D_m] every block after the true frames before it."""
+    return decode(held.motion, held.pasts())
+
+
+def closed_loop(decode: Decode, recordings: Sequence[HeldOut]) -> list[Tensor]:
+    """[N, K, D_m] of each recording: every block after what was decoded before it."""
+    decoded: list[list[Tensor]] = [[] for _ in recordings]
+    true = [held.pasts() for held in recordings]
+    before = joined(past[:1] for past in true).frames
+    for at in range(max(len(held.motion) for held in recordings)):
+        on = [k for k, held in enumerate(recordings) if at < len(held.motion)]
+        ratio = torch.stack([true[k].ratio[at] for k in on])
+        block_batch = decode(torch.stack([recordings[k].motion[at] for k in on]), Pasts(before[on], ratio))
+        before[on] = block_batch[:, -before.shape[1]:]
+        for k, block in zip(on, block_batch, strict=True):
+            decoded[k].append(block)
+    return [torch.stack(blocks) for blocks in decoded]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Of one recording. within, displaced: [2] squared errors, and what they are compared with, m2; heights: [2]
+    correlation of both hands' heights, of what is decoded and of the truth."""
+
+    within: Array
+    displaced: Array
+    heights: Array
+
+
+def fit_of(held: HeldOut, decoded: Tensor) -> Fit:
+    """How near decoded blocks [N, K, D_m] are to the truth, in the blocks of strokes."""
+    truth, drawn = held.positions(held.motion), held.positions(decoded)
+    last = np.concatenate([held.positions(held.first[None, None])[:, -1:], truth[:-1, -1:]])
+    moving = stroke_blocks(truth, held.durations.numpy())
+    x, y, l0 = truth[moving], drawn[moving], last[moving]
+    inner = x - x.mean(axis=1, keepdims=True)
+    wrists = [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]
+    heights = [hands.correlation(places[..., wrists, 1].reshape(-1, 2)) for places in (drawn, truth)]
+    return Fit(np.array([((y - y.mean(axis=1, keepdims=True) - inner) ** 2).sum(), (inner ** 2).sum()]),
+               np.array([((y - x) ** 2).sum(), ((x - l0) ** 2).sum()]), np.array(heights))
+
+
+def stroke_blocks(places: Array, durations: Array) -> NDArray[np.bool_]:
+    """[N] blocks of places [N, K, J, 3] in which a wrist is faster than a stroke's fastest moment must be."""
+    wrists = places[:, :, [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]]
+    step = np.linalg.norm(np.diff(wrists, axis=1), axis=-1) * (places.shape[1] / durations)[:, None, None]
+    return np.asarray(step.max(axis=(1, 2)) > strokes.MOVES, dtype=bool)
+
+
+def r_squared(sums: Array) -> Interval:
+    """1 - error over what it is compared with, of sums [recordings, 2], with the interval over recordings."""
+    def figure(chosen: Array) -> float:
+        error, whole = sums[chosen].sum(axis=0)
+        return float(1.0 - error / whole) if whole > 0 else float("nan")
+
+    return stats.of_set(figure, len(sums), basic=False)
+
+
+def lexicon_figures(recordings: Sequence[HeldOut], codes: Mapping[str, Decode]) -> Results:
+    """Within-block and displacement R2 and the tie between the hands, of all codes and of the lexeme alone."""
+    results: Results = {}
+    for name, decode in codes.items():
+        for loop, decoded in (("open loop", [open_loop(decode, held) for held in recordings]),
+                              ("closed loop", closed_loop(decode, recordings))):
+            fits = [fit_of(held, blocks) for held, blocks in zip(recordings, decoded, strict=True)]
+            on = f"{name}, {loop}"
+            results["within_r2", on] = Measured(r_squared(np.array([fit.within for fit in fits])))
+            results["displacement_r2", on] = Measured(r_squared(np.array([fit.displaced for fit in fits])))
+            drawn, true = (stats.mean_interval([fit.heights[k] for fit in fits]) for k in (0, 1))
+            results["heights_apart", on] = Measured(Interval.exact(abs(drawn.mean - true.mean), drawn.n),
+                                                    f"decoded {drawn.text()}, truth {true.text()}")
+    return results
+
+
+def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
+    """Range of numbers that no source has, which must not move at all. present: [D_m] 1 where some source has them."""
+    lacking = present < 0.5
+    if not lacking.any():
+        return Measured(missing="every joint is present in some source")
+    moved = max(float(np.ptp(blocks[..., lacking].reshape(-1, int(lacking.sum())).numpy(), axis=0).max())
+                for blocks in decoded)
+    return Measured(Interval.exact(moved, 1), f"{int(lacking.sum())} of {len(present)} numbers")
+
+
+# ---------------------------------------------------------------------------------------------------------- obedience
+
+@torch.no_grad()
+def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
+    """[N] ranks of the requested lexemes: how many are nearer to each sampled block than the one that was requested."""
+    lexicon = bundle.block_models.lexicon
+    blocks, requested = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
+    if isinstance(lexicon, Lexicon):
+        return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)
+    assert rendering.edges is not None
+    durations = torch.as_tensor(np.diff(rendering.edges), dtype=torch.float32)
+    ranks = lexicon.ranks(blocks, pasts_of(blocks, durations, bundle.rest_feature(speaker)), requested)
+    return np.asarray(ranks.numpy(), dtype=np.int64)
+
+
+def ranks_of(distances: Tensor, requested: Tensor) -> NDArray[np.int64]:
+    """[N] how many of distances [N, S] are below that of the requested lexeme [N]."""
+    nearer = distances < distances.gather(-1, requested[:, None])
+    return np.asarray(nearer.sum(-1).numpy(), dtype=np.int64)
+
+
+def obedience_figures(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDArray[np.int64]],
+                      groups: Sequence[str], silent: NDArray[np.int64], on: str) -> Results:
+    """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each.
+
+    Beside them the share of blocks for which a gesture was requested: where a silent lexeme is played, the layer of
+    rest holds or sinks the hands whatever was sampled, and the lexicon names that otherwise.
+    """
+    sizes = [len(rank) for rank in ranks]
+    every = np.concatenate(lexemes)
+    common = float(np.bincount(every).max() / len(every))
+
+    def share(least: int) -> Interval:
+        return stats.mean_interval([float((rank < least).mean()) for rank in ranks], sizes, groups=list(groups))
+
+    remark = (f"{sum(sizes)} blocks, {len(np.unique(every))} lexemes in use; always requesting the most frequent one "
+              f"would reach {common:.2f}")
+    gestures = [~np.isin(lexeme, silent) for lexeme in lexemes]
+    among = stats.mean_interval([float((rank[gesture] < BEST).mean()) if gesture.any() else float("nan")
+                                 for rank, gesture in zip(ranks, gestures, strict=True)],
+                                [int(gesture.sum()) for gesture in gestures], groups=list(groups))
+    return {("obeyed", on): Measured(share(1), remark), ("among_best", on): Measured(share(BEST)),
+            ("gestures_among_best", on): Measured(
+                among, f"{sum(int(gesture.sum()) for gesture in gestures)} blocks")}
+
+
+def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> float:
+    """Mean hand speed, m/s, in blocks that are quiet, as the block before them was; NaN where there is none."""
+    speed = common_body(motion).hand_speed.mean(axis=1)
+    at = np.clip(np.searchsorted(edges, np.arange(len(speed)) / HZ, side="right") - 1, 0, len(quiet) - 1)
+    settled = quiet & np.concatenate([[False], quiet[:-1]])
+    resting = speed[settled[at]]
+    return float(resting.mean()) if len(resting) else float("nan")
+
+
+def silent_figure(renderings: Sequence[Rendering], silent: NDArray[np.int64], groups: Sequence[str]) -> Measured:
+    """Hand speed, m/s, where silent lexemes follow each other."""
+    values = [silent_speed(rendering.motion, rendering.edges, np.isin(rendering.lexemes, silent))
+              for rendering in renderings if rendering.edges is not None]
+    return Measured(stats.mean_interval(values, groups=list(groups)), f"{len(silent)} silent lexemes")
+
+
+# ------------------------------------------------------------------------------------------------------------- group
+
+def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
+    """The test split as the bundle's lexicon reads it; an unknown speaker is centred on the recording's mean."""
+    representation, statistics = representation_of(bundle.config), bundle.statistics
+    out = []
+    for info in store.of_split("test"):
+        recording = store.load(info.name, bundle.config.motion.joints)
+        blocks = block_module.cut(recording.speech, bundle.config.rhythm)
+        if len(blocks) < 2:
+            continue
+        poses = block_module.normalise_motion(recording.motion, blocks, representation)
+        known = info.speaker in statistics.speakers
+        mean = statistics.mean_pose[statistics.speakers.index(info.speaker)] if known else poses.mean(axis=(0, 1))
+        first = block_module.first_pose(recording.motion, representation)
+        moves = statistics.present.numpy()  # as `Statistics.normalise` has it: exactly 0 in what never moves
+        features, start = (torch.as_tensor((values - mean) / statistics.deviation * moves, dtype=torch.float32)
+                           for values in (poses, first))
+
+        def positions(blocks: Tensor, mean: Array = mean) -> Array:
+            poses = blocks.double().numpy() * statistics.deviation + mean
+            moved = representation.motion(poses.reshape(-1, poses.shape[-1]), HZ)
+            joints = [moved.skeleton.index(joint) for joint in CHARACTER.names]
+            return positions_of(moved)[:, joints].reshape(*poses.shape[:2], len(joints), 3)
+
+        out.append(HeldOut(info.name, features, torch.as_tensor(blocks.durations, dtype=torch.float32), start,
+                           positions))
+    return out
+
+
+def measure(system: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoice], renderings: int) -> Results:
+    """The group `lexicon`; one missing figure without a store."""
+    if store is None:
+        return {("within_r2", f"{ALL}, open loop"): Measured(missing=LACKING["corpus"])}
+    recordings, codes = held_out(system.bundle, store), codes_of(system.bundle.block_models.lexicon)
+    results = lexicon_figures(recordings, codes)
+    results["absent", ""] = absent_figure([open_loop(codes[ALL], held) for held in recordings],
+                                          system.bundle.statistics.present)
+    as_played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
+    results |= _obedience(system, voices, as_played, PLAYED)
+    if system.bundle.rests_by_phrase:
+        bare = system.bare()
+        results |= _obedience(system, voices, [bare.render(voice, k % renderings) for k, voice in enumerate(voices)],
+                              ALONE_PLAYED)
+    groups = [voice.group or voice.name for voice in voices]
+    results["silent_speed", ""] = silent_figure(as_played, system.bundle.silent, groups)
+    return results
+
+
+def _obedience(system: BundleSystem, voices: Sequence[AcceptanceVoice], performed: Sequence[Rendering], on: str
+               ) -> Results:
+    speakers = [system.gesticulator.speaker_index(system.speaker(voice)) for voice in voices]
+    ranks = [encode(system.bundle, rendering, speaker) for rendering, speaker in zip(performed, speakers, strict=True)]
+    groups = [voice.group or voice.name for voice in voices]
+    return obedience_figures(ranks, [rendering.lexemes for rendering in performed], groups, system.bundle.silent, on)
