@@ -136,8 +136,8 @@ def against(motion: Motion, truth: Motion) -> JointError:
 
 
 def motion_values(clip: ClipMeasurement, motion: Motion, truth: Motion, seed: int) -> dict[str, float]:
-    """The figures of a clip in tables: PMB above chance (percent, at `pmb.DELTA`), mean hand speeds (m/s), MAJE (mm) and
-    MAD (mm/s^2)."""
+    """The figures of a clip in tables: PMB above chance (percent, at `pmb.DELTA`), mean hand speeds (m/s), MAJE (mm)
+    and MAD (mm/s^2)."""
     error = against(motion, truth)
     return {"pmb_above_chance": clip.rhythm(seed=seed).above_chance, "speech_speed": clip.speech_speed,
             "silence_speed": clip.silence_speed, "maje": error.maje, "mad": error.mad}

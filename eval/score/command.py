@@ -378,7 +378,7 @@ def score(context: EvalContext, clips: ClipSet, *, with_controls: bool = True) -
 # --------------------------------------------------------------------------------------------------------- command
 
 def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict[str, Features]:
-    """The feature spaces of FGD, two window lengths at least: the papers' network (fgd_folder), our own that lie in work
+    """The feature spaces of FGD, two window lengths at least: the papers' network (fgd_folder), our own in work
     (trained there on the truth's training split where it is a store), and raw directions for lengths that lack."""
     chosen: list[Features] = [published(fgd_folder)] if fgd_folder else []
     folders = sorted(file.parent for file in work.rglob("gesture_features.json")) if work is not None else []
