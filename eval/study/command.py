@@ -2,10 +2,7 @@
 
     gesticulator study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
                               [--videos mp4|webm]
-    gesticulator study meaning --speech FILE ... --out FOLDER [--gestures NAME ... --takes 1 --seed 0]
     gesticulator study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
-
-`meaning` is another study, of what gestures say (`eval.study.meaning`).
 
 `make` takes folders that hold motion (BVH) and its speech under the same names in each. It writes the page, one file
 that works from a disk without a server (FOLDER/page/index.html), and FOLDER/key.json, which raters must not get. The
@@ -306,19 +303,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                    help="the question to the raters")
     m.add_argument("--videos", choices=[suffix[1:] for suffix in film.FORMATS],
                    help="write each item as a video beside the page, instead of drawing it on the page")
-    n = commands.add_parser("meaning", help="make a page on which raters name the meaning of gestures, without sound")
-    n.add_argument("--speech", nargs="+", type=Path, required=True, metavar="FILE",
-                   help="recordings in which the gestures are made; raters do not hear them")
-    n.add_argument("--out", type=Path, required=True, metavar="FOLDER",
-                   help="output folder for page/index.html and key.json")
-    n.add_argument("--gestures", nargs="+", metavar="NAME",
-                   help="the gestures (default: those that talk often calls for; gesticulator gestures lists them)")
-    n.add_argument("--takes", type=int, default=1, metavar="N", help="clips of each gesture (default 1)")
-    n.add_argument("--seed", type=int, default=0, metavar="K", help="seed of clips, answers and orders (default 0)")
-    n.add_argument("--raters", type=int, default=30, metavar="N", help="number of different orders (default 30)")
-    n.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
-    a = commands.add_parser("analyse", help="compute means, intervals, ANOVA, Tukey HSD and ranks; of a study of "
-                            "meanings, shares and confusions")
+    a = commands.add_parser("analyse", help="compute means, intervals, ANOVA, Tukey HSD and ranks")
     a.add_argument("--key", type=Path, required=True, metavar="FILE.json")
     a.add_argument("ratings", nargs="+", type=Path, metavar="RATINGS", help="the raters' answers, .json or .csv")
     a.add_argument("--without", nargs="+", default=[], metavar="RATER", help="exclude these raters")
@@ -331,28 +316,16 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.command == "analyse":
         publish(_analysed(arguments), arguments.out, Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]])))
         return 0
-    page = _meaning_page(arguments) if arguments.command == "meaning" else _comparison_page(arguments)
+    page = _comparison_page(arguments)
     print(f"{page} is for the raters (1 to {arguments.raters}: page?rater=7 fills in the number); "
           f"keep {arguments.out / 'key.json'} to yourself")
     return 0
 
 
 def _analysed(arguments: argparse.Namespace) -> list[Table]:
-    from eval.study import meaning_answers
-
-    if meaning_answers.is_meaning_key(arguments.key):
-        return meaning_answers.analysed(arguments.key, arguments.ratings, arguments.without, arguments.seed)
     key = anova.read_key(arguments.key)
     ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
     return list(anova.tables(ratings, arguments.seed))
-
-
-def _meaning_page(arguments: argparse.Namespace) -> Path:
-    from eval.study import meaning
-    from gesticulator.pipeline import Gesticulator
-
-    options = meaning.MeaningOptions(arguments.gestures, arguments.takes, arguments.seed, arguments.raters)
-    return meaning.make(Gesticulator.from_pretrained(arguments.bundle), arguments.speech, arguments.out, options)
 
 
 def _comparison_page(arguments: argparse.Namespace) -> Path:
