@@ -109,8 +109,9 @@ def effort(system: BundleSystem, speaker: str | None, renderings: int) -> tuple[
                        for manner in (LIVELY, SUBDUED)]).transpose(2, 0, 1)
     apart = []
     for name, speech in sounds:
-        pair = (system.render(voice(name, sound), 0).motion for sound in (speech, EXPORTS["6 dB quieter"](speech)))
-        apart.append(stability.difference(*(common_body(motion) for motion in pair)).hands)
+        first, quieter = (common_body(system.render(voice(name, sound), 0).motion)
+                          for sound in (speech, EXPORTS["6 dB quieter"](speech)))
+        apart.append(stability.difference(first, quieter).hands)
     return effort_figures(values, apart), [_readings_table([name for name, _ in sounds], values, apart)]
 
 
@@ -258,13 +259,13 @@ def moved_by_word(first: Rendering, again: Rendering, time: float) -> tuple[floa
     """After a change of the word at a time: cm between the hands before its gesture unit, and % of other lexemes from
     the second unit after it on. NaN for what the motion is too short for."""
     assert first.edges is not None and again.edges is not None
-    bodies = common_body(first.motion), common_body(again.motion)
-    units, changed = (units_of(body) for body in bodies)
+    body, other = common_body(first.motion), common_body(again.motion)
+    units, changed = units_of(body), units_of(other)
     at, new = _unit_at(units, time), _unit_at(changed, time)
     # The new word may call for a gesture that is prepared earlier than that of the old one.
     begin = min([time, *(unit[0] for unit in (*units[at:at + 1], *changed[new:new + 1]))])
-    before = stability.difference(*(body.crop(0, round(begin * HZ)) for body in bodies)).hands \
-        if begin > 1.0 else math.nan
+    frames = round(begin * HZ)
+    before = stability.difference(body.crop(0, frames), other.crop(0, frames)).hands if begin > 1.0 else math.nan
     if at + 2 >= len(units):
         return before, math.nan
     late = int(np.searchsorted(first.edges[:-1], units[at + 2][0]))
