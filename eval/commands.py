@@ -31,7 +31,7 @@ class Plugin:
         importlib.import_module(self.module).arguments(parser)
 
     def run(self, arguments: argparse.Namespace) -> Any:
-        """What the module's `run` gives; InputError for input that cannot be used."""
+        """The result of the module's `run`; InputError for input that cannot be used."""
         return importlib.import_module(self.module).run(arguments)
 
 
