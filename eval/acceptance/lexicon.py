@@ -70,7 +70,7 @@ class HeldOut:
 
 
 def codes_of(lexicon: Lexicon | MovementLexicon) -> dict[str, Decode]:
-    """What a lexicon makes of blocks by all of its codes, and by the lexeme alone."""
+    """Decoders of a lexicon by all of its codes, and by the lexeme alone."""
     if isinstance(lexicon, MovementLexicon):
         return {ALL: partial(_movements, lexicon, None), ALONE: partial(_movements, lexicon, 0)}
     # A lexicon of poses has one level.

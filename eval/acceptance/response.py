@@ -1,4 +1,4 @@
-"""What changes in the motion when something of the input does: effort, level, style controls, words, exports.
+"""How the motion responds to a change of the input: effort, level, style controls, words, exports.
 
 - Effort (`effort`): every reading in GESTICULATOR_DATA said again lively and subdued at its own level
   (`stimuli.said_with`). With the same seed, size is the median stroke amplitude and speed the mean hand speed in

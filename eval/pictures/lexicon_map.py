@@ -1,4 +1,4 @@
-"""What is in the lexicon, for the eye (RG Fig. 6): `gesticulator plot lexicon --data STORE --out FOLDER`.
+"""The lexicon as pictures and a table (RG Fig. 6): `gesticulator plot lexicon --data STORE --out FOLDER`.
 
 `latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents of blocks (E(M), or the weighted
 coefficients of a lexicon of movements), coloured by lexeme. What fools it: t-SNE tears and clumps; only who is near

@@ -14,7 +14,7 @@ MessageBytes = Annotated[int, SettingRange(1024, 2**26)]
 QueueBytes = Annotated[int, SettingRange(2**16, 2**32)]
 
 STREAMS_PER_CORE = 12
-"""Low-latency microphones that one core of the measured machine carries (docs/live.md, "How fast")."""
+"""Low-latency microphones that one core of the measured machine carries (docs/serve.md, "How fast")."""
 SOCKET_BYTES = 2**17
 """The system's buffer of a connection in each direction (Linux doubles it). By default it grows to megabytes; this size
 carries 1.3 MB/s to a client 0.1 s away, 25 times what the poses need."""
