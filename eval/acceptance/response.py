@@ -74,6 +74,7 @@ COLUMNS = {
 def effort_figures(values: Array, apart: Sequence[float]) -> Results:
     """values: [size and speed, lively and subdued, readings]; apart: cm between the hands of each reading and the same
     reading 6 dB quieter."""
+    # Logarithms, so that twice as large and half as large cancel.
     logs = np.log(values[:, 0] / values[:, 1])
     best = int(np.nanargmax(np.nanmean(logs, axis=1)))
     shown = ", ".join(f"{name} {np.exp(np.nanmean(log)):.2f}, in order in {int((log > 0).sum())} of {len(log)}"
