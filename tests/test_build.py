@@ -18,7 +18,7 @@ import pytest
 from data_module.blocks import cut
 from data_module.build import main
 from data_module.build_report import Outcome, doubts
-from data_module.corpora.table import CORPORA, STROKE_SOURCES
+from data_module.corpora.table import CORPORA
 from data_module.files import lock
 from data_module.intervals import LONGEST, STEP, Intervals, measure
 from data_module.motion import kinematics, rotation
@@ -161,9 +161,6 @@ def test_a_built_store_is_left_alone_and_other_settings_are_refused(toy_corpus: 
     (["nothing", "--out", "x"], "is not a data set"),
     (["folder", "--out", "x"], "--source"),
     (["folder", "--source", "missing", "--out", "x"], "does not exist"),
-    (["performer", "--source", ".", "--out", "x"], "manifest.csv"),
-    (["performer", "--preset", "tiny", "--hours", "-1", "--out", "x"], "--hours"),
-    (["performer", "--preset", "tiny", "--seed", "-1", "--out", "x"], "--seed"),
     (["folder", "--source", ".", "--workers", "0", "--out", "x"], "--workers"),
     (["folder", "--source", ".", "--out", "x", "--histogram", "no/such/folder/h.png"], "h.png"),
     (["folder", "--source", ".", "--out", "x", "--histogram", "h.txt"], "h.txt"),
@@ -213,11 +210,10 @@ def test_nothing_usable_is_an_error_and_leaves_nothing(tmp_path: Path, capsys: p
     assert sorted(file.name for file in tmp_path.iterdir()) == ["pairs"]
 
 
-@pytest.mark.parametrize("corpus", ["folder", "smartbody"])
-def test_two_builds_of_one_store_keep_out_of_each_others_way(corpus: str, tmp_path: Path,
-                                                              capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_builds_of_one_store_keep_out_of_each_others_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]
+                                                             ) -> None:
     with lock(tmp_path / "s", "a build", beside=True), pytest.raises(SystemExit) as caught:
-        main([corpus, "--source", str(tmp_path), "--out", str(tmp_path / "s")])
+        main(["folder", "--source", str(tmp_path), "--out", str(tmp_path / "s")])
     said = capsys.readouterr().err
     assert caught.value.code == 2 and f"s: is in use by a build (process {os.getpid()} on " in said
     assert list(tmp_path.iterdir()) == []
@@ -226,9 +222,18 @@ def test_two_builds_of_one_store_keep_out_of_each_others_way(corpus: str, tmp_pa
 @pytest.mark.parametrize("option", ["--split", "--speaker"])
 def test_options_of_a_folder_are_refused_elsewhere(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
                                                    ) -> None:
-    with pytest.raises(SystemExit):
+    with pytest.raises(SystemExit) as caught:
         main(["trinity", "--source", str(tmp_path), "--out", str(tmp_path / "s"), option, "80/10/10"])
-    assert f"{option}: is only for folder, not for trinity" in capsys.readouterr().err
+    assert caught.value.code == 2 and f"unrecognized arguments: {option}" in capsys.readouterr().err
+
+
+def test_a_corpus_of_another_distribution_says_what_to_install(monkeypatch: pytest.MonkeyPatch,
+                                                               capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(CORPORA, "_points", {})  # as in an environment without other distributions
+    with pytest.raises(SystemExit) as caught:
+        main(["performer", "--out", "x"])
+    said = capsys.readouterr().err
+    assert caught.value.code == 2 and said.count("\n") == 1 and "pip install -e integrations/performer" in said
 
 
 def test_help_names_every_corpus_and_imports_nothing_heavy() -> None:
@@ -236,7 +241,7 @@ def test_help_names_every_corpus_and_imports_nothing_heavy() -> None:
             "try:\n    main(['--help'])\n"
             "except SystemExit:\n    print([name for name in ('numpy', 'torch') if name in sys.modules])")
     said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    assert all(f"\n  {name} " in said for name in (*CORPORA, *STROKE_SOURCES))
+    assert all(f"\n  {name} " in said for name in CORPORA)
     assert said.splitlines()[-1] == "[]"
 
 

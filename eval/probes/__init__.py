@@ -2,8 +2,8 @@
 
 A probe is a module with `arguments(parser)`, which adds what it takes, and `run(arguments)`, which gives the tables
 that answer the question; the command writes and shows them. A new one is a file and an entry here. Nothing imports a
-probe: what two of them need lies below, in `eval.metrics`, `eval.clip` or `eval.runner`. The acceptances of motion, of
-RACER and of a corpus have a room of their own.
+probe: what two of them need lies below, in `eval.metrics`, `eval.clip` or `eval.runner`. The acceptances of motion and
+of RACER have a room of their own.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from data_module.registry import Registry, RegistryEntry, is_tool
 PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
     "eye": RegistryEntry("does the motion look human, compared with a real recording, the corpus and unit selection?",
                          "eval.probes.eye"),
-    "face": RegistryEntry("does the mouth follow the sound? Visemes, closures and silence beside simpler mouths",
-                          "eval.probes.face"),
     "stability": RegistryEntry("does the same sound give the same motion when it is exported again?",
                                "eval.probes.stability"),
     "stance": RegistryEntry("are legs stable, and like people's? Foot sliding, knees, weight shifts, hips",
@@ -26,8 +24,6 @@ PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
     "recognition": RegistryEntry("do named gestures look like people's? Named by a classifier of people's clips",
                                  "eval.probes.recognition"),
     "quality": RegistryEntry("how good is a bundle on the test split, compared with baselines?", "eval.probes.quality"),
-    "corpus": RegistryEntry("is a built data set good enough to learn from?", "eval.acceptance.corpus.command"),
-    "languages": RegistryEntry("is a model of one language in time with another?", "eval.probes.languages"),
     "racer": RegistryEntry("does RACER improve the motion? Every acceptance criterion with bound and verdict",
                            "eval.acceptance.racer.command"),
     "rewards": RegistryEntry("does RACER's reward rank motion?", "eval.probes.rewards"),

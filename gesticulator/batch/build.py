@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from gesticulator.batch.run import BatchTask
 
 
-def _arguments(p: argparse.ArgumentParser) -> None:
-    build.add_arguments(p)
+def _arguments(p: argparse.ArgumentParser, corpus: str) -> None:
+    build.add_arguments(p, corpus)
     many = p.add_argument_group("several machines")
     many.add_argument("--ray", metavar="WHERE",
                       help="build on a Ray cluster: auto, its address, or local:N for N workers on this machine "
@@ -41,19 +41,16 @@ def _arguments(p: argparse.ArgumentParser) -> None:
                       "--shard: STORE.manifest.parquet")
 
 
-def _draw_takes(args: argparse.Namespace) -> None:
-    """Draw the takes of named gestures that the performer is to play, unless they are there."""
-    folder: Path | None = args.repertoire
-    if folder is None or folder.exists() or args.corpus != "performer":
-        return
-    build.asked_for(args)
-    from gesticulator.directing.gesture_takes import write_takes
+def _choose(args: argparse.Namespace) -> int:
+    """Parse the rest of the command line for the chosen corpus, and build it."""
+    from data_module.corpora.table import reader_of
 
-    print(f"{folder}: {write_takes(folder, args.seed)} takes of named gestures were drawn", flush=True)
+    reader_of(args.corpus)
+    chosen = Command(f"build a training store: {args.corpus}", partial(_arguments, corpus=args.corpus), _run)
+    return chosen.main(f"{PROGRAM} build {args.corpus}", args.rest)
 
 
 def _run(args: argparse.Namespace) -> int:
-    _draw_takes(args)
     if not (args.ray or args.shard or args.manifest):
         return build.run(args)
     from gesticulator.batch import ray_pool
@@ -65,12 +62,8 @@ def _run(args: argparse.Namespace) -> int:
     if args.ray:
         ray_pool.check_ray(args.ray)
     request = build.asked_for(args)
-    from data_module.corpora.table import STROKE_SOURCES
     from data_module.store import Store
 
-    if request.corpus in STROKE_SOURCES:
-        raise InputError(f"--ray, --shard and --manifest with {request.corpus}", "do not go together",
-                         "leave them out: it makes strokes, in one go")
     with Manifest(path) as notes:
         noted = _NotedBuild(notes, args.ray, args.workers, *shard)
         if shard == (1, 1):
@@ -166,7 +159,7 @@ def _worker(workshop: build.Workshop, items: Sequence[Item]) -> Callable[[int], 
 
 
 COMMAND = Command(
-    "build a training store from recordings of speech and motion", _arguments, _run,
-    examples=("build performer --preset tiny --out store", "build folder --source DIR --out store",
+    "build a training store from recordings of speech and motion", build.choose_corpus, _choose,
+    examples=("build folder --source DIR --out store",
               "build beat --source DIR --out store --workers 4", "build beat --source DIR --out store --ray auto",
               "build beat --source DIR --out store --shard 2/8"))
