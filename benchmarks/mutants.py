@@ -154,7 +154,7 @@ MUTANTS = (
     Mutant("motion beats at accelerations, not at decelerations", "data_module/motion/motion_beats.py",
            "curve = -acceleration if", "curve = acceleration if", "tests/test_motion_beats.py"),
     Mutant("inertialisation: a coefficient of the quintic", "data_module/motion/kinematics.py", "8.0 * s4",
-           "7.0 * s4", "tests/test_takes.py"),
+           "7.0 * s4", "tests/test_kinematics.py"),
     Mutant("velocity before a block not scaled to its duration", "data_module/motion/movement.py",
            "velocity = (last - before) * ratio", "velocity = last - before", "tests/test_movement.py"),
     Mutant("BVH angles written in radians", "data_module/motion/bvh.py",

@@ -111,7 +111,7 @@ def one(base: Store, asked: list[str], folder: Path, hours: float, memory: float
 def main() -> None:
     """Measure, print a row for each size and, with --out, write them."""
     p = argparse.ArgumentParser(description=__doc__)
-    p.add_argument("--store", type=Path, required=True, help="a small store, as build performer --preset tiny makes it")
+    p.add_argument("--store", type=Path, required=True, help="a small store, as build folder makes it of tests/toy.py")
     p.add_argument("--hours", type=float, nargs="+", default=[1, 4, 16, 64])
     p.add_argument("--memory", type=float, default=0.0, help="--corpus-memory of the training, GB")
     p.add_argument("--steps", type=int, default=30)

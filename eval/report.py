@@ -52,9 +52,8 @@ CHAPTERS = ("metrics.joint_error", "metrics.fgd", "metrics.gesture_features", "m
             "metrics.evaluate", "metrics.encode", "metrics.audio_clusters", "metrics.eye", "metrics.eye.body",
             "metrics.eye.hands", "metrics.eye.trunk", "metrics.eye.strokes", "metrics.eye.posture",
             "metrics.eye.together", "metrics.eye.units", "metrics.eye.voice", "metrics.eye.frechet",
-            "metrics.eye.stability", "metrics.eye.pitch", "acceptance.corpus.bounds", "acceptance.corpus.by_source",
-            "acceptance.corpus.style_from_sound", "acceptance.corpus.planned_strokes", "baselines.unit_selection",
-            "baselines.controls", "baselines.interpreters", "stats", "crossed")
+            "metrics.eye.stability", "metrics.eye.pitch", "baselines.unit_selection", "baselines.controls",
+            "baselines.interpreters", "stats", "crossed")
 """The modules of `eval` whose docstrings are the chapters."""
 COMMANDS = """\
 gesticulator build performer --out STORE                   # a corpus, or see `gesticulator build --help`

@@ -1,5 +1,7 @@
 """A toy corpus: nine recordings of twenty seconds, as BVH, WAV and JSON with the words, for `build folder`.
 
+    python tests/toy.py FOLDER
+
 The speech is made of vowels of known times: harmonics of a voice with two formants, between phrases of silence. The
 motion is a gesture at every content word, whose stroke ends on the vowel; which gesture it is depends on the word, and
 its size on the loudness of the phrase. So there is something to learn for every stage, in seconds and without data.
@@ -7,6 +9,7 @@ its size on the loudness of the phrase. So there is something to learn for every
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -137,3 +140,7 @@ def write(folder: Path, seed: int = 5) -> int:
         write_recording(folder, made)
         soundfile.write(folder / f"{made.info.name}.wav", made.speech.samples, RATE, subtype="PCM_16")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(write(Path(sys.argv[1])))

@@ -26,7 +26,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaln
 
 from data_module.types import Array
 
@@ -72,19 +71,6 @@ def entropy(counts: ArrayLike) -> float:
     shares = own[own > 0] / own.sum()
     # Where one lexeme is all there is, -0.0 would be printed.
     return abs(float(-(shares * np.log(shares)).sum()))
-
-
-def expected_kinds(labels: Labels, drawn: int) -> float:
-    """How many different lexemes `drawn` of the labels, drawn without replacement, hold on average (rarefaction)."""
-    counts = np.unique(labels, return_counts=True)[1].astype(np.float64)
-    total = float(len(labels))
-    if not 0 <= drawn <= total:
-        raise ValueError(f"{drawn} of {len(labels)} labels cannot be drawn")
-    rest = total - counts
-    # The probability that a kind is missed, C(rest, drawn) / C(total, drawn); impossible where too few others exist.
-    missed = np.where(rest >= drawn, np.exp(gammaln(rest + 1) - gammaln(np.maximum(rest - drawn, 0) + 1)
-                                            - gammaln(total + 1) + gammaln(total - drawn + 1)), 0.0)
-    return float((1 - missed).sum())
 
 
 def diversity(labels: ArrayLike, size: int) -> Diversity:

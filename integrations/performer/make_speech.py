@@ -1,4 +1,4 @@
-"""Speak the example recording: `python examples/make_speech.py [examples/speech.flac]` (needs flite).
+"""Speak the example recording: `python integrations/performer/make_speech.py [examples/speech.flac]` (needs flite).
 
 Our own words in a voice that the shipped weights were not trained on, with a pause to show that the character rests.
 """

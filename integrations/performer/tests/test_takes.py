@@ -13,7 +13,6 @@ from gesticulator_performer.takes import FPS, HIPS, SKULL, SPINE, Library, Motio
 
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
-from data_module.motion.kinematics import quintic_offset
 from data_module.motion.skeletons import CHARACTER, FINGER_JOINTS, FINGERED
 from data_module.types import Array
 
@@ -174,19 +173,6 @@ def test_a_manifest_without_takes_is_refused(tmp_path: Path) -> None:
     (tmp_path / "manifest.csv").write_text("file,person,licence\nf_cheer_01.bvh,ann,MIT\n")
     with pytest.raises(InputError, match="standing"):
         takes.load_takes(tmp_path)
-
-
-def test_what_is_left_of_a_motion_dies_away_smoothly() -> None:
-    time = np.arange(-3, 60) / FPS
-    old, new = 0.2 * np.sin(3 * time)[:, None], (0.5 + 0.1 * time)[:, None]
-    out = new[3:] + quintic_offset(old[:3], new[:3], time[3:], 0.5, FPS)
-    joined = np.concatenate([old[:3], out])
-    assert out[-1] == pytest.approx(new[-1])
-    assert np.abs(out[31:] - new[34:]).max() < 1e-12, "nothing is left after the fade"
-    # Place, velocity and acceleration pass over: the third difference has no spike at the seam.
-    third = np.abs(np.diff(joined[:, 0], 3)) * FPS ** 3
-    assert third[:3].max() < 3.0 * third[3:30].max()
-    assert quintic_offset(old[:2], new[:2], time[3:], 0.5, FPS) == pytest.approx(0.0)
 
 
 def test_seams_of_a_chain_cannot_be_told_from_the_rest() -> None:
