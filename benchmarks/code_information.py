@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from eval import stats
-from eval.runner.context import opened
+from eval.context import opened
 from eval.table import Column, Provenance, Table, publish
 from generator.flow import FlowGenerator
 from generator.model import GumbelCodes
@@ -93,7 +93,7 @@ def main() -> None:
     bundle = bundles.load(folder)
     generator, lexicon = bundle.generator, bundle.lexicon
     if not isinstance(generator, FlowGenerator) or not isinstance(lexicon, MovementLexicon):
-        raise InputError(folder, "has no flow generator", "give a bundle of generator.head=flow")
+        raise InputError(folder, "has no flow generator", "give a bundle of system=movement")
     rows = measured(generator, lexicon, prepare(store, bundle.config, work, bundle.encoder, progress=False), a.split)
     publish([table(rows, a.split)], a.out, Provenance.now(
         shlex.join(["python", "benchmarks/code_information.py", *sys.argv[1:]]), folder / INDEX))

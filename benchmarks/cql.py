@@ -35,12 +35,12 @@ from data_module.types import Array
 from eval import stats
 from eval.acceptance.motion.bounds import BOUNDS
 from eval.claim import Bound
+from eval.context import opened
 from eval.metrics import eye
 from eval.metrics.diversity import diversity, longest_run
 from eval.metrics.encode import SpeechBlocks, encode_motion
 from eval.metrics.eye import ReferenceSpace, common_body
-from eval.runner.context import opened
-from eval.runner.renderings import AcceptanceVoice, BundleSystem, KeptRenderings, held_out_voices
+from eval.renderings import AcceptanceVoice, BundleSystem, KeptRenderings, held_out_voices
 from eval.table import Cell, Column, Provenance, Table, publish
 from gesticulator.bundle.features import SpeechBlock
 from gesticulator.bundle.files import INDEX, bundle_folder

@@ -11,7 +11,7 @@ Only the command line and the public names of `gesticulator` are used, so module
     recording   ten pieces of real speech from $GESTICULATOR_DATA/speech, or of the example where that is absent
     stream      the example in pieces of odd sizes, with pauses, thinking, listening and an interruption
     edit        gesture plans that were edited as JSON and rendered again
-    paper       the bundle in the papers' own form: options, words, a plan rendered again, and a stream
+    paper       the bundle in the papers' own form: options, words, and a plan rendered again
     clips       loops, masks, layers, keys, faces, several recordings in one file, and a folder with texts
     foreign     a downloaded form of character (VRM, and GLB with blend shapes), where $GESTICULATOR_CASES names them
 
@@ -426,23 +426,16 @@ def changed(golden: Golden, base: Path, name: str, change: Callable[[Plan], obje
 
 
 def paper(golden: Golden) -> None:
-    """The papers' own form, by the command and as a stream."""
+    """The papers' own form."""
     sound, text, both = golden.sound(PIECE), golden.text(), (".bvh", ".json")
     for name, options in {"plain": (), "cql": ("--interpreter", "cql"), "statistical": ("--interpreter", "statistical"),
-                          "seed": ("--seed", "3"), "low": ("--hand-height", "low"), "variation": ("--variation", "1"),
-                          "activity": ("--activity", ".5"), "text": ("--text", str(text))}.items():
+                          "seed": ("--seed", "3"), "still": ("--activity", "0"), "legs": ("--legs",),
+                          "text": ("--text", str(text))}.items():
         golden.infer(f"paper/{name}", sound, "--bundle", "paper", *options, suffixes=both)
     base = golden.infer("paper/base", sound, "--bundle", "paper", suffixes=both)
-    for name in ("swap", "variation", "silence", "move_later"):
+    for name in ("swap", "silence", "move_later"):
         golden.infer(f"paper/edit_{name}", sound, "--bundle", "paper", "--plan",
                      changed(golden, base, f"paper_{name}", EDITS[name]), suffixes=both)
-    with golden.case("paper/stream"):
-        speech = gesticulator.load_speech(SPEECH)
-        streamed = Streamed(Gesticulator.from_pretrained("paper").stream(sample_rate=speech.sample_rate))
-        conversation(streamed, speech.samples, speech.sample_rate)
-        streamed.take(streamed.stream.finish())
-        for kind in ("frames", "blocks", "calls"):
-            golden.digests[f"{kind}:paper/stream"] = getattr(streamed, kind).hexdigest()
 
 
 def clips(golden: Golden) -> None:
@@ -475,15 +468,15 @@ def clips(golden: Golden) -> None:
 
 def foreign(golden: Golden) -> None:
     """Characters that were not made here."""
-    cases = os.environ.get("GESTICULATOR_CASES")
-    if not cases:
+    folder = os.environ.get("GESTICULATOR_CASES")
+    if not folder:
         print("left out: foreign (GESTICULATOR_CASES is not set)", file=sys.stderr)
         return
-    for path in sorted((Path(cases) / "base-forms").glob("human.*")):
-        suffix = {".vrm": ".glb"}.get(path.suffix, path.suffix)
-        for name, options in {"plain": (), "legs": ("--legs",), "seated": ("--seated",), "face": ("--face", "full")}.items():
-            golden.infer(f"foreign/{path.suffix[1:]}_{name}", golden.sound(PIECE), "--character", path, *options,
-                         suffixes=(suffix,))
+    for path in sorted([*Path(folder, "base-forms").glob("*.glb"), *Path(folder, "base-forms").glob("*.vrm")]):
+        cases = {"plain": (), "legs": ("--legs",), "seated": ("--seated",), "face": ("--face", "full")}
+        for name, options in cases.items():
+            golden.infer(f"foreign/{path.stem}{path.suffix}_{name}", golden.sound(PIECE), "--character", path, *options,
+                         suffixes=(".glb",))
 
 
 GROUPS = {"example": example, "variation": variation, "recording": recording, "stream": stream, "edit": edit,

@@ -30,7 +30,7 @@ from torch.nn import functional
 from data_module.store import Recording
 from data_module.types import Array
 from eval import stats
-from eval.runner.context import opened
+from eval.context import opened
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.training.presets import preset
 from gesticulator.training.stages.base import Run

@@ -44,7 +44,7 @@ from data_module.truth import Truth
 from data_module.types import Array
 from eval import stats
 from eval.acceptance.motion.movements import HeldOut, fit_of
-from eval.runner.context import opened
+from eval.context import opened
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import representation_of

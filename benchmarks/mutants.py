@@ -105,7 +105,7 @@ MUTANTS = (
            "next_value.masked_fill(terminal.bool(), 0.0)", "next_value", "tests/test_cql.py"),
     Mutant("Bellman target without the discount", "interpreters/cql.py", "reward + gamma * next_value",
            "reward + next_value", "tests/test_cql.py"),
-    Mutant("actor's loss ignores the sign of the error", "interpreters/actor_critic.py", "nll * error.detach()",
+    Mutant("actor's loss ignores the sign of the error", "eval/ablate/actor_critic.py", "nll * error.detach()",
            "nll * error.detach().abs()", "tests/test_actor_critic.py"),
     Mutant("advantage of critics without the discount", "interpreters/advantage.py",
            "self.reward + gamma * self.future", "self.reward + self.future", "tests/test_advantage.py"),

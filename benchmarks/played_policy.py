@@ -26,7 +26,10 @@ from functools import cached_property
 import torch
 
 from eval import stats
-from eval.runner.context import EvalContext, opened
+from eval.ablate.policy import entropy_of, matched_temperature
+from eval.ablate.racer import forced_values
+from eval.context import EvalContext, opened
+from eval.renderings import BundleSystem, KeptRenderings
 from eval.runner.decoded_windows import Decoder
 from eval.runner.played import PERFORMER, REPLAYED, FurtherPolicy, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import (
@@ -42,9 +45,6 @@ from eval.runner.played_reward import (
     scored,
 )
 from eval.runner.played_seen import SEEN, agreement
-from eval.runner.policy import entropy_of, matched_temperature
-from eval.runner.racer import forced_values
-from eval.runner.renderings import BundleSystem, KeptRenderings
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import digest, with_settings

@@ -23,9 +23,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from eval import stats
+from eval.context import EvalContext, opened
 from eval.metrics.reward_model import RewardProbe
 from eval.probes.rewards import figures, spoken
-from eval.runner.context import EvalContext, opened
+from eval.renderings import BundleSystem, KeptRenderings, UnitSystem
 from eval.runner.decoded_windows import Decoder
 from eval.runner.played import PERFORMER, REPLAYED, UNITS, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import (
@@ -42,7 +43,6 @@ from eval.runner.played_reward import (
     margins,
     scored,
 )
-from eval.runner.renderings import BundleSystem, KeptRenderings, UnitSystem
 from eval.stats import Interval
 from eval.table import Cell, Column, Provenance, Table, publish
 from gesticulator.bundle.files import INDEX, bundle_folder

@@ -19,11 +19,11 @@ from data_module.speech import audio
 from eval.acceptance.motion.bounds import BOUNDS, digits, title
 from eval.claim import Bound
 from eval.clip.measure import real_take
+from eval.context import opened
 from eval.metrics import eye
 from eval.metrics.eye import common_body
 from eval.metrics.eye.body import HZ
-from eval.runner.context import opened
-from eval.runner.renderings import TAKE, AcceptanceVoice, held_out_voices
+from eval.renderings import TAKE, AcceptanceVoice, held_out_voices
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import INDEX, bundle_folder

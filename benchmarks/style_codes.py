@@ -24,11 +24,10 @@ from data_module.speech import audio
 from data_module.types import Array
 from eval import stats
 from eval.baselines.interpreters import RandomStyle
-from eval.runner.context import opened
-from eval.runner.renderings import AcceptanceVoice, held_out_voices
+from eval.context import opened
+from eval.renderings import AcceptanceVoice, held_out_voices
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.config import system_of
 from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.pipeline import Gesticulator
 from interpreters.lstm import StyleInterpreter
@@ -100,7 +99,7 @@ def main() -> None:
     store, _ = opened(a.store, None)
     folder = bundle_folder(a.bundle)
     bundle = bundles.load(folder)
-    if not isinstance(bundle.style, StyleInterpreter) or not system_of(bundle.config).drawing.styled:
+    if not isinstance(bundle.style, StyleInterpreter):
         raise InputError(folder, "has no style codes of blocks", "train one with the preset `paper`")
     systems = {"predicted": Gesticulator(bundle)}
     for name, size in (("zero", 0.0), ("random", 1.0)):

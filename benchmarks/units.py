@@ -24,8 +24,8 @@ from data_module.motion.phases import hand_places
 from data_module.speech import audio
 from data_module.types import Array
 from eval import stats
-from eval.runner.context import opened
-from eval.runner.renderings import held_out_voices
+from eval.context import opened
+from eval.renderings import held_out_voices
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import INDEX, bundle_folder

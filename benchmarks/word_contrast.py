@@ -28,7 +28,7 @@ from data_module.layers import freeze
 from data_module.speech.speech_encoder import HIGH, LEVELS, TextContrast
 from data_module.types import Array
 from eval import stats
-from eval.runner.context import opened
+from eval.context import opened
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle.config import with_settings
 from gesticulator.training import fit as fitting

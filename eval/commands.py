@@ -73,7 +73,7 @@ def choice(word: str, about: str, known: Registry[RegistryEntry], show: Callable
 # --------------------------------------------------------------------------------------------------------- the verbs
 
 def _publish(tables: Sequence[Table], arguments: argparse.Namespace) -> None:
-    from eval.runner.context import provenance
+    from eval.context import provenance
     from eval.table import publish
 
     publish(tables, arguments.out, provenance(arguments))

@@ -38,9 +38,6 @@ State = tuple[Tensor, Tensor]
 class GeneratorConfig:
     """Sizes and weights of the generator; the defaults are the paper's if it gives them."""
 
-    head: Annotated[str, SettingChoice(("regression", "flow"))] = "regression"
-    """"regression": predict the motion (RG 5.2, `generator.model`); "flow": sample the motion that a block adds to its
-    past (`generator.flow`), which needs the lexicon of movements."""
     motion_features: Width = 128
     """d_m~, width of E_M."""
     audio_features: WidthOrNone = 128

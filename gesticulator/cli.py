@@ -29,6 +29,8 @@ PROGRAM = "gesticulator"
 LOG_LEVELS = {"error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO, "debug": logging.DEBUG}
 DEFAULT = "infer"
 """The verb used if the first word is not a verb: `gesticulator speech.wav -o gesture.bvh`."""
+ELSEWHERE = {"submission": "gesticulator-extra", "tune": "gesticulator-extra"}
+"""Verb -> the distribution that adds it, for the message where that is not installed."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -180,6 +182,9 @@ def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
     """`InputError` if the first word is neither an option nor could name a recording."""
     plain = word and not word.startswith("-") and not set(word) & set("./\\*?[")
     if plain and not os.path.lexists(word):
+        if word in ELSEWHERE:
+            raise InputError(word, f"is a verb of {ELSEWHERE[word]}, which is not installed",
+                             f"pip install {ELSEWHERE[word]}")
         near = difflib.get_close_matches(word, known, 1)
         raise InputError(word, "is neither a verb nor a file", (f"did you mean {near[0]}? " if near else "")
                          + f"verbs are {', '.join(known)}")

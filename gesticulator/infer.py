@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
 from gesticulator.arguments import (
@@ -34,18 +33,13 @@ from gesticulator.batch.jobs import (
     retargeter_for,
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.export.writers import UNITS, WRITERS, check_output, suffix_of
-
-if TYPE_CHECKING:
-    pass
+from gesticulator.export.writers import ELSEWHERE, UNITS, WRITERS, check_output, suffix_of
 
 EXIT_PART_FAILED = 1
 _OUTPUTS = {"preview": ".html", "plan_out": ".json"}
 """Argument for an output file of one format -> its suffix; --output takes every format."""
 FORMAT = "bvh"
 """The format written to a folder if --format is not given."""
-_SHORT = {".g1": ".g1.csv"}
-"""Alternative names for --format."""
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
@@ -225,7 +219,9 @@ def _suffix_of(name: str, chosen: str | None) -> str:
     """The suffix of an output; chosen: the value of --format."""
     if is_folder(name):
         suffix = "." + (chosen or FORMAT).lower().lstrip(".")
-        return _SHORT.get(suffix, suffix)
+        # A format of two parts may be named by its first: g1 for .g1.csv.
+        longer = (known for known in (*WRITERS, *ELSEWHERE) if known.startswith(f"{suffix}."))
+        return suffix if suffix in WRITERS else next(longer, suffix)
     if chosen is not None:
         raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
     return suffix_of(name) or f".{FORMAT}"

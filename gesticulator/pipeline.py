@@ -542,13 +542,13 @@ class Gesticulator:
         return self.reads_text and any(word.text.strip() for word in speech.words or ())
 
     def _check_variation(self, variation: int) -> None:
-        if variation and not self.bundle.system.varies:
+        if variation and not self.bundle.system.VARIES:
             raise InputError(f"variation {variation}", "needs a generator that samples, and this bundle's is "
                              "deterministic", "leave it out, or choose another seed")
 
     def _check_activity(self, activity: float) -> None:
         # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
-        if 0 < activity < 1 and "gate" not in self.bundle.parts and not self.bundle.system.lives:
+        if 0 < activity < 1 and "gate" not in self.bundle.parts and not self.bundle.rests_by_phrase:
             raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
 
     def controls(self, options: InferenceOptions) -> Controls:

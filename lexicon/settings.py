@@ -21,8 +21,6 @@ Codebook = Annotated[str, SettingChoice(("ema", "gradient"))]
 class LexiconConfig:
     """Sizes and weights of the lexicon; the defaults are the paper's if it gives them."""
 
-    kind: Annotated[str, SettingChoice(("pose", "movement"))] = "pose"
-    """"pose": the VQ-VAE over blocks (RG 5.1); "movement": the movement relative to the past (`lexicon.movement`)."""
     quantizer: Annotated[str, SettingChoice(("k-means", "vq-vae"))] = "k-means"
     """Of the lexicon of movements: "k-means" over the coefficients of a movement, without steps or the settings below
     `levels`; "vq-vae": a learned encoder, codebook and decoder (`lexicon.movement`)."""

@@ -87,7 +87,7 @@ def codebooks(out: Path, steps: int) -> None:
     models: dict[str, Any] = {
         "lexicon": Lexicon(LexiconConfig(size=16, code_width=8, widths=(8, 8), warm_up=0.0), 16, 6),
         "codec": RacerCodec(RacerConfig(size=16, width=8, dilations=(1, 3)), 6)}
-    movements = MovementVqVae(LexiconConfig(kind="movement", quantizer="vq-vae", size=16, arm_components=12, levels=(),
+    movements = MovementVqVae(LexiconConfig(quantizer="vq-vae", size=16, arm_components=12, levels=(),
                                             code_width=8, hidden=8, warm_up=0.0), 16, {"body": tuple(range(6))})
     still = Pasts(motion[:, :1].expand(-1, PAST, -1), torch.ones(len(motion)))
     coefficients = movements.basis.fit(motion, still, torch.ones(len(motion), 6))

@@ -12,7 +12,6 @@ import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -382,23 +381,6 @@ def _read_silent(file: Path) -> object:
     return silent_of(read_index(file.parent), file.parent)
 
 
-def _older_bundle(damaged: str) -> Callable[[Path], Path]:
-    """A bundle of format 3."""
-    def write(folder: Path) -> Path:
-        from test_bundle import SMALL, as_format_3
-        from untrained import PLAIN, untrained
-
-        return as_format_3(untrained(*PLAIN, *SMALL), folder / "bundle") / damaged
-
-    return write
-
-
-def _read_older_bundle(file: Path) -> object:
-    from gesticulator.bundle.upgrade import upgrade
-
-    return upgrade(file.parent, file.parent.with_name("new"))
-
-
 def _with_index(file: Path, data: bytes) -> None:
     """Weights that were damaged, and the list of hashes made to fit."""
     file.write_bytes(data)
@@ -703,12 +685,11 @@ def _read_words_of_a_command(file: Path) -> object:
     from gesticulator.bundle.silent import numbers
     from gesticulator.options import RANGES
     from gesticulator.serve.vmc import read_target
-    from gesticulator.training.tune import SearchRange
     from interpreters.settings import LstmConfig
 
     lines = file.read_bytes().decode("utf-8", "surrogateescape").split("\n")
     readers: tuple[Callable[[str], object], ...] = (
-        read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]), SearchRange.parse,
+        read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
         _seconds, numbers, lambda text: _positive("--seconds", text))
     refusals = []
@@ -763,37 +744,6 @@ def _results(folder: Path) -> Path:
 
     save([TABLE], folder / "t.json", ABOUT)
     return folder / "t.json"
-
-
-def submission_names(file: Path) -> object:
-    from gesticulator.batch.submission import _names
-
-    return _names(file)
-
-
-def _submission(form: str, name: str) -> Callable[[Path], Path]:
-    """A recording's motion in the form of a leaderboard, beside its sound and what it must be like."""
-    def write(folder: Path) -> Path:
-        from data_module.motion.smplx import smplx_arrays
-
-        motion = published_bvh.moving(0.5, 30.0)
-        for place in (folder / "like", folder / "out", folder / "wav"):
-            place.mkdir(exist_ok=True)
-            if form == "genea":
-                write_bvh(place / name, motion)
-            else:
-                np.savez(place / name, **smplx_arrays(motion))  # type: ignore[arg-type, unused-ignore]
-        soundfile.write(folder / "wav" / "a.wav", _noise(0.5), RATE)
-        return folder / "out" / name
-    return write
-
-
-def _read_submission(form: str, file: Path) -> object:
-    from gesticulator.batch.submission_check import check
-
-    like = file.parent.parent / "like"
-    return check(form, file.parent, {"a": file.parent.parent / "wav" / "a.wav"},
-                 like if form == "beat2" else like / file.name)
 
 
 READERS: dict[str, Case] = {
@@ -855,10 +805,6 @@ READERS: dict[str, Case] = {
     "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
     "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
     "bundle, silent lexemes": Case(_bundle("bundle.json"), _read_silent),
-    "older bundle, index": Case(_older_bundle("bundle.json"), _read_older_bundle),
-    **{f"older bundle, {name} and its hash": Case(_older_bundle(f"{name}.safetensors"), _read_older_bundle,
-                                                  packed=_with_index)
-       for name in ("statistics", "lexicon", "style_interpreter")},
     "glb character": Case(_glb("a.glb"), _read_character),
     "glb character, its JSON": Case(_glb("a.glb"), _read_character, _gltf_text, _with_gltf_text, 2.0),
     "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _gltf_text, _with_gltf_text),
@@ -893,10 +839,6 @@ READERS: dict[str, Case] = {
     "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
     "edges of a plan": Case(_written("a.json", '{"blocks": [{"start": 0, "end": 0.5}, {"start": 0.5, "end": 1}]}'),
                             _read_edges),
-    "names of a submission": Case(_written("a.txt", "one\ntwo\n"), submission_names),
-    "names of a submission, by split": Case(_written("a.csv", "id,type\none,test\ntwo,train\n"), submission_names),
-    "submission, BEAT2": Case(_submission("beat2", "a.npz"), partial(_read_submission, "beat2")),
-    "submission, GENEA": Case(_submission("genea", "a.bvh"), partial(_read_submission, "genea")),
     "place of a page": Case(_written("a.json", '{"port": 8123, "name": "0a1b2c3d"}'), _read_place),
     "token": Case(_written("a.txt", "secret\n"), _read_token)
 }

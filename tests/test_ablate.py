@@ -14,17 +14,18 @@ import torch
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.store import Store
+from eval.ablate import figures as paper
+from eval.ablate import racer
 from eval.baselines.interpreters import RandomStyle
 from eval.commands import ABLATE
+from eval.context import EvalContext
 from eval.metrics.gesture_features import RawFeatures
 from eval.rows import CONTROLS, OURS, REFERENCES, ROWS, rg
 from eval.rows.cells import CellStore, summaries
 from eval.rows.claims import CLAIMS
 from eval.rows.row import COLUMNS
-from eval.runner import ablate, racer
-from eval.runner import figures as paper
+from eval.runner import ablate
 from eval.runner import rg as rg_rows
-from eval.runner.context import EvalContext
 from eval.runner.rg import RgRows
 from eval.runner.row import Ablation
 from eval.stats import Interval

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from interpreters.actor_critic import ActorCritic, ActorCriticConfig
+from eval.ablate.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.base import BlockFeatures, LexemeInterpreter
 from interpreters.cql import QConfig, QNetwork
 

@@ -15,17 +15,19 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
-from untrained import MOVING, PLAIN, SILENT, untrained
+from untrained import PLAIN, SILENT, untrained
 
 from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import models
-from gesticulator.bundle import upgrade as upgrades
+from gesticulator.bundle.features import Sizes
 from gesticulator.bundle.files import CARD, read_index
-from gesticulator.bundle.models import Sizes, part_table
+from gesticulator.bundle.models import part_table
 from gesticulator.pipeline import Gesticulator
 
+SMALL = ("interpreter.audio_bottleneck=0", "style.audio_bottleneck=0", "generator.audio_bottleneck=0")
+SPEECH = Speech(np.random.default_rng(0).normal(0, 0.1, 32000).astype(np.float32), 16000)
 PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "planner", "interpreter_text",
          "style_text", "q_network", "advantage")
 
@@ -121,127 +123,6 @@ def test_weights_that_the_listing_leaves_out_are_refused(whole: Path, tmp_path: 
     assert bundles.load(copy).gate is None
 
 
-NEW = {"encoder", "text", "control", "gate", "planner", "reward", "judge", "episodes", "cql", "advantage", "tokens",
-       "racer"}
-NEW_INSIDE = {"front_end": {"layers"}, "motion": {"representation"}, "silence": {"lexemes", "rest_decay"},
-              "selection": {"activity", "beta", "guidance", "q_temperature"},
-              "schedules": {"speech", "contrast", "gate", "planner", "interpreter_text", "reward", "cql", "advantage"},
-              "generator": {"audio_bottleneck", "use_control", "style_dropout"},
-              "interpreter": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck", "text_head",
-                              "text_head_dropout", "use_control"},
-              "style": {"audio_bottleneck", "text_features", "text_blocks", "text_bottleneck"}}
-SMALL = ("interpreter.audio_bottleneck=0", "style.audio_bottleneck=0", "generator.audio_bottleneck=0")
-SPEECH = Speech(np.random.default_rng(0).normal(0, 0.1, 32000).astype(np.float32), 16000)
-
-
-def as_format_3(bundle: bundles.Bundle, path: Path, number: int = 3) -> Path:
-    """A bundle as it was written before names changed: without resting distances, under the old names."""
-    bundles.save(bundle, path, "| q_network | nll | 1 |")
-    index = json.loads((path / "bundle.json").read_text())
-    del index["audio_levels"]
-    for (group, old), new in upgrades.SETTINGS.items():
-        if new in index["config"].get(group, {}):
-            index["config"][group][old] = index["config"][group].pop(new)
-    for stem, (old, new) in upgrades.TENSORS.items():
-        file = path / f"{stem}.safetensors"
-        if file.exists():
-            save_file({old + key.removeprefix(new) if key.startswith(new) else key: value
-                       for key, value in load_file(file).items()}, file)
-    file = path / "statistics.safetensors"
-    save_file({key: value for key, value in load_file(file).items() if key != "rest_distances"}, file)
-    for file in path.glob("*.safetensors"):
-        index["files"][file.name] = hashlib.sha256(file.read_bytes()).hexdigest()
-    index["figures"] = {"cql": {"cross_entropy": 1.0}}
-    (path / "bundle.json").write_text(json.dumps({**index, "format": number}))
-    return path
-
-
-def test_format_3_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: Path) -> None:
-    made = untrained("interpreter.text_features=0", "interpreter.text_head=6", "silence.rest_decay=0.3")
-    old = as_format_3(made, tmp_path / "old")
-    assert "settle" in (old / "bundle.json").read_text() and "reading." in str(
-        list(load_file(old / "lexeme_interpreter_text.safetensors")))
-    with pytest.raises(InputError, match=r"format 3, and this version reads format 6; run gesticulator bundle upgrade"):
-        bundles.load(old)
-    upgrades.upgrade(old, tmp_path / "new")
-    read = bundles.load(tmp_path / "new")
-    assert read.config == made.config and read.figures == {"q_network": {"nll": 1.0}}
-    for name in PARTS:
-        assert same_weights(getattr(made, name), getattr(read, name)), name
-    bundles.save(made, tmp_path / "today", "a card")
-    one, two = (Gesticulator.from_pretrained(tmp_path / name)(SPEECH, activity=0.5).motion.rotations
-                for name in ("today", "new"))
-    np.testing.assert_array_equal(one, two)
-    assert all(made.rest_lexeme(k) == read.rest_lexeme(k) for k in range(len(made.speakers)))
-
-
-def test_format_4_is_refused_by_name_and_upgraded_to_the_same_motion(tmp_path: Path) -> None:
-    made = untrained(*PLAIN, *SMALL)
-    bundles.save(made, tmp_path / "old", "a card")
-    index = json.loads((tmp_path / "old" / "bundle.json").read_text())
-    for group, names in (("motion", ("joints",)), ("lexicon", ("kind", "levels")), ("silence", ("rest",)),
-                         ("generator", ("head", "flow_width"))):
-        for name in names:
-            del index["config"][group][name]
-    (tmp_path / "old" / "bundle.json").write_text(json.dumps({**index, "format": 4}))
-    with pytest.raises(InputError, match=r"format 4, and this version reads format 6; run gesticulator bundle upgrade"):
-        bundles.load(tmp_path / "old")
-    upgrades.upgrade(tmp_path / "old", tmp_path / "new")
-    read = bundles.load(tmp_path / "new")
-    assert read.config == made.config
-    bundles.save(made, tmp_path / "today", "a card")
-    one, two = (Gesticulator.from_pretrained(tmp_path / name)(SPEECH).motion.rotations for name in ("today", "new"))
-    np.testing.assert_array_equal(one, two)
-
-
-def test_a_flow_head_of_format_5_is_refused_and_the_rest_of_it_upgraded(tmp_path: Path) -> None:
-    for name, settings in (("plain", PLAIN), ("flow", (*PLAIN, *MOVING))):
-        bundles.save(untrained(*settings, *SMALL), tmp_path / name, "a card")
-        index = json.loads((tmp_path / name / "bundle.json").read_text())
-        (tmp_path / name / "bundle.json").write_text(json.dumps({**index, "format": 5}))
-        with pytest.raises(InputError, match="format 5, and this version reads format 6"):
-            bundles.load(tmp_path / name)
-    upgrades.upgrade(tmp_path / "plain", tmp_path / "new")
-    assert bundles.load(tmp_path / "new").config == untrained(*PLAIN, *SMALL).config
-    with pytest.raises(InputError, match="flow head of format 5"):
-        upgrades.upgrade(tmp_path / "flow", tmp_path / "never")
-    assert not (tmp_path / "never").exists()
-
-
-def test_a_bundle_of_format_1_is_upgraded_and_gestures(tmp_path: Path) -> None:
-    old = as_format_3(untrained(*PLAIN, *SMALL), tmp_path / "old", 1)
-    index = json.loads((old / "bundle.json").read_text())
-    del index["text"]
-    config = {key: value for key, value in index["config"].items() if key not in NEW}
-    for group, names in NEW_INSIDE.items():
-        names = names | {old_name for (g, old_name) in upgrades.SETTINGS if g == group}
-        config[group] = {key: value for key, value in config[group].items() if key not in names}
-    (old / "bundle.json").write_text(json.dumps({**index, "config": config}))
-    upgrades.upgrade(old, tmp_path / "upgraded")
-    read = bundles.load(tmp_path / "upgraded")
-    assert (read.encoder, read.gate, read.text, read.levels, read.interpreter_text) == (None,) * 5
-    made = Gesticulator(read)(SPEECH)
-    assert np.isfinite(made.motion.rotations).all() and made.motion.duration == pytest.approx(2.0, abs=0.02)
-    # What the settings mean has not changed: the same weights under today's settings move the same.
-    bundles.save(untrained(*PLAIN, *SMALL), tmp_path / "new", "a card")
-    today = Gesticulator.from_pretrained(tmp_path / "new")(SPEECH)
-    np.testing.assert_array_equal(made.motion.rotations, today.motion.rotations)
-
-
-def test_what_cannot_be_upgraded_is_one_line_and_writes_nothing(whole: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has format 6"):
-        upgrades.upgrade(whole, tmp_path / "new")
-    old = as_format_3(untrained(*PLAIN), tmp_path / "old")
-    (old / "generator.safetensors").write_bytes(b"x")
-    with pytest.raises(InputError, match=r"generator\.safetensors.*SHA-256"):
-        upgrades.upgrade(old, tmp_path / "new")
-    index = json.loads((old / "bundle.json").read_text())
-    (old / "bundle.json").write_text(json.dumps({**index, "files": {}, "speakers": 7}))
-    with pytest.raises(InputError):
-        upgrades.upgrade(old, tmp_path / "new")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["old"]
-
-
 def test_a_q_network_of_another_lexicon_is_refused(whole: Path, tmp_path: Path) -> None:
     other = untrained(seed=7)
     bundles.save(other, tmp_path / "other", "a card")
@@ -254,7 +135,7 @@ def test_a_q_network_of_another_lexicon_is_refused(whole: Path, tmp_path: Path) 
         _ = opened.q_network
 
 
-@pytest.mark.parametrize("number", [0, 7, 99, "2", None, True, 10**250])
+@pytest.mark.parametrize("number", [0, 8, 99, "2", None, True, 10**250])
 def test_an_unknown_format_is_refused_by_its_number(number: object, whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     edit(copy, format=number)
@@ -374,6 +255,7 @@ def test_sizes_that_the_weights_do_not_have_are_refused_before_memory_is_taken(s
     code = """
 import json, pathlib, resource, sys
 from data_module.errors import InputError
+from data_module.types import Speech
 from gesticulator.bundle.bundle import load
 folder = pathlib.Path(sys.argv[1])
 text = (folder / "bundle.json").read_text()

@@ -13,7 +13,7 @@ from data_module.motion.kinematics import positions_of_some
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
 from eval.baselines import controls as baselines
-from eval.runner.renderings import ListeningGesticulator
+from eval.renderings import ListeningGesticulator
 from gesticulator.bundle.bundle import SHIPPED, Bundle, load
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of

@@ -1,13 +1,15 @@
 """What every entry of every table of plug-ins keeps.
 
 What a kind does beyond that is tested beside it: writers in `test_export`, interpreters in `test_interpreters`, data
-sets on samples in `test_corpora`, metrics in `test_metric_contracts`, verbs in `test_house`.
+sets on samples in `test_corpora`, metrics in `test_metric_contracts`.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 from dataclasses import replace
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,6 +23,7 @@ from eval.metrics import METRICS
 from eval.pictures import DRAWINGS
 from eval.probes import PROBES
 from gesticulator.characters.reading import READERS, read_character
+from gesticulator.cli import VERBS, Command
 from gesticulator.export.writers import WRITERS
 from gesticulator.training.presets import preset
 from gesticulator.training.stages import ENTRIES, STAGES
@@ -78,3 +81,11 @@ def test_a_stage_is_trained_and_kept_by_what_shapes_it(name: str) -> None:
     reseeded = Run(replace(config, seed=config.seed + 1), run.store, run.work)
     assert run.key(stage) == run.key(stage) != reseeded.key(stage)
     assert run.schedule(stage).steps >= 0
+
+
+@pytest.mark.parametrize("point", sorted(entry_points(group=VERBS.group)), ids=lambda point: point.name)
+def test_a_verb_is_a_command_with_a_summary_and_an_example(point: EntryPoint) -> None:
+    command = getattr(importlib.import_module(point.module), point.attr)
+    assert isinstance(command, Command) and command.summary
+    assert command.examples, f"{point.name} shows no example in its help"
+    assert point.name in command.parser(f"gesticulator {point.name}").format_help()

@@ -9,7 +9,7 @@ import pytest
 from benchmark_files import benchmark
 
 from eval.claim import Bound
-from eval.runner.renderings import spread_evenly
+from eval.renderings import spread_evenly
 from gesticulator.bundle import bundle as bundles
 from gesticulator.options import InferenceOptions
 from gesticulator.pipeline import Gesticulator, InterpreterWarning

@@ -13,8 +13,8 @@ from untrained import PLAIN, untrained
 from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.store import Store
+from eval.context import EvalContext
 from eval.metrics.reward_model import RewardProbe
-from eval.runner.context import EvalContext
 from eval.runner.decoded_windows import WRONG, DecodedWindows, Decoder
 from gesticulator.bundle import bundle as bundles
 from gesticulator.training.stages.lexicon import decoded_blocks

@@ -18,9 +18,9 @@ from data_module.speech.audio import write_flac
 from data_module.store import Recording, Store
 from data_module.types import Speech
 from eval.commands import DRAW, PROBE
+from eval.context import EvalContext
 from eval.metrics.encode import encode_motion, latents_of, normalised_blocks
 from eval.pictures import lexicon_map
-from eval.runner.context import EvalContext
 from eval.table import load
 from generator.flow import FlowGenerator
 from gesticulator.bundle import bundle as bundles

@@ -10,7 +10,7 @@ import pytest
 
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.types import Speech
-from eval.runner.renderings import AcceptanceVoice
+from eval.renderings import AcceptanceVoice
 from tests.benchmark_files import benchmark
 
 DRIFT = benchmark("drift")

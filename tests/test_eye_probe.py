@@ -26,7 +26,7 @@ from eval.metrics.eye import ReferenceSpace, figures, frechet, hear
 from eval.metrics.eye import sample as eye_table
 from eval.metrics.eye.sample import CONTROLS, EyeSample, controls, eye_tables, heading
 from eval.probes import eye as probe
-from eval.runner.renderings import TAKE, AcceptanceVoice
+from eval.renderings import TAKE, AcceptanceVoice
 from eval.table import Table, load
 from gesticulator.bundle.features import SpeechFeatures
 

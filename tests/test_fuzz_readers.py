@@ -56,8 +56,8 @@ NO_CASE = {
     "an evaluation's own work folder": """
         eval/acceptance/motion/command.py:run eval/baselines/unit_selection.py:_read
         eval/rows/cells.py:CellStore._append eval/rows/cells.py:CellStore.gather eval/rows/cells.py:CellStore.lines
-        eval/runner/figures.py:_key_of eval/runner/context.py:_reward_model eval/runner/racer.py:_trained
-        eval/runner/renderings.py:KeptRenderings.get eval/runner/renderings.py:Rendering.unpacked
+        eval/ablate/figures.py:_key_of eval/context.py:_reward_model eval/ablate/racer.py:_trained
+        eval/renderings.py:KeptRenderings.get eval/renderings.py:Rendering.unpacked
         eval/runner/judge.py:PlayedStore.read eval/runner/played.py:VoicePlayer._kept
         eval/runner/played_reward.py:kept""",
     "calls a reader that has a case": """
@@ -72,7 +72,7 @@ NO_CASE = {
     "the bytes are hashed, copied or thrown away, not parsed": """
         data_module/text/word_vectors.py:_fingerprint
         gesticulator/batch/run.py:file_hash gesticulator/export/html.py:character_data
-        gesticulator/serve/connection.py:Connection._swallow eval/runner/renderings.py:program_key""",
+        gesticulator/serve/connection.py:Connection._swallow eval/renderings.py:program_key""",
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:_holder
         gesticulator/characters/fbx_rig.py:read_fbx_character

@@ -27,7 +27,7 @@ from eval.metrics.eye import common_body
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.stability import difference
 from eval.probes import stability
-from eval.runner.renderings import TAKE, TEST, AcceptanceVoice
+from eval.renderings import TAKE, TEST, AcceptanceVoice
 from eval.stats import Interval
 from tests.test_eye import elbow, posed
 

@@ -16,9 +16,9 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Motion, Speech
 from eval.clip.clip_set import common_clips
 from eval.clip.foreign import Clip
+from eval.context import EvalContext
 from eval.metrics import EYE_METRICS, METRICS, SET_METRICS
 from eval.metrics.gesture_features import RawFeatures
-from eval.runner.context import EvalContext
 from eval.score import command as score
 from gesticulator.bundle import bundle as bundles
 from interpreters.reward import RewardEnsemble

@@ -34,7 +34,7 @@ from eval.claim import Verdict
 from eval.commands import PROBE
 from eval.metrics.eye import ReferenceSpace, common_body, frechet, hear
 from eval.metrics.eye.sample import EyeSample
-from eval.runner.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
+from eval.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
 from lexicon.movement import MovementLexicon
@@ -407,7 +407,7 @@ def test_silent_lexemes_are_looked_at_after_another_silent_one() -> None:
 def movement_lexicon(recordings: list[HeldOut]) -> MovementLexicon:
     """Fitted on these, one part of all numbers."""
     width = recordings[0].motion.shape[-1]
-    lexicon = MovementLexicon(LexiconConfig(kind="movement", size=12, levels=(8,)), K, {"body": tuple(range(width))})
+    lexicon = MovementLexicon(LexiconConfig(size=12, levels=(8,)), K, {"body": tuple(range(width))})
     motion = torch.cat([own.motion for own in recordings])
     lexicon.fit(motion, joined(own.pasts() for own in recordings), torch.ones(len(motion), width), seed=0)
     return lexicon

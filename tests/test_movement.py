@@ -109,7 +109,7 @@ def planted(count: int, seed: int) -> tuple[torch.Tensor, Pasts, np.ndarray]:
 
 
 def lexicon(size: int = 4) -> MovementLexicon:
-    model = MovementLexicon(LexiconConfig(kind="movement", size=size, levels=(8, 8), trunk_components=6,
+    model = MovementLexicon(LexiconConfig(size=size, levels=(8, 8), trunk_components=6,
                                           arm_components=6, finger_components=6), FRAMES, PARTS)
     motion, past, _ = planted(400, 1)
     model.fit(motion, past, torch.ones(400, WIDTH), 5)
@@ -155,7 +155,7 @@ def test_a_fit_is_the_same_for_the_same_seed() -> None:
 
 
 def test_more_codes_than_blocks_leaves_the_rest_where_nothing_is() -> None:
-    model = MovementLexicon(LexiconConfig(kind="movement", size=20, levels=()), FRAMES, PARTS)
+    model = MovementLexicon(LexiconConfig(size=20, levels=()), FRAMES, PARTS)
     motion, past, _ = planted(10, 1)
     model.fit(motion, past, torch.ones(10, WIDTH), 5)
     assert set(model.label(motion, past).tolist()) <= set(range(10))

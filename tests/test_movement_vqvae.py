@@ -12,14 +12,15 @@ from untrained import MOVING, untrained
 
 from data_module.motion.movement import Pasts
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle import models
 from gesticulator.bundle.config import with_settings
+from gesticulator.bundle.features import body_columns
+from gesticulator.systems import movement
 from gesticulator.training import presets
 from lexicon.movement import MovementLexicon, MovementVqVae
 from lexicon.movement_vqvae import MovementLearner, fit
 from lexicon.settings import LexiconConfig
 
-SMALL = LexiconConfig(kind="movement", quantizer="vq-vae", size=4, levels=(8, 8), trunk_components=6, arm_components=6,
+SMALL = LexiconConfig(quantizer="vq-vae", size=4, levels=(8, 8), trunk_components=6, arm_components=6,
                       finger_components=6, code_width=5, hidden=16, warm_up=0.2, revive_below=0.05, commitment=0.5,
                       decay=0.9)
 STEPS = 150
@@ -145,8 +146,8 @@ def test_a_training_is_the_same_for_the_same_seed() -> None:
 
 def test_k_means_holds_what_it_held_before() -> None:
     """Bundles without the setting are k-means, with the tensors that they have."""
-    config = LexiconConfig(kind="movement", size=4, levels=(8,))
-    model = models.movement_lexicon(config, FRAMES, PARTS)
+    config = LexiconConfig(size=4, levels=(8,))
+    model = movement.movement_lexicon(config, FRAMES, PARTS)
     assert type(model) is MovementLexicon and not list(model.parameters())
     assert "vectors" in model.state_dict() and not any(key.startswith("encoder") for key in model.state_dict())
     assert model.vectors.shape == (4, model.basis.width)
@@ -167,6 +168,6 @@ def test_a_bundle_keeps_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize("quantizer", ["vq-vae", "k-means"])
 def test_a_lexeme_is_as_wide_as_the_settings_say(quantizer: str) -> None:
     config = with_settings(presets.preset("default"), [f"lexicon.quantizer={quantizer}", "lexicon.code_width=33"])
-    built = models.movement_lexicon(config.lexicon, config.rhythm.frames, models.parts_of_body(config))
-    assert tuple(built.vectors.shape) == models.codebook_shape(config)
-    assert (models.codebook_shape(config)[1] == 33) == (quantizer == "vq-vae")
+    built = movement.movement_lexicon(config.lexicon, config.rhythm.frames, body_columns(config))
+    assert tuple(built.vectors.shape) == movement.codebook_shape(config)
+    assert (movement.codebook_shape(config)[1] == 33) == (quantizer == "vq-vae")

@@ -14,12 +14,12 @@ from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.speech.audio import load_speech
 from data_module.types import Speech
+from eval.renderings import BundleSystem, KeptRenderings, system_at
 from eval.rows import rg
-from eval.runner.renderings import BundleSystem, KeptRenderings, system_at
 from eval.score.played_rows import PlayedBundle
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.config import Config, from_dict, system_of
+from gesticulator.bundle.config import Config, from_dict
 from gesticulator.bundle.files import CARD, INDEX, NAMED, BundleWarning, bundle_folder, read_index
 from gesticulator.pipeline import Gesticulator, InterpreterWarning
 from gesticulator.training import command as train
@@ -74,14 +74,14 @@ def test_the_preset_is_both_papers_and_trains_every_stage(toy: Path) -> None:
     assert set(bundle.figures) == names and all(np.isfinite(list(values.values())).all()
                                                 for values in bundle.figures.values())
     assert bundle.interpreters == CHOOSERS and set(bundle.parts) >= {"encoder", "style"}
-    assert bundle.config.motion.joints == 16 and system_of(bundle.config).naming.stage == "lexicon"
+    assert bundle.config.motion.joints == 16 and bundle.config.system == "paper"
     assert not np.allclose(bundle.statistics.low.mean, bundle.statistics.high.mean), "two levels of speech"
 
 
 @pytest.mark.parametrize("name", ["paper", "paper-quick"])
 def test_nothing_of_ours_is_in_the_papers_form(name: str) -> None:
     config, published = preset(name), preset("paper-trinity")
-    assert (config.lexicon.kind, config.generator.head, config.motion.joints) == ("pose", "regression", 16)
+    assert (config.system, config.motion.joints) == ("paper", 16)
     assert (config.silence.hint, config.silence.mask, config.silence.augmentation) == (True, True, 0.05)
     assert config.rhythm == published.rhythm and config.schedules.gate.steps == config.schedules.planner.steps == 0
     if name == "paper":

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from data_module.speech.audio import as_speech
 from eval.baselines.interpreters import Majority, Random, ReplayInterpreter
+from eval.renderings import TEST, AcceptanceVoice, BundleSystem, KeptRenderings
 from eval.runner.played import MAJORITY, PERFORMER, REPLAYED, FurtherPolicy, PlayedVoice, VoicePlayer
 from eval.runner.played_reward import (
     PlayedScores,
@@ -23,7 +24,6 @@ from eval.runner.played_reward import (
     train,
     whole_windows,
 )
-from eval.runner.renderings import TEST, AcceptanceVoice, BundleSystem, KeptRenderings
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import FitSettings
 from gesticulator.pipeline import Gesticulator

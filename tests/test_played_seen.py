@@ -9,9 +9,9 @@ import pytest
 from test_infer import babble
 
 from data_module.speech.audio import as_speech
+from eval.renderings import TEST, AcceptanceVoice, BundleSystem, KeptRenderings
 from eval.runner.played import PERFORMER, REPLAYED, VoicePlayer
 from eval.runner.played_seen import HAND, SIZE, STARTS, agreement, decisions, kappa, seen
-from eval.runner.renderings import TEST, AcceptanceVoice, BundleSystem, KeptRenderings
 from gesticulator.bundle import bundle as bundles
 
 

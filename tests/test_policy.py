@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from data_module.layers import freeze
+from eval.ablate import policy
+from eval.ablate.policy import Decisions, Policy, PolicyJudge
 from eval.baselines.interpreters import Random, ReplayInterpreter
-from eval.runner import policy
-from eval.runner.policy import Decisions, Policy, PolicyJudge
 from interpreters.episodes import Demonstration
 from interpreters.lstm import LstmConfig
 from interpreters.reward import RewardConfig, RewardModel

@@ -13,12 +13,12 @@ from untrained import with_policies
 
 from data_module.errors import InputError
 from data_module.store import Store
+from eval.ablate import racer as training
+from eval.ablate.actor_critic import ActorCritic
+from eval.ablate.racer import RacerRows
+from eval.context import EvalContext
 from eval.rows.racer import ROWS, twins
-from eval.runner import racer as training
-from eval.runner.context import EvalContext
-from eval.runner.racer import RacerRows
 from gesticulator.bundle.config import with_settings
-from interpreters.actor_critic import ActorCritic
 from interpreters.cql import ConservativeQ, QNetwork
 from interpreters.episodes import BEHAVIOURS, Episode, Episodes
 

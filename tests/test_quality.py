@@ -11,8 +11,8 @@ import pytest
 from data_module.store import Store
 from eval.baselines.interpreters import Bigram
 from eval.commands import PROBE
+from eval.context import EvalContext
 from eval.probes import quality
-from eval.runner.context import EvalContext
 from eval.stats import Interval
 from eval.table import load
 from gesticulator.bundle import bundle as bundles

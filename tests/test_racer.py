@@ -12,7 +12,7 @@ import torch
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.store import Store
-from eval.runner.context import with_judges
+from eval.context import with_judges
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
@@ -198,7 +198,7 @@ def test_what_racer_has_not_is_said(arguments: list[str], said: str, native: Pat
 
 def test_a_codec_needs_its_frame_rate() -> None:
     with pytest.raises(InputError, match="fixed rate"):
-        configs.with_settings(presets.preset("tiny"), ["tokens=racer", "front_end.name=mel"])
+        configs.with_settings(presets.preset("tiny"), ["system=racer", "front_end.name=mel"])
 
 
 def test_published_sizes(tmp_path: Path) -> None:

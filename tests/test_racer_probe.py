@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from eval.ablate.policy import entropy_of, matched_temperature
 from eval.acceptance.racer import command as racer
 from eval.acceptance.racer import gate, values
 from eval.acceptance.racer.command import CQL, LSTM, MAJORITY, MATCHED, PERFORMER, RANDOM, PlayedPolicy, RacerMeasures
@@ -18,7 +19,6 @@ from eval.acceptance.racer.playing import PlayedFigures
 from eval.claim import Verdict, at_least, judged
 from eval.commands import PROBE
 from eval.metrics import gesture_features
-from eval.runner.policy import entropy_of, matched_temperature
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import EnsembleReward, RewardTable

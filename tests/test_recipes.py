@@ -1,4 +1,4 @@
-"""The recipes of CONTRIBUTING.md: each is installed as a package of somebody else's and run as it says."""
+"""The recipes of CONTRIBUTING.md: each is installed as a third-party package and run as it says."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ KINDS = {"An interpreter": "interpreters", "A writer": "writers", "A data set": 
 
 def install(title: str, folder: Path) -> str:
     """Put the file of a recipe and the entry points of its pyproject.toml into a folder; the command to run."""
-    recipe = RECIPES[title]
-    assert recipe is not None
+    recipe = RECIPES.get(title)
+    assert recipe is not None, f"CONTRIBUTING.md has no whole recipe {title!r}"
     (folder / recipe["file"]).write_text(recipe["code"], encoding="utf-8")
     info = folder / f"{recipe['file'].removesuffix('.py')}-1.0.dist-info"
     info.mkdir()
@@ -56,11 +56,6 @@ def speech(folder: Path) -> None:
     """Two seconds of a voice."""
     samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=2 * 16000)
     soundfile.write(folder / "speech.wav", samples, rate)
-
-
-def test_there_are_six_recipes_and_each_is_whole() -> None:
-    assert set(RECIPES) == set(KINDS)
-    assert all(RECIPES.values())
 
 
 @pytest.fixture
@@ -112,13 +107,3 @@ def test_a_metric(packages: Path, tmp_path: Path) -> None:
             write(tmp_path / folder / f"clip{clip}.bvh", perform(4.0, 20.0, seed=seed + 10 * clip))
     run(install("A metric", packages), packages, tmp_path)
     assert "hands above the hips" in (tmp_path / "score.md").read_text()
-
-
-def test_a_broken_package_costs_one_line(packages: Path, tmp_path: Path) -> None:
-    install("A writer", packages)
-    (packages / "block_list.py").write_text("import nothing_of_that_name\n")
-    speech(tmp_path)
-    done = subprocess.run([sys.executable, "-m", "gesticulator", "infer", "speech.wav", "-o", "a.txt"], cwd=tmp_path,
-                          capture_output=True, text=True, timeout=120, check=False,
-                          env={**os.environ, "PYTHONPATH": os.pathsep.join((str(packages), str(ROOT)))})
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "block_list" in done.stderr

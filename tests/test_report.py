@@ -13,9 +13,9 @@ import pytest
 from data_module.errors import InputError
 from eval import report, report_claims
 from eval.commands import REPORT
+from eval.context import without_work
 from eval.metrics import METRICS
 from eval.probes import PROBES
-from eval.runner.context import without_work
 from eval.stats import Interval
 from eval.table import (
     MOST_COLUMNS,

@@ -15,10 +15,10 @@ from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.store import Store
 from eval.commands import PROBE
+from eval.context import EvalContext
 from eval.metrics import ranking
 from eval.metrics.reward_model import RewardProbe
 from eval.probes import rewards
-from eval.runner.context import EvalContext
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
 from gesticulator.training.stages.corpus import Corpus, prepare

@@ -15,6 +15,7 @@ import pytest
 from data_module.errors import InputError
 from eval.claim import FAILS, HOLDS, UNDECIDED
 from eval.commands import ABLATE
+from eval.context import EvalContext
 from eval.rows import (
     CONTROLS,
     OURS,
@@ -35,7 +36,6 @@ from eval.rows.effects import EFFECTS
 from eval.rows.row import COLUMNS, DECISIONS
 from eval.rows.verdicts import ALIKE, NO_TEST, Decision
 from eval.runner.ablate import FIGURES
-from eval.runner.context import EvalContext
 from eval.runner.rg import RgRows, configured
 from eval.stats import Interval
 from eval.table import NO_BUNDLE, NOT_RECORDED, Column, Provenance, Table, dumps, load, loads, save
@@ -204,9 +204,9 @@ def test_a_seed_shares_speech_levels_and_lexicon_and_nothing_that_another_comman
 def test_the_row_of_movements_is_the_shipped_systems_and_all_others_are_the_papers(preset: str) -> None:
     base, shipped = rg.PRESETS[preset](), presets.preset("default")
     ours = configured(base, "flow")
-    for read in (lambda c: c.lexicon.kind, lambda c: c.lexicon.size, lambda c: c.lexicon.quantizer,
+    for read in (lambda c: c.system, lambda c: c.lexicon.size, lambda c: c.lexicon.quantizer,
                  lambda c: c.lexicon.code_width, lambda c: c.lexicon.commitment, lambda c: c.lexicon.revive_below,
-                 lambda c: c.lexicon.warm_up, lambda c: c.generator.head,
+                 lambda c: c.lexicon.warm_up,
                  lambda c: c.motion.least_deviation, lambda c: c.motion.smoothing,
                  lambda c: c.silence.hint, lambda c: c.silence.mask, lambda c: c.interpreter.pose_features,
                  lambda c: c.interpreter.memory):
@@ -215,7 +215,7 @@ def test_the_row_of_movements_is_the_shipped_systems_and_all_others_are_the_pape
     assert ours.front_end == base.front_end and ours.schedules.generator.steps == base.schedules.generator.steps
     for name in rg.ROWS:
         other = configured(base, name)
-        assert name in ("flow", "k-means") or (other.lexicon.kind, other.generator.head) == ("pose", "regression")
+        assert name in ("flow", "k-means") or other.system == "paper"
 
 
 # -------------------------------------------------------------------------------------------------------------- cells

@@ -29,12 +29,12 @@ from eval.clip import foreign
 from eval.clip.clip_set import TRUTH, common_clips
 from eval.clip.foreign import Clip, read_motion
 from eval.commands import SCORE
+from eval.context import EvalContext, with_judges
 from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.metrics.gesture_features import RawFeatures
 from eval.metrics.reward_model import RewardProbe
-from eval.runner.context import EvalContext, with_judges
 from eval.score import command as score
 from eval.score.command import flags, mean_of
 from eval.score.played_rows import PlayedBundle

@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from eval.ablate.simulator import Choose, Replay, Simulator, collect
 from interpreters.episodes import Demonstration, EpisodeConfig, Episodes, SilentLexemes, build
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import RewardTable
-from interpreters.simulator import Choose, Replay, Simulator, collect
 
 SIZE, WINDOW, LENGTHS = 5, 4, (20, 7, 1)
 

@@ -15,11 +15,11 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter
 from data_module.types import Motion, Speech, Word
+from eval.ablate.style_editing import FREE, REFERENCE, SHOWN, acceptance, excerpts, figures, realised
 from eval.clip.excerpts import excerpt
 from eval.commands import PROBE
 from eval.pictures.edited import figure_10
 from eval.probes.style_editing import tables
-from eval.runner.style_editing import FREE, REFERENCE, SHOWN, acceptance, excerpts, figures, realised
 from eval.stats import Interval
 from eval.table import Marked, load
 

@@ -20,12 +20,12 @@ import pytest
 from data_module.errors import InputError
 from data_module.store import Store
 from eval.commands import ABLATE
+from eval.context import EvalContext
 from eval.metrics.gesture_features import RawFeatures
 from eval.rows import rg
 from eval.rows.cells import PARTS, Cell, CellStore
 from eval.runner import ablate, sweep
 from eval.runner import rg as rg_rows
-from eval.runner.context import EvalContext
 from eval.runner.rg import RgRows
 from eval.runner.row import Ablation
 from gesticulator.batch.run import TaskOutcome, done_here

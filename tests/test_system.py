@@ -1,4 +1,4 @@
-"""The systems that a bundle may be, and what is known of each."""
+"""The three systems that a bundle may be, and what is known of each."""
 
 from __future__ import annotations
 
@@ -6,18 +6,17 @@ import pytest
 
 from data_module.settings import with_settings
 from gesticulator.bundle.bundle import required
-from gesticulator.bundle.config import system_of
+from gesticulator.systems import SYSTEMS, system_of
 from gesticulator.training.presets import PRESETS, preset
 from gesticulator.training.stages import STAGES, wanted
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_what_each_preset_is(name: str) -> None:
+def test_the_system_of_each_preset(name: str) -> None:
     system = system_of(preset(name))
-    racer, flow = name.startswith("racer"), name == "default"
-    assert system.drawing.name == ("decoded" if racer else "flow" if flow else "regression")
-    assert (system.blocks, system.varies) == (not racer, flow)
-    assert system.streams == system.lives == (name in ("default", "paper-quick", "regression"))
+    racer, movement = name.startswith("racer"), name == "default"
+    assert system is SYSTEMS.load("racer" if racer else "movement" if movement else "paper")
+    assert system.BLOCKS is not racer and system.VARIES is movement
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -25,16 +24,15 @@ def test_a_system_trains_what_its_bundle_cannot_do_without(name: str) -> None:
     config = preset(name)
     stages = wanted(config)
     assert {stage.part for stage in stages} >= set(required(config))
-    assert system_of(config).naming.stage in {stage.name for stage in stages}
-    assert all(system_of(config).uses(stage.name) for stage in stages)
+    assert [stage.name for stage in stages] == [name for name in system_of(config).STAGES if name in
+                                                {stage.name for stage in stages}]
 
 
-def test_idle_stages_are_stages() -> None:
-    for name in PRESETS:
-        assert system_of(preset(name)).drawing.idle <= set(STAGES)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_stages_of_a_system_are_stages(name: str) -> None:
+    assert set(SYSTEMS.load(name).STAGES) <= set(STAGES)
 
 
-def test_a_rest_that_lives_can_be_turned_off() -> None:
-    config = with_settings(preset("default"), ["silence.rest=decay"])
-    system = system_of(config)
-    assert system.varies and not system.lives and not system.streams
+def test_a_setting_that_changes_the_system_trains_lexicon_and_generator_again() -> None:
+    config = with_settings(preset("paper-quick"), ["system=movement"])
+    assert system_of(config).IN_CONTEXT and "style_text" not in {stage.name for stage in wanted(config)}

@@ -16,8 +16,7 @@ from data_module.store import Store
 from gesticulator.bundle import models
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
 from gesticulator.bundle.config import with_settings
-from gesticulator.bundle.features import Normaliser, Statistics, front_end_for, representation_of
-from gesticulator.bundle.models import Sizes
+from gesticulator.bundle.features import Normaliser, Sizes, Statistics, front_end_for, representation_of
 from gesticulator.training.presets import preset
 from gesticulator.training.stages import wanted
 from gesticulator.training.stages.corpus import prepare
@@ -36,7 +35,7 @@ PLAIN = ("front_end.name=mel", "text.encoder=", "interpreter.text_features=0", "
 """Settings of a bundle without text, learned speech levels, gate, style editing and Q-network."""
 
 
-MOVING = ("lexicon.kind=movement", "generator.head=flow", "generator.style_width=0", "schedules.style.steps=0")
+MOVING = ("system=movement", "generator.style_width=0", "schedules.style.steps=0")
 """Settings of a bundle that draws movements."""
 
 
@@ -66,7 +65,7 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
         Normaliser(np.zeros(low), np.ones(low)), Normaliser(np.full(high, 1e-3 * apart), np.ones(high)),
         np.zeros((3 * frames, low)), np.zeros((3 * frames, high)), levels)
     sizes = Sizes(config, width, low, high, learned, len(SPEAKERS), words, statistics.present, silent=SILENT)
-    lexicon = models.lexicon(sizes)
+    lexicon = models.build("lexicon", sizes)
     if isinstance(lexicon, MovementLexicon):
         walk = torch.randn(400, frames, width).flatten(0, 1).cumsum(0).unflatten(0, (400, frames)) / 20
         told = pasts_of(walk, torch.full((400,), 0.3, dtype=torch.float64), walk[0, 0])

@@ -3,8 +3,7 @@
     python docs/pictures/make_tools.py [FOLDER [NAME ...]]
 
 FOLDER is docs/pictures/tools unless another is given, NAME one of `PICTURES` (all of them). `blender` is rendered by
-Blender, `threejs` and `vrm` are shots of a page in Chromium (`npm ci --prefix tests/js`, playwright), `robot` is drawn
-by MuJoCo (mujoco, pyopengl, `pip install --no-deps mjlab`, MUJOCO_GL=egl where there is no screen). Unity, Unreal and
+Blender, `threejs` and `vrm` are shots of a page in Chromium (`npm ci --prefix tests/js`, playwright). Unity, Unreal and
 Godot cannot be run without a screen and an account: their pictures show the joints of the very file that is imported
 there, in the axes and units of the tool. Needs matplotlib and Pillow, too.
 """
@@ -234,54 +233,6 @@ def joints(scene: Scene, name: str) -> bytes:
     return png(Image.open(out))
 
 
-def robot(scene: Scene, name: str) -> bytes:
-    """talk.g1.csv on the robot in MuJoCo, under the joints that it was made of."""
-    from importlib.util import find_spec
-
-    import mujoco
-    from matplotlib.figure import Figure
-    from PIL import Image
-
-    package = next(iter(find_spec("mjlab").submodule_search_locations))
-    spec = mujoco.MjSpec.from_file(str(Path(package) / "asset_zoo/robots/unitree_g1/xmls/g1.xml"))
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[4, 4, 0.1], rgba=[0.84, 0.83, 0.8, 1])
-    spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=[2, -1, 4], dir=[-0.5, 0.3, -1],
-                             diffuse=[0.5, 0.5, 0.5], castshadow=False)
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.3] * 3
-    spec.add_texture(type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-                     rgb1=[0.874, 0.89, 0.886], rgb2=[0.874, 0.89, 0.886], width=64, height=64)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    rows = np.loadtxt(scene.made.save(scene.folder / "talk.g1.csv"), delimiter=",", skiprows=1)
-    frames = [scene.frame, *(round(share * (len(rows) - 1)) for share in (0.3, 0.5, 0.7))]
-    camera, options = mujoco.MjvCamera(), mujoco.MjvOption()
-    camera.lookat, camera.distance, camera.azimuth, camera.elevation = [0.0, 0.0, 0.72], 2.15, 180.0, -7.0
-    options.geomgroup[3:] = 0  # what only collides
-    wide, high = 190, 290
-    shots = []
-    with mujoco.Renderer(model, high, wide) as renderer:
-        for frame in sorted(frames):
-            data.qpos[:] = rows[frame, 1:]
-            mujoco.mj_forward(model, data)
-            renderer.update_scene(data, camera, options)
-            shots.append(renderer.render())
-    places, parents = scene.made.positions(), scene.made.motion.skeleton.parents
-    figure = Figure(figsize=(wide * len(frames) / 100, high / 100), dpi=100, facecolor=PAPER)
-    for place, frame in enumerate(sorted(frames)):
-        axes = figure.add_axes((place / len(frames), 0, 1 / len(frames), 1))
-        axes.set_axis_off()
-        axes.set_aspect("equal")
-        for joint, parent in enumerate(parents):
-            if parent >= 0:
-                axes.plot(*places[frame][[parent, joint]][:, :2].T, color=INK, linewidth=1.6, solid_capstyle="round")
-        axes.set_xlim(-0.62, 0.62)
-        axes.set_ylim(-0.05, 1.84)
-    out = io.BytesIO()
-    figure.savefig(out, format="png", facecolor=PAPER)
-    ours = np.asarray(Image.open(out).convert("RGB"))
-    return png(Image.fromarray(np.concatenate([ours, np.concatenate(shots, axis=1)])))
-
-
 def _flat(places: Array) -> Array:
     """[..., 2] places of ours [..., 3], seen from ahead, a little from her left and above, without perspective."""
     turn, lean = np.radians(24.0), np.radians(9.0)
@@ -291,8 +242,7 @@ def _flat(places: Array) -> Array:
 
 
 PICTURES: dict[str, Callable[[Scene, str], bytes]] = {
-    "blender": blender, "threejs": browser, "vrm": browser, "unity": joints, "unreal": joints, "godot": joints,
-    "robot": robot}
+    "blender": blender, "threejs": browser, "vrm": browser, "unity": joints, "unreal": joints, "godot": joints}
 """Name of a page -> how its picture is made."""
 
 

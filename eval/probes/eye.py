@@ -30,7 +30,7 @@ from eval.metrics.eye import ReferenceSpace
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.frechet import REFERENCE
 from eval.metrics.eye.sample import CORPUS, EyeSample, controls, eye_tables
-from eval.runner.renderings import (
+from eval.renderings import (
     TAKE,
     TEST,
     AcceptanceVoice,

@@ -22,11 +22,11 @@ from data_module.motion.movement import Pasts
 from data_module.store import Recording
 from data_module.types import Array, Motion, Speech
 from eval import stats
+from eval.ablate.policy import Decisions, accuracy
 from eval.baselines.interpreters import Bigram, Majority
 from eval.clip.measure import ClipMeasurement, measure, real_take
+from eval.context import EvalContext
 from eval.metrics.encode import normalised_blocks
-from eval.runner.context import EvalContext
-from eval.runner.policy import Decisions, accuracy
 from eval.table import Cell, Column, Table
 from gesticulator.bundle import bundle as bundles
 from gesticulator.options import FPS

@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.types import Array
+from eval.context import EvalContext
 from eval.metrics.ranking import agreement, retrieval, share_of_range, spreads, true_rank
 from eval.metrics.reward_model import DURATIONS, RewardProbe
-from eval.runner.context import EvalContext
-from eval.runner.renderings import spread_evenly
+from eval.renderings import spread_evenly
 from eval.stats import Interval, mean_interval, paired
 from eval.table import Column, Table
 from gesticulator.training.stages.lexicon import token_labels

@@ -25,9 +25,9 @@ import torch
 
 from data_module.errors import InputError
 from data_module.store import Store
+from eval.ablate.style_editing import CLIPS, SECONDS, SHOWN, excerpts, figures, played_by
 from eval.pictures.edited import figure_10
 from eval.pictures.strips import save_strip
-from eval.runner.style_editing import CLIPS, SECONDS, SHOWN, excerpts, figures, played_by
 from eval.table import Column, Marked, Table
 from gesticulator.pipeline import Gesticulator
 

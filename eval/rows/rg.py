@@ -39,9 +39,9 @@ SYSTEMS = {"SG": "Style Gestures", "Ges": "Gesticulator", "GTC": "Trimodal Conte
 _NO_STYLE = ("generator.style_width=0", "schedules.style.steps=0")
 _ONE_LEXEME = ("lexicon.size=1", "lexicon.warm_up=1", "generator.lexeme=0", "schedules.interpreter.steps=0",
                "schedules.interpreter_text.steps=0")
-_MOVEMENTS = ("lexicon.kind=movement", "lexicon.quantizer=vq-vae", "lexicon.size=200", "lexicon.code_width=128",
+_MOVEMENTS = ("system=movement", "lexicon.quantizer=vq-vae", "lexicon.size=200", "lexicon.code_width=128",
               "lexicon.commitment=0.5", "lexicon.revive_below=0.1", "lexicon.warm_up=0.1",
-              "generator.head=flow", "generator.style_width=0", "schedules.style.steps=0",
+              "generator.style_width=0", "schedules.style.steps=0",
               "schedules.generator.rate=0.0015", "schedules.generator.weight_decay=0.03",
               "motion.least_deviation=0.0175", "motion.smoothing=0.02", "silence.augmentation=0", "silence.hint=false",
               "silence.mask=false", "selection.temperature=1")

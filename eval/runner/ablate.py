@@ -7,7 +7,7 @@
 
 What there is (`--list`): the rows of Rhythmic Gesticulator's tables, each a few settings on top of a preset
 (`eval.rows.rg`); RACER's rows (`racer-NAME`, `eval.rows.racer`), which share a lexicon and two reward models, those
-of a bundle or else trained here; and the figures (`figure-N`, `eval.runner.figures`), drawn from what the rows left.
+of a bundle or else trained here; and the figures (`figure-N`, `eval.ablate.figures`), drawn from what the rows left.
 Without --only all of it is run, in that order. A finished (row, seed) is appended at once to OUT/cells.jsonl and a
 stage is kept in the work folder under the hash of its settings, so a command that was stopped goes on, rows share
 what they have in common, and two commands may divide the rows between them. When a long run is done its cells may go:
@@ -41,7 +41,7 @@ SEEDS = 3
 TABLES_COMMAND = "gesticulator ablate --tables"
 FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-10", "figure-11",
            "figure-14", "figure-15", "figure-16", "figure-17", "figure-18")
-"""Those of `eval.runner.figures`, which is imported when one is drawn."""
+"""Those of `eval.ablate.figures`, which is imported when one is drawn."""
 ELSEWHERE: dict[str, str] = {
     "RG Fig. 6, as a contact sheet with words": "draw lexicon", "RG Fig. 9, of any motion": "draw strip",
     "RG Fig. 10, of a bundle": "probe style-editing", "RG Fig. 12, RACER Fig. 4 (people)": "study",
@@ -132,7 +132,7 @@ def ablate(ablation: Ablation, *, only: Sequence[str] = (), seeds: int = SEEDS,
                   "test_recordings": len(ablation.rg.names("test"))}}
     drawn = [name for name in FIGURES if name in (only or FIGURES)]
     if drawn:
-        from eval.runner import figures as paper
+        from eval.ablate import figures as paper
 
         refused |= {name: why for name in drawn if (why := paper.draw(ablation.rg, name, facts["rows"], out))}
     write(cells, facts, out, about or Provenance.now("gesticulator ablate"))
@@ -253,7 +253,7 @@ def run(arguments: argparse.Namespace) -> int:
         check_ray(arguments.ray)
         own = partial(ablation_of, argparse.Namespace(**{**vars(arguments), "quiet": True, "workers": 1}))
         at_once = partial(sweep.rows_at_once, make=own, outcomes=partial(done_on_ray, arguments.ray, doubles=False))
-    from eval.runner.context import provenance
+    from eval.context import provenance
 
     ablation = make()
     facts = ablate(ablation, only=arguments.only, seeds=arguments.seeds, systems=systems, at_once=at_once,
@@ -264,9 +264,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def ablation_of(arguments: argparse.Namespace) -> Ablation:
     """The rows and their cells, as `arguments` ask for it; workers on other machines make it anew."""
+    from eval.context import EvalContext, opened
     from eval.metrics import gesture_features
     from eval.rows.cells import CellStore
-    from eval.runner.context import EvalContext, opened
     from eval.runner.rg import RgRows
     from eval.runner.row import Ablation
     from gesticulator.bundle import config as configs

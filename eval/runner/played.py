@@ -25,7 +25,7 @@ from tqdm import tqdm
 from data_module.files import write_bytes
 from eval.baselines.interpreters import Majority, Random, ReplayInterpreter
 from eval.metrics.encode import SpeechBlocks, encode_motion
-from eval.runner.renderings import AcceptanceVoice, BundleSystem, program_key
+from eval.renderings import AcceptanceVoice, BundleSystem, program_key
 from interpreters.base import LexemeInterpreter
 
 PERFORMER, REPLAYED = "performer", "performer's lexemes"

@@ -35,9 +35,9 @@ from data_module.store import Store
 from data_module.types import Array
 from eval import stats
 from eval.metrics.ranking import retrieval
+from eval.renderings import held_out_voices
 from eval.runner.decoded_windows import DecodedWindows, Decoder
 from eval.runner.played import MAJORITY, PERFORMER, RANDOM, REPLAYED, PlayedVoice, VoicePlayer
-from eval.runner.renderings import held_out_voices
 from eval.stats import Interval
 from gesticulator.bundle.config import FitSettings, digest
 from gesticulator.training import fit as fitting

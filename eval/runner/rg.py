@@ -35,16 +35,16 @@ from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.audio import resample as resample_speech
 from data_module.store import Recording
 from data_module.types import Array, Motion
+from eval.ablate.policy import Decisions, accuracy
 from eval.baselines import controls as baselines
 from eval.baselines.interpreters import RandomStyle
 from eval.clip.foreign import find_motions, read_folder
 from eval.clip.measure import real_take
+from eval.context import EvalContext
 from eval.metrics import fgd
 from eval.metrics.gesture_features import Features
 from eval.rows import FLOOR, PERFORMER, REAL_TAKE, ROWS, STILL
-from eval.runner.context import EvalContext
 from eval.runner.judge import ClipSpeech, Judge, JudgedClip, PlayedClip, PlayedStore, features_of, identity
-from eval.runner.policy import Decisions, accuracy
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config

@@ -8,10 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
+from eval.ablate.racer import RacerRows
+from eval.context import EvalContext
 from eval.rows import CONTROLS, REFERENCES, ROWS, racer
 from eval.rows.cells import Cell, CellStore, family
-from eval.runner.context import EvalContext
-from eval.runner.racer import RacerRows
 from eval.runner.rg import RgRows
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.models import JUDGES

@@ -41,6 +41,7 @@ from eval.baselines import controls as baselines
 from eval.baselines.unit_selection import NAME as UNITS
 from eval.clip.clip_set import TRUTH, ClipSet, common_clips, listed, shared_names
 from eval.clip.foreign import Clip, named, names_in, read_folder
+from eval.context import EvalContext, provenance, with_judges
 from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, eye, fgd
 from eval.metrics.diversity import entropy, lexeme_moments, variance_of_moments
 from eval.metrics.encode import EncodedMotion, SpeechBlocks, encode_motion, judged_reward
@@ -69,7 +70,6 @@ from eval.metrics.gesture_features import (
 )
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
-from eval.runner.context import EvalContext, provenance, with_judges
 from eval.score.played_rows import PlayedBundle, unit_selection_row
 from eval.score.tables import BOBBING, FLOOR, NO_FLOOR, STILL, Figures, Flag, Scores, tables
 from eval.stats import Indices, Interval

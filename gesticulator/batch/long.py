@@ -100,7 +100,7 @@ WRITERS: dict[str, Callable[[Path, Skeleton, float, str, ClipLayout | None], Fra
 
 def can_be_done(bundle: Bundle) -> bool:
     """Whether the bundle can generate motion in pieces: it rests between phrases and represents joints as rotations."""
-    return bundle.system.streams and bundle.config.motion.representation == "rotations"
+    return bundle.rests_by_phrase and bundle.config.motion.representation == "rotations"
 
 
 def perform_long(system: Gesticulator, sound: SpeechPieces, targets: Sequence[Path], options: InferenceArguments,

@@ -23,8 +23,8 @@ from torch import Tensor, nn
 
 from data_module.controls import Levels
 from data_module.errors import InputError
-from gesticulator.bundle.config import Config, System, from_dict, section, system_of, to_dict
-from gesticulator.bundle.features import Normaliser, Statistics, representation_of
+from gesticulator.bundle.config import Config, from_dict, section, to_dict
+from gesticulator.bundle.features import Normaliser, Sizes, Statistics, representation_of
 from gesticulator.bundle.files import (
     CARD,
     ENDING,
@@ -37,15 +37,8 @@ from gesticulator.bundle.files import (
     replace_folder,
     write_index,
 )
-from gesticulator.bundle.models import (
-    JUDGES,
-    ChangedParts,
-    Sizes,
-    StoredParts,
-    codebook_name,
-    codebook_shape,
-    part_table,
-)
+from gesticulator.bundle.models import JUDGES, ChangedParts, StoredParts, part_table
+from gesticulator.systems import System, system_of
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
 
@@ -173,14 +166,20 @@ class Bundle:
     @property
     def block_models(self) -> BlockModels:
         """Lexicon, generator and interpreters of Rhythmic Gesticulator; InputError for a bundle of RACER's codec."""
-        if not self.system.blocks or not (self.generator and self.interpreter):
+        if not self.system.BLOCKS or not (self.generator and self.interpreter):
             raise InputError("the bundle", _NO_BLOCKS, "use one of blocks at the beat (--preset default)")
         return BlockModels(cast("BlockLexicon", self.lexicon), self.generator, self.interpreter, self.style)
 
     @cached_property
     def system(self) -> System:
-        """The kind of lexicon and generator, and what follows from them."""
+        """Its system, a module of `gesticulator.systems`."""
         return system_of(self.config)
+
+    @property
+    def rests_by_phrase(self) -> bool:
+        """Whether rest is decided phrase by phrase, with idle motion (silence.rest=life); such a bundle can rest
+        without speech, so that a stream can go on for ever."""
+        return self.system.BLOCKS and self.config.silence.rest == "life"
 
     @property
     def code_width(self) -> int:
@@ -297,7 +296,7 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
 def required(config: Config) -> tuple[str, ...]:
     """Parts that a bundle of these settings requires."""
     system = system_of(config)
-    return "lexicon", *system.drawing.parts, *(("style",) if system.blocks and config.generator.styled else ())
+    return "lexicon", *system.PARTS, *(("style",) if system.BLOCKS and config.generator.styled else ())
 
 
 def load(path: str | Path) -> Bundle:
@@ -309,6 +308,7 @@ def load(path: str | Path) -> Bundle:
     folder = Path(path)
     index = read_index(folder)
     config = from_dict(Config, index["config"])
+    system = system_of(config)
     weights = Weights(folder, index["files"])
     table = part_table()
     lacking = [name for name in required(config) if table[name].file not in weights]
@@ -320,7 +320,7 @@ def load(path: str | Path) -> Bundle:
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
                   index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
                   silent=tuple(silent.tolist()))
-    vectors = weights.tensor(table["lexicon"].file, codebook_name(config), codebook_shape(config))
+    vectors = weights.tensor(table["lexicon"].file, system.CODEBOOK, system.codebook_shape(config))
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
                          "copy the bundle again")
@@ -343,7 +343,7 @@ def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[
                 ) -> tuple[Statistics, dict[str, NDArray[np.float64]]]:
     """The statistics, and all arrays of their file."""
     tensors = {key: value.double().numpy() for key, value in weights.read(_STATISTICS, None).items()}
-    motion, count, size = representation_of(config).width, len(speakers), codebook_shape(config)[0]
+    motion, count, size = representation_of(config).width, len(speakers), system_of(config).codebook_shape(config)[0]
     wanted = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),
               "bounds": (2, motion), "frequencies": (count, size), "transitions": (size, size),
               "rest_distances": (count, size)}

@@ -1,9 +1,8 @@
-"""`gesticulator bundle`: inspect a bundle, edit its silent lexemes, upgrade an old one."""
+"""`gesticulator bundle`: inspect a bundle, edit its silent lexemes."""
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from gesticulator.bundle import silent
@@ -11,26 +10,17 @@ from gesticulator.cli import Command
 
 
 def _arguments(p: argparse.ArgumentParser) -> None:
-    verbs = p.add_subparsers(dest="what", required=True, metavar="inspect|silent|upgrade")
+    verbs = p.add_subparsers(dest="what", required=True, metavar="inspect|silent")
     inspect = verbs.add_parser("inspect", help="show the content, sizes, hashes and training data of a bundle")
     inspect.add_argument("bundle", nargs="?", metavar="BUNDLE",
                          help="default, paper, or the folder of a bundle (default: default)")
     inspect.add_argument("--settings", action="store_true", help="also show every setting")
     silent.arguments(verbs.add_parser("silent", help="list or edit the silent lexemes (RG 6.4.1)"))
-    upgrade = verbs.add_parser("upgrade", help="convert a bundle of an older format to the current one")
-    upgrade.add_argument("bundle", type=Path, metavar="OLD")
-    upgrade.add_argument("out", type=Path, metavar="NEW")
 
 
 def _run(args: argparse.Namespace) -> int:
     if args.what == "silent":
         return silent.run(args)
-    if args.what == "upgrade":
-        from gesticulator.bundle.upgrade import upgrade
-
-        upgrade(args.bundle, args.out)
-        print(f"{args.out}: written from {args.bundle}; weights and generated motion are unchanged")
-        return 0
     print(_inspected(args.bundle, args.settings))
     return 0
 
@@ -79,6 +69,6 @@ def _settings(tree: dict[str, Any], path: str = "") -> list[str]:
 
 
 BUNDLE = Command(
-    "inspect a bundle, edit its silent lexemes, or upgrade an old one", _arguments, _run,
+    "inspect a bundle, or edit its silent lexemes", _arguments, _run,
     examples=("bundle inspect", "bundle inspect bundle --settings", "bundle silent bundle --set 3,7,9",
-              "bundle silent --add 12 --out mine", "bundle upgrade old new"))
+              "bundle silent --add 12 --out mine"))

@@ -1,5 +1,7 @@
-"""The settings of a bundle, a tree of the settings of its parts, each with its range and its reason; and the system
-that they make: its lexicon, its generator, and what follows from them (`system_of`)."""
+"""The settings of a bundle: a tree of the settings of its parts, each with its range and its reason.
+
+`Config.system` names the system that they belong to, one file in `gesticulator.systems`.
+"""
 
 from __future__ import annotations
 
@@ -298,6 +300,9 @@ class Config:
 
     name: str
     schedules: Schedules
+    system: Annotated[str, SettingChoice(("paper", "movement", "racer"))] = "paper"
+    """Which of the three systems (`gesticulator.systems`): "paper", Rhythmic Gesticulator; "movement", the default,
+    with lexemes of movements and a flow generator; "racer", RACER's codec at a fixed rate with its Q-network."""
     rhythm: BlockSettings = field(default_factory=BlockSettings)
     front_end: FrontEndConfig = field(default_factory=FrontEndConfig)
     encoder: EncoderConfig = field(default_factory=EncoderConfig)
@@ -321,9 +326,6 @@ class Config:
     """The Q-network as published, on recorded lexemes only: no discount but the paper's and no warm-up. RACER gives no
     alpha; 1 weighs the two terms of its Eq. 11 equally."""
     advantage: CriticConfig = field(default_factory=CriticConfig)
-    tokens: Annotated[str, SettingChoice(("lexicon", "racer"))] = "lexicon"
-    """Gesture vocabulary: "lexicon", one lexeme per block at the beat, rendered by a generator; or "racer", RACER's
-    codec at a fixed rate, which decodes its tokens itself."""
     racer: RacerConfig = field(default_factory=RacerConfig)
     silence: SilenceConfig = field(default_factory=SilenceConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
@@ -345,8 +347,8 @@ class Config:
         if self.silence.rest == "life" and self.motion.representation != "rotations":
             raise InputError("silence.rest=life", "needs joint rotations",
                              "use motion.representation=rotations, or silence.rest=decay")
-        if self.tokens == "racer" and (self.rhythm.beats.rule != "even" or self.rhythm.frames != FRAMES):
-            raise InputError("tokens=racer", "needs blocks of eight frames at a fixed rate",
+        if self.system == "racer" and (self.rhythm.beats.rule != "even" or self.rhythm.frames != FRAMES):
+            raise InputError("system=racer", "needs blocks of eight frames at a fixed rate",
                              "start from --preset racer-native, racer-trinity or racer-chinese")
 
 
@@ -368,88 +370,3 @@ def _other(name: str, value: Any) -> Any:
         raise InputError(f"others.{name}", f"is {value!r:.40}", "give a group of settings")
     check(settings, f"others.{name}")
     return settings
-
-
-@dataclass(frozen=True)
-class Naming:
-    """A kind of lexicon.
-
-    stage: the stage that trains it. codebook: the tensor of its code vectors. blocks: it labels blocks at the beat one
-    by one, so that a block can be generated again; otherwise all codes are decoded together. in_context: what a lexeme
-    shows depends on the block before. knows_silence: some of its lexemes are silent.
-    """
-
-    stage: str
-    codebook: str
-    blocks: bool = True
-    in_context: bool = False
-    knows_silence: bool = True
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A kind of generator. name: its name. parts: required parts of a bundle besides the lexicon. idle: training stages
-    that it does not use. samples: it can render a lexeme in several ways. styled: it is trained with style codes, one
-    for each training block."""
-
-    name: str
-    parts: tuple[str, ...] = ()
-    idle: frozenset[str] = frozenset()
-    samples: bool = False
-    styled: bool = False
-
-
-POSES = Naming("lexicon", "quantizer.vectors")
-"""The lexicon of poses (RG 5.1)."""
-MOVEMENTS = Naming("lexicon", "vectors", in_context=True)
-"""The lexicon of movements."""
-CODES = Naming("codec", "quantizer.vectors", blocks=False, knows_silence=False)
-"""RACER's codec at a fixed rate (RACER 4.1)."""
-
-REGRESSION = Drawing("regression", ("generator", "interpreter"), frozenset(("codec",)), styled=True)
-"""The paper's generator with style codes (RG 5.2)."""
-FLOW = Drawing("flow", ("generator", "interpreter"), frozenset(("codec",)), samples=True)
-"""The generator with a flow head, which samples."""
-DECODED = Drawing("decoded", ("q_network",), frozenset(
-    ("lexicon", "generator", "interpreter", "interpreter_text", "style", "style_text", "gate", "planner",
-     "advantage")))
-"""No generator: the codec decodes its codes (RACER 5.2)."""
-
-
-@dataclass(frozen=True)
-class System:
-    """The kind of a bundle. naming: its lexicon; drawing: its generator; lives: rest is decided phrase by phrase, with
-    idle motion (silence.rest=life)."""
-
-    naming: Naming
-    drawing: Drawing
-    lives: bool
-
-    @property
-    def blocks(self) -> bool:
-        """Blocks are labelled and generated one by one, with a generator and a lexeme interpreter."""
-        return self.naming.blocks
-
-    @property
-    def varies(self) -> bool:
-        """The same lexemes can be rendered in different ways."""
-        return self.drawing.samples
-
-    @property
-    def streams(self) -> bool:
-        """It can rest without speech, so that a stream can continue indefinitely."""
-        return self.blocks and self.lives
-
-    def uses(self, stage: str) -> bool:
-        """Whether it uses the training stage of this name."""
-        return stage not in self.drawing.idle
-
-
-def system_of(config: Config) -> System:
-    """The system of the settings. Other code asks it, and not the settings, so that another lexicon or generator is
-    one more value above."""
-    lives = config.silence.rest == "life"
-    if config.tokens == "racer":
-        return System(CODES, DECODED, lives)
-    return System(MOVEMENTS if config.lexicon.kind == "movement" else POSES,
-                  FLOW if config.generator.head == "flow" else REGRESSION, lives)

@@ -135,6 +135,57 @@ def representation_of(config: Config) -> Representation:
     return representation(name, config.motion.joints)
 
 
+def body_columns(config: Config) -> dict[str, tuple[int, ...]]:
+    """Body part -> its indices in D_m under these settings."""
+    from data_module.motion.movement import body_parts
+    from data_module.motion.skeletons import CHARACTERS
+
+    chosen = representation_of(config)
+    if chosen.name != "rotations":
+        return {"body": tuple(range(chosen.width))}
+    return body_parts(CHARACTERS[config.motion.joints].names)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Model dimensions that depend on the data.
+
+    motion: D_m; low, high: widths d + 1 of the two audio levels, including the log duration; two_levels: whether they
+    differ; speakers: P; text: d_t + 1, 0 without words; present: [D_m] 1 for dimensions that ever move in training;
+    vectors: [S, D_s] the codebook, if there is one; silent: the silent lexemes; training_blocks: number of learned
+    style codes, 0 at inference, where the generator has no table of them.
+    """
+
+    config: Config
+    motion: int
+    low: int
+    high: int
+    two_levels: bool
+    speakers: int
+    text: int
+    present: Tensor
+    vectors: Tensor | None = None
+    silent: tuple[int, ...] = ()
+    training_blocks: int = 0
+
+    @property
+    def frames(self) -> int:
+        """K, frames per block."""
+        return self.config.rhythm.frames
+
+    @property
+    def lexemes(self) -> Tensor:
+        """[S, D_s] the codebook; ValueError if there is none yet."""
+        if self.vectors is None:
+            raise ValueError("this model is built over a codebook, and there is none yet")
+        return self.vectors
+
+    @property
+    def block_audio(self) -> int:
+        """Audio width of the reward models: both levels if they differ, the log duration once."""
+        return self.low + self.high - 1 if self.two_levels else self.low
+
+
 # ---------------------------------------------------------------------------------------------------- speech
 
 @dataclass(frozen=True)

@@ -29,11 +29,8 @@ from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Skeleton
 from gesticulator.version import __version__
 
-FORMAT = 6
-"""Format 5 had a different flow head; format 4 had no lexicon of movements, flow head or fingers; format 3 had other
-names of settings and tensors and no resting distances (see `gesticulator.bundle.upgrade`)."""
-OLDER = (1, 2, 3, 4, 5)
-"""Formats that `gesticulator bundle upgrade` can convert."""
+FORMAT = 7
+"""The first released format. Bundles of formats 1 to 6 were never published."""
 INDEX = "bundle.json"
 CARD = "MODEL_CARD.md"
 TIED = "lexicon_hash"
@@ -148,9 +145,8 @@ def read_index(path: str | Path) -> dict[str, Any]:
     index = read_json(file)
     version = index.get("format")
     if version != FORMAT or isinstance(version, bool):
-        advice = (f"run gesticulator bundle upgrade {folder} NEW" if version in OLDER
-                  else "train it again or use the matching version")
-        raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}", advice)
+        raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}",
+                         "train it again or use the matching version")
     lacking = [key for key in _KINDS if key not in index]
     if lacking:
         raise InputError(file, f"lacks {', '.join(lacking)}", "copy the bundle again")

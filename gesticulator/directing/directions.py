@@ -282,7 +282,7 @@ def check_plan_of(bundle: Bundle, plan: GesturePlan, sound: str) -> None:
     for at, block in enumerate(plan.blocks):
         if block.lexeme is not None and block.lexeme >= size:
             raise plan.error(("blocks", at, "lexeme"), f"is {block.lexeme}", f"give 0 to {size - 1}, or null")
-    if not bundle.system.blocks and any(edited_blocks(plan)):
+    if not bundle.system.BLOCKS and any(edited_blocks(plan)):
         raise plan.error(("blocks",), "cannot be generated one by one: this bundle decodes all of its codes together",
                          "use a bundle with a lexicon of blocks")
 

@@ -14,7 +14,6 @@ which is standard normal at every t, independent for blocks that begin 0.2 s or 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, pi, sin
 from typing import TYPE_CHECKING, NamedTuple, Protocol, cast, overload
@@ -29,7 +28,7 @@ from data_module.types import Array
 from generator.flow import Circumstances, FlowGenerator, FlowInputs, alone
 from gesticulator.body.life import normal
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.config import FLOW, REGRESSION, UNTOLD, Drawing
+from gesticulator.bundle.config import UNTOLD
 from gesticulator.bundle.features import SpeechBlock
 from gesticulator.drawing.candidates import CandidateChooser, CandidateMotion
 from interpreters.base import BlockFeatures
@@ -162,8 +161,8 @@ class Drawer(Protocol):
 
 def drawer_for(bundle: Bundle, speaker: int, lexeme: int, keys: Keys, text: bool = False) -> Drawer:
     """The drawer for the bundle's generator; lexeme: the one before the first block; text: words are read."""
-    kinds: dict[Drawing, Callable[..., Drawer]] = {REGRESSION: RegressionDrawer, FLOW: FlowDrawer}
-    return kinds[bundle.system.drawing](bundle, speaker, lexeme, keys, text)
+    kind: type[FlowDrawer | RegressionDrawer] = FlowDrawer if bundle.system.VARIES else RegressionDrawer
+    return kind(bundle, speaker, lexeme, keys, text)
 
 
 class RegressionDrawer:

@@ -101,7 +101,7 @@ class Driver:
     """
 
     def __init__(self, bundle: Bundle, cast: Cast) -> None:
-        kind = Rollout if bundle.system.blocks else CodecRollout
+        kind = Rollout if bundle.system.BLOCKS else CodecRollout
         variations = (0, cast.variation) if cast.variation else (cast.sampling.variation,)
         self._rollouts = [kind(bundle, cast.interpreter, cast.speaker, replace(cast.sampling, variation=variation),
                                cast.activity) for variation in variations]

@@ -209,7 +209,7 @@ class Rollout:
         self._drawer = drawer_for(b, speaker, self._previous, self.sampling.keys, text)
         self._gate_state = None if self._gate is None else self._gate.start(speaker)
         self.life = Rest(b.statistics, representation_of(b.config), speaker, self.activity,
-                         self.sampling.seed) if b.system.lives else None
+                         self.sampling.seed) if b.rests_by_phrase else None
         self._resting = _BLOCKS_BEFORE_REST  # the body is at rest at the start
         self._first_poses, rest = None, b.statistics.rest_pose[speaker]
         if b.config.selection.fresh and self.life is not None:

@@ -36,7 +36,6 @@ WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be wri
     ".face.parquet": RegistryEntry("the table of .face.csv as Parquet", "gesticulator.export.face:write_face_parquet",
                                    needs=Requirement("pyarrow", "pyarrow", "parquet")),
     ".fbx": RegistryEntry("motion, or your own character, through Blender", "gesticulator.export.fbx:write_fbx"),
-    ".g1.csv": RegistryEntry("joint angles of the robot Unitree G1", "gesticulator.export.g1:write_g1"),
     ".gif": RegistryEntry("an animated figure, looping", "gesticulator.export.film:write_gif",
                   needs=Requirement("PIL", "Pillow", "video")),
     ".glb": RegistryEntry("motion, or your own character, as binary glTF", "gesticulator.export.glb:write_glb"),
@@ -53,6 +52,10 @@ WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be wri
     ".webm": RegistryEntry("an animated figure with audio", "gesticulator.export.film:write_film", needs=_VIDEO),
 }, RegistryEntry)
 """By suffix: writer(path, scene) -> path; writers write atomically."""
+
+ELSEWHERE = {".g1.csv": "gesticulator-extra"}
+"""Suffix -> the distribution that writes it, for the message where that is not installed: without it, a path such as
+"talk.g1.csv" would become a plain table."""
 
 UNITS = {"cm": 0.01, "m": 1.0}
 """Unit of length of a BVH file -> metres."""
@@ -116,7 +119,7 @@ def suffix_of(path: str | os.PathLike[str]) -> str:
     (".g1.csv"); "" without one."""
     suffixes = [suffix.lower() for suffix in Path(path).suffixes]
     both = "".join(suffixes[-2:])
-    return both if both in WRITERS else "".join(suffixes[-1:])
+    return both if both in WRITERS or both in ELSEWHERE else "".join(suffixes[-1:])
 
 
 def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
@@ -124,6 +127,9 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
     dependency, or a unit that its format does not support."""
     target = Path(path)
     suffix = suffix_of(target)
+    if suffix not in WRITERS and suffix in ELSEWHERE:
+        package = ELSEWHERE[suffix]
+        raise InputError(target, f"needs {package}, which is not installed", f"pip install {package}")
     if suffix not in WRITERS:
         wrong = f"'{target.suffix}' is not a format that can be written" if target.suffix else "has no suffix"
         raise InputError(target, wrong, f"use one of {', '.join(sorted(WRITERS))}")

@@ -304,7 +304,7 @@ class LivePlans:
         assert plan is not None
         maker = self._maker(options)
         played: list[PlayedBlock] = []
-        if self._system.bundle.system.blocks:
+        if self._system.bundle.system.BLOCKS:
             yield from self._drafted(maker, options, asked)
             played = yield from self._as_drawn(maker, options, asked, maker.renderer.playing(plan, asked.on_block))
         if self._in_pieces(options):
@@ -473,7 +473,7 @@ class LivePlans:
     def _in_pieces(self, options: InferenceOptions) -> bool:
         """Whether frames are made in pieces."""
         bundle = self._system.bundle
-        return bundle.system.blocks and representation_of(bundle.config).name == "rotations"
+        return bundle.system.BLOCKS and representation_of(bundle.config).name == "rotations"
 
     def _page_frames(self, options: InferenceOptions) -> PageFrames:
         """How the page has the frames of a motion."""

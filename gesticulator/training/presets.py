@@ -207,7 +207,7 @@ def default() -> Config:
     paper = regression()
     return dataclasses.replace(
         # A speaker with captured motion: the scripted performers stand still for ten seconds at a time.
-        paper, name="default", default_speaker="conversation",
+        paper, name="default", system="movement", default_speaker="conversation",
         schedules=dataclasses.replace(
             paper.schedules, speech=NOT_TRAINED, contrast=NOT_TRAINED,
             style=FitSettings(steps=800, batch=32, rate=1.5e-3, schedule="cosine", weight_decay=0.1, validations=20,
@@ -227,10 +227,10 @@ def default() -> Config:
         motion=MotionConfig(joints=46, least_deviation=0.0175, smoothing=0.02),
         # Large movements are rare: lexemes that are revived as soon as they are used less than average leave them, and
         # tell a third less of the movement.
-        lexicon=LexiconConfig(kind="movement", quantizer="vq-vae", size=200, code_width=128, commitment=0.5,
+        lexicon=LexiconConfig(quantizer="vq-vae", size=200, code_width=128, commitment=0.5,
                               revive_below=0.1, warm_up=0.1),
         generator=GeneratorConfig(
-            head="flow", motion_features=32, audio_features=32, audio_bottleneck=48, style_width=4, position_width=8,
+            motion_features=32, audio_features=32, audio_bottleneck=48, style_width=4, position_width=8,
             hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True, bend=4.0, dropout=0.1,
             history_dropout=0.2,
             hears_through="code",  # beside it, the code would tell the head nothing that it needs
@@ -309,7 +309,7 @@ def racer_trinity() -> Config:
     # The codec: 500 epochs of 221 minutes in 6 s windows of 15 codes, 0.5 TFLOP a step.
     learn = FitSettings(steps=17_000, batch=64, rate=3e-5)
     return Config(
-        name="racer-trinity", tokens="racer", rhythm=_FIXED_RATE,
+        name="racer-trinity", system="racer", rhythm=_FIXED_RATE,
         schedules=Schedules(
             lexicon=learn, generator=NOT_TRAINED, interpreter=NOT_TRAINED, style=NOT_TRAINED, reward=learn,
             # 1,500 epochs. A pass over 256 windows of 30 tokens costs 1.3 TFLOP, a step about seven of them (forward

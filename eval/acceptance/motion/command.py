@@ -41,11 +41,11 @@ from eval.baselines.unit_selection import NAME as UNITS
 from eval.claim import Verdict, count, summary, verdict_table
 from eval.clip.foreign import named
 from eval.clip.measure import real_take
+from eval.context import EvalContext
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.frechet import REFERENCE
 from eval.metrics.eye.sample import CORPUS
-from eval.runner.context import EvalContext
-from eval.runner.renderings import (
+from eval.renderings import (
     PROGRAM,
     TAKE,
     AcceptanceVoice,

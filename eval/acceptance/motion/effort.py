@@ -28,7 +28,7 @@ from eval.claim import Verdict, at_least, at_most, judged, skipped
 from eval.metrics import eye
 from eval.metrics.eye import common_body, hear
 from eval.metrics.eye.stability import difference
-from eval.runner.renderings import AcceptanceVoice, BundleSystem
+from eval.renderings import AcceptanceVoice, BundleSystem
 from eval.stats import Interval
 from eval.table import Column, Table
 

@@ -36,7 +36,7 @@ from eval import stats
 from eval.claim import ANY, Verdict, at_least, at_most, judged, skipped
 from eval.metrics.eye import common_body, hands, strokes
 from eval.metrics.eye.body import HZ
-from eval.runner.renderings import AcceptanceVoice, BundleSystem, Rendering
+from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
 from eval.table import Table
 from gesticulator.bundle.bundle import Bundle
@@ -290,7 +290,7 @@ def run(ours: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoic
     made = [ours.render(voice, k % renderings) for k, voice in enumerate(voices)]
     groups = [voice.group or voice.name for voice in voices]
     clauses += _obedience(ours, voices, made)
-    if ours.bundle.system.lives:
+    if ours.bundle.rests_by_phrase:
         bare = ours.bare()
         clauses += _obedience(ours, voices, [bare.render(voice, k % renderings) for k, voice in enumerate(voices)],
                               bare=True)

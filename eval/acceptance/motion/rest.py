@@ -34,7 +34,7 @@ from eval.acceptance.motion.sounds import faint, heard_of, made, noise, pauses_i
 from eval.claim import ANY, Verdict, at_least, at_most, judged, skipped
 from eval.metrics.eye import common_body, hands, together, trunk
 from eval.metrics.eye.body import HZ, CommonBody
-from eval.runner.renderings import TAKE, AcceptanceVoice, BundleSystem, Rendering
+from eval.renderings import TAKE, AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 

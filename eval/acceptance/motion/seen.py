@@ -22,7 +22,7 @@ from eval.metrics import eye, pmb
 from eval.metrics.eye import ReferenceSpace, VoiceActivity, common_body, voice
 from eval.metrics.eye.sample import CORPUS, POOLED, TO_CORPUS, EyeSample, heading
 from eval.metrics.mismatch import Mismatch, mismatch, wrapped
-from eval.runner.renderings import TEST, AcceptanceVoice, Pair, RenderedSystem
+from eval.renderings import TEST, AcceptanceVoice, Pair, RenderedSystem
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 

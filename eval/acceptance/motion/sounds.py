@@ -19,7 +19,7 @@ from eval import stats
 from eval.clip.excerpts import excerpt_of_speech
 from eval.metrics.eye import hear
 from eval.metrics.eye.voice import TRACK_HZ
-from eval.runner.renderings import AcceptanceVoice
+from eval.renderings import AcceptanceVoice
 
 REAL_PAUSE = 1.0
 """Seconds: a shorter gap may be played through."""

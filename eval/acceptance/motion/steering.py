@@ -22,10 +22,10 @@ from data_module.controls import FEATURES, LEVELS
 from data_module.errors import InputError
 from data_module.types import Array, Speech, Word
 from eval import stats
+from eval.ablate.style_editing import realised
 from eval.acceptance.motion.sounds import heard_of, spread_out
 from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged, skipped
-from eval.runner.renderings import AcceptanceVoice, BundleSystem
-from eval.runner.style_editing import realised
+from eval.renderings import AcceptanceVoice, BundleSystem
 from eval.table import Table
 from gesticulator.drawing.rollout import BEST
 

@@ -30,7 +30,7 @@ from eval.metrics.eye.hands import HANGS
 from eval.metrics.eye.pitch import Coupling
 from eval.metrics.eye.together import hand_speeds
 from eval.metrics.eye.units import HELD, HOLD, PAUSE, Leads, lasting, leads, silent_frames
-from eval.runner.renderings import AcceptanceVoice
+from eval.renderings import AcceptanceVoice
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 

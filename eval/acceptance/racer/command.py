@@ -25,6 +25,7 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.files import write_text
 from eval import stats
+from eval.ablate.policy import Decisions, PolicyJudge
 from eval.acceptance.racer import gate, values
 from eval.acceptance.racer.playing import (
     CQL,
@@ -42,11 +43,10 @@ from eval.acceptance.racer.playing import (
     policies,
 )
 from eval.claim import HIGH, POSITIVE, Bound, Verdict, at_least, at_most, judged, verdict_table
+from eval.context import EvalContext
 from eval.metrics import fgd, gesture_features
 from eval.metrics.diversity import distinct_2, diversity, longest_run
-from eval.runner.context import EvalContext
-from eval.runner.policy import Decisions, PolicyJudge
-from eval.runner.renderings import BundleSystem, KeptRenderings, held_out_voices
+from eval.renderings import BundleSystem, KeptRenderings, held_out_voices
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 from gesticulator.bundle.files import bundle_folder, read_index

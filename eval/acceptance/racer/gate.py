@@ -27,8 +27,8 @@ from data_module.types import Array
 from eval import stats
 from eval.baselines.controls import ROLLED
 from eval.claim import Verdict, at_least, judged, skipped
+from eval.context import EvalContext
 from eval.metrics.ranking import agreement
-from eval.runner.context import EvalContext
 from gesticulator.bundle.config import FitSettings
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.advantage import gains

@@ -22,13 +22,13 @@ from torch.nn import functional
 
 from data_module.types import Array
 from eval import stats
+from eval.ablate.policy import entropy_of, matched_temperature
 from eval.baselines.interpreters import Majority, Random
 from eval.clip.measure import measure
+from eval.context import EvalContext
 from eval.metrics import eye
 from eval.metrics.encode import SpeechBlocks, encode_motion
-from eval.runner.context import EvalContext
-from eval.runner.policy import entropy_of, matched_temperature
-from eval.runner.renderings import AcceptanceVoice, BundleSystem, Rendering
+from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from gesticulator.training.stages.interpreter import teacher_logits
 from interpreters.base import LexemeInterpreter
 from interpreters.reward import RewardEnsemble

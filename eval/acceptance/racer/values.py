@@ -16,10 +16,10 @@ import torch
 
 from data_module.types import Array
 from eval import stats
+from eval.ablate.policy import Decisions, Policy, PolicyJudge, rank_correlation, return_to_go, taken, walk
 from eval.acceptance.racer.playing import PERFORMER, PlayedPolicy, teacher_inputs
 from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged
-from eval.runner.context import EvalContext
-from eval.runner.policy import Decisions, Policy, PolicyJudge, rank_correlation, return_to_go, taken, walk
+from eval.context import EvalContext
 from gesticulator.training.stages.interpreter import teacher_logits
 from gesticulator.training.stages.reward import taught_reward
 from interpreters.advantage import AdvantageInterpreter
@@ -103,7 +103,7 @@ def honesty_clauses(found: Mapping[str, Columns]) -> list[Verdict]:
 
 
 def interpreters_of(context: EvalContext, rows: Mapping[str, PlayedPolicy]) -> dict[str, Policy]:
-    """The same policies as what `eval.runner.policy.walk` takes."""
+    """The same policies as what `eval.ablate.policy.walk` takes."""
     bundle, selection = context.bundle, context.bundle.config.selection
     out = {}
     for name, row in rows.items():

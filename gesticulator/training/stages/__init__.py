@@ -14,7 +14,8 @@ import numpy as np
 from data_module.errors import InputError, complain
 from data_module.registry import PROJECT, Registry, RegistryEntry
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
-from gesticulator.bundle.config import Config, system_of
+from gesticulator.bundle.config import Config
+from gesticulator.systems import SYSTEMS, system_of
 from gesticulator.training.stages.advantage import ADVANTAGE, COUNTERFACTUALS
 from gesticulator.training.stages.base import Node, Run, Stage, closure
 from gesticulator.training.stages.corpus import BLOCKS, Corpus
@@ -89,9 +90,11 @@ __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUAL
 
 
 def wanted(config: Config) -> list[Stage[Any]]:
-    """The stages required by these settings, in order."""
-    system = system_of(config)
-    return [stage for stage in STAGES.values() if system.uses(stage.name) and stage.wanted(config)]
+    """The stages required by these settings, in order: those of the system, then those of other packages."""
+    stages = dict(STAGES)
+    listed = {name for system in SYSTEMS for name in SYSTEMS.load(system).STAGES}
+    names = [*system_of(config).STAGES, *(name for name in stages if name not in listed)]
+    return [stages[name] for name in names if stages[name].wanted(config)]
 
 
 def assemble(run: Run, provenance: dict[str, Any] | None = None, leave_out: Sequence[Stage[Any]] = ()) -> Bundle:

@@ -19,8 +19,7 @@ from data_module.store import Store
 from data_module.types import Array
 from generator.flow import circumstances
 from gesticulator.bundle.config import Config, digest
-from gesticulator.bundle.features import Normaliser, Statistics, three_blocks, word_table
-from gesticulator.bundle.models import Sizes
+from gesticulator.bundle.features import Normaliser, Sizes, Statistics, three_blocks, word_table
 from gesticulator.training.stages.base import Node, Run
 from gesticulator.training.stages.caches import cut, encode_all, read_arrays, read_words, word_file
 from gesticulator.training.stages.measured import measured

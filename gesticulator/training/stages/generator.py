@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 
-from data_module.errors import InputError
 from data_module.layers import freeze
 from generator.flow import FlowGenerator
 from generator.model import BlockInputs, Generator
 from gesticulator.bundle import models
-from gesticulator.bundle.config import Config, system_of
+from gesticulator.bundle.config import Config
+from gesticulator.systems import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.features import CORPUS
@@ -64,14 +64,11 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
 
 def _movements(run: Run) -> MovementLexicon:
     lexicon = run.get(LEXICON)
-    if not isinstance(lexicon, MovementLexicon):
-        raise InputError("generator.head=flow", "generates movements, but the lexicon holds poses",
-                         "set lexicon.kind=movement, or generator.head=regression")
-    return lexicon
+    return cast(MovementLexicon, lexicon)
 
 
 def _build(run: Run) -> Generator | FlowGenerator:
-    model = models.generator(model_sizes(run, training=system_of(run.config).drawing.styled))
+    model = models.build("generator", model_sizes(run, training=not system_of(run.config).VARIES))
     if isinstance(model, FlowGenerator):
         lexicon, corpus = _movements(run), run.get(CORPUS)
         known = torch.as_tensor(corpus.some("train"))
@@ -87,11 +84,7 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
         parts = with_silence(parts, corpus, labelled.nearest, config.silence.augmentation,
                              config.silence.longest_insert, np.random.default_rng([run.seed(GENERATOR), 7]))
     windows = Windows(corpus, parts, config.window, control=config.control if config.generator.use_control else None)
-    pose_lexicon = run.get(LEXICON)
-    if not isinstance(pose_lexicon, Lexicon):
-        raise InputError("generator.head=regression", "is trained with the encoder of poses, but the lexicon holds "
-                         "movements", "set lexicon.kind=pose, or generator.head=flow")
-    lexicon = copy.deepcopy(pose_lexicon).to(run.device)
+    lexicon = copy.deepcopy(cast(Lexicon, run.get(LEXICON))).to(run.device)
     freeze(lexicon)
     checks = validation(corpus, labelled.labels, config.window)
 
@@ -117,13 +110,14 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
 
 
 def _unit_nodes(config: Config) -> tuple[Node[Any], ...]:
-    samples = system_of(config).drawing.samples
+    samples = system_of(config).VARIES
     return (*((UNITS,) if samples and config.generator.units else ()),
             *((UNIT_CODES,) if samples and config.generator.styled else ()))
 
 
 GENERATOR: Stage[Generator | FlowGenerator] = Stage(
-    "generator", settings=("generator", "window", "control", "silence.augmentation", "silence.longest_insert"),
+    "generator",
+    settings=("system", "generator", "window", "control", "silence.augmentation", "silence.longest_insert"),
     needs=lambda config: (CORPUS, LEXICON, LABELS, *_unit_nodes(config)), schedule="generator", part="generator",
     build=_build,
     train=lambda run, model, folder: (_train_flow if isinstance(model, FlowGenerator) else _train_regression)(

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.motion.kinematics import positions_of
 from data_module.motion.representation import Representation
-from gesticulator.bundle.config import Config, system_of
-from gesticulator.bundle.features import representation_of
-from gesticulator.bundle.models import Sizes
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import Sizes, representation_of
+from gesticulator.systems import system_of
 from gesticulator.training.stages.base import Node, Run
 from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
 from gesticulator.training.stages.features import CORPUS
@@ -68,7 +68,7 @@ def _speed(corpus: Corpus, blocks: NDArray[np.int64], representation: Representa
 def silent_lexemes(config: Config, corpus: Corpus, labels: NDArray[np.int64]) -> NDArray[np.int64]:
     """The silent lexemes from the settings, or detected: slow, and frequent in silence (RG 6.4.1)."""
     named, size = config.silence.lexemes, config.lexicon.size
-    if not system_of(config).naming.knows_silence:
+    if not system_of(config).SILENCE:
         return np.zeros(0, dtype=np.int64)
     if named:
         if max(named) >= size:

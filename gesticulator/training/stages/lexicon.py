@@ -14,7 +14,8 @@ from data_module.errors import InputError
 from data_module.motion.movement import Pasts
 from data_module.parallel import own_rows
 from gesticulator.bundle import models
-from gesticulator.bundle.config import Config, system_of
+from gesticulator.bundle.config import Config
+from gesticulator.systems import system_of
 from gesticulator.training import distributed
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
@@ -132,9 +133,9 @@ def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
 
 
 LEXICON: Stage[BlockLexicon] = Stage(
-    "lexicon", settings=("lexicon", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
+    "lexicon", settings=("system", "lexicon", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
     part="lexicon", train=_train_lexicon,
-    build=lambda run: models.lexicon(sizes(run.config, run.get(BLOCKS))))
+    build=lambda run: models.build("lexicon", sizes(run.config, run.get(BLOCKS))))
 
 
 @torch.no_grad()
@@ -195,11 +196,11 @@ def codec_figures(model: RacerCodec, true: Tensor) -> Figures:
 CODEC: Stage[RacerCodec] = Stage(
     "codec", settings=("racer", "cql.decisions", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
     part="lexicon", train=_train_codec,
-    build=lambda run: models.codec(sizes(run.config, run.get(BLOCKS))))
+    build=lambda run: models.build("lexicon", sizes(run.config, run.get(BLOCKS))))
 
 
 def _of(config: Config) -> Stage[Any]:
-    return CODEC if system_of(config).naming.stage == CODEC.name else LEXICON
+    return CODEC if CODEC.name in system_of(config).STAGES else LEXICON
 
 
 TOKENS: Node[Tokens] = Node("tokens", settings=(), needs=lambda config: (_of(config),),

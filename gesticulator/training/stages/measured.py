@@ -11,9 +11,8 @@ from data_module import controls
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array
-from gesticulator.bundle.config import Config, system_of
-from gesticulator.bundle.features import Normaliser, Statistics, representation_of
-from gesticulator.bundle.models import parts_of_body
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import Normaliser, Statistics, body_columns, representation_of
 
 BOUNDS = (0.1, 99.9)
 """Percentiles: omits one frame in a thousand at either end, because captured motion contains jumps."""
@@ -64,13 +63,13 @@ def resting(poses: Array, config: Config) -> Array:
     """[D_m] the resting pose from the poses at the ends of silences [n, D_m]: their mean; or, with idle motion
     (`silence.rest`), the arms of the median pose among those with the lowest hands (a mean of lowered and raised hands
     would be half way up), and the mean of these poses for trunk and head (a single pose may look aside)."""
-    if not system_of(config).lives:
+    if config.silence.rest != "life":
         return np.asarray(poses.mean(axis=0))
     places = positions_of(representation_of(config).motion(poses, config.rhythm.fps))
     height = places[:, [CHARACTER.index("LeftHand"), CHARACTER.index("RightHand")], 1].mean(axis=1) - places[:, 0, 1]
     low = poses[height <= np.quantile(height, LOWEST)]
     rest = low.mean(axis=0)
-    arms = [column for part, columns in parts_of_body(config).items() if part not in ("torso", "head")
+    arms = [column for part, columns in body_columns(config).items() if part not in ("torso", "head")
             for column in columns]
     rest[arms] = low[np.linalg.norm(low[:, arms] - rest[arms], axis=1).argmin()][arms]
     return np.asarray(rest)

@@ -14,7 +14,8 @@ from torch.nn import functional
 
 from data_module.errors import InputError
 from gesticulator.bundle import models
-from gesticulator.bundle.config import Config, system_of
+from gesticulator.bundle.config import Config
+from gesticulator.systems import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
@@ -61,7 +62,7 @@ def _make_episodes(run: Run) -> Episodes:
         frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
         others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions,
                                                                         config.statistical)}
-        if system_of(config).uses(INTERPRETER.name):
+        if INTERPRETER.name in system_of(config).STAGES:
             others["sampled"] = run.get(INTERPRETER)
         return build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
                      silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(),
@@ -83,7 +84,7 @@ def _cached(run: Run, node: Node[Episodes], make: Callable[[], Episodes]) -> Epi
 
 
 def _episode_needs(config: Config) -> Sequence[Node[Any]]:
-    return CORPUS, TOKENS, LABELS, REWARD, *((INTERPRETER,) if system_of(config).uses(INTERPRETER.name) else ())
+    return CORPUS, TOKENS, LABELS, REWARD, *((INTERPRETER,) if INTERPRETER.name in system_of(config).STAGES else ())
 
 
 EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "statistical", "silence.hint"), needs=_episode_needs,

@@ -17,6 +17,7 @@ from data_module.motion.movement import Pasts
 from data_module.parallel import own_rows, shares
 from gesticulator.bundle import models
 from gesticulator.bundle.config import RewardConfig
+from gesticulator.bundle.features import Sizes
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus
@@ -259,7 +260,7 @@ def _train(run: Run, model: RewardEnsemble, folder: Path, stage: Stage[RewardEns
     return run.fit(stage, model, task, folder)
 
 
-def _reward_stage(name: str, settings: str, fold: int, build: Callable[[models.Sizes], RewardEnsemble]
+def _reward_stage(name: str, settings: str, fold: int, build: Callable[[Sizes], RewardEnsemble]
                   ) -> Stage[RewardEnsemble]:
     def train(run: Run, model: RewardEnsemble, folder: Path) -> Figures:
         return _train(run, model, folder, (REWARD, REWARD_JUDGE)[fold], fold)
@@ -298,5 +299,5 @@ def step_reward(run: Run) -> Reward:
         return run.get(TAUGHT_REWARD).sequence
     if isinstance(tokens, RacerCodec):
         raise InputError("episodes.reward=distance", "needs lexemes that are decoded one by one",
-                         "use it over a lexicon, not with tokens=racer")
+                         "use it over a lexicon, not with system=racer")
     return looked_up(distance_rewards(tokens.shown(), corpus.motion))

@@ -11,7 +11,8 @@ import torch
 
 from generator.model import Generator
 from gesticulator.bundle import models
-from gesticulator.bundle.config import Config, system_of
+from gesticulator.bundle.config import Config
+from gesticulator.systems import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.features import CORPUS
@@ -57,18 +58,17 @@ def _train(run: Run, model: StyleInterpreter | UnitStyleInterpreter, folder: Pat
 
 
 def _needs(config: Config) -> tuple[Node[Any], ...]:
-    codes = (UNITS, UNIT_CODES) if system_of(config).drawing.samples else (GENERATOR,)
+    codes = (UNITS, UNIT_CODES) if system_of(config).VARIES else (GENERATOR,)
     return CORPUS, LEXICON, LABELS, *codes
 
 
 STYLE: Stage[StyleInterpreter | UnitStyleInterpreter] = Stage(
     "style", settings=(lambda config: config.style.without_text(), "window"), needs=_needs, schedule="style",
     wanted=lambda config: config.generator.styled, part="style",
-    build=lambda run: models.style(model_sizes(run)),
+    build=lambda run: models.build("style", model_sizes(run)),
     train=lambda run, model, folder: _train(run, model, folder, STYLE, False))
 STYLE_TEXT: Stage[StyleInterpreter] = Stage(
     "style_text", settings=("style", "window", "text"), needs=lambda config: (CORPUS, LEXICON, LABELS, GENERATOR),
-    schedule="style", part="style_text", build=lambda run: models.style(model_sizes(run), True),
-    wanted=lambda config: (config.generator.styled and system_of(config).drawing.styled and bool(config.text.encoder)
-                           and config.style.text_features > 0),
+    schedule="style", part="style_text", build=lambda run: models.build("style_text", model_sizes(run)),
+    wanted=lambda config: config.generator.styled and bool(config.text.encoder) and config.style.text_features > 0,
     train=lambda run, model, folder: _train(run, model, folder, STYLE_TEXT, True))

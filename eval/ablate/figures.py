@@ -22,6 +22,7 @@ from data_module.files import write_text
 from data_module.motion.motion_beats import acting_positions, acting_speed
 from data_module.speech.beats import find_beats
 from data_module.store import Recording
+from eval.ablate import style_editing
 from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.diversity import nearest_lexemes
@@ -33,7 +34,6 @@ from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_str
 from eval.rows import OURS, PERFORMER, REAL_TAKE, TABLES
 from eval.rows.rg import SIZES
 from eval.rows.row import COLUMNS, PAPERS_DELTA
-from eval.runner import style_editing
 from eval.runner.rg import SHOWN_SEED, RgRows
 from eval.table import dumps, loads
 from gesticulator.bundle import config as configs

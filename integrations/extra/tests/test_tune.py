@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from gesticulator_extra.tune import COMMAND, SearchRange, SettingSearch, Value, report
 
 from data_module.errors import InputError
-from gesticulator.training.tune import COMMAND, SearchRange, SettingSearch, Value, report
 
 RANGES = (SearchRange.parse("rate=1e-4..1e0:log"), SearchRange.parse("width=1..9"), SearchRange.parse("kind=a,b"))
 
@@ -40,7 +40,7 @@ def apart(settings: Mapping[str, Value]) -> float:
 
 
 def test_the_best_is_found_and_a_search_goes_on(tmp_path: Path) -> None:
-    pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'gesticulator[tune]'")
+    pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'gesticulator-extra[tune]'")
     search, tried = SettingSearch(tmp_path / "t.db", "s", RANGES), list[Mapping[str, Value]]()
 
     def noted(settings: Mapping[str, Value]) -> float:
@@ -60,13 +60,13 @@ def test_the_best_is_found_and_a_search_goes_on(tmp_path: Path) -> None:
 
 
 def test_a_trial_that_was_killed_is_done_again(tmp_path: Path) -> None:
-    pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'gesticulator[tune]'")
+    pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'gesticulator-extra[tune]'")
     code = f"""
 import os, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
 from test_tune import RANGES, apart
-from gesticulator.training.tune import SettingSearch
+from gesticulator_extra.tune import SettingSearch
 seen = []
 def killed(settings):
     seen.append(settings)
@@ -88,7 +88,7 @@ SettingSearch(Path({str(tmp_path / "t.db")!r}), "s", RANGES).run(killed, 5)
 
 
 def test_a_stage_is_tuned(tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'gesticulator[tune]'")
+    pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'gesticulator-extra[tune]'")
     asked = ["--data", str(tiny_store), "--work", str(tmp_path / "w"), "--preset", "tiny", "--stage", "lexicon",
              "--set", "schedules.speech.steps=1", "--set", "schedules.contrast.steps=1", "--search",
              "schedules.lexicon.steps=1,60", "--trials", "3", "--figure"]

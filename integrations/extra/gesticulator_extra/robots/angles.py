@@ -3,14 +3,14 @@
 A robot does not take rotations: each hinge turns about one axis within limits. As for any character
 (`gesticulator.characters.retarget`) the directions of bones are copied. Let R be the trunk's rotation, u and f the
 directions of an upper arm and a forearm, H the orientation of the hand. From the trunk outwards, with Rx, Ry, Rz
-rotations about the axes of `gesticulator.export.robots.g1`,
+rotations about the axes of `gesticulator_extra.robots.g1`,
 
     R = Rz(waist yaw) Rx(waist roll) Ry(waist pitch)
     u = R S Ry(shoulder pitch) S' Rx(shoulder roll) (-z)                     S, S': how the shoulder's links are mounted
     f = U Rz(shoulder yaw) Ry(elbow) x                                              U: the upper arm, solved before
     H = F Rx(wrist roll) Ry(wrist pitch) Rz(wrist yaw)                              F: the forearm, solved before
 
-where each pair is two hinges that point something (`gesticulator.export.robots.pan_tilt`). The robot has no neck, no
+where each pair is two hinges that point something (`gesticulator_extra.robots.pan_tilt`). The robot has no neck, no
 shoulder blades and no fingers.
 
 The equations are solved one after the other for all frames at once. Each solution is limited to the joints' angles and
@@ -28,9 +28,9 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.types import Array, Motion
-from gesticulator.export.robots import g1, legs
-from gesticulator.export.robots.limits import MARGIN, held
-from gesticulator.export.robots.pan_tilt import pan_over_time, tilt_at
+from gesticulator_extra.robots import g1, legs
+from gesticulator_extra.robots.limits import MARGIN, held
+from gesticulator_extra.robots.pan_tilt import pan_over_time, tilt_at
 
 _TO_ROBOT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Our axes (X left, Y up, Z ahead) to the robot's (X ahead, Y left, Z up)."""
@@ -51,7 +51,7 @@ class RobotMotion:
     """T frames of a G1. Frame t is the pose at t / fps seconds.
 
     places: [T, 3] metres and turns: [T, 4] (unit quaternions, w first) of the pelvis, X ahead, Y left, Z up, the floor
-    at 0. angles: [T, 29] radians, in the order of `gesticulator.export.robots.g1.NAMES`. aside: body part -> share of
+    at 0. angles: [T, 29] radians, in the order of `gesticulator_extra.robots.g1.NAMES`. aside: body part -> share of
     frames in which its error exceeds `ASIDE` (or, for a foot, `SLIPS`) because of the joint limits.
     """
 
@@ -121,7 +121,7 @@ class _Arm:
                                               (0.0, 0.0)))
 
     def point(self, number: int, way: Array, liked: Array | float = 0.0, offset: float = 0.0) -> tuple[Array, Array]:
-        """[T] the angles of two joints that point along `way` [T, 3] (`gesticulator.export.robots.pan_tilt`); the
+        """[T] the angles of two joints that point along `way` [T, 3] (`gesticulator_extra.robots.pan_tilt`); the
         second is zero at a tilt of `offset`. liked: [T] preferred first angle where the direction does not determine
         it."""
         low, high = self.limits(number + 1)

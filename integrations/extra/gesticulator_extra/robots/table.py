@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from data_module.files import write_text
-from gesticulator.export.robots.angles import to_robot
-from gesticulator.export.robots.g1 import NAMES
 from gesticulator.export.writers import Scene
+from gesticulator_extra.robots.angles import to_robot
+from gesticulator_extra.robots.g1 import NAMES
 
 COLUMNS = ("time", "base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz", *NAMES)
 """time: seconds. base: position of the pelvis, metres (X ahead, Y left, Z up, floor at 0), and its rotation, a unit

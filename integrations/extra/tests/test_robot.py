@@ -14,6 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gesticulator_extra.robots import g1
+from gesticulator_extra.robots.angles import RobotMotion, to_robot
+from gesticulator_extra.robots.limits import SPEED_SHARE, slowed
+from gesticulator_extra.robots.pan_tilt import pan_over_time, tilt_at
+from gesticulator_extra.robots.table import COLUMNS, RobotWarning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from performances import perform, write
@@ -23,11 +28,6 @@ from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Array, Motion
 from gesticulator import infer
-from gesticulator.export.g1 import COLUMNS, RobotWarning
-from gesticulator.export.robots import g1
-from gesticulator.export.robots.angles import RobotMotion, to_robot
-from gesticulator.export.robots.limits import SPEED_SHARE, slowed
-from gesticulator.export.robots.pan_tilt import pan_over_time, tilt_at
 from gesticulator.export.writers import suffix_of
 from gesticulator.performance import Performance
 
@@ -265,7 +265,7 @@ def test_a_motion_of_another_skeleton_is_refused() -> None:
 
 @pytest.fixture(scope="module")
 def mujoco() -> ModuleType:
-    return pytest.importorskip("mujoco", reason="mujoco is in the extra 'robot'")
+    return pytest.importorskip("mujoco", reason="mujoco is in the extra 'robot' of gesticulator-extra")
 
 
 @pytest.fixture(scope="module")
@@ -361,14 +361,14 @@ def test_arms_point_in_mujoco_where_ours_do(mujoco: ModuleType, model: Any, tmp_
 
 def test_the_lines_of_the_page_play_a_file(mujoco: ModuleType, document: ET.Element, tmp_path: Path,
                                            monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (Path(__file__).parents[1] / "docs" / "robot.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     lines = page.split("```python\n")[1].split("```")[0]
     made = small(6)
     write(tmp_path / "talk.g1.csv", made)
     (tmp_path / "g1.xml").write_text(ET.tostring(document, encoding="unicode"))
     monkeypatch.chdir(tmp_path)
     space: dict[str, Any] = {}
-    exec(compile(lines, "docs/robot.md", "exec"), space)
+    exec(compile(lines, "README.md", "exec"), space)
     np.testing.assert_allclose(space["data"].qpos[7:], to_robot(made.motion).angles[-1], atol=1e-6)
     order = eval(page.split("take `row[")[1].split("]`")[0], {"range": range})
     base = [f"base_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]

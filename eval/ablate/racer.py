@@ -25,13 +25,15 @@ from data_module.layers import freeze
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.audio import resample as resample_speech
 from data_module.store import Recording
+from eval.ablate.actor_critic import ActorCritic, ActorCriticConfig
+from eval.ablate.policy import Decisions, Policy, PolicyJudge, Rewards, entropy_of, matched_temperature, perform, walk
+from eval.ablate.simulator import Choose, Replay, Simulator, collect
 from eval.clip.measure import measure, motion_values
+from eval.context import EvalContext, Lexemes, with_judges
 from eval.metrics import pmb
 from eval.rows.racer import ROWS, SUPERVISED, twins
-from eval.runner.context import EvalContext, Lexemes, with_judges
 from eval.runner.judge import distances, identity, set_distances
 from eval.runner.judge import features_of as features_of_motion
-from eval.runner.policy import Decisions, Policy, PolicyJudge, Rewards, entropy_of, matched_temperature, perform, walk
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
@@ -43,12 +45,10 @@ from gesticulator.training.stages.caches import weights_hash
 from gesticulator.training.stages.interpreter import teacher_logits
 from gesticulator.training.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.training.stages.reward import reward_table, taught_reward
-from interpreters.actor_critic import ActorCritic, ActorCriticConfig
 from interpreters.base import LexemeInterpreter
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
 from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, SilentLexemes, build, distance_rewards
 from interpreters.reward_table import Centred, EnsembleReward
-from interpreters.simulator import Choose, Replay, Simulator, collect
 from lexicon.inventory import nearest_silent
 
 VERSION = 2
@@ -299,7 +299,7 @@ Learner = tuple[ConservativeQ | ActorCritic, fitting.MakeBatch]
 
 
 def latest(policy: QNetwork | ActorCritic, corpus: Corpus, seen: dict[str, Tensor]) -> Tensor:
-    """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `interpreters.simulator.Choose`)."""
+    """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `eval.ablate.simulator.Choose`)."""
     config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
     batch = q_batch(corpus, seen, config.lookahead)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[:, -1]

@@ -138,7 +138,7 @@ def _arguments(p: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     if find_spec("optuna") is None:
-        raise InputError("tune", "needs Optuna, which is not installed", "pip install 'gesticulator[tune]'")
+        raise InputError("tune", "needs Optuna, which is not installed", "pip install 'gesticulator-extra[tune]'")
     if args.trials < 1 or args.seed < 0:
         raise InputError("--trials or --seed", "is too small", "give 1 trial at least, and a seed of 0 or more")
     ranges = tuple(map(SearchRange.parse, args.ranges))

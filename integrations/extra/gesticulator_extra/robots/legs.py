@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion import skeletons
 from data_module.types import Array, Motion
-from gesticulator.export.robots import g1
+from gesticulator_extra.robots import g1
 
 _STANCE = {"hip_pitch": -0.3, "knee": 0.6, "ankle_pitch": -0.3}
 """Stance, radians: bent knees, so that legs can stretch by 26 mm, and flat feet (the angles sum to zero)."""

@@ -3,7 +3,7 @@
 Two forms. `beat2` is that of the GENEA leaderboard: SMPL-X as in BEAT2, one .npz a recording, 30 frames per second, no
 face. `genea` is that of the GENEA challenges: BVH with the hierarchy, channels and frame rate of a file of the data
 set, one file a recording. In both a file has the name of its recording and is as long as it. `--check` checks a folder
-that is there already, of any system (`gesticulator.batch.submission_check`).
+that is there already, of any system (`gesticulator_extra.submission_check`).
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def write_beat2(performance: Performance, path: Path, like: Path | None) -> None
     from data_module.files import write_bytes
     from data_module.motion.skeletons import standing
     from data_module.motion.smplx import smplx_arrays
-    from gesticulator.batch.submission_check import FPS, arrays_of, frames_for
+    from gesticulator_extra.submission_check import FPS, arrays_of, frames_for
 
     theirs = None if like is None else like / path.name
     known = arrays_of(theirs) if theirs is not None and theirs.is_file() else {}
@@ -128,7 +128,7 @@ def write_beat2(performance: Performance, path: Path, like: Path | None) -> None
 def write_genea(performance: Performance, path: Path, like: Path) -> None:
     """A recording as BVH with the hierarchy, channels and frame rate of `like`."""
     from data_module.motion.bvh import read_hierarchy
-    from gesticulator.batch.submission_check import frames_for
+    from gesticulator_extra.submission_check import frames_for
 
     fps = read_hierarchy(like)[0].fps
     moved = fitted(performance.motion, fps, frames_for(performance.duration, fps))
@@ -159,7 +159,7 @@ def make(args: argparse.Namespace, sounds: dict[str, Path], like: Path | None) -
 
 def run(args: argparse.Namespace) -> int:
     """Make what is missing, and check all; 1 where a file is not as it should be."""
-    from gesticulator.batch.submission_check import check
+    from gesticulator_extra.submission_check import check
 
     like = reference(args.form, args.like)
     sounds = recordings(Path(args.speech), None if args.only is None else Path(args.only))

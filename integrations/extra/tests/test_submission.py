@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from gesticulator_extra import submission
+from gesticulator_extra.submission import COMMAND, fitted, recordings
+from gesticulator_extra.submission_check import check
 
 from data_module.errors import InputError
 from data_module.motion import bvh
 from data_module.motion.smplx import read_smplx
-from gesticulator.batch import submission
-from gesticulator.batch.submission import COMMAND, fitted, recordings
-from gesticulator.batch.submission_check import check
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,1 @@
+"""The tables, figures and claims of both papers, run again on any data set: `gesticulator ablate`."""
