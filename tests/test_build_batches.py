@@ -95,11 +95,9 @@ def test_a_share_and_a_whole_build_keep_out_of_each_others_way(source: Path, tmp
         COMMAND.main("gesticulator build", asked(source, out, "--shard", "1/2"))
     with pytest.raises(SystemExit):
         COMMAND.main("gesticulator build", asked(source, out, "--shard", "3/2"))
-    with pytest.raises(SystemExit):
-        COMMAND.main("gesticulator build", ["smartbody", "--source", str(source), "--out", str(out), "--shard", "1/2"])
     assert not list(tmp_path.glob("store*"))
     said = capsys.readouterr().err
-    assert "--shard 3/2: is not a shard" in said and "with smartbody: do not go together" in said
+    assert "--shard 3/2: is not a shard" in said
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no limit on the size of a file")

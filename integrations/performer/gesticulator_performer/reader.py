@@ -35,7 +35,7 @@ from data_module.store import Recording, RecordingInfo, Split
 from data_module.text import meaning
 from data_module.truth import JOIN, Mark, PhaseSpan, StyleKnot, Truth
 from data_module.types import Motion
-from gesticulator_performer import text, voices
+from gesticulator_performer import tables, text, voices
 from gesticulator_performer.types import Spoken
 
 PARTS = ("motion", "talk", "style", "reading")
@@ -66,9 +66,6 @@ ADDED: dict[Split, dict[str, int]] = {"val": {"motion": 6, "talk": 8, "style": 3
 ADDED_HOURS = 4.0
 ADDED_LENGTH = (38.0, 48.0)
 """Their length, seconds."""
-_TINY_SECONDS = 20.0
-_TINY_SPLITS: tuple[Split, ...] = ("train", "train", "train", "train", "val", "train", "train", "test", "test")
-_TINY_VOICES: dict[Split, tuple[str, ...]] = {"train": ("numpy_low",), "val": ("numpy_low",), "test": ("numpy_high",)}
 _FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
 """The index of the first recording of each part."""
 _DETECTOR = ("meaning.py", "cue_patterns.py", "meaning_cues.json")
@@ -122,7 +119,6 @@ class PerformerOptions(Options):
 
     data: Path | None = None
     hours: float = 4.2
-    preset: str = "default"
     languages: tuple[str, ...] = ()
     links: float = 1.0
     carriage: float = 0.0
@@ -147,8 +143,6 @@ class Performer:
         parser.add_argument("--repertoire", type=Path, metavar="DIR",
                             help="takes of named gestures, which are played at words that call for them; they are "
                             "drawn if DIR does not exist (see gesticulator gesture-takes)")
-        parser.add_argument("--preset", choices=("default", "tiny"), default="default",
-                            help="tiny is three minutes, which need no data and no other program")
         parser.add_argument("--languages", default="", metavar="de,es",
                             help="only talks and readings in these languages: cmn, de, en, es (default: English talks "
                             "and all readings)")
@@ -166,30 +160,19 @@ class Performer:
         data = os.environ.get("GESTICULATOR_DATA")
         return PerformerOptions(
             arguments.fps, arguments.unit, arguments.seed, Path(data) if data else None, arguments.hours,
-            arguments.preset, tuple(filter(None, arguments.languages.split(","))), arguments.links, arguments.carriage,
+            tuple(filter(None, arguments.languages.split(","))), arguments.links, arguments.carriage,
             arguments.repertoire)
 
     def __init__(self, source: Path | None, options: Options) -> None:
         options = options if isinstance(options, PerformerOptions) else PerformerOptions(seed=options.seed)
         source = source or options.data
         self._options = options
-        self._tiny = options.preset == "tiny"
         self._trunks: dict[str, tuple[Any, ...]] = {}
         self._pools: dict[tuple[str, Split], Any] = {}
         self._repertoire: Any = None
-        if self._tiny:
-            if options.languages:
-                raise InputError("--languages", "is not for the tiny preset, which speaks English letters only",
-                                 "take --preset default")
-            if options.repertoire is not None or options.carriage:
-                raise InputError("--repertoire and --carriage", "are not for the tiny preset, which plays formulas",
-                                 "take --preset default")
-            self._source = None
-            self.licence = "free of rights: procedural strokes and a numpy voice"
-            return
         if source is None:
-            raise InputError("--source", "is missing", "name the folder that holds strokes/ and speech/, set "
-                             "GESTICULATOR_DATA, or take --preset tiny")
+            raise InputError("--source", "is missing", "name the folder that holds strokes/ and speech/, or "
+                             "set GESTICULATOR_DATA")
         for needed in ("strokes/manifest.csv", "speech"):
             if not (source / needed).exists():
                 raise InputError(source / needed, "does not exist",
@@ -219,20 +202,19 @@ class Performer:
 
     def settings(self) -> Mapping[str, Any]:
         room = Path(__file__).parent
-        code = _hash_of(sorted(room.glob("*.py")), room)
-        settings: dict[str, Any] = {"preset": self._options.preset, "code": code}
-        if self._source is not None:
-            files = [file for folder in ("strokes", "speech", "free_motion", "meaning")
-                     for file in sorted((self._source / folder).rglob("*"))]
-            settings |= {"hours": self._options.hours, "source": _hash_of(files, self._source)}
-            if self._options.links != 1.0:
-                settings["links"] = self._options.links
-            if self._options.carriage:
-                settings["carriage"] = self._options.carriage
-            if self._options.repertoire is not None:
-                detector = [Path(meaning.__file__).with_name(name) for name in _DETECTOR]
-                settings["repertoire"] = _hash_of(sorted(self._options.repertoire.iterdir()), self._options.repertoire)
-                settings["detector"] = _hash_of(detector, detector[0].parent)
+        code = _hash_of([*sorted(room.glob("*.py")), *tables.files()], room)
+        sources = [file for folder in ("strokes", "speech", "free_motion", "meaning")
+                   for file in sorted((self._source / folder).rglob("*"))]
+        settings: dict[str, Any] = {"code": code, "hours": self._options.hours,
+                                    "source": _hash_of(sources, self._source)}
+        if self._options.links != 1.0:
+            settings["links"] = self._options.links
+        if self._options.carriage:
+            settings["carriage"] = self._options.carriage
+        if self._options.repertoire is not None:
+            detector = [Path(meaning.__file__).with_name(name) for name in _DETECTOR]
+            settings["repertoire"] = _hash_of(sorted(self._options.repertoire.iterdir()), self._options.repertoire)
+            settings["detector"] = _hash_of(detector, detector[0].parent)
         if self._options.languages:
             settings["languages"] = sorted(set(self._options.languages))
         return settings
@@ -240,8 +222,6 @@ class Performer:
     def items(self) -> Sequence[Item]:
         # Sentences that are used already, by grammar; those of part A come first.
         used = {source: set(self._phrases[1][source]) if self._moved else set() for source in text.SPLITS}
-        if self._tiny:
-            return self._talks("talk", used)
         return [*self._motion_talks(), *self._talks("talk", used), *self._talks("style", used), *self._readings()]
 
     def read(self, item: Item) -> Recording:
@@ -263,10 +243,8 @@ class Performer:
         else:
             spoken = self._reading(item)
         manner = STEADY if item.info.part == "style" else draw_manner(rng)
-        staging = None
-        if not self._tiny:
-            staging = play.Staging(manner, self._segments(item.info.split), style, self._options.links,
-                                   self._options.carriage)
+        staging = play.Staging(manner, self._segments(item.info.split), style, self._options.links,
+                               self._options.carriage)
         played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
                               staging)
         knots = zip(style.times.tolist(), style.values.tolist(), strict=True) if style is not styles.NEUTRAL else ()
@@ -296,10 +274,9 @@ class Performer:
         strokes = self._strokes.strokes
         held_out = sum(stroke.held_out for stroke in strokes)
         lines = [f"strokes: {len(strokes)} including mirror images, {held_out} of them held out for test"]
-        if self._source is not None:
-            clips = {Path(row["file"]).stem for row in self._manifest}
-            lines.append(f"clips without a usable stroke: {len(clips - {stroke.base for stroke in strokes})} of "
-                         f"{len(clips)} (postures, fidgets, and clips with the wrong hand, posture or order)")
+        clips = {Path(row["file"]).stem for row in self._manifest}
+        lines.append(f"clips without a usable stroke: {len(clips - {stroke.base for stroke in strokes})} of "
+                     f"{len(clips)} (postures, fidgets, and clips with the wrong hand, posture or order)")
         if self._repertoire is not None:
             takes = self._repertoire.outlines
             lines.append(f"named gestures: {len(takes)} takes of {len(self._repertoire.labels)} gestures from scripts, "
@@ -309,30 +286,26 @@ class Performer:
             for take in self._library.talks():
                 minutes[self._take_splits[take.name]] += len(take) / 3600.0
             lines.append("continuous real motion: " + ", ".join(f"{split} {m:.1f} min" for split, m in minutes.items()))
-        elif self._source is not None:
+        else:
             lines.append("no free_motion/manifest.csv: no part A, and the trunk sways by formula")
         return lines
 
     @property
     def _moved(self) -> bool:
         """Whether part A exists: there is real motion, and English is among the languages."""
-        there = self._source is not None and (self._source / "free_motion" / "manifest.csv").is_file()
+        there = (self._source / "free_motion" / "manifest.csv").is_file()
         return there and (not self._options.languages or "en" in self._options.languages)
 
     @property
     def _meant(self) -> bool:
         """Whether there are tables of gestures with a meaning."""
-        return self._source is not None and (self._source / "meaning").is_dir()
+        return (self._source / "meaning").is_dir()
 
     def _rng(self, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self._options.seed, index, purpose])
 
     @functools.cached_property
     def _strokes(self) -> Any:
-        if self._source is None:
-            from gesticulator_performer.procedural import procedural_strokes
-
-            return procedural_strokes()
         from gesticulator_performer.borrowed import load_borrowed, with_borrowed
         from gesticulator_performer.meant_strokes import with_meanings
         from gesticulator_performer.strokes import load_strokes
@@ -351,7 +324,6 @@ class Performer:
     def _library(self) -> Any:
         from gesticulator_performer.takes import load_takes
 
-        assert self._source is not None
         return load_takes(self._source / "free_motion")
 
     @functools.cached_property
@@ -364,7 +336,6 @@ class Performer:
     def _takes(self) -> list[Any]:
         from gesticulator_performer.takes import list_takes
 
-        assert self._source is not None
         return [take for take, _ in list_takes(self._source / "free_motion")]
 
     def _segments(self, split: Split) -> tuple[Any, ...]:
@@ -402,22 +373,16 @@ class Performer:
 
     @functools.cached_property
     def _manifest(self) -> list[dict[str, str]]:
-        if self._source is None:
-            return []
         from gesticulator_performer.strokes import read_manifest
 
         return read_manifest(self._source / "strokes")
 
     @property
     def _performers(self) -> tuple[str, ...]:
-        if self._source is None:
-            return self._strokes.performers
         return tuple(sorted({row["speaker"] for row in self._manifest}))
 
     @functools.cached_property
     def _stems(self) -> tuple[str, ...]:
-        if self._source is None:
-            return ()
         stems = sorted(file.stem for file in (self._source / "speech").glob("*.flac"))
         wanted = self._options.languages
         return tuple(stem for stem in stems if not wanted or stem.split("_")[0] in wanted)
@@ -458,9 +423,8 @@ class Performer:
         wanted = self._options.hours * (SHARES[part] if self._moved else SHARES[part] / (1.0 - SHARES["motion"]))
         count = max(1, round(wanted * 3600 / mean))
         turns = dict.fromkeys(("train", "val", "test"), 0)
-        places = [(k, split, (_TINY_SECONDS, _TINY_SECONDS)) for k, split in enumerate(_TINY_SPLITS)]
         items = []
-        for place, split, lengths in places if self._tiny else self._places(part, count, (SHORTEST, LONGEST)):
+        for place, split, lengths in self._places(part, count, (SHORTEST, LONGEST)):
             turn = turns[split]
             turns[split] += 1
             performer = self._performers[turn % len(self._performers)]
@@ -469,7 +433,7 @@ class Performer:
             voice = choice[(turn + turn // len(self._performers)) % len(choice)]
             index = _FIRST[part] + place
             rng = self._rng(index, _TEXT)
-            seconds = _TINY_SECONDS if self._tiny else float(rng.uniform(*lengths))
+            seconds = float(rng.uniform(*lengths))
             source = "test" if split == "test" else "train"
             language = voices.VOICES[voice].language
             written = text.compose(rng, seconds, source, used[source], language, self._repertoire is not None)
@@ -480,8 +444,6 @@ class Performer:
         return items
 
     def _voices(self, split: Split) -> tuple[str, ...]:
-        if self._tiny:
-            return _TINY_VOICES[split]
         side = 1 if split == "test" else 0
         names = [voices.VOICES_OF[language][side] for language in sorted(set(self._options.languages)) or ("en",)]
         # Languages take turns, so that each gets its share however many voices it has.
@@ -513,7 +475,6 @@ class Performer:
         from data_module.text import alignment as transcripts
         from gesticulator_performer.syllables import find_syllables
 
-        assert self._source is not None
         reading: Reading = item.content
         speech = load_speech(self._source / "speech" / f"{reading.stem}.flac")
         if reading.part != "whole":

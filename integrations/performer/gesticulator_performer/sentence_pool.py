@@ -94,7 +94,7 @@ def make_pool(voice: str, texts: Sequence[str], rng: np.random.Generator) -> Poo
 
 
 def say(voice: str, parts: Sequence[text.Part], rng: np.random.Generator) -> list[Sounded]:
-    return voices.sound_all(parts, voices.VOICES[voice], rng)
+    return voices.sound_all(parts, voices.VOICES[voice])
 
 
 def stretched(samples: Samples, anchors: Array) -> Samples:

@@ -71,7 +71,7 @@ def styled_speech(name: str, utterances: Sequence[Utterance], voice: str, style:
         amplitude, tempo = style.at(clock).tolist()
         effort = float(np.clip(_TEXT_EFFORT * part.effort + _EFFORT * amplitude, -1.0, 1.0))
         new = Part(part.text, effort, part.pause * float(np.exp(-_PAUSES * tempo)))
-        sounded = voices.sound_all([new], replace(speaker, rate=speaker.rate * float(np.exp(_RATE * tempo))), rng)[0]
+        sounded = voices.sound_all([new], replace(speaker, rate=speaker.rate * float(np.exp(_RATE * tempo))))[0]
         bright = shelved(sounded.samples, _SHELF * amplitude)
         sounded = replace(sounded, samples=contrasted(bright, _CONTRAST * amplitude))
         parts.append(new)

@@ -12,24 +12,15 @@ from scipy.signal import butter, find_peaks, resample_poly, sosfiltfilt
 
 from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Samples, Speech, Word
+from gesticulator_performer.tables import table
 from gesticulator_performer.types import Spoken
 
 HOP = 0.01
 """Seconds between the measurements of loudness and pitch."""
 LOWEST, HIGHEST = 60.0, 420.0
 """Range of the pitch search, hertz: from a creaking bass to a high voice."""
-# Words that carry grammar rather than meaning; pointing words, negations and quantities are deliberately absent.
-_FUNCTION_WORDS = {"en": """
-a an the of to in on at by for from with into onto as than and or so if that which who whom whose what while until
-is are was were be been being am do does did done has have had having can could may might must shall should will would
-it its he him his she her they them their it's i'm he's she's i my your our us
-about after before during between under over through near again also just very too more most some any such
-""", "de": """
-der die das ein eine einen einem einer und oder in im an am auf zu von mit ist sind war er sie es den dem des dass wie
-""", "es": """
-el la los las un una y o de del al en con por para que se es son era lo su sus le como
-"""}
-FUNCTION_WORDS = {language: frozenset(words.split()) for language, words in _FUNCTION_WORDS.items()}
+FUNCTION_WORDS = {language: frozenset(words.split())
+                  for language, words in table("words.toml")["function_words"].items()}
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ import numpy as np
 
 from data_module.errors import InputError
 from gesticulator_performer import grammar
-from gesticulator_performer.grammar import Topic
-from gesticulator_performer.other_grammars import PHRASEBOOKS, Phrasebook
+from gesticulator_performer.grammar import PHRASEBOOKS, Phrasebook, Topic
 
 SPLITS = ("train", "test")
 CHARACTERS_PER_SECOND = {"cmn": 7.5}
@@ -91,10 +90,8 @@ class _English:
         self.kinds: Sequence[str] = grammar.MEANING_KINDS
         self.share = MEANING_SHARE
         if repertoire:
-            from gesticulator_performer import repertoire_grammar as more
-
-            self.meanings |= more.TRAIN_REPERTOIRE if train else more.TEST_REPERTOIRE
-            self.kinds, self.share = more.REPERTOIRE_KINDS, more.REPERTOIRE_SHARE
+            self.meanings |= grammar.TRAIN_REPERTOIRE if train else grammar.TEST_REPERTOIRE
+            self.kinds, self.share = grammar.REPERTOIRE_KINDS, grammar.REPERTOIRE_SHARE
         self.openers: Sequence[str] = grammar.OPENERS if train else grammar.TEST_OPENERS
         self._topic, self._left = self.topics[0], 0
 

@@ -10,9 +10,10 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Samples, Speech, Word
-from gesticulator_performer import espeak, flite, source_filter
+from gesticulator_performer import espeak, flite
 from gesticulator_performer.sound import RATE, Phone, Sounded, decibels, read_at, recorded, with_tilt, word_spans
 from gesticulator_performer.syllables import Nucleus, listen, pitch_track
+from gesticulator_performer.tables import table
 from gesticulator_performer.text import Part, Utterance
 from gesticulator_performer.types import Spoken
 
@@ -24,9 +25,9 @@ LEAD = 0.4
 
 @dataclass(frozen=True)
 class Voice:
-    """A voice. engine: "flite", "espeak" or "numpy"; base: the engine's name for it. pitch: Hz; spread: the engine's
-    measure of pitch range (flite: Hz; espeak: 0 to 99; numpy: semitones); tract: factor on the formants (flite, numpy);
-    rate: factor on the engine's normal speed; language: ISO 639-1, or 639-3 if there is none (cmn)."""
+    """A voice. engine: "flite" or "espeak"; base: the engine's name for it. pitch: Hz (espeak: 0 to 99); spread: the
+    engine's measure of pitch range (flite: Hz; espeak: 0 to 99); tract: factor on the formants (flite); rate: factor on
+    the engine's normal speed; language: ISO 639-1, or 639-3 if there is none (cmn)."""
 
     name: str
     engine: str
@@ -38,45 +39,7 @@ class Voice:
     language: str = "en"
 
 
-def _by_name(*voices: Voice) -> dict[str, Voice]:
-    return {voice.name: voice for voice in voices}
-
-
-VOICES = _by_name(
-    Voice("slt", "flite", "slt", 172, 45),
-    Voice("slt_deep", "flite", "slt", 140, 38, tract=0.89, rate=0.95),
-    Voice("slt_high", "flite", "slt", 205, 55, tract=1.07, rate=1.07),
-    Voice("rms", "flite", "rms", 105, 15),
-    Voice("rms_light", "flite", "rms", 118, 15, tract=1.12, rate=0.96),
-    Voice("rms_deep", "flite", "rms", 96, 15, tract=0.93, rate=1.05),
-    Voice("kal", "flite", "kal16", 105, 22, rate=1.0),
-    Voice("us_f3", "espeak", "en-us+f3", 50, 60),
-    Voice("gb_m3", "espeak", "en+m3", 45, 60, rate=0.96),
-    Voice("scot_f2", "espeak", "en-gb-scotland+f2", 45, 60, rate=1.05),
-    Voice("de_f2", "espeak", "de+f2", 50, 60, language="de"),
-    Voice("de_m1", "espeak", "de+m1", 42, 60, rate=0.96, language="de"),
-    Voice("de_f4", "espeak", "de+f4", 50, 55, rate=1.05, language="de"),
-    Voice("de_m7", "espeak", "de+m7", 48, 65, language="de"),
-    Voice("es_m3", "espeak", "es+m3", 45, 60, language="es"),
-    Voice("es_f2", "espeak", "es+f2", 50, 60, rate=0.96, language="es"),
-    Voice("es_m1", "espeak", "es+m1", 42, 60, rate=1.05, language="es"),
-    Voice("es_f4", "espeak", "es-419+f4", 50, 55, language="es"),
-    Voice("cmn_f2", "espeak", "cmn-latn-pinyin+f2", 50, 60, rate=1.25, language="cmn"),
-    Voice("cmn_m3", "espeak", "cmn-latn-pinyin+m3", 45, 60, rate=1.2, language="cmn"),
-    Voice("cmn_f4", "espeak", "cmn-latn-pinyin+f4", 50, 55, rate=1.3, language="cmn"),
-    Voice("cmn_m7", "espeak", "cmn-latn-pinyin+m7", 48, 65, rate=1.25, language="cmn"),
-    Voice("awb", "flite", "awb", 131, 22),
-    Voice("awb_high", "flite", "awb", 165, 27, tract=1.12, rate=1.05),
-    Voice("rp_m7", "espeak", "en-gb-x-rp+m7", 40, 60, rate=0.95),
-    Voice("de_m5", "espeak", "de+m5", 45, 60, language="de"),
-    Voice("de_f1", "espeak", "de+f1", 52, 60, rate=0.97, language="de"),
-    Voice("es_m5", "espeak", "es+m5", 45, 60, language="es"),
-    Voice("es_f1", "espeak", "es+f1", 52, 60, rate=0.97, language="es"),
-    Voice("cmn_m5", "espeak", "cmn-latn-pinyin+m5", 45, 60, rate=1.25, language="cmn"),
-    Voice("cmn_f1", "espeak", "cmn-latn-pinyin+f1", 52, 60, rate=1.2, language="cmn"),
-    Voice("numpy_low", "numpy", "", 115, 3.0),
-    Voice("numpy_high", "numpy", "", 195, 3.5, tract=1.15, rate=1.05),
-)
+VOICES = {name: Voice(name, **settings) for name, settings in table("voices.toml")["voices"].items()}
 TRAIN_VOICES = ("slt", "rms", "kal", "us_f3", "slt_deep", "rms_light", "gb_m3", "slt_high", "rms_deep", "scot_f2")
 TEST_VOICES = ("awb", "rp_m7", "awb_high")
 # Mandarin has "latn-pinyin" because the plain voice of espeak-ng 1.51 spells "lao3" as the English "lao three".
@@ -110,7 +73,7 @@ def synthesise(utterances: Sequence[Utterance], voice: Voice, rng: np.random.Gen
     parts = [part for utterance in utterances for part in utterance.parts]
     if not parts:
         raise InputError("text", "is empty", "give a sentence to speak")
-    return on_the_clock(parts, sound_all(parts, voice, rng), voice, rng)
+    return on_the_clock(parts, sound_all(parts, voice), voice, rng)
 
 
 def speak(name: str, utterances: Sequence[Utterance], voice: str, rng: np.random.Generator) -> Spoken:
@@ -154,12 +117,8 @@ def nuclei_of(phones: Sequence[Phone]) -> list[Nucleus]:
     return nuclei
 
 
-def sound_all(parts: Sequence[Part], voice: Voice, rng: np.random.Generator) -> list[Sounded]:
-    """Speak each part at its effort, dry; only the numpy voice draws from the generator."""
-    if voice.engine == "numpy":
-        return [source_filter.sound_phrase(p.text, p.effort, voice.pitch * 2 ** (HIGHER * p.effort / 12), voice.tract,
-                                           voice.rate * _faster(p.effort), voice.spread * _wider(p.effort), rng)
-                for p in parts]
+def sound_all(parts: Sequence[Part], voice: Voice) -> list[Sounded]:
+    """Speak each part at its effort, dry."""
     if voice.engine == "espeak":
         # espeak's pitch unit is about a sixth of a semitone; its range 50 is normal.
         return espeak.sound_phrases([espeak.Line(

@@ -24,10 +24,10 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
 from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
-from eval.acceptance.motion.bounds import BOUNDS, title
 from eval.baselines import controls as baselines
 from eval.claim import Verdict
 from eval.commands import PROBE
+from eval.metrics import EYE_METRICS
 from eval.metrics.eye import common_body
 from eval.table import load
 
@@ -95,14 +95,16 @@ class _Named:
 
 # --- By source
 
+MIDDLE = {"eye_splay": 5.0, "eye_azimuth": -15.0, "eye_elbow": 70.0}
+
+
 def _source(name: str, **changed: float) -> list[MeasuredTalk]:
     """Two talks of a source whose figures lie in the middle of their bounds but for these."""
-    middle = {figure: (max(bound.low, -99.0) + min(bound.high, 99.0)) / 2 for figure, bound in BOUNDS.items()}
-    return [MeasuredTalk(f"{name}{k}", "talk", 60.0, middle | changed, name) for k in range(2)]
+    return [MeasuredTalk(f"{name}{k}", "talk", 60.0, MIDDLE | changed, name) for k in range(2)]
 
 
-def _refused(talks: list[MeasuredTalk]) -> set[str]:
-    return {verdict.figure for verdict in by_source.verdicts(talks) if verdict.holds is False}
+def _refused(talks: list[MeasuredTalk]) -> set[tuple[str, str]]:
+    return {key for key, verdict in by_source.verdicts(talks).items() if verdict.holds is False}
 
 
 @pytest.mark.parametrize(("figure", "value"), [
@@ -111,18 +113,10 @@ def test_a_source_is_refused_though_all_together_are_not(figure: str, value: flo
     good = [talk for k in range(9) for talk in _source(f"good{k}")]
     assert _refused(good) == set()
     talks = good + _source("bad", **{figure: value})
-    assert _refused(talks) == {f"{title(figure)}, bad"}
-    shown = by_source.table(talks).rows[title(figure)]
-    assert str(shown["bad"]).endswith(" NO") and not str(shown["good0"]).endswith("!") and shown["holds"] == "yes"
-
-
-def test_a_bound_of_all_marks_a_source_and_does_not_refuse_it() -> None:
-    talks = _source("calm") + _source("other", eye_head_travel=12.5)
-    assert _refused(talks) == set()
-    row = by_source.table(talks).rows[title("eye_head_travel")]
-    assert str(row["other"]).endswith("!") and row["holds"] == "yes"
-    assert _refused(_source("calm", eye_head_travel=2.0)) == {f"{title('eye_head_travel')}, all"}
-    assert _refused([replace(talk, part="style") for talk in _source("a", eye_splay=90.0)]) == set()
+    assert _refused(talks) == {(figure, "bad")}
+    shown = by_source.table(talks).rows[EYE_METRICS[figure].heading]
+    assert str(shown["bad"]).endswith(" NO") and not str(shown["good0"]).endswith(" NO")
+    assert _refused([replace(talk, part="style") for talk in talks]) == set(), "styles are not judged"
 
 
 def test_forearms_that_were_turned_outward_are_refused_as_a_source() -> None:
@@ -130,9 +124,7 @@ def test_forearms_that_were_turned_outward_are_refused_as_a_source() -> None:
              for name, make in (("right", list), ("turned", lambda clips: baselines.splayed(clips, degrees=60.0)))
              for motion in make([_ahead(seed) for seed in range(2)])]
     refused = _refused(talks)
-    assert f"{title('eye_splay')}, turned" in refused and f"{title('eye_splay')}, right" not in refused
-    first = by_source.of(talks)
-    assert first["first_before"].n == first["first_p"].n, "pooled over the silences of all"
+    assert ("eye_splay", "turned") in refused and ("eye_splay", "right") not in refused
 
 
 def _ahead(seed: int) -> Motion:
@@ -369,9 +361,7 @@ def test_a_store_is_measured_and_judged(tmp_path: Path) -> None:
     out = tmp_path / "corpus.json"
     assert PROBE.main("gesticulator probe", ["corpus", "--data", str(tmp_path / "s"), "--out", str(out)]) == 0
     bounds, sources, styles = load(out)
-    assert list(sources.columns) == ["bound", "all", "holds", "ann"]
-    assert sources.rows["L/R hand height correlation"]["holds"] == "NO"
-    assert len(sources.facts["clauses"]) == len(by_source.EVERY) + len(by_source.FIGURES)
+    assert list(sources.columns) == ["bound", "ann"] and len(sources.facts["clauses"]) == len(by_source.EVERY)
     assert bounds.rows["L/R hand height correlation"]["holds"] == "NO"
     assert "L/R hand height correlation" in bounds.notes[1] and "acceleration at seams" in bounds.notes[1]
     # Every sound is the same here, so it can say nothing of how fast the hands of others go.
@@ -387,10 +377,7 @@ def test_a_performed_store_hits_its_plan(tiny_store: Path, tmp_path: Path) -> No
     bounds, _, plan = load(out)
     assert plan.rows["motion beats within 20 ms of plan"]["value"].mean >= 0.95  # type: ignore[union-attr]
     assert plan.rows["the same by chance"]["value"].mean < 0.2  # type: ignore[union-attr]
-    assert plan.rows["longest run of one clip"]["value"] == 1
-    assert all(mark.what == REST for name in Store.open(tiny_store).names[:3]
-               for mark in Store.open(tiny_store).load(name).truth.marks)  # type: ignore[union-attr]
-    # Procedural strokes over a trunk that sways by formula are no living corpus, and are told so.
+    # The toy corpus is no living one: its head hardly moves.
     assert bounds.rows["head on chest, spread, deg"]["holds"] == "NO"
 
 

@@ -9,11 +9,11 @@ import pytest
 from gesticulator_performer import hands, play, styles, text, trunk, voices
 from gesticulator_performer.hands import HANGING_LEVEL, Manner, PhraseHands
 from gesticulator_performer.play import Staging, perform
-from gesticulator_performer.procedural import procedural_strokes
 from gesticulator_performer.strokes import LEFT, RIGHT, StrokeSet
 from gesticulator_performer.takes import FPS
 from gesticulator_performer.trunk import Segment
 from gesticulator_performer.types import Played, Spoken
+from procedural import procedural_strokes
 from test_takes import moving
 
 from data_module.motion import kinematics, rotation
@@ -43,7 +43,7 @@ def strokes() -> StrokeSet:
 @pytest.fixture(scope="module")
 def spoken() -> Spoken:
     rng = np.random.default_rng(4)
-    return voices.speak("talk", text.compose(rng, 45.0, "train"), "numpy_low", rng)
+    return voices.speak("talk", text.compose(rng, 45.0, "train"), "rms", rng)
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +182,7 @@ def _constant(amplitude: float, tempo: float) -> styles.StyleTrack:
 
 def _said(style: styles.StyleTrack) -> Spoken:
     rng = np.random.default_rng(9)
-    return styles.styled_speech("s", text.compose(rng, 12.0, "train"), "numpy_low", style, np.random.default_rng(2))
+    return styles.styled_speech("s", text.compose(rng, 12.0, "train"), "rms", style, np.random.default_rng(2))
 
 
 def test_amplitude_and_tempo_can_be_heard() -> None:

@@ -86,7 +86,7 @@ def test_a_phrase_that_cannot_end_in_its_window_is_refused() -> None:
 
 def test_a_word_that_the_motion_shows_is_preferred() -> None:
     vowels = np.array([[0.2, 0.7, 1.2], [0.2, 0.7, 1.2]])
-    pool = Pool("numpy_low", ("a", "b"), np.array([1.5, 1.5]), vowels, np.ones((2, 3)),
+    pool = Pool("rms", ("a", "b"), np.array([1.5, 1.5]), vowels, np.ones((2, 3)),
                 np.array([[-1, -1, -1], [-1, 4, -1]]), 1.0)
     for shown, best in ((1.5, 1), (-1.5, 0)):
         wanted = _wanted(2.0, 3.5, [2.2, 2.7, 3.2])
@@ -167,7 +167,7 @@ def test_words_and_movements_have_the_same_names() -> None:
 @pytest.fixture(scope="module")
 def pool() -> Pool:
     texts = phrase_texts(np.random.default_rng(5), 220, "train", set())
-    return make_pool("numpy_low", texts, np.random.default_rng(6))
+    return make_pool("rms", texts, np.random.default_rng(6))
 
 
 def test_a_pool_knows_where_its_vowels_are(pool: Pool) -> None:

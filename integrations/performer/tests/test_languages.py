@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from gesticulator_performer import espeak, voices
 from gesticulator_performer.plan import plan
-from gesticulator_performer.procedural import procedural_strokes
 from gesticulator_performer.reader import Performer, PerformerOptions, Script
 from gesticulator_performer.text import compose
+from procedural import procedural_strokes
 
 from data_module.corpora.base import Reader
 from data_module.errors import InputError
@@ -73,8 +73,6 @@ def test_without_languages_talks_are_english_and_every_reading_is_used(outside_d
 def test_languages_that_nobody_speaks_are_refused(outside_data: Path) -> None:
     with pytest.raises(InputError, match=r"--languages de,xx: no voice speaks xx.*cmn, de, en, es"):
         _plan(outside_data, "de", "xx")
-    with pytest.raises(InputError, match="--languages: is not for the tiny preset"):
-        Performer(None, PerformerOptions(preset="tiny", languages=("de",)))
 
 
 @needs_espeak

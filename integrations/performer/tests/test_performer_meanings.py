@@ -9,23 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gesticulator_performer import cues as tables
-from gesticulator_performer.acceptance import meanings
 from gesticulator_performer.cues import Cues, mirrored, plain, read_cues
 from gesticulator_performer.lending import bind_differences, lent
 from gesticulator_performer.plan import HABITS, Planned, plan
-from gesticulator_performer.procedural import procedural_strokes
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, mirror
 from gesticulator_performer.text import Utterance, compose, sentence_key
 from gesticulator_performer.types import Spoken
 from hypothesis import given
 from hypothesis import strategies as st
+from procedural import procedural_strokes
 
 from data_module.errors import InputError
 from data_module.files import read_table
 from data_module.motion import kinematics, rotation
-from data_module.motion.skeletons import from_vector
-from data_module.store import Recording, RecordingInfo
-from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
+from data_module.truth import Phrase, Syllable, Truth
 from data_module.types import Array, Speech, Word
 
 PUPPET = "puppet"
@@ -267,19 +264,3 @@ def test_no_sentence_that_is_held_out_for_judging_is_written(texts: dict[str, li
         for utterance in utterances:
             said = bare(utterance.text)
             assert not any(sentence in said for sentence in held_out)
-
-
-def test_meanings_are_counted_by_split_and_word(strokes: StrokeSet) -> None:
-    spoken = _said("the farmer lives over there")
-    times = (0.0, 1.0, 2.0, 3.0, 1.0, 1.0)
-    truth = Truth((PlayedStroke("You", "c", "left", *times, False, "point_there", 4),
-                   PlayedStroke("BeatMid", "d", "left", *times, False, "", 1),
-                   PlayedStroke("Me", "c", "left", *times, False, "shrug", -1)))
-    motion = from_vector(np.zeros((30, 48)), 20.0)
-    recording = Recording(RecordingInfo("a", "test", "x", "y", "en"), spoken.speech, motion, truth)
-    assert meanings.played(recording) == (("point_there", "there", "clip"), ("shrug", "", "clip"))
-    further = [("shrug", "know", "clip"), ("shrug", "know", "script")]
-    counted = [("test", meanings.played(recording)), ("train", further)]
-    rows = meanings.table(counted).rows
-    assert rows["shrug"] == {"train": 2, "val": 0, "test": 1, "script": 1, "words": 2, "new": 1}
-    assert rows["point_there"]["test"] == rows["point_there"]["new"] == 1

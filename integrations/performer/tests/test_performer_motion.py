@@ -10,7 +10,6 @@ from gesticulator_performer import meaning
 from gesticulator_performer.acceptance.planned_strokes import gain_r2, longest_repetition, stroke_misses
 from gesticulator_performer.plan import drives, plan, runs_of
 from gesticulator_performer.play import FPS, monotone_cubic, perform
-from gesticulator_performer.procedural import procedural_strokes
 from gesticulator_performer.strokes import (
     LEFT,
     RIGHT,
@@ -23,6 +22,7 @@ from gesticulator_performer.strokes import (
     stroke_times,
 )
 from gesticulator_performer.types import Played, Spoken
+from procedural import procedural_strokes
 
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation

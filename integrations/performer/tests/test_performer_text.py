@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import string
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 from gesticulator_performer import grammar
 from gesticulator_performer.grammar import (
     MEANING_KINDS,
+    PHRASEBOOKS,
     TEST_MEANINGS,
     TEST_TEMPLATES,
     TEST_TOPICS,
     TRAIN_MEANINGS,
     TRAIN_TEMPLATES,
     TRAIN_TOPICS,
+    Phrasebook,
 )
-from gesticulator_performer.other_grammars import PHRASEBOOKS, Phrasebook
 from gesticulator_performer.text import Utterance, compose, plural, sentence_key, with_article
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -39,6 +43,22 @@ def hours() -> list[list[Utterance]]:
     """Four hours of training text, in recordings of four minutes that share what was said."""
     used: set[str] = set()
     return [compose(np.random.default_rng(seed), 240, "train", used) for seed in range(FOUR_HOURS // 240)]
+
+
+COMPOSED = "e61fd70a17589b9bb42347f6518e587039fcd413f56d026cc9728e252f564a70"
+"""SHA-256 of 6,143 sentences, composed when the shipped weights were trained: kind, phrases, efforts, pauses."""
+
+
+def test_the_sentences_are_those_of_the_shipped_corpus() -> None:
+    digest = hashlib.sha256()
+    for language, seconds in (("en", 1500.0), ("de", 300.0), ("es", 300.0), ("cmn", 300.0)):
+        for split in ("train", "test"):
+            for repertoire in (False, True) if language == "en" else (False,):
+                for seed in range(3):
+                    for sentence in compose(np.random.default_rng(seed), seconds, split, None, language, repertoire):
+                        row = [sentence.kind, [asdict(part) for part in sentence.parts]]
+                        digest.update(json.dumps(row, ensure_ascii=False).encode())
+    assert digest.hexdigest() == COMPOSED
 
 
 def test_no_sentence_is_said_twice_in_four_hours(hours: list[list[Utterance]]) -> None:

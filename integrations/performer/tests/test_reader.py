@@ -16,17 +16,6 @@ from data_module.motion import kinematics
 from data_module.speech.audio import load_speech
 
 
-def test_sentences_voices_and_strokes_of_the_tiny_performer_do_not_leak() -> None:
-    reader = Performer(None, PerformerOptions(preset="tiny"))
-    said: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
-    voices: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
-    for item in reader.items():
-        voices[item.info.split].add(item.info.voice)
-        said[item.info.split] |= {sentence_key(utterance) for utterance in item.content.utterances}
-    assert not voices["test"] & (voices["train"] | voices["val"])
-    assert not said["test"] & said["train"] and not said["val"] & said["train"] and not said["test"] & said["val"]
-
-
 def _full_source(outside_data: Path) -> Path:
     pytest.importorskip("pocketsphinx")
     if not (outside_data / "free_motion" / "manifest.csv").is_file():

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import carriage, grammar, plan, repertoire, repertoire_grammar, text
+from gesticulator_performer import carriage, grammar, plan, repertoire, text
 from gesticulator_performer.called_cues import CalledCues
 from gesticulator_performer.cues import plain
 from gesticulator_performer.hands import STEADY
 from gesticulator_performer.play import Staging, perform
-from gesticulator_performer.procedural import procedural_strokes
 from gesticulator_performer.repertoire import Repertoire, read_repertoire
 from gesticulator_performer.sources.gesture_takes import SIZES, TAKES, write_takes
 from gesticulator_performer.strokes import SIDES, StrokeSet, standing_body
 from gesticulator_performer.styles import NEUTRAL
 from gesticulator_performer.types import Played, Spoken
+from procedural import procedural_strokes
 
 from data_module.build import main
 from data_module.errors import InputError
@@ -276,7 +276,7 @@ def test_a_broken_clip_is_named_when_it_is_played(tmp_path: Path) -> None:
 
 def test_the_build_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for more, message in ((["--carriage", "1.5"], "--carriage: is 1.5"),
-                          (["--preset", "tiny", "--repertoire", str(tmp_path)], "not for the tiny preset")):
+                          (["--hours", "0"], "--hours: is 0"), (["--seed", "-1"], "--seed: is -1")):
         with pytest.raises(SystemExit) as stopped:
             main(["performer", "--out", str(tmp_path / "store"), *more])
         assert stopped.value.code == 2 and message in capsys.readouterr().err
@@ -297,8 +297,8 @@ def test_every_gesture_has_sentences_whose_words_call_for_it() -> None:
     labels = {name.replace(" ", "_") for name, gesture in REPERTOIRE.items() if not gesture.offensive}
     detector = meaning_cues("en")
     known = set(detector.gestures)
-    for split, captured, new in (("train", grammar.TRAIN_MEANINGS, repertoire_grammar.TRAIN_REPERTOIRE),
-                                 ("test", grammar.TEST_MEANINGS, repertoire_grammar.TEST_REPERTOIRE)):
+    for split, captured, new in (("train", grammar.TRAIN_MEANINGS, grammar.TRAIN_REPERTOIRE),
+                                 ("test", grammar.TEST_MEANINGS, grammar.TEST_REPERTOIRE)):
         assert labels <= set(captured) | set(new)
         topics = grammar.TRAIN_TOPICS if split == "train" else grammar.TEST_TOPICS
         rng = np.random.default_rng(0)
@@ -308,8 +308,8 @@ def test_every_gesture_has_sentences_whose_words_call_for_it() -> None:
                 said = text._fill(rng, topics[len(hits) % len(topics)], template).replace("|", " ").split()
                 hits.append(label in {call.label for call in detector.called(said)})
         assert np.mean(hits) > 0.85
-    assert not set(sum(repertoire_grammar.TRAIN_REPERTOIRE.values(), ())) & set(
-        sum(repertoire_grammar.TEST_REPERTOIRE.values(), ()))
+    assert not set(sum(grammar.TRAIN_REPERTOIRE.values(), ())) & set(
+        sum(grammar.TEST_REPERTOIRE.values(), ()))
 
 
 def test_texts_of_the_repertoire_are_new_and_the_old_ones_stay(meaning_data: Path) -> None:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gesticulator_performer.commands import SMARTBODY
 from gesticulator_performer.sources import skm
-from gesticulator_performer.sources.smartbody import COMMAND, SmartBody, clip_name
+from gesticulator_performer.sources.smartbody import SmartBody, clip_name
 from gesticulator_performer.strokes import load_strokes
 from scipy.spatial.transform import Rotation
 
@@ -23,7 +24,7 @@ from data_module.motion.bvh import read_bvh
 def rebuilt(outside_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """strokes/ made from the eight published clips, by the command."""
     out = tmp_path_factory.mktemp("smartbody") / "strokes"
-    assert COMMAND.main("gesticulator smartbody", [str(outside_data / "smartbody_original"), "--out", str(out)]) == 0
+    assert SMARTBODY.main("gesticulator smartbody", [str(outside_data / "smartbody_original"), "--out", str(out)]) == 0
     return out
 
 

@@ -30,7 +30,6 @@ from eval.claim import Bound, Claim, Verdict, at_least, at_most
 from eval.metrics import EYE_METRICS, eye
 from eval.metrics.eye import trunk
 from eval.metrics.eye.body import HZ, CommonBody
-from eval.metrics.eye.units import Leads, leads
 from eval.stats import Interval
 
 POOLED = ("motion", "talk")
@@ -79,14 +78,13 @@ STYLE_CLAIMS: dict[str, Claim] = {
 @dataclass(frozen=True)
 class MeasuredTalk:
     """A recording's figures: those of `eye`, and `SEAM` and `FREEZE`; NaN where undefined. seconds: its length;
-    source: its performer; first: its first movements after pauses."""
+    source: its performer."""
 
     name: str
     part: str
     seconds: float
     figures: Mapping[str, float]
     source: str = ""
-    first: Leads | None = None
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ def measure(recording: Recording, body: CommonBody) -> MeasuredTalk:
     found[SEAM] = seam(body, truth)
     found[FREEZE] = freeze(body, [(mark.start, mark.end) for mark in truth.marks if mark.what == REST])
     info = recording.info
-    return MeasuredTalk(info.name, info.part, body.duration, found, info.speaker, leads(body, heard))
+    return MeasuredTalk(info.name, info.part, body.duration, found, info.speaker)
 
 
 def seam(body: CommonBody, truth: Truth) -> float:

@@ -1,15 +1,10 @@
-"""What each source of a corpus brings, and what all bring together: the bounds of the acceptance, printed by source.
+"""What each source of a corpus brings: the bounds that every source must keep by itself.
 
 A source is a performer of the store: a group of takes, or a person whose strokes were put together. A mean over all
-hides one whose forearms were turned outward on the way to us, so three bounds hold for every source by itself: the
-forearms point ahead, and the elbows bend as people's do. The others (`eval.acceptance.motion.bounds`) are asked of all
-together, and a source that misses one is marked.
+hides one whose forearms were turned outward by retargeting, so two things hold for every source by itself: the forearms
+point ahead, and the elbows bend as people's do. Talks are weighed by their seconds.
 
-Talks are weighed by their seconds. First movements are pooled over the talks of a source and held against circular
-shifts. Pitch with trunk is left to `gesticulator probe motion`, which shows the test split's own motion in its column
-"corpus".
-
-What fools it: a source of a few seconds has hardly a forearm to judge; the table tells how much there is of each.
+What fools it: a source of a few seconds has hardly a forearm to judge; the table says how much there is of each.
 """
 
 from __future__ import annotations
@@ -18,79 +13,47 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eval.acceptance.motion import bounds as gestures
-from eval.acceptance.motion import timing
-from eval.claim import SHOWN, Bound, Verdict, at_most, judged
-from eval.metrics.eye.units import Leads
-from eval.stats import Interval, mean_interval
+from eval.claim import Bound, Verdict, at_most, judged
+from eval.metrics import EYE_METRICS
+from eval.stats import mean_interval
 from eval.table import Cell, Column, Table
 from gesticulator_performer.acceptance.bounds import POOLED, MeasuredTalk
 
 EVERY: dict[str, Bound] = {"eye_splay": at_most(15.0), "eye_azimuth": Bound(-35.0, 5.0),
                            "eye_elbow": Bound(45.0, 100.0)}
-"""What every source must keep by itself."""
-_LEFT_OUT = (timing.PITCH_P, "eye_seam")
-"""Pitch, and block boundaries, which a corpus has none of; its own joins are judged in `bounds`."""
-FIGURES = tuple(name for name in gestures.BOUNDS if name not in _LEFT_OUT)
-ALL = "all"
+"""What every source must keep by itself: percent of the time, degrees, degrees."""
 
 
-def of(talks: Sequence[MeasuredTalk]) -> dict[str, Interval]:
-    """The figures of some talks together."""
-    seconds = [talk.seconds for talk in talks]
-    out = {name: mean_interval(np.array([talk.figures[name] for talk in talks], dtype=np.float64), seconds)
-           for name in FIGURES if name not in timing.TITLES}
-    known = [talk.first for talk in talks if talk.first is not None]
-    if not known:
-        return out
-    first = Leads.pooled(known)
-    count = len(first.seconds)
-    return out | {timing.FIRST: Interval.exact(first.before, count),
-                  timing.FIRST_CHANCE: Interval.exact(first.chance, count),
-                  timing.FIRST_P: Interval.exact(first.p, count)}
-
-
-def groups(talks: Sequence[MeasuredTalk]) -> dict[str, list[MeasuredTalk]]:
-    """The judged talks of every source, and all of them."""
+def sources_of(talks: Sequence[MeasuredTalk]) -> dict[str, list[MeasuredTalk]]:
+    """The judged talks of every source."""
     judged_talks = [talk for talk in talks if talk.part in POOLED]
-    sources = {name: [talk for talk in judged_talks if talk.source == name]
-               for name in sorted({talk.source for talk in judged_talks})}
-    return {**sources, ALL: judged_talks}
+    return {name: [talk for talk in judged_talks if talk.source == name]
+            for name in sorted({talk.source for talk in judged_talks})}
 
 
-def verdicts(talks: Sequence[MeasuredTalk]) -> list[Verdict]:
-    """The bounds of every source by itself, and those of all together."""
-    own = {name: of(members) for name, members in groups(talks).items() if members}
-    out = [judged(f"{gestures.title(figure)}, {source}", figures[figure], bound, digits=gestures.digits(figure))
-           for source, figures in own.items() if source != ALL for figure, bound in EVERY.items()]
-    kept = gestures.verdicts(ALL, own[ALL]) if ALL in own else []
-    return out + [verdict for name, verdict in zip(gestures.BOUNDS, kept, strict=False) if name in FIGURES]
+def verdicts(talks: Sequence[MeasuredTalk]) -> dict[tuple[str, str], Verdict]:
+    """(figure, source) -> the verdict on it."""
+    out = {}
+    for source, members in sources_of(talks).items():
+        for figure, bound in EVERY.items():
+            value = mean_interval(np.array([talk.figures[figure] for talk in members], dtype=np.float64),
+                                  [talk.seconds for talk in members])
+            metric = EYE_METRICS[figure]
+            out[figure, source] = judged(f"{metric.heading}, {source}", value, bound, digits=metric.digits)
+    return out
 
 
 def table(talks: Sequence[MeasuredTalk]) -> Table:
-    """Figures down, all together and every source across; facts["clauses"] has every verdict."""
-    told = groups(talks)
-    own = {name: of(members) for name, members in told.items() if members}
-    found = verdicts(talks)
-    holds = {verdict.figure: verdict.holds for verdict in found}
+    """Figures down and sources across; facts["clauses"] has every verdict."""
+    found, sources = verdicts(talks), sources_of(talks)
     rows: dict[str, dict[str, Cell]] = {}
-    for name in (*FIGURES, timing.FIRST, timing.FIRST_CHANCE):
-        title = gestures.title(name)
-        row: dict[str, Cell] = {"bound": gestures.BOUNDS[name].text(gestures.digits(name))
-                                if name in gestures.BOUNDS else "",
-                                "holds": SHOWN[holds.get(f"{title}, {ALL}")]}
-        for source, figures in own.items():
-            missed = source != ALL and name in EVERY and holds[f"{title}, {source}"] is False
-            value = figures.get(name, Interval.undefined())
-            row[source] = value.text(gestures.digits(name)) + (" NO" if missed else gestures.mark(name, value))
-        rows[title] = row
+    for figure, bound in EVERY.items():
+        metric = EYE_METRICS[figure]
+        shown = {source: found[figure, source].value.text(metric.digits)
+                 + (" NO" if found[figure, source].holds is False else "") for source in sources}
+        rows[metric.heading] = {"bound": bound.text(metric.digits), **shown}
     minutes = ", ".join(f"{name} {len(members)} ({sum(talk.seconds for talk in members) / 60:.0f} min)"
-                        for name, members in told.items())
-    refused = [verdict.figure for verdict in found if verdict.holds is False]
-    columns = {"bound": Column("bound"), ALL: Column("A and B"), "holds": Column("holds"),
-               **{name: Column(name) for name in own if name != ALL}}
-    asked = "; ".join(f"{gestures.title(name)} {bound.text(gestures.digits(name))}" for name, bound in EVERY.items())
-    return Table("By source", columns, rows, "figure",
-                 [f"Talks: {minutes}.", f'Of every source by itself: {asked}; "NO" where one misses it, "!" where it '
-                  "misses a bound of all.", f"Refused: {'; '.join(refused) or 'nothing'}."],
-                 {"clauses": [verdict.entry for verdict in found]})
+                        for name, members in sources.items())
+    return Table("By source", {"bound": Column("bound"), **{name: Column(name) for name in sources}}, rows, "figure",
+                 [f"Talks: {minutes}.", '"NO" where a source misses the bound.'],
+                 {"clauses": [verdict.entry for verdict in found.values()]})

@@ -27,7 +27,7 @@ from eval.metrics.eye import common_body
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
 from gesticulator_performer.acceptance import bounds as corpus_bounds
-from gesticulator_performer.acceptance import by_source, meanings, planned_strokes, style_from_sound
+from gesticulator_performer.acceptance import by_source, planned_strokes, style_from_sound
 from gesticulator_performer.acceptance.bounds import POOLED, STYLE_CLAIMS, MeasuredTalk, TalksVerdict
 from gesticulator_performer.acceptance.planned_strokes import TOLERANCE
 from gesticulator_performer.acceptance.style_from_sound import StyledWindows
@@ -42,7 +42,7 @@ _SHIFT = 7.3
 @dataclass(frozen=True)
 class PlayedPlan:
     """Of one recording with strokes: seconds that its beats miss their plan by, the same of the shifted plan, gains and
-    what is heard of them, the clips in order, and the meanings as of `meanings.played`."""
+    what is heard of them, and the clips in order."""
 
     split: str
     misses: Array
@@ -50,7 +50,6 @@ class PlayedPlan:
     gains: Array
     features: Array
     clips: tuple[str, ...]
-    meanings: tuple[tuple[str, str, str], ...] = ()
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,9 +72,6 @@ def run(arguments: argparse.Namespace) -> list[Table]:
         tables.append(style_table(styled))
     if plans:
         tables.append(plan_table(plans))
-    counted = [(plan.split, plan.meanings) for plan in plans]
-    if any(own for _, own in counted):
-        tables.append(meanings.table(counted))
     return tables
 
 
@@ -118,7 +114,7 @@ def plan_of(recording: Recording) -> PlayedPlan:
                       planned_strokes.stroke_misses(recording.motion, strokes, _SHIFT),
                       np.array([stroke.gain for stroke in strokes]),
                       planned_strokes.gain_features(recording.speech, times),
-                      tuple(stroke.clip.removesuffix("-mirrored") for stroke in strokes), meanings.played(recording))
+                      tuple(stroke.clip.removesuffix("-mirrored") for stroke in strokes))
 
 
 # -------------------------------------------------------------------------------------------------------------- tables

@@ -6,7 +6,6 @@ same, since place, direction, size and timing vary with the seed. The performer 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 from collections.abc import Collection, Iterator
@@ -19,7 +18,6 @@ from data_module.motion import rotation
 from data_module.motion.bvh import bvh_text
 from data_module.motion.skeletons import FINGERED
 from data_module.types import Array, Motion
-from gesticulator.cli import Command
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture
 from gesticulator.directing.named_gestures import laid_over
 from gesticulator.plan.gestures import REPERTOIRE, NamedGesture
@@ -106,17 +104,3 @@ def _marks(draw: GestureDraw, apex: float) -> dict[str, float]:
     marks = {"start": apex - phases.before, "stroke": apex - phases.stroke, "apex": apex,
              "hold_end": apex + phases.hold, "end": apex + phases.after}
     return {name: round(seconds, 4) for name, seconds in marks.items()}
-
-
-def _arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", type=Path, metavar="DIR", help="output folder, for gesticulator build --repertoire")
-    parser.add_argument("--seed", type=int, default=1, help="another seed gives other takes (default 1)")
-
-
-def _run(arguments: argparse.Namespace) -> int:
-    print(f"{arguments.out}: {write_takes(arguments.out, arguments.seed)} takes, with {TAKES}")
-    return 0
-
-
-COMMAND = Command("draw takes of the named gestures, as BVH with marked phases", _arguments, _run,
-                  examples=("gesture-takes takes",))

@@ -12,7 +12,6 @@ There is no speech, so no store is made but the folder `strokes/` (BVH in metres
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 import re
@@ -21,10 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from data_module.errors import InputError
-from data_module.files import lock, new_folder, write_bytes, write_text
+from data_module.files import new_folder, write_bytes, write_text
 from data_module.motion import skeletons
 from data_module.motion.bvh import CENTIMETRES, bvh_text
-from gesticulator.cli import Command
 from gesticulator_performer.sources import skm
 
 COLUMNS = ("file", "speaker", "posture", "lexeme", "hand", "frames", *skm.SYNC_TIMES)
@@ -132,24 +130,3 @@ def _skeleton_file(folder: Path) -> Path:
         raise InputError(folder / "skeletons", f"holds {len(files)} .sk files" if files else "holds no .sk file",
                          "it should hold the one that motions/ was made on")
     return files[0]
-
-
-def _arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", type=Path, metavar="DIR", help="SmartBody's data/behaviorsets")
-    parser.add_argument("--out", type=Path, required=True, metavar="STROKES", help="output folder")
-
-
-def _run(arguments: argparse.Namespace) -> int:
-    out: Path = arguments.out
-    with lock(out, "a build", beside=True):
-        maker = SmartBody(arguments.source)
-        count = maker.write(out)
-    print(f"{out}: {count} strokes, with manifest.csv; the performer takes them as SOURCE/strokes")
-    for note in maker.notes():
-        print(f"  {note}")
-    print(f"  licence: {maker.licence}")
-    return 0
-
-
-COMMAND = Command("make the performer's strokes of the clips that SmartBody publishes", _arguments, _run,
-                  examples=("smartbody DIR --out SOURCE/strokes",))

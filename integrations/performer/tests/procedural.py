@@ -5,11 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-
-from data_module.motion import kinematics, rotation
-from data_module.motion.kinematics import minimum_jerk
-from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT
-from data_module.types import Array
 from gesticulator_performer.strokes import (
     LEFT,
     RIGHT,
@@ -23,6 +18,11 @@ from gesticulator_performer.strokes import (
     mirror,
     trunk_joints,
 )
+
+from data_module.motion import kinematics, rotation
+from data_module.motion.kinematics import minimum_jerk
+from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT
+from data_module.types import Array
 
 PERFORMER = "puppet"
 _FPS = 30.0
