@@ -38,7 +38,7 @@ LEFT_OUT = {
     r"\.fbx": "needs Blender",
     r"build performer": "needs gesticulator-performer and its data",
     r"train .*after_dropout": "takes hours; training with --preset tiny is run",
-    r"probe motion": "needs a store with a test split; --preset tiny has none",
+    r"acceptance": "needs a store with a test split; --preset tiny has none",
     r"SOURCE|DIR\b|\.\.\.": "names no file",
     r"folder |mine|texts from": "names the data of a user",
 }

@@ -47,7 +47,7 @@ def one(title: str, value: float, facts: dict[str, Any] | None = None) -> Table:
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
-    """A folder of results as the commands leave it, without the probe of stability."""
+    """A folder of results as the commands leave it, without the probe of rewards."""
     folder = tmp_path / "docs" / "results"
     save([one("Claims", 1.0, {"count": {"holds": 3, "does not hold": 1}})], folder / "claims.json", ABOUT)
     save([one("RG Table 1 (test)", 12.5, STORE), one("RG Table 2 (test)", 13.5)],
@@ -56,7 +56,7 @@ def results(tmp_path: Path) -> Path:
         {"metric": "jerk", "title": "joint jerk, m/s^3", "control": "reversed", "says": "does not differ"}]})],
         folder / "score.json", ABOUT)
     for number, (name, probe) in enumerate(report.probe_files().items()):
-        if name != "stability":
+        if name != "rewards":
             save([one(f"of {name}", 100.0 + number)], folder / f"{name}.json",
                  replace(ABOUT, command=f"gesticulator probe {probe}"))
     for file, paper, numbers in (("figure-18", "RG Fig. 18", {"size-10": {"fgd": 1.5, "pmb": float("nan")}}),
@@ -78,9 +78,9 @@ def test_every_table_is_there_under_its_heading(results: Path) -> None:
     assert "joint jerk, m/s^3" in sections["What this is"] and "ffffffffffff" in sections["What this is"]
     for number, (name, probe) in enumerate(report.probe_files().items()):
         found = f"{100.0 + number:.1f} [" in sections["Other measurements"]
-        assert found == (name != "stability"), name
+        assert found == (name != "rewards"), name
         assert f"`gesticulator probe {probe}`" in sections["Other measurements"]
-    assert "`stability.json` (`gesticulator probe stability`)" in sections["Other measurements"]
+    assert "`rewards.json` (`gesticulator probe rewards`)" in sections["Other measurements"]
     assert "ours \\| mine" in text and "nan" not in text.split("## The metrics")[0].lower()
     assert "[the corpus](../results/corpus.md)" in text, "links lead on from where the report lies"
 

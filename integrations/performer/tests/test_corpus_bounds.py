@@ -24,8 +24,8 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
 from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
+from eval.acceptance.bounds import Verdict
 from eval.baselines import controls as baselines
-from eval.claim import Verdict
 from eval.commands import PROBE
 from eval.metrics import EYE_METRICS
 from eval.metrics.eye import common_body

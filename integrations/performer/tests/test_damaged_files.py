@@ -14,10 +14,28 @@ from gesticulator_performer.repertoire import COLUMNS, TAKES, read_repertoire
 from gesticulator_performer.sources import skm
 from gesticulator_performer.strokes import load_strokes, read_manifest, standing_body
 from gesticulator_performer.takes import load_takes
-from reader_cases import Case, strokes
+from reader_cases import Case
 
 from data_module.motion import skeletons
-from data_module.motion.bvh import write_bvh
+from data_module.motion.bvh import bvh_text, write_bvh
+
+
+def strokes(mutated: str) -> Callable[[Path], Path]:
+    """Two clips of the 16-joint character, metres, in which one arm and then the other goes up and comes down."""
+    def write(folder: Path) -> Path:
+        rows = []
+        for side in ("Left", "Right"):
+            vectors = np.zeros((75, 16, 3))
+            up = np.interp(np.arange(75), [0, 20, 35, 40, 60, 75], [0, 0, 1.2, 1.2, 0, 0])
+            vectors[:, skeletons.CHARACTER.index(side + "Arm"), 2] = up
+            motion = skeletons.from_vector(vectors.reshape(75, -1), 30.0)
+            (folder / f"ann_{side}.bvh").write_text(bvh_text(skeletons.scaled(motion, 0.01)))
+            rows.append(f"ann_{side}.bvh,ann,Standing,Beat,{side.lower()},75,{35 / 30}")
+        head = "file,speaker,posture,lexeme,hand,frames,emphasis"
+        (folder / "manifest.csv").write_text("\n".join([head, *rows, ""]))
+        return folder / mutated
+
+    return write
 
 
 def _skeleton_text() -> str:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eval.claim import Bound, Verdict, at_most, judged
+from eval.acceptance.bounds import Bound, Verdict, at_most, judged
 from eval.metrics import EYE_METRICS
 from eval.stats import mean_interval
 from eval.table import Cell, Column, Table

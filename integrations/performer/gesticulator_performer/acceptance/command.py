@@ -22,7 +22,7 @@ from data_module.motion.skeletons import FINGERED
 from data_module.store import Recording, RecordingInfo, Store
 from data_module.truth import REST, SCRIPTED
 from data_module.types import Array
-from eval.claim import SHOWN
+from eval.acceptance.bounds import SHOWN
 from eval.metrics.eye import common_body
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
