@@ -147,15 +147,6 @@ def build(request: BuildRequest, making: Making | None = None, progress: bool = 
         return replace(site.finish(outcomes), elapsed=time.monotonic() - begun)
 
 
-def build_share(request: BuildRequest, making: Making, mine: Callable[[Sequence[Item]], Sequence[Item]],
-                progress: bool = True) -> list[Outcome] | None:
-    """Make the recordings of a store selected by `mine`, in parallel with other processes; their outcomes (also of
-    existing recordings), or None if the store exists. The store is finished by `build`. `InputError` as there."""
-    with lock(request.out, "a share of a build", beside=True, shared=True):
-        site = _Site.opened(request)
-        return None if isinstance(site, Report) else list(site.build(mine(site.items), making, progress))
-
-
 @dataclass
 class _Site:
     """An unfinished build. reused: number of existing recordings."""

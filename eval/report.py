@@ -35,8 +35,7 @@ TITLE = "Gesticulator: what was measured"
 CLAIMS = "gesticulator ablate --tables"
 ABLATE = "gesticulator ablate --data STORE --work DIR"
 SCORE = "gesticulator score --truth STORE --system NAME=DIR --out docs/results/score.json"
-BENCHMARKS = {"q_network": ("Cost of a block of the Q-network", "python benchmarks/q_network.py"),
-              "racer_published": ("RACER at its published widths", "python benchmarks/racer_published.py")}
+BENCHMARKS = {"q_network": ("Cost of a block of the Q-network", "python benchmarks/q_network.py")}
 """Results of benchmarks: a heading, and the command."""
 PICTURES = {
     "strip.png": ("RG Fig. 9", "A strip of generated motion",

@@ -15,7 +15,7 @@ from reader_cases import Case, damages
 
 from data_module.corpora.base import DroppedError
 from data_module.errors import InputError
-from gesticulator.serve.protocol import RefusedError
+from gesticulator.live.protocol import RefusedError
 
 resource = pytest.importorskip("resource", reason="what a process has taken is POSIX's to tell")
 

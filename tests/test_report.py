@@ -32,8 +32,8 @@ from eval.table import (
 
 DOCS = Path(__file__).parent.parent / "docs"
 STORED = [file for file in sorted((DOCS / "results").rglob("*.json")) if file.with_suffix(".md").is_file()
-          and file.stem not in ("cluster", "look_ahead", "soak")]
-"""Files of tables; the pages of the cluster, of look-ahead and of the soak are written by their benchmarks."""
+          and file.stem not in ("cluster", "look_ahead")]
+"""Files of tables; the pages of the cluster and of look-ahead are written by their benchmarks."""
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><path d="M0 0L9 9"/></svg>'
 ABOUT = Provenance("gesticulator probe x", "abc1234", NO_BUNDLE, "2026-01-02", NOT_RECORDED)
 STORE = {"store": {"name": "made up", "fingerprint": "f" * 64}}

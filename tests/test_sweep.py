@@ -28,7 +28,7 @@ from eval.runner import ablate, sweep
 from eval.runner import rg as rg_rows
 from eval.runner.rg import RgRows
 from eval.runner.row import Ablation
-from gesticulator.batch.run import TaskOutcome, done_here
+from gesticulator.batch import TaskOutcome, done_here
 from gesticulator.bundle import config as configs
 from gesticulator.training.stages import Run
 

@@ -239,8 +239,8 @@ class Row:
         if other is None:
             return self.claim(on, ANY).judge(value, remark)
         limit = self.times * max(other.value.mean, self.least)
-        told = f"the bound is {f'{self.times:g} times ' if self.times != 1.0 else ''}that of: {self.limit}"
-        return self.claim(on, at_most(limit)).judge(value, "; ".join(filter(None, (remark, told))))
+        source = f"the bound is {f'{self.times:g} times ' if self.times != 1.0 else ''}that of: {self.limit}"
+        return self.claim(on, at_most(limit)).judge(value, "; ".join(filter(None, (remark, source))))
 
     def _lacking(self, on: str, figures: Figures) -> str:
         """Why the figure has no value, where that is no fault of the motion; else empty."""

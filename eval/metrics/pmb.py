@@ -145,7 +145,7 @@ def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float,
 
 def _times(seconds: Array) -> Array:
     """Times [n], checked, rising."""
-    own = np.asarray(seconds, dtype=np.float64)
-    if own.ndim != 1 or not np.isfinite(own).all():
-        raise ValueError(f"times must be finite seconds, [n], not {own.shape}")
-    return np.sort(own)
+    values = np.asarray(seconds, dtype=np.float64)
+    if values.ndim != 1 or not np.isfinite(values).all():
+        raise ValueError(f"times must be finite seconds, [n], not {values.shape}")
+    return np.sort(values)

@@ -44,7 +44,8 @@ FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-o
 """Those of `eval.ablate.figures`, which is imported when one is drawn."""
 ELSEWHERE: dict[str, str] = {
     "RG Fig. 6, as a contact sheet with words": "plot lexicon", "RG Fig. 9, of any motion": "plot strip",
-    "RG Fig. 10, of a bundle": "probe style-editing", "RG Fig. 12, RACER Fig. 4 (people)": "study",
+    "RG Fig. 10, of a bundle": "acceptance", "RG Fig. 12, RACER Fig. 4 (people)": "study",
+    "RG Fig. 13 (other languages)": "score",
     "RACER 4.2 (the reward)": "probe rewards",
     "all metrics, of any motion": "score"}
 """What has a verb of its own."""
@@ -248,7 +249,7 @@ def run(arguments: argparse.Namespace) -> int:
     at_once: AtOnce | None = None
     if arguments.ray:
         from eval.runner import sweep
-        from gesticulator.batch.ray_pool import check_ray, done_on_ray
+        from gesticulator.ray_pool import check_ray, done_on_ray
 
         check_ray(arguments.ray)
         own = partial(ablation_of, argparse.Namespace(**{**vars(arguments), "quiet": True, "workers": 1}))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from data_module.errors import InputError, complain
 from data_module.settings import whole_number
-from gesticulator.batch.run import Doing, TaskOutcome
+from gesticulator.batch import Doing, TaskOutcome
 from gesticulator.cli import PROGRAM
 
 if TYPE_CHECKING:
