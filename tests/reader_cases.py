@@ -586,10 +586,10 @@ def _report(name: str) -> Callable[[Path], Path]:
 
 
 def _read_report(file: Path) -> object:
-    from eval.report import document, gather
+    from eval.report import document
 
     folder = file.parents[file.parent.name == "ablation"]
-    return document(gather(folder), folder / "out", "Results")
+    return document(folder, folder / "out", "Results")
 
 
 def _read_words_of_a_command(file: Path) -> object:

@@ -2,13 +2,13 @@
 
 A probe is a module with `arguments(parser)`, which adds what it takes, and `run(arguments)`, which gives the tables
 that answer the question; the command writes and shows them. A new one is a file and an entry here. Nothing imports a
-probe: what two of them need lies below, in `eval.metrics`, `eval.clip` or `eval.runner`.
+probe: what two of them need lies below, in `eval.metrics` or `eval.clip`. Those of the training corpus and of the lips
+are in `gesticulator-performer`.
 """
 
 from __future__ import annotations
 
 from data_module.registry import Registry, RegistryEntry, is_tool
 
-PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
-    "rewards": RegistryEntry("does RACER's reward rank motion?", "eval.probes.rewards"),
-}, RegistryEntry, fits=is_tool)
+PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {}, RegistryEntry, fits=is_tool)
+"""None of ours at present: all are entry points."""
