@@ -42,10 +42,9 @@ from eval.metrics.encode import SpeechBlocks, encode_motion
 from eval.metrics.eye import ReferenceSpace, common_body
 from eval.renderings import AcceptanceVoice, BundleSystem, KeptRenderings, held_out_voices
 from eval.table import Cell, Column, Provenance, Table, publish
-from gesticulator.bundle.features import SpeechBlock
 from gesticulator.bundle.files import INDEX, bundle_folder
-from gesticulator.drawing.drawer import FlowDrawer
 from gesticulator.pipeline import Gesticulator
+from gesticulator.systems.movement import BlockToSample, FlowState
 
 Labels = NDArray[np.int64]
 FIGURES = tuple(name for name in BOUNDS if name.startswith("eye_"))
@@ -149,7 +148,7 @@ def chosen(ours: BundleSystem, voices: Sequence[AcceptanceVoice], rows: Mapping[
             found[PERFORMER].add(read.labels, encoded.blocks.silent, {})
         for name, asked in rows.items():
             seen = Choices(encoded.blocks.edges, poses)
-            with (mock.patch.object(FlowDrawer, "block", seen.block),
+            with (mock.patch.object(FlowState, "sample", seen.sample),
                   mock.patch.object(Gesticulator, "to_motion", no_motion), contextlib.suppress(EnoughChosenError)):
                 ours.gesticulator(speech, encoded=encoded, seed=seed, speaker=voice.performer, **asked)
             found[name].add(np.array(seen.lexemes), encoded.blocks.silent, {})
@@ -158,18 +157,22 @@ def chosen(ours: BundleSystem, voices: Sequence[AcceptanceVoice], rows: Mapping[
 
 @dataclass
 class Choices:
-    """In place of a drawer of motion: keeps the lexemes, and gives the performer's blocks (edges [N + 1]; poses [N, K,
-    D_m], or None)."""
+    """In place of the sampler of motion: keeps the lexemes, and gives the performer's blocks (edges [N + 1]; poses [N,
+    K, D_m], or None)."""
 
     edges: Array
     poses: Tensor | None
     lexemes: list[int] = field(default_factory=list)
 
-    def block(self, speech: SpeechBlock, features: Any, lexeme: int, past: Tensor, *_: Any) -> tuple[Tensor, Tensor]:
-        """The block of this time [1, K, D_m], and no style code."""
-        self.lexemes.append(lexeme)
-        at = int(np.searchsorted(self.edges, speech.start + 1e-6)) - 1
-        return past if self.poses is None else self.poses[at:at + 1], past.new_zeros(1, 1)
+    @property
+    def sample(self) -> Any:
+        """A method in place of `FlowState.sample`: the block of this time [1, K, D_m], and no style code."""
+        def sample(state: FlowState, block: BlockToSample, past: Tensor) -> tuple[Tensor, Tensor, FlowState]:
+            self.lexemes.append(block.lexeme)
+            at = int(np.searchsorted(self.edges, block.speech.start + 1e-6)) - 1
+            return past if self.poses is None else self.poses[at:at + 1], past.new_zeros(1, 1), state
+
+        return sample
 
 
 class EnoughChosenError(Exception):

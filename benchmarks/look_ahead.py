@@ -49,9 +49,9 @@ from eval.metrics.eye.units import leads, sound_figures
 from eval.metrics.eye.voice import VoiceActivity
 from eval.stats import Interval, mean_interval
 from gesticulator.bundle.features import SpeechBlock
-from gesticulator.drawing.cutter import TICK, BlockCutter
 from gesticulator.options import InferenceOptions
 from gesticulator.pipeline import Gesticulator
+from gesticulator.sampling.cutter import TICK, BlockCutter
 from gesticulator.stream import Stream
 
 SHORTER = (0.3, 0.4)

@@ -169,7 +169,7 @@ MUTANTS = (
     Mutant("retargeting: the constant of a bone left out", "gesticulator/characters/retarget.py",
            "turns[segment.node] = turn @ segment.constant", "turns[segment.node] = turn",
            "tests/test_retarget_rigs.py"),
-    Mutant("rest decay: a block goes towards itself, not towards its mean pose", "gesticulator/drawing/rollout.py",
+    Mutant("rest decay: a block goes towards itself, not towards its mean pose", "gesticulator/systems/paper.py",
            "(block.mean(dim=1, keepdim=True) - last)", "(block - last)", "tests/test_pipeline.py"),
     Mutant("rest: a hand that stops does not start from its own speed", "gesticulator/body/rest.py",
            "(s**3 - 2 * s**2 + s) * slope", "(s**3 - s**2) * slope", "tests/test_rest.py"),

@@ -27,9 +27,9 @@ from generator.flow import Guidance, SamplingHead
 from gesticulator import stream as stream_module
 from gesticulator.body.rest import Rest
 from gesticulator.bundle.features import representation_of
-from gesticulator.drawing.candidates import CandidateChooser
-from gesticulator.drawing.cutter import BlockCutter
 from gesticulator.pipeline import Gesticulator
+from gesticulator.sampling.candidates import CandidateChooser
+from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.serve import schema
 from gesticulator.serve.pace import Effort
 from gesticulator.serve.protocol import StreamRequest, published

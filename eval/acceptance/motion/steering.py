@@ -27,7 +27,7 @@ from eval.acceptance.motion.sounds import heard_of, spread_out
 from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged, skipped
 from eval.renderings import AcceptanceVoice, BundleSystem
 from eval.table import Table
-from gesticulator.drawing.rollout import BEST
+from gesticulator.sampling.loop import BEST
 
 STEP = 0.02
 """Metres, or metres a second, from level to level."""
