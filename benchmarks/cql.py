@@ -33,8 +33,7 @@ from torch import Tensor
 from data_module.speech import audio
 from data_module.types import Array
 from eval import stats
-from eval.acceptance.motion.bounds import BOUNDS
-from eval.claim import Bound
+from eval.acceptance.bounds import Bound, bounds_of
 from eval.context import opened
 from eval.metrics import eye
 from eval.metrics.diversity import diversity, longest_run
@@ -47,6 +46,7 @@ from gesticulator.pipeline import Gesticulator
 from gesticulator.systems.movement import BlockToSample, FlowState
 
 Labels = NDArray[np.int64]
+BOUNDS = {name: row.bound for name, row in bounds_of("motion").items() if not row.over}
 FIGURES = tuple(name for name in BOUNDS if name.startswith("eye_"))
 FRECHET = "eye_frechet"
 ROWS: dict[str, dict[str, Any]] = {

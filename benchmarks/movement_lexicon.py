@@ -9,7 +9,7 @@ bootstrap 95 % intervals over recordings, and the last row is their paired diffe
 - error: mean squared error of the normalised features, as `gesticulator probe quality` has it.
 - hands, arms: distance of both wrists, and angle of the rotations of shoulder, upper arm, forearm and hand, at the end
   of the block, from the truth.
-- within-block and displacement R2 of strokes (`eval.acceptance.motion.movements`), by the lexeme alone.
+- within-block and displacement R2 of strokes (`eval.acceptance.lexicon`), by the lexeme alone.
 - next lexeme: cross-entropy given the lexeme before, with the transitions of the training split, and by how much it
   lies below that of the frequencies alone.
 - phase, stroke, word: what the lexeme tells of the planned phase (rest, stroke, hold, retraction), of the name of the
@@ -43,7 +43,7 @@ from data_module.store import Recording, Store
 from data_module.truth import Truth
 from data_module.types import Array
 from eval import stats
-from eval.acceptance.motion.movements import HeldOut, fit_of
+from eval.acceptance.lexicon import HeldOut, fit_of
 from eval.context import opened
 from eval.table import Column, Provenance, Table, publish
 from gesticulator.bundle.config import with_settings

@@ -16,8 +16,7 @@ import sys
 import numpy as np
 
 from data_module.speech import audio
-from eval.acceptance.motion.bounds import BOUNDS, digits, title
-from eval.claim import Bound
+from eval.acceptance.bounds import Bound, bounds_of
 from eval.clip.measure import real_take
 from eval.context import opened
 from eval.metrics import eye
@@ -29,7 +28,8 @@ from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.pipeline import Gesticulator
 
-FIGURES = {name: bound for name, bound in BOUNDS.items() if name.startswith("eye_")}
+ROWS = bounds_of("motion")
+FIGURES = {name: row.bound for name, row in ROWS.items() if not row.over and name.startswith("eye_")}
 
 
 def doubled(bound: Bound) -> Bound:
@@ -80,7 +80,7 @@ def table(found: dict[str, dict[str, float]], voices: int) -> Table:
         beyond = [name for name, value in known.items() if not doubled(FIGURES[name]).keeps(value)]
         rows[speaker] = {"kept": sum(FIGURES[name].keeps(value) for name, value in known.items()), "of": len(known),
                          "beyond": len(beyond),
-                         "which": "; ".join(f"{title(name)} {known[name]:.{digits(name)}f}" for name in beyond) or "-"}
+                         "which": "; ".join(f"{name} {known[name]:.{ROWS[name].digits}f}" for name in beyond) or "-"}
     return Table("Speakers against the bounds of the acceptance", columns, rows, "speaker",
                  [f"Means over {voices} voices: the real take's and recordings of the test split, one seed each."])
 

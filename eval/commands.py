@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
-from eval.pictures import DRAWINGS
+from eval.pictures import PLOTS
 from eval.probes import PROBES
 from gesticulator.cli import PROGRAM, Command
 
@@ -95,13 +95,16 @@ ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.runn
               "ablate --data STORE --work DIR --ray local:8", "ablate --data STORE --work DIR --slurm mem_gb=8",
               "ablate --tables --out docs/results/ablation")
 PROBE = choice("probe", "answer one question about a bundle or a data set (--list shows them)", PROBES, _publish, _out,
-               ("probe --list", "probe quality --data STORE", "probe motion --store STORE --out motion.json"))
+               ("probe --list", "probe corpus --data STORE"))
+ACCEPTANCE = verb("judge the motion of a bundle by the table of bounds", "eval.acceptance.command",
+                  "acceptance --data STORE --out motion.json", "acceptance --data STORE --only rest effort --limit 4")
+QUALITY = verb("measure the models of a bundle on the test split, beside baselines", "eval.quality",
+               "quality --data STORE --out docs/results/quality.json")
 REPORT = verb("collect all stored results on one page", "eval.report",
               "report", "report --results docs/results --out docs/report")
 STUDY = verb("make a user study, or analyse its ratings", "eval.study.command",
              "study make --systems ours=DIR truth=DIR --out FOLDER",
              "study analyse --key FOLDER/key.json ratings-*.json --out study.json")
-DRAW = choice("draw", "draw a strip, a video or the lexicon (--list shows them)", DRAWINGS, _name_files,
-              lambda parser: None, ("draw strip gesture.bvh --sound speech.wav",
-                                    "draw video gesture.bvh --sound speech.wav --out film.mp4",
-                                    "draw lexicon --data STORE --out FOLDER"))
+PLOT = choice("plot", "plot a strip of motion or the lexicon (--list shows them)", PLOTS, _name_files,
+              lambda parser: None, ("plot strip gesture.bvh --sound speech.wav",
+                                    "plot lexicon --data STORE --out FOLDER"))

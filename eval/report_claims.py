@@ -10,9 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from eval import crossed
-from eval.claim import FAILS, HOLDS, UNDECIDED
 from eval.rows import controls, verdicts
-from eval.rows.verdicts import NO_TEST
+from eval.rows.verdicts import FAILS, HOLDS, NO_TEST, UNDECIDED
 from eval.stats import Interval
 from eval.table import Column, Table
 

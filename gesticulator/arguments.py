@@ -206,6 +206,6 @@ def plan_from_args(args: argparse.Namespace) -> GesturePlan | None:
     """The plan given by --plan; None without one."""
     if args.plan is None:
         return None
-    from gesticulator.plan.bml import read_any_plan
+    from gesticulator.plan.plan_file import read_plan
 
-    return read_any_plan(args.plan)
+    return read_plan(args.plan)

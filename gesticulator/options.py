@@ -172,7 +172,7 @@ class InferenceOptions:
     meaning: str = _option("normal", "with --text: how many of the gestures that the words call for are shown: off, "
                            "few, normal (default) or rich", "LEVEL", choices=MEANING_LEVELS)
     """With words: how many of the gestures that they call for are shown, "off", "few", "normal" or "rich"."""
-    plan: GesturePlan | None = _option(None, "render a gesture plan (.json, .bml): unchanged blocks are replayed, "
+    plan: GesturePlan | None = _option(None, "render a gesture plan (.json): unchanged blocks are replayed, "
                                        "edited ones are generated again; --seed has no effect", "FILE")
     """Render this plan: unchanged blocks are replayed, edited ones are generated again. Seed, variation, speaker,
     interpreter and controls are taken from the plan."""

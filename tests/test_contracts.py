@@ -20,7 +20,7 @@ from data_module.corpora.table import CORPORA, STROKE_SOURCES, open_corpus
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
 from eval.metrics import METRICS
-from eval.pictures import DRAWINGS
+from eval.pictures import PLOTS
 from eval.probes import PROBES
 from gesticulator.characters.reading import READERS, read_character
 from gesticulator.cli import VERBS, Command
@@ -60,7 +60,7 @@ def test_a_reader_of_characters_refuses_what_is_none_in_one_line(suffix: str, tm
 
 
 @pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")
-                                             for table in (PROBES, DRAWINGS) for name in table])
+                                             for table in (PROBES, PLOTS) for name in table])
 def test_a_probe_or_a_drawing_has_arguments_a_run_and_a_line_about_it(table: Registry[RegistryEntry], name: str
                                                                       ) -> None:
     tool = table.load(name)

@@ -19,14 +19,13 @@ from data_module.performer.types import Spoken
 from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
 from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
+from eval.acceptance.bounds import Verdict, bounds_of
 from eval.acceptance.corpus import bounds as corpus_bounds
 from eval.acceptance.corpus import by_source, style_from_sound
 from eval.acceptance.corpus import command as corpus
 from eval.acceptance.corpus.bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTalk, TalkClaim
 from eval.acceptance.corpus.style_from_sound import StyledWindows
-from eval.acceptance.motion.bounds import BOUNDS, title
 from eval.baselines import controls as baselines
-from eval.claim import Verdict
 from eval.commands import PROBE
 from eval.metrics.eye import common_body
 from eval.table import load
@@ -34,6 +33,13 @@ from eval.table import load
 GOOD = {"eye_hand_height_correlation": 0.4, "eye_one_handed": 30.0, "eye_one_hanging": 25.0, "eye_head": 13.0,
         "eye_chest": 7.0, "eye_stroke_amplitude": 26.0,
         SEAM: 1.1, "eye_hand_in_torso": 0.1, "eye_elbow_in_torso": 0.2, "eye_head_yaw": 20.0, FREEZE: 0.3}
+
+BOUNDS = {figure: row.bound for figure, row in bounds_of("motion").items()}
+
+
+def title(figure: str) -> str:
+    """The title of a figure in the table of bounds."""
+    return bounds_of("motion")[figure].title.removesuffix(", {on}")
 
 
 def _talks(parts: str = "motion talk", figures: dict[str, float] | None = None) -> list[MeasuredTalk]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from benchmark_files import benchmark
 
-from eval.claim import Bound
+from eval.acceptance.bounds import Bound
 from eval.renderings import spread_evenly
 from gesticulator.bundle import bundle as bundles
 from gesticulator.options import InferenceOptions

@@ -4,7 +4,7 @@ not."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -16,22 +16,52 @@ from numpy.typing import NDArray
 from data_module.motion import rotation
 from data_module.types import Array, Motion, Speech
 from eval import stats
-from eval.acceptance.motion import bounds, rest, seen, sounds, timing
-from eval.acceptance.motion.timing import FIRST, FIRST_P, PITCH, PITCH_LAG, PITCH_P, Timed
+from eval.acceptance import bounds, rest, stimuli, timing, voices
+from eval.acceptance.bounds import Measured, Verdict
+from eval.acceptance.timing import FIRST, FIRST_P, PITCH, PITCH_LAG, PITCH_P, Timed
 from eval.baselines import controls as baselines
-from eval.claim import Verdict
 from eval.clip.foreign import read_motion
 from eval.clip.measure import real_take
 from eval.metrics import eye
 from eval.metrics.eye import common_body
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.stability import difference
-from eval.probes import stability
 from eval.renderings import TAKE, TEST, AcceptanceVoice
 from eval.stats import Interval
 from tests.test_eye import elbow, posed
 
 RATE = 16000
+ROWS = {name: row for name, row in bounds.bounds_of("motion").items() if not row.over}
+"""Figure -> its row, of the figures that have a bound of their own."""
+
+
+def one_curl(clips: Sequence[Motion]) -> list[Motion]:
+    """Every finger joint of a hand turned as the first joint of its index finger: a paddle that curls."""
+    curled = []
+    for clip in clips:
+        rotations = clip.rotations.copy()
+        for side in ("Left", "Right"):
+            fingers = [joint for joint, name in enumerate(clip.skeleton.names)
+                       if name.startswith(f"{side}Hand") and name[-1].isdigit()]
+            rotations[:, fingers] = rotations[:, clip.skeleton.index(f"{side}HandIndex1")][:, None]
+        curled.append(replace(clip, rotations=rotations))
+    return curled
+
+
+def rigid_wrists(clips: Sequence[Motion]) -> list[Motion]:
+    """Hands in line with their forearms."""
+    stiff = []
+    for clip in clips:
+        rotations = clip.rotations.copy()
+        rotations[:, [clip.skeleton.index(side + "Hand") for side in ("Left", "Right")]] = (1.0, 0.0, 0.0, 0.0)
+        stiff.append(replace(clip, rotations=rotations))
+    return stiff
+
+
+def judge(figures: Mapping[str, Interval]) -> dict[str, Verdict]:
+    """Figure -> its verdict on the voice of the real take."""
+    results = {(name, voices.ON_TAKE): Measured(figures.get(name, Interval.undefined())) for name in ROWS}
+    return {name: row.judge(results)[0] for name, row in ROWS.items()}
 
 
 # ---------------------------------------------------------------------------------------------------- one real person
@@ -52,9 +82,8 @@ def character(outside_data: Path) -> Motion:
 
 def missed(motion: Motion, said: AcceptanceVoice) -> set[str]:
     """The figures by which a motion is refused."""
-    found = {name: Interval.exact(value, 1) for name, value in eye.figures(motion, said.heard).items()}
-    return {name for name, verdict in zip(bounds.BOUNDS, bounds.verdicts("x", found), strict=True)
-            if verdict.holds is False}
+    figures = {name: Interval.exact(value, 1) for name, value in eye.figures(motion, said.heard).items()}
+    return {name for name, verdict in judge(figures).items() if verdict.holds is False}
 
 
 def test_a_real_person_passes_most_of_the_table(scott: AcceptanceVoice) -> None:
@@ -62,16 +91,16 @@ def test_a_real_person_passes_most_of_the_table(scott: AcceptanceVoice) -> None:
     refused = missed(scott.own, scott)
     # He hangs both arms for long stretches, and that is all that is held against him.
     assert refused == {"eye_both_hanging"}, refused
-    told = [verdict for verdict in seen.clauses("x", seen.own_motion([scott], None).figures(None), None, True)
-            if verdict.holds is not None]
-    assert len(told) > 25 and sum(verdict.holds is True for verdict in told) >= len(told) - 1
+    decided = [verdict for verdict in judge(voices.own_motion([scott], None).figures(None)).values()
+               if verdict.holds is not None]
+    assert len(decided) > 25 and sum(verdict.holds is True for verdict in decided) >= len(decided) - 1
 
 
 @pytest.mark.parametrize(("wrong", "by"), [
     (baselines.splayed, {"eye_splay", "eye_splay_both", "eye_azimuth"}),
     (baselines.mean_pose, {"eye_chest_travel", "eye_head_travel", "eye_shoulder", "eye_fingers", "eye_head"}),
-    (baselines.one_curl, {"eye_finger_between", "eye_thumb_index"}),
-    (baselines.rigid_wrists, {"eye_wrist_95"}),
+    (one_curl, {"eye_finger_between", "eye_thumb_index"}),
+    (rigid_wrists, {"eye_wrist_95"}),
     (baselines.mirrored, {"eye_hand_height_correlation", "eye_one_handed"}),
     (partial(baselines.jittered, seed=0), {"eye_fast"})])
 def test_every_control_is_refused_by_the_bounds_that_are_there_for_it(
@@ -89,44 +118,46 @@ def test_an_unequal_take_of_a_quieter_sound_is_refused_and_the_same_take_is_not(
     other = baselines.jittered([character], 0, 0.05)[0]
     for motion, holds in ((character, True), (other, False)):
         apart = difference(common_body(character), common_body(motion))
-        row = {"hands": Interval.exact(apart.hands, 1), "healed": Interval.exact(apart.healed, 1),
-               "lexemes": Interval.exact(0.0 if holds else 29.0, 1)}
-        for name in stability.VARIANTS:
-            assert {verdict.holds for verdict in stability.verdicts(name, row)} - {None} == {holds}
+        figures = {"hands_apart": apart.hands, "healed": apart.healed, "lexemes_apart": 0.0 if holds else 29.0}
+        results = {(name, on): Measured(Interval.exact(value, 1)) for name, value in figures.items()
+                   for on in stimuli.EXPORTS}
+        verdicts = bounds.judge(bounds.table()["stability"], results)
+        assert len(verdicts) == 15 and {verdict.holds for verdict in verdicts} - {None} == {holds}
 
 
 def test_the_speeds_of_people_are_those_of_the_bands(outside_data: Path) -> None:
     import json
 
     held = json.loads((outside_data / "real_bands.json").read_text())
-    for percent, speed in bounds.REAL_SPEED.items():
-        assert speed == pytest.approx(held[f"v{percent}"]["all"]["mean"], abs=0.0006)
+    for percent in (25, 50, 75, 95):
+        speed, bound = held[f"v{percent}"]["all"]["mean"], ROWS[f"eye_speed_{percent}"].bound
+        assert (bound.low, bound.high) == pytest.approx((0.75 * speed, 1.25 * speed), abs=0.0008)
 
 
 # --------------------------------------------------------------------------------------------------------- the table
 
 def table(**changed: float) -> dict[str, Verdict]:
     """Figures in the middle of their bounds but for these."""
-    middle = {name: (max(bound.low, -99.0) + min(bound.high, 99.0)) / 2 for name, bound in bounds.BOUNDS.items()}
-    found = bounds.verdicts("x", {name: Interval.exact(value, 2) for name, value in (middle | changed).items()})
-    return dict(zip(bounds.BOUNDS, found, strict=True))
+    middle = {name: (max(row.bound.low, -99.0) + min(row.bound.high, 99.0)) / 2 for name, row in ROWS.items()}
+    return judge({name: Interval.exact(value, 2) for name, value in (middle | changed).items()})
 
 
-@pytest.mark.parametrize("name", bounds.BOUNDS)
+@pytest.mark.parametrize("name", ROWS)
 def test_a_figure_beyond_its_bound_is_refused_alone(name: str) -> None:
     assert all(verdict.holds for verdict in table().values())
-    bound = bounds.BOUNDS[name]
+    bound = ROWS[name].bound
     for beyond in (bound.low - 0.001, bound.high + 0.001):
         if math.isfinite(beyond):
-            own = table(**{name: beyond})
-            assert [one for one, verdict in own.items() if verdict.holds is False] == [name]
-            assert bounds.mark(name, own[name].value) == " !"
+            verdicts = table(**{name: beyond})
+            assert [figure for figure, verdict in verdicts.items() if verdict.holds is False] == [name]
+            assert bounds.mark(name, verdicts[name].value) == " !"
     assert bounds.mark(name, table()[name].value) == ""
 
 
 def test_what_a_motion_or_a_voice_lacks_is_left_out_and_what_it_should_have_is_not() -> None:
-    nothing = table(**dict.fromkeys(bounds.OF_FINGERS, math.nan))
-    assert all(nothing[name].holds is None for name in bounds.OF_FINGERS)
+    of_fingers = [name for name, row in ROWS.items() if row.needs == bounds.FINGERS]
+    nothing = table(**dict.fromkeys(of_fingers, math.nan))
+    assert len(of_fingers) == 5 and all(nothing[name].holds is None for name in of_fingers)
     # Fingers that never move have no correlation, which is no excuse.
     assert table(eye_thumb_index=math.nan)["eye_thumb_index"].holds is False
     assert table(eye_azimuth=math.nan)["eye_azimuth"].holds is False
@@ -134,9 +165,9 @@ def test_what_a_motion_or_a_voice_lacks_is_left_out_and_what_it_should_have_is_n
 
 
 def test_systems_stand_side_by_side_with_what_they_miss() -> None:
-    shown = seen.comparison("x", {"ours": {"eye_splay": Interval.exact(51.0, 1)}, "theirs": {
+    shown = voices.comparison("x", {"ours": {"eye_splay": Interval.exact(51.0, 1)}, "theirs": {
         "eye_splay": Interval.exact(12.0, 1), FIRST: Interval.exact(70.0, 9)}})
-    splay, first = (shown.rows[bounds.title(name)] for name in ("eye_splay", FIRST))
+    splay, first = (shown.rows[title] for title in ("forearm outward, of the time, %", timing.TITLES[FIRST]))
     assert (splay["bound"], splay["ours"], splay["theirs"]) == ("at most 15", "51 !", "12")
     assert (first["bound"], first["ours"], first["theirs"]) == ("", None, "70")
 
@@ -187,11 +218,8 @@ def test_who_answers_the_voice_is_beyond_chance_and_under_anothers_sound_is_not(
     wrong = [Timed.of(motion, said) for said, motion in zip((*voices[1:], voices[0]), motions, strict=True)]
     heard, deaf = timing.figures(right), timing.figures(wrong)
     assert heard[PITCH].mean > 0.5 and abs(heard[PITCH_LAG].mean) <= 0.1 and heard[FIRST].mean == 100.0
-    told = {name: {verdict.figure.split(", p")[0]: verdict.holds for verdict in bounds.verdicts("x", found)
-                   if verdict.holds is not None} for name, found in (("heard", heard), ("deaf", deaf))}
     for name in (PITCH_P, FIRST_P):
-        own = bounds.title(name).split(", p")[0]
-        assert told["heard"][own] is True and told["deaf"][own] is False, name
+        assert judge(heard)[name].holds is True and judge(deaf)[name].holds is False, name
     renamed = [replace(one, name=other.name) for one, other in zip(wrong, right, strict=True)]
     pairs = timing.paired_table({"ours": right, "deaf": renamed, "fewer": right[:3]}, "ours")
     assert list(pairs.columns) == ["ours", "deaf"]
@@ -204,7 +232,7 @@ def test_one_voice_alone_proves_nothing() -> None:
     one = Timed.of(motion, said)
     figures = timing.figures([one] * 3)
     assert math.isnan(figures[PITCH_P].mean) and math.isnan(figures[FIRST_P].mean)
-    verdicts = dict(zip(bounds.BOUNDS, bounds.verdicts("x", figures), strict=True))
+    verdicts = judge(figures)
     assert verdicts[PITCH_P].holds is None and verdicts[FIRST_P].holds is None
     few = timing.figures([replace(one, name=str(k)) for k in range(timing.FEWEST - 1)])
     assert math.isnan(few[PITCH_P].mean) and math.isfinite(few[FIRST_P].mean)
@@ -231,7 +259,7 @@ def test_a_hold_at_the_end_of_a_phrase_is_seen() -> None:
 
 def test_pauses_are_cut_out_and_the_speech_stays() -> None:
     speech, _, begins = spoken(3)
-    whole = sounds.unbroken(speech)
+    whole = stimuli.unbroken(speech)
     assert len(begins) > 3
     # Frames of 10 ms that hold no voice: 40 ms about each cut are left.
     loud, left = (np.abs(own.samples[:len(own.samples) // 160 * 160].reshape(-1, 160)).max(axis=1) > 0.01
@@ -241,7 +269,7 @@ def test_pauses_are_cut_out_and_the_speech_stays() -> None:
     # No step where two pieces meet is larger than those of the voice itself.
     assert np.abs(np.diff(whole.samples)).max() <= 1.05 * np.abs(np.diff(speech.samples)).max()
     silence = Speech(np.zeros(RATE, np.float32), RATE)
-    assert sounds.unbroken(silence) is silence
+    assert stimuli.unbroken(silence) is silence
 
 
 def test_who_goes_on_at_one_pace_does_not_wax_and_wane() -> None:
@@ -250,17 +278,18 @@ def test_who_goes_on_at_one_pace_does_not_wax_and_wane() -> None:
             5.0 * time))}))
 
     even, rising = swinging(lambda time: 0.5 + 0 * time), swinging(lambda time: 0.5 + 0.25 * np.sin(time / 3.0))
-    assert rest.unbroken_clause([even], ["a"]).holds is False
-    assert rest.unbroken_clause([rising], ["a"]).holds is True
+    for body, holds in ((even, False), (rising, True)):
+        results = {("variation", rest.UNBROKEN): Measured(rest.variation([body], ["a"]))}
+        assert [verdict.holds for verdict in bounds.judge(bounds.table()["rest"], results)] == [holds]
 
 
 def test_a_wrist_that_is_rigid_follows_its_forearm_and_a_paddle_has_one_angle(character: Motion) -> None:
-    paddle = baselines.one_curl([character])[0]
+    paddle = one_curl([character])[0]
     names = character.skeleton.names
     for side in ("Left", "Right"):
         fingers = [joint for joint, name in enumerate(names) if name.startswith(f"{side}Hand") and name[-1].isdigit()]
         angles = rotation.angle_between(paddle.rotations[:, fingers[0], None], paddle.rotations[:, fingers])
         assert len(fingers) == 15 and angles.max() < 1e-6
-    stiff = baselines.rigid_wrists([character])[0]
+    stiff = rigid_wrists([character])[0]
     assert set(np.flatnonzero((stiff.rotations != character.rotations).any(axis=(0, 2)))) == {
         names.index("LeftHand"), names.index("RightHand")}

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
+import csv
 import math
 import re
 import shutil
-from collections.abc import Iterator
-from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from browser import chromium
 from performances import perform
 
 from data_module.blocks import cut
@@ -23,14 +19,13 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter
 from data_module.truth import PlayedStroke, Truth
 from data_module.types import Blocks, Motion, Speech, Word
-from eval.commands import DRAW
+from eval.commands import PLOT
 from eval.metrics.encode import EncodedMotion, encode_motion
 from eval.pictures import embedding
 from eval.pictures import lexicon_map as maps
 from eval.pictures.lexicon_sheet import in_words
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.command import BUNDLE
 
 # ------------------------------------------------------------------------------------------ what goes with a lexeme
 
@@ -109,7 +104,7 @@ def test_survey_counts_and_measures() -> None:
     labels = np.array([2, 2, 2, 2, 0, 0, 0, 1])
     own = take(turning(4.0, fps, turn), (Word("go", 2.1, 2.3),), (stroke("Wave", 2.0, 3.5),))
     survey = maps.Survey(4)
-    survey.add(own, blocks, labels, np.array([4.0, 3, 1, 2, 9, 9, 8, 0]))
+    survey.add(own, blocks, labels)
     entries = survey.entries([2], np.full(4, 7.0))
     assert [e.blocks for e in entries] == [3, 1, 4, 0]
     assert [e.silent for e in entries] == [False, False, True, False]
@@ -120,9 +115,6 @@ def test_survey_counts_and_measures() -> None:
     assert entries[2].hand_speed == pytest.approx(0, abs=1e-6)
     assert math.isnan(entries[3].hand_speed) and entries[3].decoded_speed == 7.0
     assert entries[0].strokes == {"Wave": 1.0} and entries[2].strokes == {maps.NO_STROKE: 1.0}
-    assert entries[2].sample == "take, 1.00 s" and entries[0].sample == "take, 3.00 s" and entries[3].sample == ""
-    survey.add(take(still(4.0), name="other"), blocks, np.full(8, 2), np.full(8, 0.5))
-    assert survey.entries([2], np.full(4, 7.0))[2].sample == "other, 0.00 s"
 
 
 @pytest.mark.parametrize(("end", "says"), [(-0.6, "up"), (0.6, "down"), (-1.5, "up and in"), (1.5, "down and in")])
@@ -183,51 +175,24 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
                              Truth((stroke("Point", 0.0, 3.0),))))
     writer.finish(names)
     shutil.copytree(bundles.SHIPPED, folder / "my bundle")
-    assert DRAW.main("gesticulator draw", [
+    assert PLOT.main("gesticulator plot", [
         "lexicon", "--data", str(folder / "store"), "--bundle", str(folder / "my bundle"), "--out",
         str(folder / "map"), "--points", "30"]) == 0
     return folder
 
 
-class _Page(HTMLParser):
-    """Articles, their checkboxes and text, and every attribute."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.articles: list[dict[str, Any]] = []
-        self.tags: list[str] = []
-        self.links: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.links += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "srcset")]
-        if tag == "article":
-            self.articles.append({"text": "", **dict(attrs)})
-        if tag == "input" and self.articles:
-            self.articles[-1]["checked"] = "checked" in dict(attrs)
-
-    def handle_data(self, data: str) -> None:
-        if self.articles:
-            self.articles[-1]["text"] += data
+def table(made: Path) -> list[dict[str, str]]:
+    with (made / "map" / "lexicon.csv").open(encoding="utf-8", newline="") as lines:
+        return list(csv.DictReader(lines))
 
 
-def test_the_page_holds_the_lexicon_and_nothing_from_outside(made: Path) -> None:
-    text = (made / "map" / "lexicon.html").read_text()
-    page, result = _Page(text), json.loads((made / "map" / "lexicon.json").read_text())
-    bundle = bundles.load(made / "my bundle")
-    size = bundle.config.lexicon.size
-    assert [int(own["data-lexeme"]) for own in page.articles] == list(range(size))
-    assert [int(own["data-lexeme"]) for own in page.articles if own["checked"]] == bundle.silent.tolist()
-    assert not page.links and "http" not in text and "url(" not in text
-    assert any(w["text"] == "</script><b>" for e in result["lexemes"] for w in e["words"])
-    assert page.tags.count("script") == 1 and page.tags.count("b") == sum(len(e["words"]) for e in result["lexemes"])
-    used = [e["lexeme"] for e in result["lexemes"] if e["blocks"]]
-    assert page.tags.count("svg") == size + 2 * len(used)
-    assert "somebody <else>" in page.articles[0]["text"]
-    assert 100 * len(text) / size < 5e6
-    assert result["recordings"] == 2 and sum(e["blocks"] for e in result["lexemes"]) == result["blocks"]
-    assert all(e["does"] for e in result["lexemes"])
+def test_the_table_and_the_sheet_hold_the_lexicon(made: Path) -> None:
+    rows, bundle = table(made), bundles.load(made / "my bundle")
+    assert [int(row["lexeme"]) for row in rows] == list(range(bundle.config.lexicon.size))
+    assert [int(row["lexeme"]) for row in rows if row["silent"] == "1"] == bundle.silent.tolist()
+    assert any("</script><b> (400)" in row["words"].split("; ") for row in rows)
+    assert sum(float(row["share"]) for row in rows) == pytest.approx(1.0, abs=0.01)
+    assert "share of somebody <else>" in rows[0] and all(row["does"] for row in rows)
     assert (made / "map" / "lexemes.png").read_bytes().startswith(b"\x89PNG")
     for suffix, head in (("png", b"\x89PNG"), ("svg", b"<?xml")):
         assert (made / "map" / f"latents.{suffix}").read_bytes().startswith(head)
@@ -244,13 +209,12 @@ def test_labels_are_the_nearest_lexemes(made: Path) -> None:
     gaps = np.array([[float(((latent - vector) ** 2).sum()) for vector in vectors] for latent in own.latents.numpy()])
     rows = np.arange(len(gaps))
     np.testing.assert_allclose(gaps[rows, own.labels], gaps.min(axis=1), rtol=1e-3, atol=1e-5)
-    result = json.loads((made / "map" / "lexicon.json").read_text())
-    counts = np.array([e["shares"][bundle.speakers[0]] for e in result["lexemes"]]) * len(gaps)
-    np.testing.assert_allclose(counts.sum(), len(gaps))
+    counts = np.array([float(row[f"share of {bundle.speakers[0]}"]) for row in table(made)]) * len(gaps)
+    np.testing.assert_allclose(counts.sum(), len(gaps), rtol=0.01)
     # Of a block that is equally near to two lexemes, rounding decides.
     near = gaps <= gaps.min(axis=1, keepdims=True) * 1.001 + 1e-5
     only = near & (near.sum(axis=1, keepdims=True) == 1)
-    assert (counts > only.sum(axis=0) - 1e-6).all() and (counts < near.sum(axis=0) + 1e-6).all()
+    assert (counts > only.sum(axis=0) - 0.05).all() and (counts < near.sum(axis=0) + 0.05).all()
 
 
 def test_an_unknown_performer_is_centred_on_their_own_pose(made: Path) -> None:
@@ -266,35 +230,6 @@ def test_recordings_are_chosen_evenly(made: Path) -> None:
     with pytest.raises(InputError, match="test split"):
         maps.evenly(store, "test")
     with pytest.raises(SystemExit) as stopped:
-        DRAW.main("gesticulator draw", ["lexicon", "--data", str(made / "store"), "--out", str(made / "no"),
+        PLOT.main("gesticulator plot", ["lexicon", "--data", str(made / "store"), "--out", str(made / "no"),
                                         "--points", "3"])
     assert stopped.value.code == 2 and not (made / "no").exists()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """A headless Chromium."""
-    with chromium() as window:
-        yield window
-
-
-def test_ticking_writes_a_command_that_works(made: Path, browser: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    import shlex
-
-    page = browser.new_page()
-    wrong: list[str] = []
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.goto((made / "map" / "lexicon.html").as_uri())
-    boxes = page.locator("article input")
-    for index in range(boxes.count()):
-        boxes.nth(index).set_checked(False)
-    assert "tick one" in page.input_value("#command")
-    page.select_option("#order", "share -1")
-    page.locator('article[data-lexeme="7"] input').check()
-    page.locator('article[data-lexeme="3"] input').check()
-    command = shlex.split(page.input_value("#command"))
-    shares = [float(own.get_attribute("data-share")) for own in page.locator("article").all()]
-    assert shares == sorted(shares, reverse=True) and not wrong
-    assert command[:3] == ["gesticulator", "bundle", "silent"]
-    assert BUNDLE.main("gesticulator bundle", command[2:]) == 0
-    assert bundles.load(made / "my bundle").silent.tolist() == [3, 7]

@@ -1,4 +1,4 @@
-"""The probe of a bundle's quality: what its rows are, and that each does what its name says."""
+"""The quality of a bundle's models: which rows the tables have, and that each does what its name says."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from data_module.store import Store
+from eval import quality
 from eval.baselines.interpreters import Bigram
-from eval.commands import PROBE
+from eval.commands import QUALITY
 from eval.context import EvalContext
-from eval.probes import quality
 from eval.stats import Interval
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
@@ -31,8 +31,8 @@ def test_the_command_writes_every_table(tiny_store: Path, tiny_bundle: Path, tmp
                                         monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
     out = tmp_path / "quality.json"
-    assert PROBE.main("gesticulator probe", [
-        "quality", "--data", str(tiny_store), "--bundle", str(tiny_bundle), "--out", str(out), "--quiet", "--work",
+    assert QUALITY.main("gesticulator quality", [
+        "--data", str(tiny_store), "--bundle", str(tiny_bundle), "--out", str(out), "--quiet", "--work",
         str(tiny_bundle.with_name(tiny_bundle.name + ".work"))]) == 0
     lexicon, accuracy, hands = load(out)
     systems = {"lstm", "lstm with text", "statistical", "majority"}

@@ -12,11 +12,11 @@ import pytest
 import torch
 
 from eval.ablate.policy import entropy_of, matched_temperature
+from eval.acceptance.bounds import Verdict, at_least, judged
 from eval.acceptance.racer import command as racer
 from eval.acceptance.racer import gate, values
 from eval.acceptance.racer.command import CQL, LSTM, MAJORITY, MATCHED, PERFORMER, RANDOM, PlayedPolicy, RacerMeasures
 from eval.acceptance.racer.playing import PlayedFigures
-from eval.claim import Verdict, at_least, judged
 from eval.commands import PROBE
 from eval.metrics import gesture_features
 from interpreters.episodes import Demonstration

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from data_module.errors import InputError
-from eval.claim import FAILS, HOLDS, UNDECIDED
 from eval.commands import ABLATE
 from eval.context import EvalContext
 from eval.rows import (
@@ -34,7 +33,7 @@ from eval.rows.cells import Cell, Cells, CellStore, summaries
 from eval.rows.claims import CLAIMS, PaperClaim
 from eval.rows.effects import EFFECTS
 from eval.rows.row import COLUMNS, DECISIONS
-from eval.rows.verdicts import ALIKE, NO_TEST, Decision
+from eval.rows.verdicts import ALIKE, FAILS, HOLDS, NO_TEST, UNDECIDED, Decision
 from eval.runner.ablate import FIGURES
 from eval.runner.rg import RgRows, configured
 from eval.stats import Interval

@@ -15,6 +15,7 @@ from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
 from data_module.types import Array, Motion, Skeleton
+from eval.clip.standing import knee_bend, slide
 from gesticulator.body.feet import SIDES
 from gesticulator.body.life import noise, weight_shifts
 from gesticulator.body.stance import LEGGED, Follower, Stance, course_of, seated, with_legs
@@ -387,31 +388,19 @@ def test_legs_that_are_only_drawn_stand_as_ours_do() -> None:
     assert 15.0 < bends[0] < 24.0 and 3.0 < bends[1] < 15.0, "on the right leg"
 
 
-def test_the_probe_finds_what_it_should() -> None:
-    from eval.probes.stance import measured
-
+def test_planted_feet_do_not_slide_and_pushed_ones_do() -> None:
     motion = with_legs(drawn(1), 1)
-    good = measured([motion])
-    assert good["slide"] < 5.0 and good["outside"] == 0.0 and good["frozen"] < 1.0
-    assert good["seconds"] == pytest.approx(60.0)
+    assert slide(motion) < 0.005
     # A body that stands still and is pushed about: feet slide as far as it is pushed, 3 cm along each axis.
     times = np.arange(len(motion)) / motion.fps
     frozen = replace(motion, rotations=np.repeat(motion.rotations[:1], len(motion), axis=0),
                      root_positions=np.repeat(motion.root_positions[:1], len(motion), axis=0))
     pushed = replace(frozen, root_positions=frozen.root_positions + 0.015 * np.stack(
         [np.sin(times), np.zeros_like(times), np.cos(times)], axis=-1))
-    assert measured([pushed])["slide"] == pytest.approx(30.0 * 2**0.5, rel=0.01)
-    assert measured([frozen])["frozen"] == pytest.approx(60.0, abs=0.1) and measured([frozen])["shifts"] == 0.0
-    # Hips that go 4 cm to either side over feet that stay, six times a minute: twelve shifts.
-    swings = replace(frozen, root_positions=frozen.root_positions + 0.04 * np.stack(
-        [np.sin(2.0 * np.pi * times / 10.0), np.zeros_like(times), np.zeros_like(times)], axis=-1))
-    legs = kinematics.positions_of(frozen)
-    from eval.probes import stance as probe
+    assert slide(pushed) == pytest.approx(0.03 * 2**0.5, rel=0.01) and slide(frozen) == 0.0
 
-    standing_body = probe._Standing(swings)
-    standing_body.across = (kinematics.positions_of(swings)[:, 0] - legs[:, 0])[:, 0]
-    assert standing_body.shifts() in (11, 12)
-    leaning = replace(frozen, root_positions=frozen.root_positions)
-    body = probe._Standing(leaning)
-    body.hips = body.hips + np.array([0.0, 0.0, 0.3])
-    assert body.outside().all()
+
+def test_a_knee_is_bent_by_the_angle_between_thigh_and_shin() -> None:
+    hip, knee = np.array([[0.0, 0.8, 0.0]] * 2), np.array([[0.0, 0.4, 0.0]] * 2)
+    ankle = np.array([[0.0, 0.0, 0.0], [0.0, 0.4 - 0.4 * np.cos(0.5), 0.4 * np.sin(0.5)]])
+    assert knee_bend(hip, knee, ankle) == pytest.approx([0.0, np.degrees(0.5)], abs=1e-5)

@@ -10,7 +10,7 @@ from performances import perform
 
 from data_module.errors import InputError
 from data_module.motion import bvh
-from eval.commands import DRAW
+from eval.commands import PLOT
 from eval.pictures import strip_page
 from eval.pictures.sources import BEAT_CREDIT
 from eval.pictures.strip_page import page_times
@@ -57,14 +57,14 @@ def test_command_draws_a_page_of_files_and_folders(tmp_path: Path, capsys: pytes
     soundfile.write(tmp_path / "talk.wav", made.speech.samples, made.speech.sample_rate)
     out = tmp_path / "page.png"
     begin = ["strip", "--system", f"a={tmp_path / 'ours'}", "--system", f"b={tmp_path / 'ours' / 'other.bvh'}"]
-    assert DRAW.main("gesticulator draw", [*begin, "--sound", str(tmp_path / "talk.wav"), "--seconds", "1", "--out",
+    assert PLOT.main("gesticulator plot", [*begin, "--sound", str(tmp_path / "talk.wav"), "--seconds", "1", "--out",
                                            str(out)]) == 0
     assert capsys.readouterr().out.strip() == str(out)
     first = out.read_bytes()
     ink = (matplotlib.image.imread(out)[..., :3] < 0.9).any(axis=-1)
     # Two sources, two views each, and a waveform: ink in each fifth of the page, left and right.
     assert all(half.mean() > 0.02 for part in np.array_split(ink, 5) for half in np.array_split(part, 2, axis=1))
-    DRAW.main("gesticulator draw", [*begin, "--sound", str(tmp_path / "talk.wav"), "--seconds", "1", "--out", str(out)])
+    PLOT.main("gesticulator plot", [*begin, "--sound", str(tmp_path / "talk.wav"), "--seconds", "1", "--out", str(out)])
     assert out.read_bytes() == first
     wrong = (([*begin], "--out"), ([*begin, "--out", str(out)], "name the file itself"),
              (["strip", "--out", str(out)], "nothing|outside"), (["strip", "--ours", "--out", str(out)], "no sound"),
@@ -73,7 +73,7 @@ def test_command_draws_a_page_of_files_and_folders(tmp_path: Path, capsys: pytes
     for arguments, told in wrong:
         capsys.readouterr()
         with pytest.raises(SystemExit) as caught:
-            DRAW.main("gesticulator draw", arguments)
+            PLOT.main("gesticulator plot", arguments)
         said = capsys.readouterr().err
         assert caught.value.code == 2 and any(part in said for part in told.split("|")), said
 
@@ -83,8 +83,8 @@ def test_the_take_brings_its_credit_and_a_page_without_it_does_not(outside_data:
     monkeypatch.setenv("GESTICULATOR_DATA", str(outside_data))
     drawn = []
     monkeypatch.setattr(strip_page, "save_strip", lambda figure, path, dpi: drawn.append(texts(figure)))
-    DRAW.main("gesticulator draw", ["strip", "--take", "--seconds", "0.5", "--out", "page.png"])
+    PLOT.main("gesticulator plot", ["strip", "--take", "--seconds", "0.5", "--out", "page.png"])
     assert "real take" in drawn[0] and BEAT_CREDIT in drawn[0] and "CC BY-NC 4.0" in BEAT_CREDIT
     monkeypatch.setenv("GESTICULATOR_DATA", str(outside_data / "absent"))
     with pytest.raises(SystemExit):
-        DRAW.main("gesticulator draw", ["strip", "--take", "--out", "page.png"])
+        PLOT.main("gesticulator plot", ["strip", "--take", "--out", "page.png"])

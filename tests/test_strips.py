@@ -10,8 +10,8 @@ from data_module.errors import InputError
 from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, facing
 from data_module.types import Motion
-from eval.commands import DRAW
-from eval.pictures import DRAWINGS, strips
+from eval.commands import PLOT
+from eval.pictures import PLOTS, strips
 from gesticulator.export import figure
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
@@ -71,7 +71,7 @@ def test_times_cover_the_stretch_and_bad_ones_are_refused() -> None:
 
 def test_command_draws_a_picture(tmp_path, capsys) -> None:
     bvh.write_bvh(tmp_path / "m.bvh", perform().motion)
-    DRAW.main("gesticulator draw", ["strip", str(tmp_path / "m.bvh"), "--frames", "3"])
+    PLOT.main("gesticulator plot", ["strip", str(tmp_path / "m.bvh"), "--frames", "3"])
     assert capsys.readouterr().out.strip() == str(tmp_path / "m.png")
     from matplotlib.image import imread
 
@@ -81,16 +81,16 @@ def test_command_draws_a_picture(tmp_path, capsys) -> None:
     for third in np.array_split(ink, 3, axis=1):
         assert all(part.mean() > 0.05 for part in np.array_split(third, 2, axis=0))
     with pytest.raises(SystemExit) as caught:
-        DRAW.main("gesticulator draw", ["strip", str(tmp_path / "m.bvh"), "--out", str(tmp_path / "m.doc")])
+        PLOT.main("gesticulator plot", ["strip", str(tmp_path / "m.bvh"), "--out", str(tmp_path / "m.doc")])
     assert caught.value.code == 2
     assert "picture" in capsys.readouterr().err
     assert not (tmp_path / "m.doc").exists()
 
 
 def test_the_list_names_every_drawing_and_an_unknown_one_is_refused(capsys) -> None:
-    assert DRAW.main("gesticulator draw", ["--list"]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(DRAWINGS)
+    assert PLOT.main("gesticulator plot", ["--list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(PLOTS)
     for name in ("nothing", None):
         with pytest.raises(SystemExit) as caught:
-            DRAW.main("gesticulator draw", [name] if name else [])
+            PLOT.main("gesticulator plot", [name] if name else [])
         assert caught.value.code == 2 and "strip, video, lexicon" in capsys.readouterr().err

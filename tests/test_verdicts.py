@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from eval.claim import FAILS, HOLDS, UNDECIDED
 from eval.crossed import Components, components
-from eval.rows.verdicts import decide, needed_for, present
+from eval.rows.verdicts import FAILS, HOLDS, UNDECIDED, decide, needed_for, present
 from eval.stats import Interval
 
 

@@ -1,7 +1,13 @@
 """Motion with something asked of its style, and what came of it (RG 7.2.1, Fig. 10).
 
-Every row plays the same clips with the same seed, so differences between rows are paired. `eval.probes.style_editing`
-says what is asked and what fools the figures.
+For each feature (height of the right hand, speed and radius of both hands) and each level (low, mid, high: the 15, 50
+and 85 % quantiles of training) every clip is generated with that level requested throughout, with the same seed, so
+that differences between rows are paired. An editing signal is accepted when low, mid and high stand in order and
+neighbouring 95 % intervals do not overlap.
+
+What fools these figures: a hand that trembles is a fast hand, so speed is given a second time after smoothing over
+50 ms; features go together in a body (raising a hand from the hip takes it outwards), so that a change of another
+feature need not be an error; and fewer than about ten clips make an interval too narrow.
 """
 
 from __future__ import annotations

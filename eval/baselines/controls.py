@@ -16,8 +16,7 @@ A metric is worth what it makes of these (mir_eval's rule that perfect input giv
   both, cannot see it; to the eye it is the first sign of a machine.
 - `bobbing`: the mean pose whose forearms go up and down in turn and stop at each onset of the sound. What rewards
   timing alone takes it for the best gesturer of all.
-- `splayed`, `one_curl`, `rigid_wrists`: forearms turned outward, fingers as one paddle, hands as planks. Distances
-  between windows of joint positions do not move.
+- `splayed`: forearms turned outward. Distances between windows of joint positions do not move.
 - `frozen_in_pauses`: speech is untouched, and each silence is a photograph.
 
 Each takes clips and gives clips; the same seed gives the same clips. ValueError where there is nothing to choose from.
@@ -26,7 +25,6 @@ Each takes clips and gives clips; the same seed gives the same clips. ValueError
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -166,32 +164,6 @@ def splayed(clips: Clips, seed: int = 0, degrees: float = 20.0) -> list[Motion]:
             rotations[:, elbow] = rotation.multiply(
                 rotation.conjugate(above), rotation.multiply(turn, world[:, elbow]))
         out.append(replace(clip, rotations=rotation.continuous(rotations)))
-    return out
-
-
-def one_curl(clips: Clips, seed: int = 0) -> list[Motion]:
-    """Every finger joint of a hand, the thumb's too, turned as the first joint of its index finger: a paddle that
-    curls. Clips without fingers stay as they are."""
-    out = []
-    for clip in clips:
-        rotations = clip.rotations.copy()
-        for side in ("Left", "Right"):
-            fingers = [joint for joint, name in enumerate(clip.skeleton.names)
-                       if re.fullmatch(rf"{side}Hand(Thumb|Index|Middle|Ring|Pinky)\d", name)]
-            if fingers:
-                rotations[:, fingers] = rotations[:, clip.skeleton.index(f"{side}HandIndex1")][:, None]
-        out.append(replace(clip, rotations=rotations))
-    return out
-
-
-def rigid_wrists(clips: Clips, seed: int = 0) -> list[Motion]:
-    """Each clip whose hands keep in line with their forearms, and only follow them."""
-    out = []
-    for clip in clips:
-        rotations = clip.rotations.copy()
-        hands = find_table(clip.skeleton.names)
-        rotations[:, [hands["LeftHand"], hands["RightHand"]]] = (1.0, 0.0, 0.0, 0.0)
-        out.append(replace(clip, rotations=rotations))
     return out
 
 

@@ -16,7 +16,7 @@ COLOURS = dict(zip(LEVELS, ("tab:blue", "tab:green", "tab:red"), strict=True))
 def figure_10(result: Mapping[str, Any]) -> Figure:
     """For each feature the first clip over time beside what was asked, and box plots of all clips.
 
-    result: of `eval.probes.style_editing.figures`. Whiskers reach the extremes; dashes are what was asked for.
+    result: of `eval.ablate.style_editing.figures`. Whiskers reach the extremes; dashes are what was asked for.
     """
     figure = Figure(figsize=(10, 3 * len(FEATURES)), layout="constrained")
     for index, (feature, axes) in enumerate(zip(FEATURES, figure.subplots(

@@ -1,31 +1,27 @@
-"""What is in the lexicon, for the eye (RG Fig. 6): `gesticulator draw lexicon --data STORE --out FOLDER`.
+"""What is in the lexicon, for the eye (RG Fig. 6): `gesticulator plot lexicon --data STORE --out FOLDER`.
 
 `latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents of blocks (E(M), or the weighted
 coefficients of a lexicon of movements), coloured by lexeme. What fools it: t-SNE tears and clumps; only who is near
 whom means anything, so the share of nearest neighbours with the same lexeme is printed, in the picture and among the
 latents themselves.
 
-`lexicon.html`, one page with nothing outside it: for each lexeme a sample gesture (the performed block whose latent
-lies nearest to it) beside what the decoder makes of it (a movement begins where the training block nearest to it
-began), how often each performer uses it, how fast the hands are, how much of it lies in pauses, the words and the
-strokes that go with it, what the hands do in words, and whether it is silent. `lexemes.png` has the most used ones in a
-picture, each at its start, middle and end. Ticking that writes the command that tells the bundle so
-(`gesticulator bundle silent`). `lexicon.json` has the same in numbers. What fools it: the decoder alone has never been
-made to move smoothly, so a decoded lexeme may tremble where the block did not; the speed that counts is the performed
-one.
+`lexemes.png`, a contact sheet: the most used lexemes as the decoder makes them, each at its start, middle and end, with
+what the hands do in words (a movement begins where the training block nearest to it began). `lexicon.csv` has a row for
+each lexeme: whether it is silent, how often it occurs and how often each performer uses it, how fast the hands are, how
+much of it lies in pauses, and the words and the strokes that go with it. `gesticulator bundle silent` changes which
+lexemes are silent. What fools it: the decoder alone has never been made to move smoothly, so a decoded lexeme may
+tremble where the block did not; the performed speed is the one that counts.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import math
-import shlex
+import csv
+import io
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -41,13 +37,12 @@ from eval.clip.excerpts import block_of_frames, evenly
 from eval.metrics.encode import encode_motion
 from eval.metrics.smoothness import hand_speeds
 from eval.pictures.embedding import NEIGHBOURS, Labels, embed, embedding_panels, neighbours_agree
-from eval.pictures.lexicon_page import LexemeEntry, LexemeWord, page, pictures
 from eval.pictures.lexicon_sheet import MOST, in_words, sheet
 from eval.pictures.strips import save_strip
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
-from gesticulator.bundle.files import NAMED, bundle_folder
+from gesticulator.bundle.files import bundle_folder
 from lexicon.movement import MovementLexicon
 
 LEAST, SURE, PRIOR = 5, 3.0, 500.0
@@ -55,6 +50,34 @@ LEAST, SURE, PRIOR = 5, 3.0, 500.0
 of the prior in words."""
 MOST_WORDS, MOST_STROKES = 6, 3
 NO_STROKE = "no stroke"
+
+
+@dataclass(frozen=True)
+class LexemeWord:
+    """A word on the blocks of a lexeme: how often, and how many standard errors more often than elsewhere."""
+
+    text: str
+    count: int
+    z: float
+
+
+@dataclass(frozen=True)
+class LexemeEntry:
+    """One lexeme. share: of all blocks; shares: of each performer's; hand_speed: m/s on its blocks as performed (NaN
+    where it has none); decoded_speed: m/s of the decoded lexeme in normalised time; in_silence: share of its blocks
+    that lie in a pause; strokes: shares of its blocks; does: what the hands do in it as decoded, in words."""
+
+    lexeme: int
+    silent: bool
+    blocks: int
+    share: float
+    shares: dict[str, float]
+    hand_speed: float
+    decoded_speed: float
+    in_silence: float
+    words: tuple[LexemeWord, ...]
+    strokes: dict[str, float]
+    does: str = ""
 
 
 # ---------------------------------------------------------------------------------------------- what goes with it
@@ -102,15 +125,6 @@ def strokes_on_blocks(recording: Recording, edges: Array) -> list[str]:
     return kinds
 
 
-@dataclass(frozen=True)
-class Sample:
-    """The performed block nearest to a lexeme: squared distance of its latent, where it is from, and its motion."""
-
-    distance: float
-    source: str
-    motion: Motion
-
-
 class Survey:
     """Counts over recordings, one at a time."""
 
@@ -120,10 +134,9 @@ class Survey:
         self.silent, self.seconds, self.way = np.zeros(size), np.zeros(size), np.zeros(size)
         self.words: Counter[tuple[int, str]] = Counter()
         self.strokes: Counter[tuple[int, str]] = Counter()
-        self.samples: dict[int, Sample] = {}
 
-    def add(self, recording: Recording, blocks: Blocks, labels: Labels, distances: Array) -> None:
-        """Count one recording, whose blocks have these labels [N] and lie this far (squared) from their lexemes [N]."""
+    def add(self, recording: Recording, blocks: Blocks, labels: Labels) -> None:
+        """Count one recording, whose blocks have these labels [N]."""
         name = recording.info.speaker
         self.blocks[name] = self.blocks.get(name, np.zeros(self.size)) + np.bincount(labels, minlength=self.size)
         self.silent += np.bincount(labels[blocks.silent], minlength=self.size)
@@ -134,13 +147,6 @@ class Survey:
         self.words.update((int(labels[block]), text) for block, text in words_on_blocks(recording, blocks.edges))
         self.strokes.update((int(label), kind) for label, kind in
                             zip(labels, strokes_on_blocks(recording, blocks.edges), strict=False))
-        for lexeme in np.unique(labels).tolist():
-            nearest = int(np.where(labels == lexeme, distances, np.inf).argmin())
-            known = self.samples.get(lexeme)
-            if known is None or distances[nearest] < known.distance:
-                start, end = blocks.edges[nearest:nearest + 2]
-                self.samples[lexeme] = Sample(float(distances[nearest]), f"{recording.info.name}, {start:.2f} s",
-                                              _stretch(recording.motion, start, end))
 
     def entries(self, silent: Sequence[int], decoded_speed: Array) -> list[LexemeEntry]:
         """The lexicon, lexeme by lexeme. decoded_speed: [S] m/s."""
@@ -155,17 +161,12 @@ class Survey:
         return [LexemeEntry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
                       {name: float(own[i] / max(own.sum(), 1)) for name, own in sorted(self.blocks.items())},
                       float(speed[i]), float(decoded_speed[i]), float(self.silent[i] / max(total[i], 1)), words[i],
-                      self._strokes_of(i), self.samples[i].source if i in self.samples else "")
+                      self._strokes_of(i))
                 for i in range(self.size)]
 
     def _strokes_of(self, lexeme: int) -> dict[str, float]:
         own = Counter({kind: count for (label, kind), count in self.strokes.items() if label == lexeme})
         return {kind: count / own.total() for kind, count in own.most_common(MOST_STROKES)}
-
-
-def _stretch(motion: Motion, start: float, end: float) -> Motion:
-    first = max(0, math.floor(start * motion.fps))
-    return motion.crop(first, max(first + 2, math.ceil(end * motion.fps) + 1))
 
 
 @torch.no_grad()
@@ -193,53 +194,59 @@ def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], progres
         recording = store.load(info.name, bundle.config.motion.joints)
         blocks = cut(recording.speech, bundle.config.rhythm)
         read = encode_motion(bundle, recording.motion, blocks, info.speaker)
-        nearest = bundle.vectors[torch.as_tensor(read.labels)]
-        counts.add(recording, read.blocks, read.labels, (read.latents - nearest).square().sum(1).double().numpy())
+        counts.add(recording, read.blocks, read.labels)
         latents.append(read.latents.double().numpy())
         labels.append(read.labels)
     return counts, np.concatenate(latents), np.concatenate(labels)
 
 
-def write_map(bundle: Bundle, folder: str | None, store: Store, infos: Sequence[RecordingInfo], out: Path,
-              points: int = 4000, progress: bool = True) -> dict[str, Any]:
-    """Both pictures, the page and its numbers into the folder `out`; the numbers."""
+def as_csv(entries: Sequence[LexemeEntry]) -> str:
+    """A row for each lexeme; speeds in m/s, shares from 0 to 1, lists separated by "; "."""
+    speakers = sorted({name for entry in entries for name in entry.shares})
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["lexeme", "silent", "blocks", "share", "hand_speed", "decoded_speed", "in_silence", "does", "words",
+                   "strokes", *(f"share of {name}" for name in speakers)])
+    for entry in entries:
+        rows.writerow([entry.lexeme, int(entry.silent), entry.blocks, f"{entry.share:.4f}",
+                       f"{entry.hand_speed:.3f}" if entry.blocks else "", f"{entry.decoded_speed:.3f}",
+                       f"{entry.in_silence:.3f}", entry.does,
+                       "; ".join(f"{word.text} ({word.count})" for word in entry.words),
+                       "; ".join(f"{kind} {100 * share:.0f} %" for kind, share in entry.strokes.items()),
+                       *(f"{entry.shares.get(name, 0.0):.4f}" for name in speakers)])
+    return text.getvalue()
+
+
+def write_map(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], out: Path, points: int = 4000,
+              progress: bool = True) -> str:
+    """Both pictures and the table into the folder `out`; a sentence on what they show."""
     counts, latents, labels = survey(bundle, store, infos, progress)
     motions, size, silent = decoded(bundle), bundle.config.lexicon.size, bundle.silent.tolist()
-    entries = [replace(own, does=in_words(motion)) for own, motion in zip(
-        counts.entries(silent, np.array([float(hand_speeds(own).mean()) for own in motions])), motions, strict=True)]
+    speeds = np.array([float(hand_speeds(motion).mean()) for motion in motions])
+    entries = [replace(entry, does=in_words(motion))
+               for entry, motion in zip(counts.entries(silent, speeds), motions, strict=True)]
     few = np.sort(np.random.default_rng(0).permutation(len(labels))[:points])
     flat = embed(latents[few])
     shown, true = neighbours_agree(flat, labels[few]), neighbours_agree(latents[few], labels[few])
-    used = sum(own.blocks > 0 for own in entries)
-    told = "movements" if isinstance(bundle.lexicon, MovementLexicon) else "E(M)"
-    caption = (f"{told} by t-SNE; {used} of {size} lexemes are used, x silent\n{100 * shown:.0f} % of the "
+    used = sum(entry.blocks > 0 for entry in entries)
+    latent = "movements" if isinstance(bundle.lexicon, MovementLexicon) else "E(M)"
+    caption = (f"{latent} by t-SNE; {used} of {size} lexemes are used, x silent\n{100 * shown:.0f} % of the "
                f"{NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space")
     out.mkdir(parents=True, exist_ok=True)
     figure = embedding_panels({caption: (flat, labels[few])}, size, silent)
     for suffix in ("png", "svg"):
         save_strip(figure, out / f"latents.{suffix}")
-    order = sorted((own for own in entries if own.blocks), key=lambda own: (-own.blocks, own.lexeme))
-    save_strip(sheet([own.lexeme for own in order[:MOST]], motions, [own.does for own in entries], silent),
+    order = sorted((entry for entry in entries if entry.blocks), key=lambda entry: (-entry.blocks, entry.lexeme))
+    save_strip(sheet([entry.lexeme for entry in order[:MOST]], motions, [entry.does for entry in entries], silent),
                out / "lexemes.png", dpi=100)
-    shipped = bundle_folder(folder).resolve() in {own.resolve() for own in NAMED.values()}
-    command = (f"gesticulator bundle silent{'' if folder is None else ' ' + shlex.quote(str(folder))}",
-               " --out my-bundle" if shipped else "")
-    note = (f"{len(infos)} recordings, {len(labels)} blocks of {store.corpus}; {used} of {size} lexemes used, "
-            f"{len(silent)} silent. Words: at least {LEAST} times and {SURE:g} standard errors too often. Pictures: "
-            "the performed block nearest to the lexeme, and the lexeme as decoded; first to last pose faint to full, "
-            "the hands' ways in eleven even dots to a ring.")
-    drawings = [pictures(own, counts.samples[own.lexeme].motion if own.lexeme in counts.samples else None, motion)
-                for own, motion in zip(entries, motions, strict=True)]
-    write_text(out / "lexicon.html", page(entries, drawings, command, f"Lexicon of {bundle.config.name}", note))
-    lexemes = [asdict(own) | {"hand_speed": own.hand_speed if own.blocks else None} for own in entries]
-    result = {"recordings": len(infos), "blocks": len(labels), "points": len(few), "neighbours_in_picture": shown,
-              "neighbours_in_latents": true, "lexemes": lexemes}
-    write_text(out / "lexicon.json", json.dumps(result, indent=1) + "\n")
-    return result
+    write_text(out / "lexicon.csv", as_csv(entries))
+    return (f"{len(infos)} recordings, {len(labels)} blocks of {store.corpus}; {used} of {size} lexemes used, "
+            f"{len(silent)} silent; {100 * shown:.0f} % of neighbours in the picture share the lexeme, "
+            f"{100 * true:.0f} % in latent space")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """What `gesticulator draw lexicon` takes."""
+    """Add the options of `gesticulator plot lexicon`."""
     parser.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
     parser.add_argument("--data", required=True, metavar="STORE")
     parser.add_argument("--out", required=True, type=Path, metavar="FOLDER")
@@ -250,15 +257,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> list[Path]:
-    """Draw it; the files that were written, and what they say on the screen."""
+    """Plot it, and print a sentence on it; the files that were written."""
     if arguments.points < 10:
         raise InputError("--points", "must be 10 or more")
     torch.set_num_threads(1)
     store = Store.open(arguments.data)
-    result = write_map(bundles.load(bundle_folder(arguments.bundle)), arguments.bundle, store,
-                       evenly(store, arguments.split, arguments.limit), arguments.out, arguments.points)
-    print(f"{result['blocks']} blocks, {sum(own['blocks'] > 0 for own in result['lexemes'])} of "
-          f"{len(result['lexemes'])} lexemes used; {100 * result['neighbours_in_picture']:.0f} % of neighbours in the "
-          f"picture share the lexeme, {100 * result['neighbours_in_latents']:.0f} % in latent space")
-    return [arguments.out / name for name in ("lexicon.html", "lexemes.png", "latents.png", "latents.svg",
-                                              "lexicon.json")]
+    print(write_map(bundles.load(bundle_folder(arguments.bundle)), store,
+                    evenly(store, arguments.split, arguments.limit), arguments.out, arguments.points))
+    return [arguments.out / name for name in ("lexemes.png", "latents.png", "latents.svg", "lexicon.csv")]

@@ -1,7 +1,7 @@
-"""`gesticulator draw strip`: one motion as a strip, or several systems on one page, at the same seconds.
+"""`gesticulator plot strip`: one motion as a strip, or several systems on one page, at the same seconds.
 
-    gesticulator draw strip MOTION.bvh [--out strip.png] [--start 2] [--seconds 4] [--frames 8] [--sound speech.wav]
-    gesticulator draw strip --take --corpus STORE --ours --system units=FILE [--start 2] [--seconds 15] --out page.png
+    gesticulator plot strip MOTION.bvh [--out strip.png] [--start 2] [--seconds 4] [--frames 8] [--sound speech.wav]
+    gesticulator plot strip --take --corpus STORE --ours --system units=FILE [--start 2] [--seconds 15] --out page.png
 
 No figure says what a picture says, so a page belongs to every judgement of motion: the real take, the corpus, ours and
 others, front and side, four poses a second. Time runs from left to right and goes on in the next line; the coloured
@@ -36,14 +36,14 @@ DPI = 105
 def page_times(start: float, seconds: float, longest: float) -> Array:
     """[n] seconds, `POSES` a second, as far as the longest motion goes; InputError where there is none."""
     if not (math.isfinite(start) and math.isfinite(seconds) and 0 <= start < longest and seconds > 0):
-        raise InputError("draw strip", f"{start:g} s and {seconds:g} s more are outside the motion, which lasts "
+        raise InputError("plot strip", f"{start:g} s and {seconds:g} s more are outside the motion, which lasts "
                          f"{longest:.2f} s", "give another --start or --seconds")
     end = min(start + seconds, longest)
     return start + np.arange(max(1, math.floor((end - start) * POSES + 1e-9))) / POSES
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """What `gesticulator draw strip` takes."""
+    """Add the options of `gesticulator plot strip`."""
     parser.add_argument("motion", type=Path, nargs="?",
                         help="a BVH file of an upper body; omit it for a page of several motions")
     parser.add_argument("--out", type=Path, help="the picture, .png, .svg or .pdf (default: beside the motion)")

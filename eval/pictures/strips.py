@@ -94,7 +94,7 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
     from matplotlib.figure import Figure as NewFigure
 
     if not sources or len(times) == 0:
-        raise InputError("draw strip", "has nothing to draw", "name a motion, --take, --corpus, --ours or --system")
+        raise InputError("plot strip", "has nothing to draw", "name a motion, --take, --corpus, --ours or --system")
     lines = [times[at:at + layout.line] for at in range(0, len(times), layout.line)]
     shown = [[source for source in sources if source.motion.duration > line[-1] - 1e-9] for line in lines]
     foot = [*dict.fromkeys([*(source.credit for source in sources if source.credit), *credits])]

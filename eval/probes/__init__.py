@@ -11,27 +11,17 @@ from __future__ import annotations
 from data_module.registry import Registry, RegistryEntry, is_tool
 
 PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
-    "eye": RegistryEntry("does the motion look human, compared with a real recording, the corpus and unit selection?",
-                         "eval.probes.eye"),
     "face": RegistryEntry("does the mouth follow the sound? Visemes, closures and silence beside simpler mouths",
                           "eval.probes.face"),
-    "stability": RegistryEntry("does the same sound give the same motion when it is exported again?",
-                               "eval.probes.stability"),
-    "stance": RegistryEntry("are legs stable, and like people's? Foot sliding, knees, weight shifts, hips",
-                            "eval.probes.stance"),
-    "motion": RegistryEntry("does the motion of a bundle meet the acceptance criteria? Each with bound and verdict",
-                            "eval.acceptance.motion.command"),
     "meaning": RegistryEntry("does what is said choose the right gesture? Precision, recall, traps, rate and cost",
                              "eval.probes.meaning"),
     "recognition": RegistryEntry("do named gestures look like people's? Named by a classifier of people's clips",
                                  "eval.probes.recognition"),
-    "quality": RegistryEntry("how good is a bundle on the test split, compared with baselines?", "eval.probes.quality"),
     "corpus": RegistryEntry("is a built data set good enough to learn from?", "eval.acceptance.corpus.command"),
     "languages": RegistryEntry("is a model of one language in time with another?", "eval.probes.languages"),
     "racer": RegistryEntry("does RACER improve the motion? Every acceptance criterion with bound and verdict",
                            "eval.acceptance.racer.command"),
     "rewards": RegistryEntry("does RACER's reward rank motion?", "eval.probes.rewards"),
-    "style-editing": RegistryEntry("does the motion follow the style controls?", "eval.probes.style_editing"),
     "knobs": RegistryEntry("what is the effect of the knobs? Response curves against the range of real people",
                            "eval.probes.knobs"),
 }, RegistryEntry, fits=is_tool)

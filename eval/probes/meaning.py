@@ -44,7 +44,7 @@ from data_module.speech.audio import load_speech
 from data_module.text.meaning import CalledGesture, meaning_cues
 from data_module.text.transcript import as_transcript, with_transcript
 from data_module.types import Word
-from eval.claim import Verdict, at_least, at_most, judged, skipped, verdict_table
+from eval.acceptance.bounds import Verdict, at_least, at_most, judged, skipped, verdict_table
 from eval.metrics.stressed_vowels import available, stressed_vowels
 from eval.stats import Interval, share
 from eval.table import Cell, Column, Table

@@ -37,7 +37,7 @@ from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array, Motion
-from eval.claim import Bound, Verdict, at_least, at_most, judged, skipped, verdict_table
+from eval.acceptance.bounds import Bound, Verdict, at_least, at_most, judged, skipped, verdict_table
 from eval.clip.marked_gestures import marked_gestures
 from eval.metrics.gesture_recognition import (
     DescribedGesture,

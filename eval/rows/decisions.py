@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
-from eval.claim import FAILS, HOLDS, UNDECIDED
 from eval.crossed import robust
 from eval.rows import OURS
 from eval.rows.cells import Cells
@@ -24,7 +23,7 @@ from eval.rows.claims import CLAIMS, PaperClaim, margin_of, papers_numbers
 from eval.rows.controls import failing
 from eval.rows.effects import EFFECTS
 from eval.rows.tables import pairs
-from eval.rows.verdicts import NO_TEST, WORDS, Decision, decide, present
+from eval.rows.verdicts import FAILS, HOLDS, NO_TEST, UNDECIDED, WORDS, Decision, decide, present
 from eval.stats import Interval
 from eval.table import Column, Table, load
 

@@ -30,11 +30,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import t
 
-from eval.claim import FAILS, HOLDS, UNDECIDED
 from eval.crossed import Components, satterthwaite
 from eval.rows.row import DECIDED
 from eval.stats import Interval
 
+HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 ALIKE = 5.0
 """How far apart two shares of PMB, in percent, may lie and still be called alike."""
 NO_TEST = "no valid test"

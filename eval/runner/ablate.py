@@ -43,7 +43,7 @@ FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-o
            "figure-14", "figure-15", "figure-16", "figure-17", "figure-18")
 """Those of `eval.ablate.figures`, which is imported when one is drawn."""
 ELSEWHERE: dict[str, str] = {
-    "RG Fig. 6, as a contact sheet with words": "draw lexicon", "RG Fig. 9, of any motion": "draw strip",
+    "RG Fig. 6, as a contact sheet with words": "plot lexicon", "RG Fig. 9, of any motion": "plot strip",
     "RG Fig. 10, of a bundle": "probe style-editing", "RG Fig. 12, RACER Fig. 4 (people)": "study",
     "RG Fig. 13 (other languages)": "probe languages",
     "RACER 4.2 (the reward)": "probe rewards",

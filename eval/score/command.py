@@ -70,10 +70,11 @@ from eval.metrics.gesture_features import (
 )
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
+from eval.score.groups import group_table, sounds_of
 from eval.score.played_rows import PlayedBundle, unit_selection_row
 from eval.score.tables import BOBBING, FLOOR, NO_FLOOR, STILL, Figures, Flag, Scores, tables
 from eval.stats import Indices, Interval
-from eval.table import Marked, publish
+from eval.table import Marked, Table, publish
 
 RAW_FRAMES = (34, 60)
 """Windows of the raw directions, at 15 fps, where networks of two lengths are not to be had."""
@@ -428,9 +429,12 @@ def _positive(what: str, value: str) -> float:
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """What `gesticulator score` takes."""
+    """Add the options of `gesticulator score`."""
     add = parser.add_argument
-    add("--truth", type=Path, required=True, metavar="DIR", help="the speakers' own motion, or a store")
+    add("--truth", type=Path, metavar="DIR", help="the speakers' own motion, or a store")
+    add("--group", action="store_true",
+        help="without --truth: synchrony of bundles on the sounds of --speech, by the part of a file's name before its "
+        "first '_', such as LANGUAGE in LANGUAGE_VOICE.flac")
     add("--system", action="append", required=True, metavar="NAME=DIR",
         help="motion files, or a bundle (a folder, default or paper) that is run on the audio of the truth, "
         "NAME=BUNDLE:INTERPRETER; can be repeated")
@@ -455,7 +459,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def scored(arguments: argparse.Namespace) -> Scores:
-    """What the command measures; InputError for what the user gave and cannot be used."""
+    """All figures of the command; InputError for input that cannot be used."""
+    if arguments.truth is None:
+        raise InputError("--truth", "is missing", "name a folder of motion or a store, or compare by --group")
     rate, piece = (None if value is None else _positive(name, value)
                    for name, value in (("--rate", arguments.rate), ("--piece", arguments.piece)))
     bundle = None
@@ -479,5 +485,20 @@ def scored(arguments: argparse.Namespace) -> Scores:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, write and show."""
-    publish(tables(scored(arguments)), arguments.out, provenance(arguments))
+    measured = [by_group(arguments)] if arguments.group else tables(scored(arguments))
+    publish(measured, arguments.out, provenance(arguments))
     return 0
+
+
+def by_group(arguments: argparse.Namespace) -> Table:
+    """The table of `--group`; InputError for options that do not go with it."""
+    if arguments.truth is not None or arguments.speech is None:
+        raise InputError("--group", "compares sounds and no motion of speakers",
+                         "give --speech FOLDER and leave --truth out")
+    systems = {}
+    for name, place in named(arguments.system, "--system").items():
+        bundle = PlayedBundle.named(place)
+        if bundle is None:
+            raise InputError(f"--system {name}", f"{place} holds no bundle", "give default, paper or a folder")
+        systems[name] = bundle
+    return group_table(sounds_of(arguments.speech), systems, arguments.seed)

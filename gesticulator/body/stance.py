@@ -12,8 +12,8 @@ The weight w of `weight.LegWeight` is combined with the low-passed roll r of the
 The hips travel sideways by A g, roll and turn with g instead of their habitual roll, and take a share of the yaw of the
 chest; the spine compensates, so that everything from the chest up keeps its rotation in the room. They are as high as
 both legs reach with soft knees (a soft minimum, since a fully stretched knee snaps), less what the knees give. Feet are
-placed (`feet.Steps`) and legs follow by inverse kinematics, so a planted foot does not slide. How far
-that is what people do: `gesticulator probe stance`.
+placed (`feet.Steps`) and legs follow by inverse kinematics, so a planted foot does not slide. docs/legs.md
+compares the result with people.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """`gesticulator bundle silent [BUNDLE]`: list and edit the silent lexemes (RG 6.4.1).
 
-Training detects the silent lexemes. After inspecting the lexicon (`gesticulator draw lexicon`) the list can be changed
+Training detects the silent lexemes. After inspecting the lexicon (`gesticulator plot lexicon`) the list can be changed
 here. Only `bundle.json` is rewritten; weights and hashes stay. Inference uses the new list at once: the choice in
 silent blocks, the resting lexeme, the blocks that the gate closes. What was trained with the old list stays: the hint
 in the lexeme interpreter, and the gate.

@@ -35,9 +35,8 @@ from gesticulator.directing.shaped_blocks import ShapedBlock, ShapedBlocks
 from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps, root_path, shown
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
-from gesticulator.plan.exchange import PlanExchange
 from gesticulator.plan.plan import Block, GesturePlan, sound_hash
-from gesticulator.plan.schema import to_plain, written_parts
+from gesticulator.plan.plan_file import plan_from, to_plain
 from gesticulator.serve.page_server import AbandonedError, UnknownRenderingError
 
 if TYPE_CHECKING:
@@ -184,7 +183,6 @@ class LivePlans:
         self._sound = sound_hash(first.speech)
         self._makers: list[tuple[tuple[Any, ...], _Maker]] = []  # the most recently used comes last
         self._drawings = [(_identity(one.decided), one.drawing) for one in performances if one.drawing is not None]
-        self._exchange = PlanExchange(frozen=True)
         self._renderings: OrderedDict[int, KnownMotion] = OrderedDict()
         self.on_edit: Callable[[Mapping[str, Any], GesturePlan], None] = lambda request, plan: None
         """Called with the request and the rendered plan after each answer."""
@@ -204,11 +202,10 @@ class LivePlans:
 
     def performance(self, plain: Mapping[str, Any]) -> Performance:
         """The performance of a plan in plain values; `InputError` as in `render`."""
-        return self.render(self._exchange.read(dict(plain)))
+        return self.render(plan_from(plain))
 
     def opened(self, performance: Performance, plain: Mapping[str, Any]) -> int:
         """The number of the rendering that a page begins with. plain: its plan, as the page has it."""
-        self._exchange.read(dict(plain))  # so that the first edit need not read all blocks
         plan = performance.plan()
         options = planned(InferenceOptions(plan=plan))
         scene = performance.scene()
@@ -244,7 +241,7 @@ class LivePlans:
                                         "send the whole plan")
         else:
             plain = plan_with(have.plain, request["changes"])
-        plan = self._exchange.read(plain)
+        plan = plan_from(plain)
         options = planned(InferenceOptions(plan=plan))
         assert options.plan is not None
         check_plan_of(self._system.bundle, options.plan, self._sound)
@@ -321,7 +318,6 @@ class LivePlans:
         have = asked.have if asked.have is not None and asked.have.shape == shape else None
         changes = changes_of(made, asked.plan)
         plain = plan_with(asked.plain, changes)
-        self._exchange.know(plain, made)
         rendering = self._kept(plain, shape, pieces, root)
         ranges, data = frames_of(pieces, asked.lacking(pieces, have))
         asked.done(made)
@@ -667,7 +663,6 @@ def changes_of(made: GesturePlan, plan: GesturePlan) -> dict[str, Any]:
         for at, (new, old) in enumerate(zip(made.blocks, plan.blocks, strict=True)):
             if new is not old and new != old:
                 rows.append((at, at + 1, [to_plain(new)]))
-    before, after = dict(written_parts(plan)), dict(written_parts(made))
-    parts = {name: to_plain(value) for name, value in after.items()
-             if name != "blocks" and (name not in before or (before[name] is not value and before[name] != value))}
+    before, after = plan.to_dict(), made.to_dict()
+    parts = {name: value for name, value in after.items() if name != "blocks" and before.get(name) != value}
     return {"blocks": rows[::-1], "parts": {**parts, **{name: None for name in before if name not in after}}}

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from data_module.store import Recording
 from data_module.truth import JOIN, REST, Truth
 from eval import stats
-from eval.claim import Bound, Claim, Verdict, at_least, at_most
+from eval.acceptance.bounds import Bound, Claim, Verdict, at_least, at_most
 from eval.metrics import EYE_METRICS, eye
 from eval.metrics.eye import trunk
 from eval.metrics.eye.body import HZ, CommonBody

@@ -22,12 +22,12 @@ from data_module.motion.skeletons import FINGERED
 from data_module.store import Recording, RecordingInfo, Store
 from data_module.truth import REST, SCRIPTED
 from data_module.types import Array
+from eval.acceptance.bounds import SHOWN
 from eval.acceptance.corpus import bounds as corpus_bounds
 from eval.acceptance.corpus import by_source, meanings, planned_strokes, style_from_sound
 from eval.acceptance.corpus.bounds import POOLED, STYLE_CLAIMS, MeasuredTalk, TalksVerdict
 from eval.acceptance.corpus.planned_strokes import TOLERANCE
 from eval.acceptance.corpus.style_from_sound import StyledWindows
-from eval.claim import SHOWN
 from eval.metrics.eye import common_body
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table

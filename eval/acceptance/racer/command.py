@@ -26,6 +26,7 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from eval import stats
 from eval.ablate.policy import Decisions, PolicyJudge
+from eval.acceptance.bounds import HIGH, POSITIVE, Bound, Verdict, at_least, at_most, judged, verdict_table
 from eval.acceptance.racer import gate, values
 from eval.acceptance.racer.playing import (
     CQL,
@@ -42,7 +43,6 @@ from eval.acceptance.racer.playing import (
     figures,
     policies,
 )
-from eval.claim import HIGH, POSITIVE, Bound, Verdict, at_least, at_most, judged, verdict_table
 from eval.context import EvalContext
 from eval.metrics import fgd, gesture_features
 from eval.metrics.diversity import distinct_2, diversity, longest_run

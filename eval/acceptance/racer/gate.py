@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from data_module.layers import freeze
 from data_module.types import Array
 from eval import stats
+from eval.acceptance.bounds import Verdict, at_least, judged, skipped
 from eval.baselines.controls import ROLLED
-from eval.claim import Verdict, at_least, judged, skipped
 from eval.context import EvalContext
 from eval.metrics.ranking import agreement
 from gesticulator.bundle.config import FitSettings

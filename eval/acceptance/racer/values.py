@@ -17,8 +17,8 @@ import torch
 from data_module.types import Array
 from eval import stats
 from eval.ablate.policy import Decisions, Policy, PolicyJudge, rank_correlation, return_to_go, taken, walk
+from eval.acceptance.bounds import ANY, Bound, Verdict, at_least, at_most, judged
 from eval.acceptance.racer.playing import PERFORMER, PlayedPolicy, teacher_inputs
-from eval.claim import ANY, Bound, Verdict, at_least, at_most, judged
 from eval.context import EvalContext
 from gesticulator.training.stages.interpreter import teacher_logits
 from gesticulator.training.stages.reward import taught_reward

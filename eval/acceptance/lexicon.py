@@ -1,8 +1,8 @@
-"""Does a lexeme name a movement, and does the generator draw the movement that was asked for?
+"""Does a lexeme name a movement, and does the generator sample the movement that was requested?
 
-Told on held-out motion, in joint positions (metres, hips at the origin, the joints of the 16-joint character), over the
-blocks of strokes: those in which a wrist is faster than 0.3 m/s. With x the truth, y what is decoded, both [K, J, 3],
-and l the last true frame before the block:
+Measured on held-out motion, in joint positions (metres, hips at the origin, the joints of the 16-joint character), over
+the blocks of strokes: those in which a wrist is faster than 0.3 m/s. With x the truth, y the decoded motion, both
+[K, J, 3], and l the last true frame before the block:
 
 - within-block R2: 1 - sum |(y - mean y) - (x - mean x)|^2 / sum |x - mean x|^2. A lexicon of postures has none.
 - displacement R2: 1 - sum |y - x|^2 / sum |x - l|^2. Holding the last pose has none.
@@ -10,9 +10,9 @@ and l the last true frame before the block:
 Open loop decodes each block from the true frames before it, closed loop from what was decoded. A lexicon of poses takes
 no notice of either.
 
-Obedience: free-running, a drawn block is encoded again, after the block that was drawn before it; its rank is how many
-lexemes are nearer than the one that was asked for. What fools it: a lexicon of few lexemes, or one that is used alone;
-beside it stands the share that the most frequent lexeme would reach.
+Obedience: free-running, a sampled block is encoded again, after the block that was sampled before it; its rank is how
+many lexemes are nearer than the one that was requested. What fools it: a lexicon of few lexemes, or a lexeme that is
+used alone; beside it stands the share that the most frequent lexeme would reach.
 """
 
 from __future__ import annotations
@@ -33,23 +33,20 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.store import Store
 from data_module.types import Array, Motion
 from eval import stats
-from eval.claim import ANY, Verdict, at_least, at_most, judged, skipped
+from eval.acceptance.bounds import LACKING, Measured, Results
 from eval.metrics.eye import common_body, hands, strokes
 from eval.metrics.eye.body import HZ
 from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
-from eval.table import Table
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
 from lexicon.autoencoder import Lexicon
 from lexicon.movement import MovementLexicon
 
-OBEYED, AMONG = 0.60, 0.85
-"""Shares of blocks whose lexeme is the one that was asked for, and among the best `BEST`."""
 BEST = 5
-WITHIN, DISPLACED, HEIGHTS = 0.5, 0.65, 0.05
-RESTS = 0.2
-"""m/s: hands in a block of a silent lexeme that follows another one."""
+"""Lexemes that count as near the requested one."""
+PLAYED, ALONE_PLAYED = "as played", "generator alone"
+"""As played: with rest and life laid over the sampled motion; generator alone: without them."""
 ALL, ALONE = "all levels", "the lexeme alone"
 
 Decode = Callable[[Tensor, Pasts], Tensor]
@@ -149,84 +146,76 @@ def r_squared(sums: Array) -> Interval:
     return stats.of_set(figure, len(sums), basic=False)
 
 
-def lexicon_clauses(recordings: Sequence[HeldOut], codes: Mapping[str, Decode]) -> list[Verdict]:
+def lexicon_figures(recordings: Sequence[HeldOut], codes: Mapping[str, Decode]) -> Results:
     """Within-block and displacement R2 and the tie between the hands, of all codes and of the lexeme alone."""
-    out = []
+    results: Results = {}
     for name, decode in codes.items():
         for loop, decoded in (("open loop", [open_loop(decode, held) for held in recordings]),
                               ("closed loop", closed_loop(decode, recordings))):
-            fits = [fit_of(held, own) for held, own in zip(recordings, decoded, strict=True)]
-            asked = name == ALL and loop == "open loop"
-            on = f"strokes, {name}, {loop}"
-            out.append(judged(f"within-block R2 of {on}", r_squared(np.array([own.within for own in fits])),
-                              at_least(WITHIN) if asked else ANY))
-            out.append(judged(f"displacement R2 of {on}", r_squared(np.array([own.displaced for own in fits])),
-                              at_least(DISPLACED) if asked else ANY))
-            told, true = (stats.mean_interval([own.heights[k] for own in fits]) for k in (0, 1))
-            apart = Interval.exact(abs(told.mean - true.mean), told.n)
-            out.append(judged(f"L/R height correlation, decoded from the truth's, {name}, {loop}", apart,
-                              at_most(HEIGHTS) if asked else ANY,
-                              reason=f"decoded {told.text()}, truth {true.text()}"))
-    return out
+            fits = [fit_of(held, blocks) for held, blocks in zip(recordings, decoded, strict=True)]
+            on = f"{name}, {loop}"
+            results["within_r2", on] = Measured(r_squared(np.array([fit.within for fit in fits])))
+            results["displacement_r2", on] = Measured(r_squared(np.array([fit.displaced for fit in fits])))
+            drawn, true = (stats.mean_interval([fit.heights[k] for fit in fits]) for k in (0, 1))
+            results["heights_apart", on] = Measured(Interval.exact(abs(drawn.mean - true.mean), drawn.n),
+                                                    f"decoded {drawn.text()}, truth {true.text()}")
+    return results
 
 
-def absent_clause(decoded: Sequence[Tensor], present: Tensor) -> Verdict:
-    """Numbers that no source has must not move at all. present: [D_m] 1 where some source has them."""
+def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
+    """Range of numbers that no source has, which must not move at all. present: [D_m] 1 where some source has them."""
     lacking = present < 0.5
-    name = "movement of absent joints, decoded, normalised units"
     if not lacking.any():
-        return skipped(name, "every joint is present in some source")
-    moved = max(float(np.ptp(own[..., lacking].reshape(-1, int(lacking.sum())).numpy(), axis=0).max())
-                for own in decoded)
-    return judged(name, moved, at_most(0.0), digits=6, reason=f"{int(lacking.sum())} of {len(present)} numbers")
+        return Measured(missing="every joint is present in some source")
+    moved = max(float(np.ptp(blocks[..., lacking].reshape(-1, int(lacking.sum())).numpy(), axis=0).max())
+                for blocks in decoded)
+    return Measured(Interval.exact(moved, 1), f"{int(lacking.sum())} of {len(present)} numbers")
 
 
 # ---------------------------------------------------------------------------------------------------------- obedience
 
 @torch.no_grad()
 def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
-    """[N] ranks of what was asked for: how many lexemes are nearer to each drawn block than the one that was played."""
+    """[N] ranks of the requested lexemes: how many are nearer to each sampled block than the one that was requested."""
     lexicon = bundle.block_models.lexicon
-    blocks, asked = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
+    blocks, requested = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
     if isinstance(lexicon, Lexicon):
-        return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), asked)
+        return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)
     assert rendering.edges is not None
     durations = torch.as_tensor(np.diff(rendering.edges), dtype=torch.float32)
-    ranks = lexicon.ranks(blocks, pasts_of(blocks, durations, bundle.rest_feature(speaker)), asked)
+    ranks = lexicon.ranks(blocks, pasts_of(blocks, durations, bundle.rest_feature(speaker)), requested)
     return np.asarray(ranks.numpy(), dtype=np.int64)
 
 
-def ranks_of(distances: Tensor, asked: Tensor) -> NDArray[np.int64]:
-    """[N] how many of distances [N, S] are below that of the lexeme asked for [N]."""
-    nearer = distances < distances.gather(-1, asked[:, None])
+def ranks_of(distances: Tensor, requested: Tensor) -> NDArray[np.int64]:
+    """[N] how many of distances [N, S] are below that of the requested lexeme [N]."""
+    nearer = distances < distances.gather(-1, requested[:, None])
     return np.asarray(nearer.sum(-1).numpy(), dtype=np.int64)
 
 
-def obedience_clauses(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDArray[np.int64]],
-                      groups: Sequence[str], silent: NDArray[np.int64], bare: bool = False) -> list[Verdict]:
-    """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each. Beside them, not judged, of
-    those that were asked for a gesture: where a silent lexeme is played, the layer of rest holds or sinks the hands
-    whatever was drawn, and the lexicon names that otherwise. bare: of the generator alone, which is shown and not
-    judged."""
-    where = ", generator alone, without rest and life" if bare else ""
-    sizes = [len(own) for own in ranks]
+def obedience_figures(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDArray[np.int64]],
+                      groups: Sequence[str], silent: NDArray[np.int64], on: str) -> Results:
+    """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each.
+
+    Beside them the share of blocks for which a gesture was requested: where a silent lexeme is played, the layer of
+    rest holds or sinks the hands whatever was sampled, and the lexicon names that otherwise.
+    """
+    sizes = [len(rank) for rank in ranks]
     every = np.concatenate(lexemes)
     common = float(np.bincount(every).max() / len(every))
 
     def share(least: int) -> Interval:
-        return stats.mean_interval([float((own < least).mean()) for own in ranks], sizes, groups=list(groups))
+        return stats.mean_interval([float((rank < least).mean()) for rank in ranks], sizes, groups=list(groups))
 
-    told = (f"{sum(sizes)} blocks, {len(np.unique(every))} lexemes in use; always requesting the most frequent one "
-            f"would reach {common:.2f}")
-    gestures = [~np.isin(own, silent) for own in lexemes]
-    among = stats.mean_interval([float((own[gesture] < BEST).mean()) if gesture.any() else float("nan")
-                                 for own, gesture in zip(ranks, gestures, strict=True)],
+    remark = (f"{sum(sizes)} blocks, {len(np.unique(every))} lexemes in use; always requesting the most frequent one "
+              f"would reach {common:.2f}")
+    gestures = [~np.isin(lexeme, silent) for lexeme in lexemes]
+    among = stats.mean_interval([float((rank[gesture] < BEST).mean()) if gesture.any() else float("nan")
+                                 for rank, gesture in zip(ranks, gestures, strict=True)],
                                 [int(gesture.sum()) for gesture in gestures], groups=list(groups))
-    return [judged(f"a drawn block is the requested lexeme, share{where}", share(1),
-                   ANY if bare else at_least(OBEYED), reason=told),
-            judged(f"it is among the best {BEST}, share{where}", share(BEST), ANY if bare else at_least(AMONG)),
-            judged(f"the same of blocks whose lexeme is not a silent one{where}", among, ANY,
-                   reason=f"{sum(int(gesture.sum()) for gesture in gestures)} blocks")]
+    return {("obeyed", on): Measured(share(1), remark), ("among_best", on): Measured(share(BEST)),
+            ("gestures_among_best", on): Measured(
+                among, f"{sum(int(gesture.sum()) for gesture in gestures)} blocks")}
 
 
 def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> float:
@@ -234,25 +223,21 @@ def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> floa
     speed = common_body(motion).hand_speed.mean(axis=1)
     at = np.clip(np.searchsorted(edges, np.arange(len(speed)) / HZ, side="right") - 1, 0, len(quiet) - 1)
     settled = quiet & np.concatenate([[False], quiet[:-1]])
-    own = speed[settled[at]]
-    return float(own.mean()) if len(own) else float("nan")
+    resting = speed[settled[at]]
+    return float(resting.mean()) if len(resting) else float("nan")
 
 
-def silent_clause(renderings: Sequence[Rendering], silent: NDArray[np.int64], groups: Sequence[str]) -> Verdict:
-    """Silent lexemes rest."""
-    name = "hand speed where silent lexemes follow each other, m/s"
-    values = [silent_speed(own.motion, own.edges, np.isin(own.lexemes, silent)) for own in renderings
-              if own.edges is not None]
-    found = stats.mean_interval(values, groups=list(groups))
-    if not np.isfinite(found.mean):
-        return skipped(name, "no silent lexeme followed another")
-    return judged(name, found, at_most(RESTS), reason=f"{len(silent)} silent lexemes")
+def silent_figure(renderings: Sequence[Rendering], silent: NDArray[np.int64], groups: Sequence[str]) -> Measured:
+    """Hand speed, m/s, where silent lexemes follow each other."""
+    values = [silent_speed(made.motion, made.edges, np.isin(made.lexemes, silent)) for made in renderings
+              if made.edges is not None]
+    return Measured(stats.mean_interval(values, groups=list(groups)), f"{len(silent)} silent lexemes")
 
 
 # ------------------------------------------------------------------------------------------------------------- group
 
 def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
-    """The test split as the bundle's lexicon reads it; whom it does not know is centred on the recording's own mean."""
+    """The test split as the bundle's lexicon reads it; an unknown speaker is centred on the recording's mean."""
     representation, statistics = representation_of(bundle.config), bundle.statistics
     out = []
     for info in store.of_split("test"):
@@ -279,28 +264,28 @@ def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
     return out
 
 
-def run(ours: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoice], renderings: int
-        ) -> tuple[list[Verdict], list[Table]]:
-    """Everything of this group."""
+def measure(system: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoice], renderings: int) -> Results:
+    """The group `lexicon`; one missing figure without a store."""
     if store is None:
-        return [skipped("lexicon and obedience", "no store was given (--store)")], []
-    recordings, codes = held_out(ours.bundle, store), codes_of(ours.bundle.block_models.lexicon)
-    clauses = lexicon_clauses(recordings, codes)
-    clauses.append(absent_clause([open_loop(codes[ALL], held) for held in recordings], ours.bundle.statistics.present))
-    made = [ours.render(voice, k % renderings) for k, voice in enumerate(voices)]
+        return {("within_r2", f"{ALL}, open loop"): Measured(missing=LACKING["corpus"])}
+    recordings, codes = held_out(system.bundle, store), codes_of(system.bundle.block_models.lexicon)
+    results = lexicon_figures(recordings, codes)
+    results["absent", ""] = absent_figure([open_loop(codes[ALL], held) for held in recordings],
+                                          system.bundle.statistics.present)
+    played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
+    results |= _obedience(system, voices, played, PLAYED)
+    if system.bundle.rests_by_phrase:
+        bare = system.bare()
+        results |= _obedience(system, voices, [bare.render(voice, k % renderings) for k, voice in enumerate(voices)],
+                              ALONE_PLAYED)
     groups = [voice.group or voice.name for voice in voices]
-    clauses += _obedience(ours, voices, made)
-    if ours.bundle.rests_by_phrase:
-        bare = ours.bare()
-        clauses += _obedience(ours, voices, [bare.render(voice, k % renderings) for k, voice in enumerate(voices)],
-                              bare=True)
-    clauses.append(silent_clause(made, ours.bundle.silent, groups))
-    return clauses, []
+    results["silent_speed", ""] = silent_figure(played, system.bundle.silent, groups)
+    return results
 
 
-def _obedience(ours: BundleSystem, voices: Sequence[AcceptanceVoice], made: Sequence[Rendering], bare: bool = False
-               ) -> list[Verdict]:
-    speakers = [ours.gesticulator.speaker_index(ours.speaker(voice)) for voice in voices]
-    ranks = [encode(ours.bundle, own, speaker) for own, speaker in zip(made, speakers, strict=True)]
+def _obedience(system: BundleSystem, voices: Sequence[AcceptanceVoice], played: Sequence[Rendering], on: str
+               ) -> Results:
+    speakers = [system.gesticulator.speaker_index(system.speaker(voice)) for voice in voices]
+    ranks = [encode(system.bundle, rendering, speaker) for rendering, speaker in zip(played, speakers, strict=True)]
     groups = [voice.group or voice.name for voice in voices]
-    return obedience_clauses(ranks, [own.lexemes for own in made], groups, ours.bundle.silent, bare)
+    return obedience_figures(ranks, [rendering.lexemes for rendering in played], groups, system.bundle.silent, on)

@@ -25,9 +25,9 @@ from eval import stats
 from eval.ablate.policy import Decisions, accuracy
 from eval.baselines.interpreters import Bigram, Majority
 from eval.clip.measure import ClipMeasurement, measure, real_take
-from eval.context import EvalContext
+from eval.context import EvalContext, provenance
 from eval.metrics.encode import normalised_blocks
-from eval.table import Cell, Column, Table
+from eval.table import Cell, Column, Table, publish
 from gesticulator.bundle import bundle as bundles
 from gesticulator.options import FPS
 from gesticulator.pipeline import Gesticulator
@@ -46,11 +46,18 @@ Rows = dict[str, dict[str, Cell]]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """A store and a bundle."""
+    """Add a store, a bundle and the output file."""
     EvalContext.arguments(parser)
+    parser.add_argument("--out", metavar="FILE.json", help="output file for the tables; a .md is written beside it")
 
 
-def run(arguments: argparse.Namespace) -> Sequence[Table]:
+def run(arguments: argparse.Namespace) -> int:
+    """Print, and with --out write, the tables of lexicon, accuracy and hands."""
+    publish(tables(arguments), arguments.out, provenance(arguments))
+    return 0
+
+
+def tables(arguments: argparse.Namespace) -> Sequence[Table]:
     """Lexicon, accuracy and hands."""
     context = EvalContext.of(arguments)
     bundle, recordings, take = context.bundle, context.recordings(), real_take(FPS)

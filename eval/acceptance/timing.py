@@ -76,37 +76,37 @@ class Timed:
 
 
 PAIRED: Mapping[str, Callable[[Timed], float]] = {
-    "pitch with trunk speed, no lag, r": lambda one: one.at_once,
-    "first movement before the voice, % above chance": lambda one: one.first.before - one.first.chance,
-    "hand held at phrase ends, % above chance": lambda one: one.ends[0] - one.ends[1]}
+    "pitch with trunk speed, no lag, r": lambda clip: clip.at_once,
+    "first movement before the voice, % above chance": lambda clip: clip.first.before - clip.first.chance,
+    "hand held at phrase ends, % above chance": lambda clip: clip.ends[0] - clip.ends[1]}
 
 
 def holds_at_ends(body: CommonBody, said: AcceptanceVoice) -> tuple[float, float]:
     """Percentage of phrase ends at which a raised hand is held, and its mean under `SHIFTS` circular shifts of the
     motion; NaN without such ends."""
     speed = hand_speeds(body)
-    held = np.zeros(len(speed), bool)
+    hold = np.zeros(len(speed), bool)
     for hand in (0, 1):
-        held |= lasting(speed[:, hand] < HELD, HOLD) & (body.hands[:, hand, 1] > HANGS)
+        hold |= lasting(speed[:, hand] < HELD, HOLD) & (body.hands[:, hand, 1] > HANGS)
     begins = stats.runs(lasting(silent_frames(said.heard, len(speed)), PAUSE))[:, 0]
     begins = begins[(begins > HZ) & (begins < len(speed) - HZ)]
     if not len(begins) or len(speed) < 10 * HZ:
         return math.nan, math.nan
     at = begins[:, None] + np.arange(*(round(edge * HZ) for edge in _NEAR_END))
     shifts = np.random.default_rng(1).integers(round(HZ), len(speed) - round(HZ), SHIFTS)
-    own, *moved = (100.0 * float((np.roll(held, shift)[at].mean(axis=1) >= _LEAST_HELD).mean())
-                   for shift in (0, *shifts.tolist()))
-    return own, float(np.mean(moved))
+    real, *shifted = (100.0 * float((np.roll(hold, shift)[at].mean(axis=1) >= _LEAST_HELD).mean())
+                      for shift in (0, *shifts.tolist()))
+    return real, float(np.mean(shifted))
 
 
 def figures(timed: Sequence[Timed]) -> dict[str, Interval]:
     """The rows of `TITLES`. p-values are undefined for renderings of a single voice, that of pitch for fewer than
     `FEWEST`."""
-    pooled, voices = Leads.pooled([one.first for one in timed]), len({one.name for one in timed})
+    pooled, voices = Leads.pooled([clip.first for clip in timed]), len({clip.name for clip in timed})
     count = len(pooled.seconds)
     coupled = coupling(timed)
-    found = {FIRST: pooled.before, FIRST_CHANCE: pooled.chance, FIRST_P: pooled.p if voices > 1 else math.nan}
-    out = {name: Interval.exact(value, count) for name, value in found.items()}
+    first = {FIRST: pooled.before, FIRST_CHANCE: pooled.chance, FIRST_P: pooled.p if voices > 1 else math.nan}
+    out = {name: Interval.exact(value, count) for name, value in first.items()}
     if coupled is not None:
         exchanged = float(np.percentile(coupled.chance, 95)) if voices >= FEWEST and len(coupled.chance) else math.nan
         out |= {name: Interval.exact(value, len(timed)) for name, value in (
@@ -117,22 +117,22 @@ def figures(timed: Sequence[Timed]) -> dict[str, Interval]:
 
 def coupling(timed: Sequence[Timed]) -> Coupling | None:
     """Of those with a voice that has pitch; None without any."""
-    voiced = [one for one in timed if math.isfinite(one.at_once)]
-    return pitch.coupling([one.pitch for one in voiced], [one.speed for one in voiced], SHIFTS) if voiced else None
+    voiced = [clip for clip in timed if math.isfinite(clip.at_once)]
+    return pitch.coupling([clip.pitch for clip in voiced], [clip.speed for clip in voiced], SHIFTS) if voiced else None
 
 
-def paired_table(timed: Mapping[str, Sequence[Timed]], ours: str) -> Table:
-    """Ours beside every other system, recording by recording: those that ignore the sound among them. Systems that have
-    other renderings are left out."""
-    own = timed[ours]
-    others = [name for name, other in timed.items()
-              if name != ours and [one.name for one in other] == [one.name for one in own]]
+def paired_table(timed: Mapping[str, Sequence[Timed]], name: str) -> Table:
+    """One system beside every other one, recording by recording, systems that ignore the sound among them. Systems
+    that have other renderings are left out."""
+    first = timed[name]
+    others = [other for other, clips in timed.items()
+              if other != name and [clip.name for clip in clips] == [clip.name for clip in first]]
     rows: dict[str, dict[str, Cell]] = {}
     for row, of in PAIRED.items():
-        rows[row] = {ours: stats.mean_interval([of(one) for one in own])}
-        for name in others:
-            rows[row][name] = stats.paired([of(one) for one in own], [of(one) for one in timed[name]])
-    columns = {ours: Column(ours, digits=2), **{name: Column(f"{ours} less {name}", digits=2) for name in others}}
+        values = [of(clip) for clip in first]
+        rows[row] = {name: stats.mean_interval(values)}
+        rows[row] |= {other: stats.paired(values, [of(clip) for clip in timed[other]]) for other in others}
+    columns = {name: Column(name, digits=2), **{other: Column(f"{name} less {other}", digits=2) for other in others}}
     return Table("Timing, recording by recording", columns, rows, "figure",
                  ["Means over recordings, differences paired by recording, with bootstrap 95 % intervals. Of a corpus "
                   "whose links were planted by rules they show what was learned of the rules."])

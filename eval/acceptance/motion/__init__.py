@@ -1,1 +1,0 @@
-"""Acceptance of a bundle's motion, in four groups of claims."""

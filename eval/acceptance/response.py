@@ -1,0 +1,293 @@
+"""What changes in the motion when something of the input does: effort, level, style controls, words, exports.
+
+- Effort (`effort`): every reading in GESTICULATOR_DATA said again lively and subdued at its own level
+  (`stimuli.said_with`). With the same seed, size is the median stroke amplitude and speed the mean hand speed in
+  speech; the figure is the ratio of lively to subdued, the geometric mean over readings of the better of the two, and
+  the share of readings in the right order. A reading that is 6 dB quieter must be the same take.
+- Controls (`controls`): what a style control requests must rise from low to mid and from mid to high on the same voices
+  with the same seed. Other words, in the times of the right ones, must change lexemes; the control is the same sound
+  0.1 dB fainter. Every interpreter must run.
+- Stability (`stability`): the same sound exported again, and with one word changed (`eval.metrics.eye.stability`).
+
+What fools them: a speaking rate alone makes strokes faster, so that amplitude is shown too; a hand that trembles is a
+fast hand; a system that ignores the sound is perfectly stable. Speed is measured properly, warm and cold, by
+`benchmarks/realtime.py`: the factor here depends on what else the machine was doing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from data_module.controls import FEATURES, LEVELS, UNITS
+from data_module.errors import InputError
+from data_module.types import Array, Speech
+from eval import stats
+from eval.ablate.style_editing import realised
+from eval.acceptance.bounds import Measured, Results
+from eval.acceptance.stimuli import (
+    EXPORTS,
+    LIVELY,
+    READINGS,
+    SUBDUED,
+    derived,
+    middle_of,
+    other_words,
+    readings,
+    said_with,
+    spread_out,
+    word_changed,
+)
+from eval.metrics import eye
+from eval.metrics.eye import common_body, hear, stability
+from eval.metrics.eye.body import HZ, CommonBody
+from eval.metrics.eye.together import hand_speeds
+from eval.metrics.eye.units import gesture_units
+from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
+from eval.stats import Interval
+from eval.table import Cell, Column, Table
+
+SIZE, SPEED = "eye_stroke_amplitude", "eye_speech_speed"
+CLIPS, SECONDS = 6, 20.0
+"""Voices and seconds of the group `controls`."""
+FAINTER = 0.1
+"""Decibels of the control of other words."""
+NEEDED = ("lstm", "cql", "statistical")
+"""Interpreters that a bundle should have."""
+LONGEST = 40.0
+"""Seconds of a voice in the group `stability`."""
+COLUMNS = {
+    "hands": Column("hands apart", "cm", 2, "low"), "joints": Column("joints apart", "cm", 2, "low"),
+    "lexemes": Column("other lexemes", "% of time", 1, "low"),
+    "apart": Column("a hand over 2 cm apart", "% of time", 1, "low"),
+    "healed": Column("together again within 5 s", "%", 0, "high"), "first": Column("first parting", "s", 2),
+    "speed": Column("hand speeds, r", "", 2, "high")}
+
+
+# ------------------------------------------------------------------------------------------------------------- effort
+
+def effort_figures(values: Array, apart: Sequence[float]) -> Results:
+    """values: [size and speed, lively and subdued, readings]; apart: cm between the hands of each reading and the same
+    reading 6 dB quieter."""
+    logs = np.log(values[:, 0] / values[:, 1])
+    best = int(np.nanargmax(np.nanmean(logs, axis=1)))
+    shown = ", ".join(f"{name} {np.exp(np.nanmean(log)):.2f}, in order in {int((log > 0).sum())} of {len(log)}"
+                      for name, log in zip(("size", "speed"), logs, strict=True))
+    mean = stats.mean_interval(logs[best])
+    ratio = Interval(math.exp(mean.mean), math.exp(mean.low), math.exp(mean.high), mean.n)
+    return {("effort_ratio", ""): Measured(ratio, shown),
+            ("effort_ordered", ""): Measured(stats.mean_interval((logs[best] > 0).astype(float)),
+                                             f"by {('size', 'speed')[best]}"),
+            ("hands_apart", "a reading 6 dB quieter"): Measured(stats.mean_interval(apart))}
+
+
+def effort(system: BundleSystem, speaker: str | None, renderings: int) -> tuple[Results, list[Table]]:
+    """The group `effort`; two seeds of every reading."""
+    try:
+        import parselmouth  # noqa: F401 - fail before anything is rendered
+    except ImportError:
+        return {("effort_ratio", ""): Measured(
+            missing="praat-parselmouth is not installed (pip install 'gesticulator[effort]')")}, []
+    sounds = readings()
+    if not sounds:
+        return {("effort_ratio", ""): Measured(missing=f"GESTICULATOR_DATA has no folder {READINGS}")}, []
+    seeds = range(min(2, renderings))
+
+    def voice(name: str, speech: Speech) -> AcceptanceVoice:
+        return AcceptanceVoice(name, replace(speech, words=None), "derived", None, speaker, name)
+
+    def size_and_speed(name: str, speech: Speech) -> list[float]:
+        rows = [eye.figures(system.render(voice(name, speech), seed).motion, hear(speech)) for seed in seeds]
+        return [float(np.mean([row[figure] for row in rows])) for figure in (SIZE, SPEED)]
+
+    values = np.array([[size_and_speed(name, said_with(speech, manner)) for name, speech in sounds]
+                       for manner in (LIVELY, SUBDUED)]).transpose(2, 0, 1)
+    apart = []
+    for name, speech in sounds:
+        pair = (system.render(voice(name, sound), 0).motion for sound in (speech, EXPORTS["6 dB quieter"](speech)))
+        apart.append(stability.difference(*(common_body(motion) for motion in pair)).hands)
+    return effort_figures(values, apart), [_readings_table([name for name, _ in sounds], values, apart)]
+
+
+def _readings_table(names: Sequence[str], values: Array, apart: Sequence[float]) -> Table:
+    """Every reading by itself."""
+    pairs = list(itertools.product((("size", "cm"), ("speed", "m/s")), ("lively", "subdued")))
+    columns = {f"{figure} {manner}": Column(f"{figure}, {manner}", unit, 2) for (figure, unit), manner in pairs}
+    rows = {name: {**dict(zip(columns, values[:, :, k].ravel().tolist(), strict=True)), "apart": apart[k]}
+            for k, name in enumerate(names)}
+    return Table("Readings with another effort", {**columns, "apart": Column("hands apart at -6 dB", "cm", 2)}, rows,
+                 "reading")
+
+
+# ----------------------------------------------------------------------------------------------------------- controls
+
+def order_figures(values: Mapping[tuple[str, str], Array]) -> Results:
+    """(Feature, level) -> the realised value of each clip [n], to how far each level lies over the one below it."""
+    results: Results = {}
+    for feature in FEATURES:
+        shown = ", ".join(f"{level} {values[feature, level].mean():.3f}" for level in LEVELS)
+        for lower, upper in itertools.pairwise(LEVELS):
+            results[f"control_{feature}", f"{upper} over {lower}"] = Measured(
+                stats.paired(values[feature, upper], values[feature, lower]), shown)
+    return results
+
+
+def order_table(values: Mapping[tuple[str, str], Array]) -> Table:
+    """(Feature, level) -> the realised value of each clip [n], as a table with the share of clips whose own three
+    values rise."""
+    columns = {**{level: Column(f"realised {level}", digits=3) for level in LEVELS},
+               "in_order": Column("clips in order", "%", 0)}
+    rows: dict[str, dict[str, Cell]] = {}
+    for feature in FEATURES:
+        low, mid, high = (values[feature, level] for level in LEVELS)
+        rows[f"hand {feature}, {UNITS[feature]}"] = {
+            **{level: stats.mean_interval(values[feature, level]) for level in LEVELS},
+            "in_order": 100.0 * float(np.mean((low < mid) & (mid < high)))}
+    return Table("Style controls", columns, rows, "feature")
+
+
+def controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[Results, list[Table]]:
+    """The group `controls`: style controls, words, interpreters, size and cost."""
+    short = [derived(voice, "short", middle_of(voice, SECONDS)) for voice in spread_out(voices, CLIPS)]
+    results, tables = _style_controls(system, short)
+    results |= _words(system, voices)
+    for name in sorted({*NEEDED, *system.gesticulator.interpreters}):
+        results["interpreter", name] = _interpreter(system, short[0], name)
+    factors = [system.perform(voice, 1)[1] / voice.speech.duration for voice in short]
+    # The first one opens models and caches.
+    warm = stats.mean_interval(factors[1:] or factors)
+    results["megabytes", ""] = Measured(Interval.exact(system.megabytes, 1))
+    results["factor", ""] = Measured(warm, "benchmarks/realtime.py measures it on a free machine")
+    return results, tables
+
+
+def _style_controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[Results, list[Table]]:
+    if system.bundle.levels is None:
+        return {("controls_work", ""): Measured(Interval.exact(0.0, 1),
+                                                "the bundle was trained without style editing")}, []
+    values = {}
+    for column, feature in enumerate(FEATURES):
+        for level in LEVELS:
+            request: dict[str, Any] = {f"hand_{feature}": level}
+            values[feature, level] = np.array([realised(system.render(voice, 0, **request).motion)[column]
+                                               for voice in voices])
+    return order_figures(values), [order_table(values)]
+
+
+def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
+    """Shares of blocks with another lexeme under another voice's words, and where the sound is a little fainter."""
+    if not system.gesticulator.reads_text:
+        return {("other_lexemes", "other words"): Measured(Interval.exact(0.0, 1), "the bundle does not read words")}
+    spoken = [voice for voice in voices if any(word.text.strip() for word in voice.speech.words or ())]
+    if len(spoken) < 2:
+        return {("other_lexemes", "other words"): Measured(missing="fewer than two voices have words")}
+    spoken = spread_out(spoken, CLIPS)
+    changed, fainter = [], []
+    for voice, other in zip(spoken, [*spoken[1:], spoken[0]], strict=True):
+        swapped = replace(voice, name=f"{voice.name} reworded",
+                          speech=other_words(voice.speech, other.speech.words or ()))
+        quiet = replace(voice, name=f"{voice.name} fainter", speech=replace(
+            voice.speech, samples=np.float32(10.0 ** (-FAINTER / 20.0)) * voice.speech.samples))
+        right, wrong, again = (system.render(sound, 0).lexemes for sound in (voice, swapped, quiet))
+        changed.append(float((right != wrong).mean()))
+        fainter.append(float((right != again).mean()) if len(right) == len(again) else 1.0)
+    return {("other_lexemes", "other words"): Measured(stats.mean_interval(changed), "same sound, times and seed"),
+            ("other_lexemes", "0.1 dB fainter"): Measured(stats.mean_interval(fainter), "the right words")}
+
+
+def _interpreter(system: BundleSystem, voice: AcceptanceVoice, name: str) -> Measured:
+    """1 if the interpreter gives motion as long as the sound, else 0."""
+    try:
+        made, _ = system.perform(voice, 0, interpreter=name)
+    except InputError as error:
+        return Measured(Interval.exact(0.0, 1), str(error))
+    whole = abs(made.motion.duration - made.duration) <= 1.0 / made.fps
+    return Measured(Interval.exact(float(whole), 1),
+                    f"{len(np.unique(made.lexemes))} lexemes in {len(made.lexemes)} blocks")
+
+
+# ---------------------------------------------------------------------------------------------------------- stability
+
+def moved(first: Rendering, again: Rendering) -> dict[str, float]:
+    """The figures of `COLUMNS` of a rendering against the first one."""
+    assert first.edges is not None and again.edges is not None
+    figures = asdict(stability.difference(common_body(first.motion), common_body(again.motion)))
+    lexemes = stability.other_lexemes((first.edges, first.lexemes), (again.edges, again.lexemes))
+    return {key: lexemes if key == "lexemes" else figures[key] for key in COLUMNS}
+
+
+def same_take(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int
+              ) -> tuple[Results, list[Table]]:
+    """The group `stability`, on the readings of GESTICULATOR_DATA or, without them, on some of the voices."""
+    speaker, seeds = voices[0].performer, range(min(2, renderings))
+    sounds = [AcceptanceVoice(name, speech, "derived", None, speaker, name) for name, speech in readings()] or [
+        derived(voice, "exported", middle_of(voice, LONGEST)) for voice in spread_out(voices, CLIPS)]
+    values: dict[str, list[dict[str, float]]] = {name: [] for name in (*EXPORTS, "another seed")}
+    for voice, seed in itertools.product(sounds, seeds):
+        first = system.render(voice, seed)
+        for name, change in EXPORTS.items():
+            again = system.render(replace(voice, name=f"{voice.name}, {name}", speech=change(voice.speech)), seed)
+            values[name].append(moved(first, again))
+        values["another seed"].append(moved(first, system.render(voice, seed + len(seeds))))
+    rows = {name: {key: stats.mean_interval([row[key] for row in variants]) for key in COLUMNS}
+            for name, variants in values.items()}
+    results: Results = {}
+    for name in EXPORTS:
+        for figure, key in (("hands_apart", "hands"), ("lexemes_apart", "lexemes"), ("healed", "healed")):
+            results[figure, name] = Measured(rows[name][key])
+    note = f"{len(sounds)} sounds, {len(seeds)} seeds each. A first parting is left out where there is none."
+    table = Table("The same sound exported again, against its first rendering", COLUMNS, dict(rows), "sound", [note])
+    return results | _word_changed(system, voices, seeds), [table]
+
+
+def units_of(body: CommonBody) -> list[tuple[float, float]]:
+    """Seconds from and to of the gesture units of a motion; those of both hands that overlap are joined."""
+    speed, active = hand_speeds(body), np.zeros(len(body), bool)
+    for hand in (0, 1):
+        for begin, stop in gesture_units(body.hands[:, hand, 1], speed[:, hand]):
+            active[begin:stop] = True
+    return [(begin / HZ, stop / HZ) for begin, stop in stats.runs(active).tolist()]
+
+
+def moved_by_word(first: Rendering, again: Rendering, time: float) -> tuple[float, float]:
+    """After a change of the word at a time: cm between the hands before its gesture unit, and % of other lexemes from
+    the second unit after it on. NaN for what the motion is too short for."""
+    assert first.edges is not None and again.edges is not None
+    bodies = common_body(first.motion), common_body(again.motion)
+    units, changed = (units_of(body) for body in bodies)
+    at, new = _unit_at(units, time), _unit_at(changed, time)
+    # The new word may call for a gesture that is prepared earlier than that of the old one.
+    begin = min([time, *(unit[0] for unit in (*units[at:at + 1], *changed[new:new + 1]))])
+    before = stability.difference(*(body.crop(0, round(begin * HZ)) for body in bodies)).hands \
+        if begin > 1.0 else math.nan
+    if at + 2 >= len(units):
+        return before, math.nan
+    late = int(np.searchsorted(first.edges[:-1], units[at + 2][0]))
+    rest = first.edges[late:], first.lexemes[late:]
+    return before, stability.other_lexemes(rest, (again.edges, again.lexemes))
+
+
+def _unit_at(units: Sequence[tuple[float, float]], time: float) -> int:
+    """The index of the unit at a time, or of the next one; their number without any."""
+    return next((k for k, (_, stop) in enumerate(units) if stop > time), len(units))
+
+
+def _word_changed(system: BundleSystem, voices: Sequence[AcceptanceVoice], seeds: Sequence[int]) -> Results:
+    """One word in the middle of every voice that has words becomes another."""
+    pairs = []
+    for voice in spread_out([voice for voice in voices if len(voice.speech.words or ()) > 1], CLIPS):
+        try:
+            speech, time = word_changed(voice.speech)
+        except ValueError:
+            continue
+        swapped = replace(voice, name=f"{voice.name}, one word changed", speech=speech)
+        pairs += [moved_by_word(system.render(voice, seed), system.render(swapped, seed), time) for seed in seeds]
+    if not pairs or not system.gesticulator.reads_text:
+        return {}
+    before, after = (stats.mean_interval(values) for values in zip(*pairs, strict=True))
+    return {("before_word", ""): Measured(before), ("after_word", ""): Measured(after)}

@@ -1,0 +1,275 @@
+"""The sounds of the acceptance, made of the voices that are at hand.
+
+What is wanted of rest, of speech without pauses, of effort and of a second export cannot be found in every recording.
+So each set of stimuli is made: voices with pauses set in and voices without any, a faint voice, noise and silence
+alone; readings said again with another effort by Praat (Boersma and Weenink; PSOLA, Moulines and Charpentier 1990); the
+same sound as a tool might export it again; the same sound with other words. All are mono float32 samples.
+
+What fools it: rate alone makes strokes faster, so that lively readings are also judged by their amplitude.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import resample_poly
+
+from data_module.corpora.folder import SOUNDS
+from data_module.errors import InputError
+from data_module.speech.audio import SAMPLE_RATE, amplified, load_speech, resample
+from data_module.speech.silence import FRAME, frame_levels, pauses, silent_frames
+from data_module.types import Array, Speech, Word
+from eval import stats
+from eval.clip.excerpts import excerpt_of_speech
+from eval.metrics.eye import hear
+from eval.metrics.eye.voice import TRACK_HZ
+from eval.renderings import AcceptanceVoice
+
+REAL_PAUSE = 1.0
+"""Seconds: a shorter gap may be bridged by a movement."""
+PAUSES = (1.2, 2.0, 3.5, 5.0, 1.2, 3.5)
+"""Seconds of the pauses that are set in."""
+FAINT_GAIN, FAINT_NOISE = -46.0, -75.0
+"""Decibels of the faint voice, and level of the noise under it, dBFS."""
+GAP, _BREATH, _FADE = 0.3, 0.08, 0.02
+"""Seconds: gaps of this length are cut out of speech without pauses; the part of each that stays; a fade over the cut.
+"""
+READINGS = "speech"
+"""Folder of GESTICULATOR_DATA."""
+_LOWEST_PITCH, _HIGHEST_PITCH = 60.0, 500.0
+"""Hertz: the range in which Praat looks for the voice."""
+_TILT_FROM, _TILT_TO = 500.0, 4000.0
+"""Hertz between which the spectrum is tilted."""
+_LOUD = 25.0
+"""Decibels under the loudest frame that count for the level."""
+_STUDIO_RATE, _MP3_RATE = 48000, 192000
+"""Hertz of the second sampling rate, and bits a second."""
+_EXPORT_NOISE = -60.0
+"""Level of the noise of an export, dBFS."""
+
+
+# ------------------------------------------------------------------------------------------------ pauses and silence
+
+def noise(seconds: float, level: float, rate: int, seed: int = 0) -> Array:
+    """White noise at a level in dBFS (a full-scale square wave is 0)."""
+    return 10.0 ** (level / 20.0) * np.random.default_rng(seed).normal(size=round(seconds * rate))
+
+
+def pauses_in(speech: Speech, shortest: float = REAL_PAUSE) -> Array:
+    """[n, 2] seconds of pauses of `shortest` or longer, as the system finds them."""
+    quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
+    spans = (stats.runs(quiet) * FRAME).astype(np.float64)
+    return spans[spans[:, 1] - spans[:, 0] >= shortest]
+
+
+def with_pauses(speech: Speech, lengths: Sequence[float] = PAUSES) -> Speech:
+    """A voice with silences of these lengths (s) set in evenly, each at the quietest moment nearby.
+
+    They hold noise at the voice's own quiet level (the 5th percentile of its frames), and the words are dropped.
+    """
+    rate = speech.sample_rate
+    levels = frame_levels(speech.samples, rate)
+    smooth = np.convolve(levels, np.ones(15) / 15, mode="same")
+    quiet = float(np.clip(np.percentile(levels, 5), -90.0, -50.0))
+    around = max(1, len(levels) // (2 * (len(lengths) + 1)))
+    pieces, start = [], 0
+    for index, length in enumerate(lengths):
+        middle = len(levels) * (index + 1) // (len(lengths) + 1)
+        first = max(middle - around // 2, 0)
+        at = round((first + int(smooth[first:middle + around // 2 + 1].argmin()) + 0.5) * FRAME * rate)
+        pieces += [speech.samples[start:at], noise(length, quiet, rate, index)]
+        start = at
+    samples = np.concatenate([*pieces, speech.samples[start:]])
+    return Speech(samples.astype(np.float32), rate, None, speech.speaker)
+
+
+def unbroken(speech: Speech) -> Speech:
+    """A voice without pauses: of each of `GAP` seconds or more a short breath of `_BREATH` seconds is left. What is all
+    silence stays as it is."""
+    rate, pieces, begun = speech.sample_rate, [], 0
+    quiet = stats.runs(hear(speech).silent) / TRACK_HZ
+    for start, stop in quiet[quiet[:, 1] - quiet[:, 0] >= GAP].tolist():
+        pieces.append(speech.samples[begun:round((start + _BREATH / 2) * rate)])
+        begun = round((stop - _BREATH / 2) * rate)
+    pieces = [piece for piece in (*pieces, speech.samples[begun:]) if len(piece) > 2 * round(_FADE * rate)]
+    return replace(speech, samples=_spliced(pieces, round(_FADE * rate)), words=None) if pieces else speech
+
+
+def _spliced(pieces: Sequence[NDArray[np.float32]], fade: int) -> NDArray[np.float32]:
+    """Pieces one after the other, each faded into the next over so many samples."""
+    rise, out = np.linspace(0.0, 1.0, fade), pieces[0].astype(np.float64)
+    for piece in pieces[1:]:
+        out[-fade:] = out[-fade:] * (1.0 - rise) + piece[:fade] * rise
+        out = np.concatenate([out, piece[fade:]])
+    return out.astype(np.float32)
+
+
+def faint(speech: Speech) -> Speech:
+    """A voice 46 dB too low, in noise."""
+    low = amplified(speech, FAINT_GAIN)
+    background = noise(low.duration, FAINT_NOISE, low.sample_rate)[:len(low.samples)]
+    return replace(low, samples=(low.samples + background).astype(np.float32), words=None)
+
+
+def derived(voice: AcceptanceVoice, name: str, speech: Speech) -> AcceptanceVoice:
+    """A sound made of a voice, as a voice of its own in the habits of the same performer; without words."""
+    return AcceptanceVoice(f"{voice.name} {name}", replace(speech, words=None), "derived", None, voice.performer,
+                           voice.group or voice.name)
+
+
+def spread_out(voices: Sequence[AcceptanceVoice], count: int) -> list[AcceptanceVoice]:
+    """That many of the voices, the first one and others evenly chosen."""
+    at = np.unique(np.linspace(0, len(voices) - 1, min(count, len(voices))).round().astype(int))
+    return [voices[k] for k in at]
+
+
+def middle_of(voice: AcceptanceVoice, seconds: float) -> Speech:
+    """The middle `seconds` of a voice at the models' sampling rate, with its words."""
+    return excerpt_of_speech(resample(voice.speech, SAMPLE_RATE), seconds)
+
+
+# ------------------------------------------------------------------------------------------------------------- effort
+
+@dataclass(frozen=True)
+class VocalEffort:
+    """pitch: factor on the distance from the median pitch, in semitones; tilt: dB an octave over 500 Hz; rate: factor
+    on the rate of speech."""
+
+    pitch: float
+    tilt: float
+    rate: float
+
+
+LIVELY, SUBDUED = VocalEffort(1.8, 3.0, 1.15), VocalEffort(0.5, -3.0, 0.87)
+
+
+def said_with(speech: Speech, effort: VocalEffort) -> Speech:
+    """A reading with another effort at its own level, without its words. ImportError without praat-parselmouth."""
+    import parselmouth
+    from parselmouth.praat import call
+
+    sound = parselmouth.Sound(speech.samples.astype(np.float64), speech.sample_rate)
+    manipulation = call(sound, "To Manipulation", 0.01, _LOWEST_PITCH, _HIGHEST_PITCH)
+    pitch = call(manipulation, "Extract pitch tier")
+    if call(pitch, "Get number of points"):
+        median = float(np.median([call(pitch, "Get value at index", k + 1)
+                                  for k in range(call(pitch, "Get number of points"))]))
+        call(pitch, "Formula", f"{median} * exp({effort.pitch} * ln(self / {median}))")
+        call([pitch, manipulation], "Replace pitch tier")
+    lasting = call("Create DurationTier", "rate", 0, speech.duration)
+    call(lasting, "Add point", 0, 1.0 / effort.rate)
+    call([lasting, manipulation], "Replace duration tier")
+    samples = np.asarray(call(manipulation, "Get resynthesis (overlap-add)").values[0], dtype=np.float64)
+    samples = tilted(samples, speech.sample_rate, effort.tilt)
+    level = loudness(speech.samples.astype(np.float64), speech.sample_rate)
+    gain = level / max(loudness(samples, speech.sample_rate), 1e-9)
+    return replace(speech, samples=(gain * samples).astype(np.float32), words=None)
+
+
+def tilted(samples: Array, rate: int, decibels: float) -> Array:
+    """Samples [n] whose spectrum rises by so many dB an octave from 500 to 4000 Hz."""
+    spectrum, frequencies = np.fft.rfft(samples), np.fft.rfftfreq(len(samples), 1.0 / rate)
+    octaves = np.log2(np.clip(frequencies, _TILT_FROM, _TILT_TO) / _TILT_FROM)
+    return np.asarray(np.fft.irfft(spectrum * 10.0 ** (decibels * octaves / 20.0), len(samples)))
+
+
+def loudness(samples: Array, rate: int) -> float:
+    """Root mean square of the frames of 20 ms that are within 25 dB of the loudest one."""
+    size = round(0.02 * rate)
+    power = (samples[:len(samples) // size * size].reshape(-1, size) ** 2).mean(axis=1)
+    return float(np.sqrt(power[power >= power.max() * 10.0 ** (-_LOUD / 10.0)].mean()))
+
+
+def readings() -> list[tuple[str, Speech]]:
+    """Name and sound of the readings in GESTICULATOR_DATA, at the models' sampling rate; none without it."""
+    place = os.environ.get("GESTICULATOR_DATA")
+    files = sorted((Path(place) / READINGS).glob("*")) if place else []
+    return [(file.stem, resample(load_speech(file), SAMPLE_RATE)) for file in files if file.suffix.lower() in SOUNDS]
+
+
+# ----------------------------------------------------------------------------------------------------- second exports
+
+def _quieter(decibels: float) -> Callable[[Speech], Speech]:
+    return lambda speech: amplified(speech, -decibels)
+
+
+def _resampled(speech: Speech) -> Speech:
+    """At 48 kHz and back, by a polyphase filter that the product does not use."""
+    up = resample_poly(speech.samples.astype(np.float64), _STUDIO_RATE // SAMPLE_RATE, 1)
+    return replace(speech, samples=resample_poly(up, 1, _STUDIO_RATE // SAMPLE_RATE).astype(np.float32))
+
+
+def _noisy(speech: Speech) -> Speech:
+    level = 10.0 ** (_EXPORT_NOISE / 20.0)
+    noise = level * np.random.default_rng(0).standard_normal(len(speech.samples))
+    return replace(speech, samples=np.clip(speech.samples + noise, -1.0, 1.0).astype(np.float32))
+
+
+def _as_mp3(speech: Speech) -> Speech:
+    """Encoded at 48 kHz and 192 kbit/s and decoded again; the delay of the encoder is taken off."""
+    try:
+        import av
+    except ImportError:
+        raise InputError("acceptance", "needs av for MP3", 'pip install "gesticulator[video]"') from None
+    up = resample_poly(speech.samples.astype(np.float64), _STUDIO_RATE // SAMPLE_RATE, 1).astype(np.float32)
+    file = io.BytesIO()
+    with av.open(file, "w", format="mp3") as output:
+        stream = output.add_stream("mp3", rate=_STUDIO_RATE, layout="mono")
+        stream.bit_rate = _MP3_RATE
+        frame = av.AudioFrame.from_ndarray(np.clip(up, -1.0, 1.0)[None], format="fltp", layout="mono")
+        frame.sample_rate = _STUDIO_RATE
+        for packet in (*stream.encode(frame), *stream.encode(None)):
+            output.mux(packet)
+    file.seek(0)
+    with av.open(file, "r") as source:
+        decoded = np.concatenate([frame.to_ndarray()[0] for frame in source.decode(audio=0)])
+    back = resample_poly(decoded.astype(np.float64), 1, _STUDIO_RATE // SAMPLE_RATE)
+    return replace(speech, samples=_aligned(back, speech.samples).astype(np.float32))
+
+
+def _aligned(samples: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Samples moved to where they fit the reference best, and cut or padded to its length."""
+    size = len(reference) + len(samples)
+    spectrum = np.fft.rfft(samples, size) * np.conj(np.fft.rfft(reference, size))
+    shift = int(np.fft.irfft(spectrum, size).argmax())
+    shift -= size if shift > size // 2 else 0
+    moved = samples[shift:] if shift >= 0 else np.concatenate([np.zeros(-shift), samples])
+    return np.pad(moved, (0, max(len(reference) - len(moved), 0)))[:len(reference)]
+
+
+EXPORTS: Mapping[str, Callable[[Speech], Speech]] = {
+    "0.1 dB quieter": _quieter(0.1), "1 dB quieter": _quieter(1.0), "6 dB quieter": _quieter(6.0),
+    "resampled from 48 kHz": _resampled, "MP3, 192 kbit/s": _as_mp3, "noise at -60 dB": _noisy}
+"""What a tool may do to a sound that it exports again."""
+
+
+# -------------------------------------------------------------------------------------------------------------- words
+
+def word_changed(speech: Speech) -> tuple[Speech, float]:
+    """The longest word in the middle third becomes the longest other word of the transcript, at its time; and when it
+    begins, seconds. ValueError if there are not two words."""
+    words = [word for word in speech.words or () if word.text.strip()]
+    middle = words[len(words) // 3:max(2 * len(words) // 3, len(words) // 3 + 1)]
+    chosen = max(middle, key=lambda word: len(word.text), default=None)
+    others = [word.text for word in words if chosen is not None and word.text.lower() != chosen.text.lower()]
+    if chosen is None or not others:
+        raise ValueError("fewer than two words")
+    longest = max(others, key=len)
+    changed = tuple(replace(word, text=longest) if word is chosen else word for word in speech.words or ())
+    return replace(speech, words=changed), chosen.start
+
+
+def other_words(speech: Speech, others: Sequence[Word]) -> Speech:
+    """The same speech whose words, in their own times, are another's; ValueError where either has none."""
+    texts = [word.text for word in others if word.text.strip()]
+    if not texts or not speech.words:
+        raise ValueError("both must have words")
+    changed = tuple(replace(word, text=texts[k % len(texts)]) if word.text.strip() else word
+                    for k, word in enumerate(speech.words))
+    return replace(speech, words=changed)
