@@ -31,8 +31,9 @@ from interpreters.base import LexemeInterpreter
 PERFORMER, REPLAYED = "performer", "performer's lexemes"
 RANDOM, MAJORITY = "random", "majority"
 UNITS = "unit selection"
-_PROGRAM = ("data_module", "lexicon", "generator", "gesticulator.drawing", "gesticulator.bundle", "interpreters.lstm",
-            "interpreters.cql", "interpreters.advantage", "interpreters.statistical", "interpreters.planner")
+_PROGRAM = ("data_module", "lexicon", "generator", "gesticulator.sampling", "gesticulator.systems",
+            "gesticulator.bundle", "interpreters.lstm", "interpreters.cql", "interpreters.advantage",
+            "interpreters.statistical", "interpreters.planner")
 """What makes the motion; models that judge it do not."""
 
 
