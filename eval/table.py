@@ -118,7 +118,7 @@ class Table:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def cells(self, keys: Sequence[str] | None = None) -> list[list[str]]:
-        """What is shown of some columns (all): headings first, then the rows."""
+        """The text of some columns (all): headings first, then the rows."""
         columns = {key: self.columns[key] for key in (self.columns if keys is None else keys)}
         shown = [[self.head, *(column.heading for column in columns.values())]]
         return shown + [[name, *(shown_cell(row.get(key), column.digits) for key, column in columns.items())]
@@ -152,7 +152,7 @@ class Table:
 
     @classmethod
     def from_dict(cls, held: Mapping[str, Any]) -> Table:
-        """What `to_dict` gave; ValueError for a number of digits that no cell can be shown with."""
+        """The inverse of `to_dict`; ValueError for a number of digits that no cell can be shown with."""
         if not all(own.get("digits", 0) in range(MOST_DIGITS + 1) for own in held["columns"].values()):
             raise ValueError(f"digits are not 0 to {MOST_DIGITS}")
         return cls(held["title"], {key: Column(**own) for key, own in held["columns"].items()},
@@ -211,7 +211,7 @@ def dumps(value: Any, indent: int | None = None) -> str:
 
 
 def loads(text: str) -> Any:
-    """What `dumps` wrote, NaN where it has null. ValueError where it is no JSON."""
+    """The inverse of `dumps`, with NaN for null. ValueError for text that is no JSON."""
     try:
         return _undefined(parse_json(text, "a result", ""))
     except InputError as error:

@@ -2,7 +2,7 @@
 
     python examples/rhythmic_gesticulator.py examples/speech.flac gesture.bvh
 
-The motion is the same as that of `gesticulator infer examples/speech.flac --bundle paper`, where the same steps stand in
+The motion is that of `gesticulator infer examples/speech.flac --bundle paper`; the same steps stand in
 `gesticulator/systems/paper.py`.
 """
 
@@ -56,7 +56,8 @@ def gesture(bundle: Bundle, speech: Speech, seed: int = 0) -> Motion:
         # silent lexemes may follow (RG 6.4.1). One is sampled; the noise is a function of the seed and the time.
         scores, history = interpreter.step(history, features, lexeme)
         lexeme = select(scores, allowed=bundle.silent if features.silent else None,
-                        temperature=settings.selection.temperature, noise=Keys(seed).gumbel(block.keyed_at, len(scores)))
+                        temperature=settings.selection.temperature,
+                        noise=Keys(seed).gumbel(block.keyed_at, len(scores)))
 
         # RG 6.2, Eq. 19: the style code from low-level audio and the lexeme.
         code, style_state = style.step(style_state, features, lexeme)

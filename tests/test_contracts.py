@@ -61,8 +61,8 @@ def test_a_reader_of_characters_refuses_what_is_none_in_one_line(suffix: str, tm
 
 @pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")
                                              for table in (PROBES, PLOTS) for name in table])
-def test_a_probe_or_a_drawing_has_arguments_a_run_and_a_line_about_it(table: Registry[RegistryEntry], name: str
-                                                                      ) -> None:
+def test_a_probe_or_a_plot_has_arguments_a_run_and_a_line_about_it(table: Registry[RegistryEntry], name: str
+                                                                   ) -> None:
     tool = table.load(name)
     parser = argparse.ArgumentParser()
     tool.arguments(parser)

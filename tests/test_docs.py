@@ -156,7 +156,7 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
     systems, clauses = motion["Beside others, BEAT voice"].rows, motion["Acceptance of the motion"].rows
     same = tables("stability.json")["The same sound exported again, against its first rendering"].rows
     speed, onsets = result("realtime.json"), [row["f"] for row in result("onsets.json")["rows"].values()]
-    times, count, about = speed["real_time_factor"][0], claims["count"], quality["Reconstruction"].facts
+    times, valid, about = speed["real_time_factor"][0], claims["count"]["valid"], quality["Reconstruction"].facts
 
     def shown(title: str, row: str, column: str, digits: int, bounds: bool = True) -> str:
         cell: Any = quality[title].rows[row][column]
@@ -184,7 +184,8 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
         [shown(right, "lstm", "free_running", 1),
          *(shown(right, name, "free_running", 1, False) for name in ("previous lexeme and speaker", "majority"))],
         [f"{sum(onsets) / len(onsets):.2f}"],
-        [" / ".join(str(count[verdict]) for verdict in ("holds", "does not hold", "no valid test", "undecided"))],
+        [" / ".join(str(number) for number in (valid["holds"], valid["reversed"] + valid["no effect"],
+                                               valid["no valid test"], valid["undecided"]))],
         [f"{times['warm_lstm']:.2f} / {times['cold']:.2f}",
          f"{times['warm_with_text']:.2f} / {times['cold_with_text']:.2f}"],
     ]

@@ -1,4 +1,4 @@
-"""What changes in the motion when something of the input does: effort, level, style controls, words, exports.
+"""How the motion responds to a change of the input: effort, level, style controls, words, exports.
 
 - Effort (`effort`): every reading in GESTICULATOR_DATA said again lively and subdued at its own level
   (`stimuli.said_with`). With the same seed, size is the median stroke amplitude and speed the mean hand speed in
@@ -203,12 +203,12 @@ def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
 def _interpreter(system: BundleSystem, voice: AcceptanceVoice, name: str) -> Measured:
     """1 if the interpreter gives motion as long as the sound, else 0."""
     try:
-        made, _ = system.perform(voice, 0, interpreter=name)
+        performance, _ = system.perform(voice, 0, interpreter=name)
     except InputError as error:
         return Measured(Interval.exact(0.0, 1), str(error))
-    whole = abs(made.motion.duration - made.duration) <= 1.0 / made.fps
+    whole = abs(performance.motion.duration - performance.duration) <= 1.0 / performance.fps
     return Measured(Interval.exact(float(whole), 1),
-                    f"{len(np.unique(made.lexemes))} lexemes in {len(made.lexemes)} blocks")
+                    f"{len(np.unique(performance.lexemes))} lexemes in {len(performance.lexemes)} blocks")
 
 
 # ---------------------------------------------------------------------------------------------------------- stability

@@ -265,7 +265,7 @@ ROLLED = 60
 
 
 def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
-    """What is heard comes `by` blocks late (half the recording where that is less), and wraps around; the grid stays.
+    """Shift the speech features `by` blocks (at most half the recording), wrapped around; the grid stays.
 
     A system that follows the voice loses its timing by that; one that only moves on its grid keeps it. Durations
     belong to the grid, so the tempo in the last column of the features stays, too.

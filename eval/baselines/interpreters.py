@@ -100,7 +100,7 @@ class ReplayInterpreter:
         self._left: deque[int] = deque()
 
     def start(self, speaker: int, first_lexeme: int) -> None:
-        """What is yet to come is kept here."""
+        """Keep the lexemes that are still to be replayed."""
         if not self._left:
             self._left = deque(next(self._coming).tolist())
 

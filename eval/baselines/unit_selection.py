@@ -63,7 +63,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Sounds:
-    """What blocks sound like: silent [N]; durations [N] s; contour [N, 6] dB under the recording's loud speech."""
+    """The sound of blocks: silent [N]; durations [N] s; contour [N, 6] dB under the recording's loud speech."""
 
     silent: NDArray[np.bool_]
     durations: Array

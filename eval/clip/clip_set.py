@@ -77,7 +77,7 @@ def listed(names: Sequence[str], most: int) -> str:
 
 
 def _body_notes(folders: Mapping[str, Mapping[str, Clip]], names: Sequence[str], fps: float) -> list[str]:
-    """What a row has had to give up to be compared: frame rate, joints that it lacks."""
+    """Notes on the frame rate and the joints that a row lost in the comparison."""
     notes = []
     for row, clips in folders.items():
         rates = sorted({clips[name].motion.fps for name in names} - {fps})

@@ -167,7 +167,7 @@ def read_motion(path: Path, fps: float | None = None, fingers: bool = False) -> 
 
 
 def sidecar(path: Path) -> dict[str, Any]:
-    """What NAME.json, else joints.json, tells of a motion file; nothing where there is none."""
+    """The content of NAME.json, else of joints.json, beside a motion file; empty without either."""
     for place in (path.with_suffix(".json"), path.with_name(SHARED)):
         if place.is_file():
             told = read_json(place, "repair it")

@@ -1,4 +1,4 @@
-"""What a bundle does with what is asked of its style, after RG Fig. 10; the figures are those of its probe."""
+"""Style editing as a picture (RG Fig. 10), of the figures of `eval.ablate.style_editing`."""
 
 from __future__ import annotations
 

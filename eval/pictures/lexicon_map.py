@@ -1,4 +1,4 @@
-"""What is in the lexicon, for the eye (RG Fig. 6): `gesticulator plot lexicon --data STORE --out FOLDER`.
+"""The lexicon as pictures and a table (RG Fig. 6): `gesticulator plot lexicon --data STORE --out FOLDER`.
 
 `latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents of blocks (E(M), or the weighted
 coefficients of a lexicon of movements), coloured by lexeme. What fools it: t-SNE tears and clumps; only who is near
@@ -99,8 +99,8 @@ def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int
         z = difference / np.sqrt(1 / here + 1 / rest)
     z = np.where((counts >= least) & np.isfinite(z), z, -np.inf)
     chosen = [[w for w in np.argsort(-row, kind="stable")[:most] if row[w] >= sure] for row in z]
-    return [tuple(LexemeWord(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in own)
-            for lexeme, own in enumerate(chosen)]
+    return [tuple(LexemeWord(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in places)
+            for lexeme, places in enumerate(chosen)]
 
 
 def words_on_blocks(recording: Recording, edges: Array) -> list[tuple[int, str]]:
@@ -141,9 +141,9 @@ class Survey:
         self.blocks[name] = self.blocks.get(name, np.zeros(self.size)) + np.bincount(labels, minlength=self.size)
         self.silent += np.bincount(labels[blocks.silent], minlength=self.size)
         speed = hand_speeds(recording.motion).mean(axis=1)
-        own = labels[block_of_frames(blocks.edges, len(speed), recording.motion.fps)]
-        self.way += np.bincount(own, speed, self.size)
-        self.seconds += np.bincount(own, minlength=self.size)
+        of_frames = labels[block_of_frames(blocks.edges, len(speed), recording.motion.fps)]
+        self.way += np.bincount(of_frames, speed, self.size)
+        self.seconds += np.bincount(of_frames, minlength=self.size)
         self.words.update((int(labels[block]), text) for block, text in words_on_blocks(recording, blocks.edges))
         self.strokes.update((int(label), kind) for label, kind in
                             zip(labels, strokes_on_blocks(recording, blocks.edges), strict=False))
@@ -181,7 +181,7 @@ def decoded(bundle: Bundle) -> list[Motion]:
         blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
     poses = blocks.double().numpy() * bundle.statistics.deviation + bundle.statistics.mean_pose.mean(axis=0)
     representation = representation_of(bundle.config)
-    return [representation.motion(own, bundle.config.rhythm.fps) for own in poses]
+    return [representation.motion(pose, bundle.config.rhythm.fps) for pose in poses]
 
 
 # --------------------------------------------------------------------------------------------------- the command

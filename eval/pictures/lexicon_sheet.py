@@ -34,7 +34,7 @@ _LAYOUT = replace(STRIP, spacing=0.95, margin=0.7, low=0.72, high=1.98)
 
 
 def in_words(motion: Motion) -> str:
-    """What both hands do from the first frame to the last, such as "right 18 cm up and out; left rests".
+    """Describe the path of both hands from the first frame to the last, such as "right 18 cm up and out; left rests".
 
     Up, forward and out (away from the middle of the body) are those of the character, which faces forward.
     """

@@ -1,4 +1,4 @@
-"""Who is drawn: one motion, or the real take, the corpus, ours and other systems beside each other.
+"""The motions of a picture: one file, or the real take, the corpus, ours and other systems beside each other.
 
 The same options for every picture. What gestures to a sound gestures to one and the same: `--sound`, else that
 of the real take, else that of the corpus recording.

@@ -29,8 +29,10 @@ class PlayedBundle:
         """BUNDLE or BUNDLE:INTERPRETER, where BUNDLE is a folder, "default" or "paper"; None for a place that holds no
         bundle, such as a folder of motion files, by whatever name."""
         before, colon, after = place.rpartition(":")
-        own, chooser = (before, after) if colon and after in INTERPRETERS else (place, None)
-        folder = bundle_folder(own) if (Path(own) / INDEX).is_file() or not Path(own).is_dir() else Path(own)
+        bundle, chooser = (before, after) if colon and after in INTERPRETERS else (place, None)
+        folder = Path(bundle)
+        if (folder / INDEX).is_file() or not folder.is_dir():
+            folder = bundle_folder(bundle)
         return cls(folder, chooser) if (folder / INDEX).is_file() else None
 
     def opened(self) -> Gesticulator:
@@ -52,7 +54,7 @@ class PlayedBundle:
 
 
 def unit_selection_row(truth: Mapping[str, Clip], store: Store, work: Path | None, seed: int) -> dict[str, Clip]:
-    """What unit selection makes of the truth's speech; InputError for a clip without speech."""
+    """Motion by unit selection for the truth's speech; InputError for a clip without speech."""
     from eval.baselines.unit_selection import UnitDatabase, UnitSelection
 
     units = UnitSelection(UnitDatabase.of(store, work=work))

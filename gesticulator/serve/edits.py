@@ -35,8 +35,9 @@ from gesticulator.directing.shaped_blocks import ShapedBlock, ShapedBlocks
 from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps, root_path, shown
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
+from gesticulator.plan.plain import to_plain
 from gesticulator.plan.plan import Block, GesturePlan, sound_hash
-from gesticulator.plan.plan_file import plan_from, to_plain
+from gesticulator.plan.plan_file import plan_from
 from gesticulator.serve.page_server import AbandonedError, UnknownRenderingError
 
 if TYPE_CHECKING:

@@ -253,9 +253,9 @@ def default() -> Config:
         silence=SilenceConfig(rest="life", augmentation=0.0, mask=False, hint=False),
         # Chosen on the validation split, together with the speaker: nearest to the corpus by the distance of motion
         # windows and hand speeds, then by timing and smooth joins; the Q-network's temperature by how varied its
-        # lexemes are (`benchmarks/cql.py`). Of noise, contrast, reach, hold, phrasing and setting_out, what they do on
+        # lexemes are. Of noise, contrast, reach, hold, phrasing and setting_out, what they do on
         # the acceptance's real voice and to the sounds of stability was looked at, too; of contrast, what the styles
-        # explain on the test split (`benchmarks/unit_style.py`).
+        # explain on the test split. What the system `movement` alone uses are its defaults.
         selection=SelectionConfig(temperature=1.5, q_temperature=0.5, guidance=4.0, interpreter_guidance=1.0,
                                   words_so_far=True))
 

@@ -53,12 +53,12 @@ class EyeSample:
         """Measure a clip. heard: of its own speech; edges: of its own blocks; rolled: what the system makes of the same
         sound rolled."""
         body = eye.common_body(motion)
-        found = eye.of_body(body, heard, edges, space)
+        figures = eye.of_body(body, heard, edges, space)
         if rolled is not None and heard is not None:
             late = eye.figures(rolled, heard)
-            found |= {name: late[own] for own, name in ROLLED.items()}
+            figures |= {name: late[figure] for figure, name in ROLLED.items()}
         for name, values in self.values.items():
-            values.append(found.get(name, math.nan))
+            values.append(figures.get(name, math.nan))
         self.windows.append(frechet.windows(body))
         self.groups.append(group or str(len(self.groups)))
         self.seconds += body.duration
@@ -79,13 +79,13 @@ class EyeSample:
     def pooled(self, space: ReferenceSpace, other: EyeSample | None) -> Interval:
         """Frechet distance of all windows together from real people's, or from another sample's, with the basic
         bootstrap's interval over clips."""
-        seen = [space.see(windows) for windows in self.windows]
+        projected = [space.see(windows) for windows in self.windows]
         target = space.real if other is None else space.moments(np.concatenate(other.windows))
         if target is None:
-            return Interval.undefined(len(seen))
+            return Interval.undefined(len(projected))
 
         def distance(chosen: Array) -> float:
-            own = frechet.Moments.of(np.concatenate([seen[k] for k in chosen]))
-            return math.nan if own is None else frechet.frechet(own, target)
+            moments = frechet.Moments.of(np.concatenate([projected[k] for k in chosen]))
+            return math.nan if moments is None else frechet.frechet(moments, target)
 
-        return stats.of_set(distance, len(seen), least=0.0)
+        return stats.of_set(distance, len(projected), least=0.0)
