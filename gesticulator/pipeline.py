@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 import torch
@@ -26,7 +26,7 @@ from gesticulator.bundle.features import SpeechFeatures, front_end_for, represen
 from gesticulator.bundle.files import bundle_folder, lexicon_hash
 from gesticulator.drawing.driver import Driver, GeneratedMotion, KeptDrawing
 from gesticulator.options import FPS as FPS
-from gesticulator.options import HandControl, InferenceArguments, InferenceOptions, interpreter_name
+from gesticulator.options import HandControl, InferenceOptions, interpreter_name
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import sound_hash
 from gesticulator.sampling import loop
@@ -164,16 +164,16 @@ class Gesticulator:
     @overload
     def __call__(self, speech: SpeechInput, sample_rate: float | None = None, *, text: Text | None = None,
                  encoded: SpeechFeatures | None = None, on_block: OnBlock | None = None,
-                 **options: Unpack[InferenceArguments]) -> Performance: ...
+                 **options: Any) -> Performance: ...
 
     @overload
     def __call__(self, speech: list[R] | tuple[R, ...], sample_rate: float | None = None, *,
                  text: Sequence[Text | None] | None = None, encoded: None = None, on_block: OnBlock | None = None,
-                 **options: Unpack[InferenceArguments]) -> list[Performance]: ...
+                 **options: Any) -> list[Performance]: ...
 
     def __call__(self, speech: SpeechInput | list[R] | tuple[R, ...], sample_rate: float | None = None, *,
                  text: Text | Sequence[Text | None] | None = None, encoded: SpeechFeatures | None = None,
-                 on_block: OnBlock | None = None, **options: Unpack[InferenceArguments]
+                 on_block: OnBlock | None = None, **options: Any
                  ) -> Performance | list[Performance]:
         """Gesture for a recording, or for each of a list of them.
 
@@ -262,7 +262,7 @@ class Gesticulator:
                 for (block, control), knots in zip(parts, times, strict=True)]
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
-               **options: Unpack[InferenceArguments]) -> Stream:
+               **options: Any) -> Stream:
         """Gesture for speech as it arrives, see `gesticulator.stream.Stream`.
 
         sample_rate: hertz of the sound that will be fed; latency: "full" or "low" (`BlockCutter`); text: words will be

@@ -32,8 +32,6 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0
 RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_at_words", "own_engine", "racer",
        "rhythmic_gesticulator", "samples", "score", "to_blender", "to_character", "to_vrm", "train", "two_takes"}
-NEEDS_MORE = {"make_speech"}
-"""Examples that need a program that is not installed with the tests."""
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +52,7 @@ def example(name: str) -> Callable[..., None]:
 
 
 def test_every_example_is_run_here() -> None:
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == RUN | NEEDS_MORE
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == RUN
 
 
 def test_rhythmic_gesticulator_in_the_papers_steps_is_the_systems_motion(recording: Path, tmp_path: Path) -> None:

@@ -6,15 +6,11 @@ derives the schema from them; what types cannot say is in `gesticulator.plan.che
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import functools
-import inspect
-import itertools
 import json
 import os
 import re
-import textwrap
 import typing
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +20,7 @@ import msgspec
 
 from data_module.errors import InputError, shown
 from data_module.files import parse_json, read_text, write_text
+from data_module.settings import field_docs
 from gesticulator.plan.checks import check_plan
 from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plain import members
@@ -138,7 +135,7 @@ def schema() -> dict[str, Any]:
     definitions = whole["$defs"]
     for kind in filter(dataclasses.is_dataclass, _reached(GesturePlan)):
         definition = definitions[kind.__name__]
-        about = _field_docs(kind)
+        about = field_docs(kind)
         definition["description"] = (kind.__doc__ or "").split("\n\n")[0].replace("\n    ", " ")
         definition["additionalProperties"] = False
         definition["properties"] = {name: {"description": about[name], **definition["properties"][name]}
@@ -155,12 +152,3 @@ def _reached(kind: type) -> list[type]:
     for inner in reached:
         reached += [part for part in dict.fromkeys(_inner(inner).values()) if part is not None and part not in reached]
     return reached
-
-
-def _field_docs(kind: type) -> dict[str, str]:
-    """Field -> the docstring below it."""
-    body = cast(ast.ClassDef, ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]).body
-    return {above.target.id: " ".join(below.value.value.split()) for above, below in itertools.pairwise(body)
-            if isinstance(above, ast.AnnAssign) and isinstance(above.target, ast.Name)
-            and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
-            and isinstance(below.value.value, str)}
