@@ -6,13 +6,14 @@ from __future__ import annotations
 import argparse
 import difflib
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import Field, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError, shown
-from data_module.settings import whole_number
+from data_module.settings import field_docs, whole_number
 from gesticulator.cli import PROGRAM
 from gesticulator.export.clip import NAME, ClipLayout, check_clip_outputs, parse_keys
 from gesticulator.export.writers import ELSEWHERE, UNITS, WRITERS, check_output, suffix_of
@@ -92,9 +93,11 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                        "(--meaning): plain text, TextGrid, SRT, VTT, TSV or JSON with word times; or a folder of "
                        "transcripts named like the recordings")
     audio.add_argument("--any-length", action="store_true", help="accept recordings longer than an hour")
+    docs = field_docs(InferenceOptions)
     for field in fields(InferenceOptions):
         if "flag" in field.metadata:
-            _add_option(groups[field.metadata["flag"].group], field, field.metadata["flag"])
+            flag: OptionFlag = field.metadata["flag"]
+            _add_option(groups[flag.group], field, flag, _help_of(docs[field.name], field, flag))
     body = p.add_argument_group("character", "Your own character, from Mixamo, VRM, Unreal, Blender or "
                                 "elsewhere; see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE",
@@ -115,9 +118,19 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
 
 
-def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionFlag) -> None:
+def _help_of(doc: str, field: Field[Any], flag: OptionFlag) -> str:
+    """The help of an option: the first sentence of its docstring, with its default."""
+    sentence = re.sub(r" \(`[^)]*`\)|`", "", re.split(r"\.(?: |$)", doc, maxsplit=1)[0])
+    if flag.many:
+        sentence += "; can be repeated"
+    if flag.metavar is not None and field.default not in (None, ()):
+        sentence += f" (default {field.default})" if isinstance(field.default, str) else f" (default {field.default:g})"
+    return sentence[0].lower() + sentence[1:]
+
+
+def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionFlag, text: str) -> None:
     name = f"--{(flag.name or field.name).replace('_', '-')}"
-    text, more = flag.help, dict[str, Any](dest=field.name, default=[] if flag.many else field.default)
+    more = dict[str, Any](dest=field.name, default=[] if flag.many else field.default)
     if flag.metavar is None:
         group.add_argument(name, action="store_true", help=text, **more)
         return

@@ -24,6 +24,7 @@ from data_module.motion.skeletons import CHARACTER, NAME_TABLES, facing
 from data_module.motion.smplx import SKELETON as SMPLX
 from data_module.store import Store
 from data_module.types import Motion, Speech
+from eval.ablate.rewards import RewardProbe
 from eval.baselines.controls import bobbing, jittered, mean_pose
 from eval.clip import foreign
 from eval.clip.clip_set import TRUTH, common_clips
@@ -35,7 +36,6 @@ from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_va
 from eval.metrics.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.metrics.evaluate import OnsetTrack
 from eval.metrics.gesture_features import RawFeatures
-from eval.metrics.reward_model import RewardProbe
 from eval.score import command as score
 from eval.score import groups
 from eval.score.command import flags, mean_of

@@ -133,7 +133,7 @@ def tables(arguments: argparse.Namespace) -> list[Table]:
 
 
 def _opened(arguments: argparse.Namespace) -> Acceptance:
-    """What is judged; InputError for options that cannot be used."""
+    """Open the bundle, the store and the voices; InputError for options that cannot be used."""
     for name, value in (("--renderings", arguments.renderings), ("--limit", arguments.limit)):
         if value is not None and value < 1:
             raise InputError(name, f"is {value}", "give 1 or more")

@@ -265,7 +265,7 @@ ROLLED = 60
 
 
 def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
-    """What is heard comes `by` blocks late (half the recording where that is less), and wraps around; the grid stays.
+    """Shift the speech features `by` blocks (at most half the recording), wrapped around; the grid stays.
 
     A system that follows the voice loses its timing by that; one that only moves on its grid keeps it. Durations
     belong to the grid, so the tempo in the last column of the features stays, too.
@@ -289,8 +289,8 @@ def _onsets_late(encoded: SpeechFeatures, by: int) -> tuple[Array, ...] | None:
         return None
     edges, count = encoded.blocks.edges, len(encoded)
     out = []
-    for own in range(count):
-        heard = (own - by) % count
-        share = (encoded.onsets[heard] - edges[heard]) / (edges[heard + 1] - edges[heard])
-        out.append(edges[own] + share * (edges[own + 1] - edges[own]))
+    for block in range(count):
+        source = (block - by) % count
+        share = (encoded.onsets[source] - edges[source]) / (edges[source + 1] - edges[source])
+        out.append(edges[block] + share * (edges[block + 1] - edges[block]))
     return tuple(out)

@@ -83,7 +83,7 @@ def lexeme_accuracy(chosen: ArrayLike, own: ArrayLike) -> Accuracy:
 
 
 def agreement_by_chance(own: ArrayLike, chosen: ArrayLike) -> Agreement:
-    """What sequences of lexemes [n] with these shares would agree by, and the share of agreement above it.
+    """Agreement of sequences of lexemes [n] with these shares by chance, and the share of agreement above it.
 
     The mean accuracy over all orders of `chosen` is this chance level, exactly. ValueError as in `lexeme_accuracy`.
     """

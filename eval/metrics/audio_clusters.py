@@ -1,4 +1,4 @@
-"""Whether sound that sounds alike goes with gestures that are alike (RG 7.4.1, Figure 14), in numbers.
+"""Association between clusters of sound and lexemes (RG 7.4.1, Figure 14).
 
 Theory: blocks of speech are put into clusters by one level of the audio features (k-means), and each block has the
 lexeme of its motion. If the clusters tell something about the lexeme, the lexemes within a cluster are fewer: the

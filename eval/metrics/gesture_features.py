@@ -78,7 +78,7 @@ def windows(motion: Motion, frames: int, fps: float = FPS, stride: int | None = 
 
 @dataclass(frozen=True)
 class Features:
-    """What the distance is measured in. frames: of a window; sha256: of the file of weights, "none" without one.
+    """A feature space of FGD. frames: of a window; sha256: of the file of weights, "none" without one.
 
     encode: [N, frames, 27] to [N, E].
     """
@@ -225,7 +225,7 @@ def _our_name(theirs: str) -> str:
 
 @dataclass(frozen=True)
 class AutoencoderConfig:
-    """What our own network is; the widths are the family's."""
+    """Settings of our network; the widths are those of its family."""
 
     frames: int = 34
     """Frames of a window."""

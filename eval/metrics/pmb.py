@@ -100,7 +100,7 @@ def pmb(motion_beats: Array, onsets: Array, delta: float = DELTA) -> float:
 
 def chance(motion_beats: Array, onsets: Array, duration: float, delta: float = DELTA, *, seed: int = 0,
            shifts: int = SHIFTS) -> Chance:
-    """What PMB the motion would reach beside another stretch of speech: circular shifts over `duration` seconds.
+    """PMB of the motion beside another stretch of speech: circular shifts over `duration` seconds.
 
     Shifts are drawn evenly, no closer to 0 than a second (or a tenth of the duration). The p-value is the share of
     shifts that do as well as no shift, with the unshifted one counted in. NaN without motion beats. ValueError as in

@@ -1,4 +1,4 @@
-"""What is in the lexicon, for the eye (RG Fig. 6): `gesticulator plot lexicon --data STORE --out FOLDER`.
+"""The lexicon as pictures and a table (RG Fig. 6): `gesticulator plot lexicon --data STORE --out FOLDER`.
 
 `latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents of blocks (E(M), or the weighted
 coefficients of a lexicon of movements), coloured by lexeme. What fools it: t-SNE tears and clumps; only who is near
@@ -159,14 +159,14 @@ class Survey:
         words = distinctive(counts, vocabulary)
         speed = np.where(self.seconds > 0, self.way / np.maximum(self.seconds, 1), np.nan)
         return [LexemeEntry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
-                      {name: float(own[i] / max(own.sum(), 1)) for name, own in sorted(self.blocks.items())},
+                      {name: float(used[i] / max(used.sum(), 1)) for name, used in sorted(self.blocks.items())},
                       float(speed[i]), float(decoded_speed[i]), float(self.silent[i] / max(total[i], 1)), words[i],
                       self._strokes_of(i))
                 for i in range(self.size)]
 
     def _strokes_of(self, lexeme: int) -> dict[str, float]:
-        own = Counter({kind: count for (label, kind), count in self.strokes.items() if label == lexeme})
-        return {kind: count / own.total() for kind, count in own.most_common(MOST_STROKES)}
+        kinds = Counter({kind: count for (label, kind), count in self.strokes.items() if label == lexeme})
+        return {kind: count / kinds.total() for kind, count in kinds.most_common(MOST_STROKES)}
 
 
 @torch.no_grad()

@@ -229,7 +229,7 @@ def _draw_level(bars: Axes, gains: Axes, place: tuple[float, float], name: str, 
 
 @dataclass(frozen=True)
 class Overview:
-    """What Fig. 2 is drawn from. edges: [N + 1] seconds and lexemes: [N] of the blocks; hand_speed: [T] m/s, frame t at
+    """The data of Fig. 2. edges: [N + 1] seconds and lexemes: [N] of the blocks; hand_speed: [T] m/s, frame t at
     t / fps seconds, such as `motion_beats.acting_speed`; motion_beats: seconds; silent: lexemes that are hatched."""
 
     speech: Speech

@@ -154,7 +154,7 @@ class ScoredClips:
         return row
 
     def _lexemes(self, row: ScoreRow) -> None:
-        """What the lexemes nearest to a row's blocks say, where there is a lexicon."""
+        """Measure the lexemes nearest to a row's blocks, if there is a lexicon."""
         of_sets = ("diversity", "motion_variance")
         bundle = self.context.models
         if bundle is None:
@@ -378,7 +378,7 @@ def score(context: EvalContext, clips: ClipSet, *, with_controls: bool = True) -
 # --------------------------------------------------------------------------------------------------------- command
 
 def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict[str, Features]:
-    """What FGD is measured in, two window lengths at least: the papers' network (fgd_folder), our own that lie in work
+    """The feature spaces of FGD, two window lengths at least: the papers' network (fgd_folder), our own in work
     (trained there on the truth's training split where it is a store), and raw directions for lengths that lack."""
     chosen: list[Features] = [published(fgd_folder)] if fgd_folder else []
     folders = sorted(file.parent for file in work.rglob("gesture_features.json")) if work is not None else []

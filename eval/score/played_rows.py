@@ -54,7 +54,7 @@ class PlayedBundle:
 
 
 def unit_selection_row(truth: Mapping[str, Clip], store: Store, work: Path | None, seed: int) -> dict[str, Clip]:
-    """What unit selection makes of the truth's speech; InputError for a clip without speech."""
+    """Motion by unit selection for the truth's speech; InputError for a clip without speech."""
     from eval.baselines.unit_selection import UnitDatabase, UnitSelection
 
     units = UnitSelection(UnitDatabase.of(store, work=work))

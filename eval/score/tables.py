@@ -1,4 +1,4 @@
-"""What `eval.score` measures, and its tables: figures by part, the mismatch test, the flags, and how to read them."""
+"""The results of `eval.score` and their tables: figures by part, the mismatch test, the flags, and how to read them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Figures = dict[str, dict[str, Marked]]
 
 @dataclass(frozen=True)
 class Flag:
-    """What a control does to a metric."""
+    """A metric that a control beats or equals."""
 
     metric: str
     control: str
@@ -72,7 +72,7 @@ _LEGEND = (
 
 
 def tables(scores: Scores) -> list[Table]:
-    """What is compared, a table for each part, and what to make of it; metrics that a control beats bear (!)."""
+    """A table of the compared rows, one for each part, and the flags; metrics that a control beats bear (!)."""
     flagged = {flag.metric for flag in scores.flags}
     out = [_about(scores)]
     for part, title in _PARTS.items():
@@ -88,7 +88,7 @@ def tables(scores: Scores) -> list[Table]:
 
 
 def _about(scores: Scores) -> Table:
-    """What is compared, what the rows are, how cells are to be read."""
+    """The compared clips, the rows, and how to read the cells."""
     clips, kinds = len(scores.clips), scores.kinds
     few = f" Fewer than {FEW} clips: the intervals are too narrow." if clips < FEW else ""
     rows: dict[str, str] = {TRUTH: _ROWS[TRUTH]} | {name: "judged" for name, kind in kinds.items() if kind == "system"}

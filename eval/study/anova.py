@@ -1,4 +1,4 @@
-"""What the ratings of a user study say: means, one-way ANOVA and Tukey's test, ranks (RG 7.3.3; RACER Figure 4).
+"""Analysis of the ratings of a user study: means, one-way ANOVA and Tukey's test, ranks (RG 7.3.3; RACER Figure 4).
 
 Theory: one-way ANOVA asks whether systems differ at all, F = (spread between systems) / (spread within); Tukey's honest
 significant difference asks which pairs do, at 5 % for all pairs together. Both take every rating as an independent
@@ -45,7 +45,7 @@ _SHARE = (LEVEL[1] - LEVEL[0]) / 100
 
 @dataclass(frozen=True)
 class Key:
-    """What the page kept to itself: items maps an opaque id to (clip, system), both as numbers."""
+    """The secret of a study: items maps an opaque id to (clip, system), both as numbers."""
 
     study: str
     systems: tuple[str, ...]

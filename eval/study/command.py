@@ -287,7 +287,7 @@ def _stretch(speech: Speech, start: float, seconds: float) -> Speech:
 # ---------------------------------------------------------------- the command
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """What `gesticulator study` takes: make, or analyse."""
+    """Add the options of `gesticulator study make` and `analyse`."""
     commands = parser.add_subparsers(dest="command", required=True)
     m = commands.add_parser("make", help="make the page for raters, and the key that they must not see")
     m.add_argument("--systems", nargs="+", required=True, metavar="NAME=DIR",

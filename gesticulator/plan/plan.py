@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get
 from msgspec import Meta
 
 from data_module.errors import InputError, shown
+from gesticulator.plan.plain import in_lines, to_plain
 
 if TYPE_CHECKING:
     from data_module.types import Speech
@@ -178,7 +179,7 @@ class Block:
     """How many lexemes have a score as high as its lexeme, with itself; null without scores."""
     chosen: dict[str, float] | None = None
     """Of the interpreter "advantage": prior and advantage of the lexeme that was played."""
-    runner_up: dict[str, float] | None = None
+    runner_up: dict[str, int | float] | None = None
     """Of the interpreter "advantage": the best other lexeme (id), and by how much its advantage is higher
     (worth_more)."""
 
@@ -474,15 +475,11 @@ class GesturePlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""
-        from gesticulator.plan.plan_file import to_plain
-
         plain: dict[str, Any] = to_plain(self)
         return plain
 
     def to_json(self) -> str:
         """The text of the file: one line per block, word and lexeme; the same plan gives the same text."""
-        from gesticulator.plan.plan_file import in_lines
-
         return in_lines(self.to_dict()) + "\n"
 
 

@@ -6,17 +6,13 @@ derives the schema from them; what types cannot say is in `gesticulator.plan.che
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import functools
-import inspect
-import itertools
 import json
 import os
 import re
-import textwrap
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -24,8 +20,10 @@ import msgspec
 
 from data_module.errors import InputError, shown
 from data_module.files import parse_json, read_text, write_text
+from data_module.settings import field_docs
 from gesticulator.plan.checks import check_plan
 from gesticulator.plan.gestures import GESTURES
+from gesticulator.plan.plain import members
 from gesticulator.plan.plan import FORMAT, VERSION, GesturePlan, Place, place_of
 
 __all__ = ["parse_plan", "plan_from", "read_plan", "schema", "write_plan_file"]
@@ -33,8 +31,6 @@ __all__ = ["parse_plan", "plan_from", "read_plan", "schema", "write_plan_file"]
 _MOST_BYTES = 32 << 20
 """Size limit of a plan file, bytes (32 MiB); the plan of an hour has 10 million bytes."""
 _ADVICE = "give the file that --plan-out wrote"
-_PRIVATE = {"source"}
-"""Fields of `GesturePlan` that are not members of the file."""
 
 
 # ------------------------------------------------------------------------------------------------------- reading
@@ -58,7 +54,7 @@ def plan_from(plain: Any, source: str = "plan") -> GesturePlan:
                          f'give a plan that --plan-out wrote ("format": "{FORMAT}")')
     if plain.get("version") != VERSION or isinstance(plain["version"], bool):
         raise InputError(source, f"version is {shown(plain.get('version'))}", f"this version reads {VERSION}")
-    _check_members(GesturePlan, plain, (), source)
+    _checkmembers(GesturePlan, plain, (), source)
     try:
         plan = msgspec.convert(plain, GesturePlan)
     except msgspec.ValidationError as error:
@@ -87,7 +83,7 @@ def _advice_at(place: str) -> str:
     return f"give one of {', '.join(words)}" if words else "write it as docs/schema/plan.schema.json says"
 
 
-def _check_members(kind: type, value: Any, path: Place, source: str) -> None:
+def _checkmembers(kind: type, value: Any, path: Place, source: str) -> None:
     """`InputError` for a member that no field has: msgspec ignores those of dataclasses, and a misspelt member of an
     edited plan must not be ignored."""
     if not isinstance(value, dict):
@@ -100,8 +96,8 @@ def _check_members(kind: type, value: Any, path: Place, source: str) -> None:
         if part is not None:
             rows = enumerate(member) if isinstance(member, list) else ()
             for at, row in rows:
-                _check_members(part, row, (*path, name, at), source)
-            _check_members(part, member, (*path, name), source)
+                _checkmembers(part, row, (*path, name, at), source)
+            _checkmembers(part, member, (*path, name), source)
 
 
 @functools.cache
@@ -109,7 +105,7 @@ def _inner(kind: type) -> dict[str, type | None]:
     """Member of the file -> the dataclass of its value or of the entries of its list, None for other values."""
     hints = typing.get_type_hints(kind)
     return {name: next((cast(type, part) for part in _parts(hints[name]) if dataclasses.is_dataclass(part)), None)
-            for name in _members(kind)}
+            for name in members(kind)}
 
 
 def _parts(hint: Any) -> Iterator[Any]:
@@ -119,13 +115,6 @@ def _parts(hint: Any) -> Iterator[Any]:
         yield from _parts(part)
 
 
-@functools.cache
-def _members(kind: type) -> tuple[str, ...]:
-    """The members of a dataclass in the file."""
-    return tuple(field.name for field in dataclasses.fields(cast(Any, kind)) if field.name not in _PRIVATE
-                 or kind is not GesturePlan)
-
-
 # ------------------------------------------------------------------------------------------------------- writing
 
 def write_plan_file(path: str | os.PathLike[str], plan: GesturePlan) -> Path:
@@ -133,39 +122,6 @@ def write_plan_file(path: str | os.PathLike[str], plan: GesturePlan) -> Path:
     target = Path(path)
     write_text(target, plan.to_json())
     return target
-
-
-def to_plain(record: Any) -> Any:
-    """Plain values for JSON, without optional members that are null or empty by default and unchanged."""
-    if isinstance(record, tuple | list):
-        return [to_plain(entry) for entry in record]
-    if not dataclasses.is_dataclass(record):
-        return dict(record) if isinstance(record, Mapping) else record
-    kind: type = type(record)
-    values = {name: getattr(record, name) for name in _members(kind)}
-    omitted = _omitted_if_empty(kind)
-    return {name: to_plain(value) for name, value in values.items() if not (name in omitted and value in (None, ()))}
-
-
-@functools.cache
-def _omitted_if_empty(kind: type) -> frozenset[str]:
-    return frozenset(field.name for field in dataclasses.fields(cast(Any, kind)) if field.default in (None, ()))
-
-
-def in_lines(value: Any, depth: int = 0) -> str:
-    """JSON text with one line for each member of the first two levels; deeper values stay on one line."""
-    flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
-    if depth > 2 or len(flat) < 100 or not isinstance(value, dict | list) or not value:
-        return flat
-    if depth == 2 and isinstance(value, dict):
-        return flat
-    indent = " " * (depth + 1)
-    if isinstance(value, dict):
-        rows = [f"{json.dumps(key, ensure_ascii=False)}: {in_lines(inner, depth + 1)}" for key, inner in value.items()]
-        return "{\n" + ",\n".join(indent + row for row in rows) + "\n" + " " * depth + "}"
-    if not isinstance(value[0], dict):
-        return flat
-    return "[\n" + ",\n".join(indent + in_lines(inner, depth + 1) for inner in value) + "\n" + " " * depth + "]"
 
 
 # -------------------------------------------------------------------------------------------------------- schema
@@ -179,11 +135,11 @@ def schema() -> dict[str, Any]:
     definitions = whole["$defs"]
     for kind in filter(dataclasses.is_dataclass, _reached(GesturePlan)):
         definition = definitions[kind.__name__]
-        about = _field_docs(kind)
+        about = field_docs(kind)
         definition["description"] = (kind.__doc__ or "").split("\n\n")[0].replace("\n    ", " ")
         definition["additionalProperties"] = False
         definition["properties"] = {name: {"description": about[name], **definition["properties"][name]}
-                                    for name in _members(kind)}
+                                    for name in members(kind)}
     definitions["GestureCue"]["properties"]["gesture"]["examples"] = list(GESTURES)
     # Defaults are tuples and dataclasses there; as JSON they are lists and objects.
     plain: dict[str, Any] = json.loads(json.dumps(msgspec.to_builtins(whole)))
@@ -196,12 +152,3 @@ def _reached(kind: type) -> list[type]:
     for inner in reached:
         reached += [part for part in dict.fromkeys(_inner(inner).values()) if part is not None and part not in reached]
     return reached
-
-
-def _field_docs(kind: type) -> dict[str, str]:
-    """Field -> the docstring below it."""
-    body = cast(ast.ClassDef, ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]).body
-    return {above.target.id: " ".join(below.value.value.split()) for above, below in itertools.pairwise(body)
-            if isinstance(above, ast.AnnAssign) and isinstance(above.target, ast.Name)
-            and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
-            and isinstance(below.value.value, str)}

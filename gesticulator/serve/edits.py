@@ -35,16 +35,17 @@ from gesticulator.directing.shaped_blocks import ShapedBlock, ShapedBlocks
 from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps, root_path, shown
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
+from gesticulator.plan.plain import to_plain
 from gesticulator.plan.plan import Block, GesturePlan, sound_hash
-from gesticulator.plan.plan_file import plan_from, to_plain
+from gesticulator.plan.plan_file import plan_from
 from gesticulator.serve.page_server import AbandonedError, UnknownRenderingError
 
 if TYPE_CHECKING:
     from data_module.types import Array, Blocks, Motion
     from gesticulator.bundle.bundle import Bundle
     from gesticulator.directing.editing import PlanRenderer
-    from gesticulator.drawing.rollout import BlockMotion
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.sampling.loop import BlockMotion
 
 MOST_DRAWINGS = 4
 """First generations in memory: for the takes of a page, and for plans that were opened from files since."""

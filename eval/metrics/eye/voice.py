@@ -68,7 +68,7 @@ class VoiceActivity:
 
 
 def hear(speech: Speech) -> VoiceActivity:
-    """What the figures need of a recording."""
+    """The voice activity of a recording, for the figures of this chapter."""
     samples = resample(speech, SAMPLE_RATE).samples.astype(np.float64)
     frequencies, times, spectrum = stft(samples, SAMPLE_RATE, nperseg=512, noverlap=352)
     power = np.abs(spectrum) ** 2
