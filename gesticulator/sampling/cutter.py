@@ -37,6 +37,7 @@ from data_module.speech.silence import (
 from data_module.types import Array, BeatFlag, Blocks, Samples, Speech, Word
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import Features, SpeechBlock, SpeechFeatures, front_end_for, tempo_column
+from gesticulator.systems import system_of
 
 if TYPE_CHECKING:
     from data_module.text.word_vectors import WordEncoder
@@ -144,7 +145,7 @@ class BlockCutter:
         self._processed = self._frames = self._count = 0
         self._edges: list[tuple[float, BeatFlag]] = [(start, BeatFlag.BOUNDARY)]  # of blocks that are not cut yet
         self._rises: list[float] = []  # onsets of blocks that are not cut yet
-        self._pitch = PitchLevel() if config.selection.pitch else None
+        self._pitch = PitchLevel() if system_of(config).VARIES else None  # candidates are chosen by it
         self._cut: list[_CutBlock] = []  # the block before, and those that are not returned yet
         self._ended = self._beats_given = False
 

@@ -3,7 +3,7 @@ a small change of pose or sound rarely changes the choice:
 
 - Lexeme: -2 log(d / d_0), with d the squared distance of the candidate's movement to the lexeme to play, and d_0 that
   to its nearest lexeme.
-- Speed limit: a candidate in which a hand (with `careful`, or an elbow) is faster than people's hands are is rejected,
+- Speed limit: a candidate in which a hand or an elbow is faster than people's hands are is rejected,
   unless all are. One frame in a thousand of the corpus has such a jump, and a model trained on it samples one now and
   then.
 - Timing: the hands' braking b(t) = max(0, -ds/dt), with s the summed speed of both hands, should lie near the onsets of
@@ -11,12 +11,10 @@ a small change of pose or sound rarely changes the choice:
   that hardly move from scoring high.
 - Seam: the hands' acceleration at the start over the mean within the block, at most 2, so that blocks that hardly move
   are not rejected for it.
-- Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest; with `careful`, how far a
-  wrist is behind the front of the trunk and an elbow behind its back, where `gesticulator.body.clearance` has to move
+- Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest; how far a wrist
+  is behind the front of the trunk and an elbow behind its back, where `gesticulator.body.clearance` has to move
   them; how deep a wrist is in a sphere about its shoulder (a folded arm); and how near a forearm with its hand is to
   the middle of the face; as shares of the radii, mean over the block.
-- Style: sum over speed, height and reach of the hands of z m / s, with z the style code of the unit
-  (`interpreters.planner`), m the mean over the block, and s its deviation in the training data.
 - Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
   hands over the block, and h_0 and s_0 what they are in speech: the head moves when the hands do.
 - Pitch: the mean of p (s - s_m) / s_0 over the frames, with p the pitch in octaves over the voice's mean, s the turning
@@ -24,10 +22,9 @@ a small change of pose or sound rarely changes the choice:
 - Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their
   targets, in standard deviations of the training data.
 
-With `selection.same_arms` the candidates share the arms of the first, since a choice of arms turns every small change
-of sound into another way of the hands; the choice is then of torso and head. What timing loses by that is more than
-made up for by `selection.retiming`: the block that was chosen is moved in time, by shares of its length a t^2 (1 - t)^2
-that leave its ends where they are, to where the term of timing is best.
+Most candidates share the arms of the first (`systems.movement`); the choice is then of torso and head. What timing
+loses by that is more than made up for by retiming: the block that was chosen is moved in time, by shares of its length
+a t^2 (1 - t)^2 that leave its ends where they are, to where the term of timing is best.
 
 The onsets are those at which beats are placed (`data_module.speech.onsets`). Evaluation of timing uses two other
 detectors (`eval.metrics.eye`).
@@ -37,7 +34,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +46,6 @@ from gesticulator.body.clearance import back_at, front_at
 from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
-
-if TYPE_CHECKING:
-    from gesticulator.bundle.config import SelectionConfig
 
 _NEAR = 0.05
 """Standard deviation of w, seconds: half the tolerance of the timing metrics."""
@@ -80,12 +73,28 @@ _TRUNK = "Spine", "Spine1", "Spine2", "Spine3", "Chest"
 """Joints from hips to chest, of those that a body may have."""
 _TRUNK_TURNS = 0.25
 """s_0 of the trunk, rad/s."""
-_LEXEME = 2.0
-"""Weight of the lexeme: a candidate that is a twentieth nearer to another lexeme loses 0.2."""
-
-
+RETIMING = 0.08
+"""Share of a block's length by which its middle may come earlier or later."""
 _SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
 """Shares of the most shift of a block's middle that are tried; and what the whole of it must be worth in timing."""
+
+
+@dataclass(frozen=True)
+class CandidateWeights:
+    """The weights of the terms, relative to `timing`; chosen on the validation split."""
+
+    lexeme: float = 2.0
+    """A candidate that is a twentieth nearer to another lexeme loses 0.2."""
+    timing: float = 1.0
+    seam: float = 0.25
+    body: float = 16.0
+    together: float = 1.0
+    pitch: float = 1.5
+    controls: float = 2.0
+    """Per standard deviation of the training data."""
+
+
+WEIGHTS = CandidateWeights()
 
 
 @dataclass(frozen=True)
@@ -112,11 +121,8 @@ class CandidateMotion:
 class CandidateChooser:
     """Chooses among the candidates of a block for one speaker."""
 
-    def __init__(self, bundle: Bundle, speaker: int) -> None:
-        self._settings: SelectionConfig = bundle.config.selection
-        self._statistics, self._speaker = bundle.statistics, speaker
-        self._fast = 4 if self._settings.careful else 2
-        """How many of the places below must not be too fast: the hands, or the hands and the elbows."""
+    def __init__(self, bundle: Bundle, speaker: int, weights: CandidateWeights = WEIGHTS) -> None:
+        self._weights, self._statistics, self._speaker = weights, bundle.statistics, speaker
         self._representation = representation_of(bundle.config)
         skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
         chest = skeleton.parents[skeleton.index("RightShoulder")]
@@ -131,58 +137,51 @@ class CandidateChooser:
 
     def motion(self, past: Array, blocks: Array, shift: Array | None = None) -> CandidateMotion:
         """The motion of candidates. past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m]
-        the candidates; shift: [P + K, D_m] that is added to what is shown (`gesticulator.drawing.rollout`), or None."""
+        the candidates; shift: [P + K, D_m] that is added to what is shown (`systems.movement.Offset`), or None."""
         poses = self._poses(past, blocks)
         places = self._places(poses)
         return CandidateMotion(poses, places, places if shift is None else self._places(
             self._poses(past, blocks, shift)))
 
-    def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Array, control: Array | None = None,
-               code: Array | None = None) -> int:
+    def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Array, control: Array | None = None) -> int:
         """The index of the best candidate; the first of equals.
 
         motion: of C candidates; apart: [C] squared distance of each candidate to the lexeme to play over that to its
-        nearest lexeme; control: rows [K, 2 F], or None; code: [d_z] the style code of the unit, or None. Only the speed
-        limit is about what is shown: a shift depends on how the hands came here, so two takes that parted would go on
-        choosing differently while it fades.
+        nearest lexeme; control: rows [K, 2 F], or None. Only the speed limit is about what is shown: a shift depends
+        on how the hands came here, so two takes that parted would go on choosing differently while it fades.
         """
         if len(motion) == 1:
             return 0
-        poses, places = motion.poses, motion.places
+        weights, poses, places = self._weights, motion.poses, motion.places
         times = self._times(speech, poses.shape[1] - _BEFORE)
-        allowed = slow_enough(motion.shown[:, :, :self._fast], times)
+        allowed = slow_enough(motion.shown[:, :, :4], times)
         hands = places[allowed, :, :2]
-        score = -_LEXEME * np.log(apart[allowed].astype(np.float64))
-        if self._settings.clear:
-            score -= self._settings.clear * depth(places[allowed, _BEFORE:], self._settings.careful)
-        if self._settings.timing and len(speech.onsets) > 0:
-            score += self._settings.timing * in_time(hands, times, speech.start, speech.onsets)
-        if self._settings.together:
-            score -= self._settings.together * apart_from_hands(poses[allowed][..., self._head], hands, times)
-        if self._settings.pitch and speech.pitch is not None:
-            score += self._settings.pitch * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
-        if self._settings.seam:
-            score -= self._settings.seam * jolt(hands, times)
-        if code is not None and self._settings.as_styled:
-            score += self._settings.as_styled * self._styled(hands, times, code)
+        score = -weights.lexeme * np.log(apart[allowed].astype(np.float64))
+        score -= weights.body * depth(places[allowed, _BEFORE:])
+        if len(speech.onsets) > 0:
+            score += weights.timing * in_time(hands, times, speech.start, speech.onsets)
+        score -= weights.together * apart_from_hands(poses[allowed][..., self._head], hands, times)
+        if speech.pitch is not None:
+            score += weights.pitch * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
+        score -= weights.seam * jolt(hands, times)
         if control is not None:
-            score -= self._settings.as_asked * self._control_error(hands, times, control)
+            score -= weights.controls * self._control_error(hands, times, control)
         return int(allowed[score.argmax()])
 
     def retimed(self, speech: SpeechBlock, past: Array, block: Array) -> Array:
-        """The block [K, D_m], earlier or later in its middle by up to `selection.retiming` of its length, so that more
+        """The block [K, D_m], earlier or later in its middle by up to `RETIMING` of its length, so that more
         of the hands' braking lies near the onsets; past: see `motion`. Its ends, and the speed there, stay."""
         if not len(speech.onsets):
             return block
-        blocks = retimings(len(block), self._settings.retiming) @ np.concatenate([past[-2:], block])
+        blocks = retimings(len(block), RETIMING) @ np.concatenate([past[-2:], block])
         hands = self._places(self._poses(past, blocks))[:, :, :2]
         worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
         return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
 
     def too_fast(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
-        """Whether a hand (`careful`: or an elbow) is faster than `FASTEST` in every candidate, as it is shown."""
+        """Whether a hand or an elbow is faster than `FASTEST` in every candidate, as it is shown."""
         times = self._times(speech, motion.poses.shape[1] - _BEFORE)
-        return bool((fastest(motion.shown[:, :, :self._fast], times) > FASTEST).all())
+        return bool((fastest(motion.shown[:, :, :4], times) > FASTEST).all())
 
     @staticmethod
     def before_face(motion: CandidateMotion) -> bool:
@@ -224,17 +223,6 @@ class CandidateChooser:
         return np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
                          np.linalg.norm(inside[..., [0, 2]], axis=-1).mean((1, 2))], axis=-1)
 
-    def _styled(self, hands: Array, times: Array, code: Array) -> Array:
-        """[C] how far each candidate's hands [C, T, 2, 3] go in the direction of the style code, in deviations of the
-        training data."""
-        levels = self._statistics.levels
-        if levels is None:
-            return np.zeros(len(hands))
-        speed, _, height, reach = code
-        features = self._measured(hands, times)
-        features[:, 0] = hands[:, _BEFORE:, :, 1].max(2).mean(1)  # a style is the higher hand's height
-        return np.asarray((features - features.mean(0)) / levels.spread @ np.array([height, speed, reach]))
-
     def _control_error(self, hands: Array, times: Array, control: Array) -> Array:
         """[C] distance of each candidate's hands [C, T, 2, 3] from the controlled features, in standard deviations."""
         measured, width = self._measured(hands, times), len(controls.FEATURES)
@@ -262,21 +250,17 @@ def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
     return slow if len(slow) else np.array([speeds.argmin()])
 
 
-def depth(places: Array, behind: bool = False) -> Array:
+def depth(places: Array) -> Array:
     """[C] how deep wrists and elbows are in the trunk, wrists in the sphere of a folded arm, and forearms in that of
-    the face, as shares of the radii, summed over the joints and averaged over the frames.
-
-    places: as of `CandidateMotion`; behind: whether arms behind the trunk count, too, see `behind_trunk`.
-    """
+    the face, and how far arms are behind the trunk (`behind_trunk`), as shares of the radii, summed over the joints and
+    averaged over the frames. places: as of `CandidateMotion`."""
     chest = places[:, :, 6:7]
     share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
     radii = np.repeat(_RADII, 2)
     folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
     near_face = 1.0 - _to_face(places) / _FACE
-    shares = [1.0 - away / radii, folded, near_face]
-    if behind:
-        shares.append(behind_trunk(places) / _RADII[0])
+    shares = [1.0 - away / radii, folded, near_face, behind_trunk(places) / _RADII[0]]
     return np.asarray(sum(np.maximum(each, 0.0).sum(-1) for each in shares).mean(-1))
 
 
