@@ -54,7 +54,7 @@ def choice(word: str, about: str, known: Registry[RegistryEntry], show: Callable
 
     def run(given: argparse.Namespace) -> int:
         if given.list:
-            width = max(map(len, known))
+            width = max(map(len, known), default=0)
             print("\n".join(f"{name:<{width}}  {entry.about}" for name, entry in known.items()))
             return 0
         if not given.name:

@@ -86,10 +86,10 @@ def retold(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts, frequent: i
     """
     if isinstance(lexicon, MovementLexicon):
         true, always = lexicon.basis.coefficients(motion, past), torch.full((len(motion),), frequent)
-        for name, told in (("unquantised", true), ("quantised", lexicon.quantised(true)),
-                           (ALONE, lexicon.quantised(true, 0)), (FREQUENT, lexicon.added(always)),
-                           (PREDICTED, torch.zeros_like(true))):
-            yield name, lexicon.basis.compose(told, past)
+        for name, coefficients in (("unquantised", true), ("quantised", lexicon.quantised(true)),
+                                   (ALONE, lexicon.quantised(true, 0)), (FREQUENT, lexicon.added(always)),
+                                   (PREDICTED, torch.zeros_like(true))):
+            yield name, lexicon.basis.compose(coefficients, past)
         return
     latents = lexicon.latents(motion)
     labels = lexicon.quantizer.labels(latents)
@@ -100,9 +100,9 @@ def retold(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts, frequent: i
 
 def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor, past: Pasts) -> dict[str, NDArray[np.float32]]:
     """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m] and what came before each."""
-    one = int(bundle.frequencies.mean(axis=0).argmax())
-    return {name: ((made - motion) ** 2).mean(dim=(1, 2)).numpy()
-            for name, made in retold(bundle.block_models.lexicon, motion, past, one)}
+    commonest = int(bundle.frequencies.mean(axis=0).argmax())
+    return {name: ((decoded - motion) ** 2).mean(dim=(1, 2)).numpy()
+            for name, decoded in retold(bundle.block_models.lexicon, motion, past, commonest)}
 
 
 def use_of_codes(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts) -> dict[str, float]:
@@ -130,7 +130,8 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
     errors = {"PCA": ((linear.inverse_transform(linear.transform(unknown)) - unknown) ** 2).mean(1),
               "k-means": ((means.cluster_centers_[means.predict(unknown)] - unknown) ** 2).mean(1),
               **reconstructions(bundle, corpus.motion[test], corpus.pasts[test])}
-    kinds = np.concatenate([stroke_kinds(one, cut(one.speech, bundle.config.rhythm).edges) for one in recordings])
+    kinds = np.concatenate([stroke_kinds(recording, cut(recording.speech, bundle.config.rhythm).edges)
+                            for recording in recordings])
     for name, kind in (("quantised, strokes seen in training", 0), ("quantised, strokes never seen", 1)):
         errors[name] = np.where(kinds == kind, errors["quantised"], np.nan)
     owner = corpus.recording[test.numpy()]
@@ -138,19 +139,20 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
         np.nanmean(error[owner == clip]) if np.isfinite(error[owner == clip]).any() else np.nan
         for clip in np.unique(owner)])} for name, error in errors.items()}
     if take is not None:
-        own, past = normalised_blocks(bundle.config, bundle.statistics, take[0], cut(take[1], bundle.config.rhythm))
+        normalised, past = normalised_blocks(bundle.config, bundle.statistics, take[0],
+                                             cut(take[1], bundle.config.rhythm))
         rows |= {f"real take (BEAT), {name}": {"error": float(error.mean())} for name, error in
-                 reconstructions(bundle, own, past).items()}
-    told = (" Movements are decoded from the true frames before each block."
+                 reconstructions(bundle, normalised, past).items()}
+    note = (" Movements are decoded from the true frames before each block."
             if isinstance(bundle.lexicon, MovementLexicon) else "")
     used = use_of_codes(bundle.block_models.lexicon, corpus.motion[test], corpus.pasts[test])
     variance = float(unknown.var(0).mean())
     return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")}, rows,
                  "through", [f"Lexemes used on the test split: {100 * used['usage']:.0f} %; perplexity "
                              f"{used['perplexity']:.1f}. Variance of the features: {variance:.3f}. Means "
-                             f"over recordings with bootstrap 95 % intervals.{told}"],
+                             f"over recordings with bootstrap 95 % intervals.{note}"],
                  {**used, "variance": variance, **context.described(),
-                  "seconds": sum(one.speech.duration for one in recordings)})
+                  "seconds": sum(recording.speech.duration for recording in recordings)})
 
 
 # ------------------------------------------------------------------------------------------------ accuracy and motion

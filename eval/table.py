@@ -69,11 +69,11 @@ class Provenance:
 def _commit() -> str:
     """The commit of the checkout that this file lies in ("-dirty": changed since); `NOT_RECORDED` without one."""
     try:
-        found = subprocess.run(["git", "describe", "--always", "--dirty", "--exclude=*"], cwd=Path(__file__).parent,
+        described = subprocess.run(["git", "describe", "--always", "--dirty", "--exclude=*"], cwd=Path(__file__).parent,
                                capture_output=True, text=True, check=True, timeout=10)
     except (OSError, subprocess.SubprocessError):
         return NOT_RECORDED
-    return found.stdout.strip() or NOT_RECORDED
+    return described.stdout.strip() or NOT_RECORDED
 
 
 @dataclass(frozen=True)
@@ -153,9 +153,9 @@ class Table:
     @classmethod
     def from_dict(cls, held: Mapping[str, Any]) -> Table:
         """The inverse of `to_dict`; ValueError for a number of digits that no cell can be shown with."""
-        if not all(own.get("digits", 0) in range(MOST_DIGITS + 1) for own in held["columns"].values()):
+        if not all(column.get("digits", 0) in range(MOST_DIGITS + 1) for column in held["columns"].values()):
             raise ValueError(f"digits are not 0 to {MOST_DIGITS}")
-        return cls(held["title"], {key: Column(**own) for key, own in held["columns"].items()},
+        return cls(held["title"], {key: Column(**column) for key, column in held["columns"].items()},
                    {name: {key: _unpacked(cell) for key, cell in row.items()} for name, row in held["rows"].items()},
                    held["head"], held["notes"], _undefined(held["facts"]))
 
@@ -250,7 +250,7 @@ def load_with_provenance(path: str | Path) -> tuple[list[Table], Provenance]:
         raise InputError(path, "is not there", "run the command that writes it")
     try:
         held = read_object(path, "run the command that writes it", 1 << 28)
-        tables, about = [Table.from_dict(own) for own in held["tables"]], Provenance(**held["about"])
+        tables, about = [Table.from_dict(table) for table in held["tables"]], Provenance(**held["about"])
         markdown(tables, about)  # what holds values of other types cannot be shown
         return tables, about
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+from functools import partial
 
 from data_module import build
-from gesticulator.cli import Command
-
-
-def _draw_takes(args: argparse.Namespace) -> None:
-    """Draw the takes of named gestures that the performer is to play, unless they are there."""
-    folder: Path | None = args.repertoire
-    if folder is None or folder.exists() or args.corpus != "performer":
-        return
-    build.asked_for(args)
-    from gesticulator.directing.gesture_takes import write_takes
-
-    print(f"{folder}: {write_takes(folder, args.seed)} takes of named gestures were drawn", flush=True)
+from gesticulator.cli import PROGRAM, Command
 
 
 def _run(args: argparse.Namespace) -> int:
-    _draw_takes(args)
-    return build.run(args)
+    """Parse the rest of the command line for the chosen corpus, and build it."""
+    from data_module.corpora.table import reader_of
+
+    reader_of(args.corpus)  # an unknown name is refused before its options are
+    chosen = Command(f"build a training store: {args.corpus}", partial(build.add_arguments, corpus=args.corpus),
+                     build.run)
+    return chosen.main(f"{PROGRAM} build {args.corpus}", args.rest)
 
 
 COMMAND = Command(
-    "build a training store from recordings of speech and motion", build.add_arguments, _run,
-    examples=("build performer --preset tiny --out store", "build folder --source DIR --out store",
-              "build beat --source DIR --out store --workers 4"))
+    "build a training store from recordings of speech and motion", build.choose_corpus, _run,
+    examples=("build folder --source DIR --out store", "build beat --source DIR --out store --workers 4"))

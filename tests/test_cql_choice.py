@@ -21,7 +21,7 @@ def temperature(system: Gesticulator, **asked: object) -> float:
     options = InferenceOptions.of(dict(asked))  # type: ignore[arg-type]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InterpreterWarning)
-        return system.cast(options, text=False).sampling.temperature
+        return system.cast(options, text=False).temperature
 
 
 def test_the_shipped_q_network_is_sampled_and_temperature_0_is_arg_max(shipped: bundles.Bundle) -> None:

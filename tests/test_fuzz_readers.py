@@ -8,80 +8,24 @@ text by what it calls (`reader_finder`), runs every case, and names the readers 
 
 from __future__ import annotations
 
-import os
 import sys
 import warnings
-from collections.abc import Callable
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import CodeType
 
 import pytest
-from counted import counted_calls, profiled
-from hypothesis import HealthCheck, Phase, given, settings
-from reader_cases import READERS, Case, damages
+from counted import profiled
+from damaged import check_damaged
+from reader_cases import READERS, Case
 from reader_finder import readers_of
 
-from data_module.corpora.base import DroppedError
-from data_module.errors import InputError
 from data_module.text.transcript import FORMATS
-from gesticulator.live.protocol import RefusedError
-
-resource = pytest.importorskip("resource", reason="what a process has taken is POSIX's to tell")
-
-CALLS, MEGABYTES = 500_000, 500.0
-"""What one reading may take: calls of Python and C functions, not seconds, which differ between machines."""
-EXAMPLES = int(os.environ.get("GESTICULATOR_FUZZ", "20"))
-"""Damaged files per reader; the variable is for a longer search."""
-
-
-# ---------------------------------------------------------------------------------------------------- the property
-
-def _peak() -> float:
-    """Megabytes that this process has held at most so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def _held() -> float:
-    """Megabytes that it holds now, where the system tells; else what it has held at most."""
-    file = Path("/proc/self/statm")
-    return int(file.read_text().split()[1]) * resource.getpagesize() / 1e6 if file.is_file() else _peak()
 
 
 @pytest.mark.parametrize("name", READERS)
 def test_only_input_errors_come_out_of_damaged_files(name: str, tmp_path: Path) -> None:
-    case = READERS[name]
-    file = case.sample(tmp_path)
-    content = case.content(file)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        case.read(file)
-    beside = {other: other.read_bytes() for other in tmp_path.rglob("*") if other.is_file()}
-
-    @settings(max_examples=max(5, round(case.examples * EXAMPLES)), deadline=None, database=None, derandomize=True,
-              phases=(Phase.generate, Phase.shrink), suppress_health_check=list(HealthCheck))
-    @given(damages())
-    def survives(wanted: list[tuple[Callable[..., None], float, float, int]]) -> None:
-        data = bytearray(content)
-        for damage, a, b, choice in wanted:
-            damage(data, a, b, choice)
-        for other, old in beside.items():
-            other.write_bytes(old)
-        case.packed(file, bytes(data))
-        said = ""
-        before, peak = _held(), _peak()
-        try:
-            with warnings.catch_warnings(), counted_calls() as calls:
-                warnings.simplefilter("ignore")
-                warnings.filterwarnings("error", category=RuntimeWarning)
-                case.read(file)
-        except (InputError, DroppedError, RefusedError) as error:
-            said = str(error)
-        assert "\n" not in said and len(said) < 1000 + len(str(tmp_path))
-        grown = _peak() - before if _peak() > peak else 0.0
-        assert calls.count < CALLS and grown < MEGABYTES, f"{calls.count} calls, {grown:.0f} MB"
-
-    survives()
+    check_damaged(READERS[name], tmp_path)
 
 
 # ---------------------------------------------------------------------------------------------------- completeness
@@ -99,24 +43,24 @@ NO_CASE = {
         eval/acceptance/*:* eval/baselines/unit_selection.py:_read
         eval/ablate/*:* eval/context.py:* eval/renderings.py:*""",
     "calls a reader that has a case": """
-        data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._reading
-        data_module/corpora/ted.py:Ted.read eval/probes/face.py:run gesticulator/serve/edits.py:* gesticulator/live/*:*
+        data_module/corpora/base.py:load
+        data_module/corpora/ted.py:Ted.read gesticulator/serve/edits.py:* gesticulator/live/*:*
         gesticulator/serve/page_export.py:exported gesticulator/bundle/models.py:StoredParts.__getitem__
         gesticulator/serve/connection.py:* gesticulator/serve/session.py:Session._add_words interpreters/base.py:opened
         eval/probes/stability.py:_words_changed""",
     "the bytes are hashed, copied or thrown away, not parsed": """
-        data_module/corpora/smartbody.py:SmartBody.write data_module/text/word_vectors.py:_fingerprint
+        data_module/text/word_vectors.py:_fingerprint
         gesticulator/batch.py:file_hash gesticulator/export/html.py:character_data""",
     "a file that this process, its worker or its child wrote a moment ago": """
-        data_module/files.py:_holder data_module/performer/espeak.py:_spoken
-        data_module/performer/flite.py:timed_phrase gesticulator/characters/fbx_rig.py:read_fbx_character
+        data_module/files.py:_holder
+        gesticulator/characters/fbx_rig.py:read_fbx_character
         gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/own_fbx.py:write_animated
         gesticulator/export/usd.py:write_usd gesticulator/serve/metrics.py:read_figures eval/probes/stability.py:_as_mp3
         gesticulator/characters/blender.py:_Worker.*""",
     "messages of another process of the same server": """
         gesticulator/serve/output_process.py:_play gesticulator/serve/relay.py:*""",
     "runs in a child process, whose parent has a case": """
-        data_module/performer/espeak_child.py:main data_module/speech/mp3_child.py:main
+        data_module/speech/mp3_child.py:main
         gesticulator/export/fbx_child.py:animate gesticulator/characters/blender_jobs.py:main""",
     "a file of the installation": """
         gesticulator/ray_pool.py:_runs_here gesticulator/serve/page.py:pages gesticulator/version.py:_is_ours""",

@@ -15,8 +15,8 @@ from gesticulator.directing.directions import Shaping
 from gesticulator.directing.editing import PlayedBlock, Rows
 from gesticulator.directing.shaped_blocks import ShapedBlock, ShapedBlocks
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, StrokeScale
-from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.options import InferenceOptions
+from gesticulator.sampling.loop import BlockMotion
 
 COUNT, FRAMES, SECONDS = 120, 8, 0.33
 """40 seconds: twice as long as a stroke is remembered by an arm that hardly moves."""

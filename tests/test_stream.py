@@ -28,13 +28,13 @@ from generator.flow import Guidance, SamplingHead
 from gesticulator import stream as stream_module
 from gesticulator.body.rest import Rest
 from gesticulator.bundle.features import representation_of
-from gesticulator.drawing.candidates import CandidateChooser
-from gesticulator.drawing.cutter import BlockCutter
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.pace import Effort
 from gesticulator.live.protocol import StreamRequest, published
 from gesticulator.live.session import session_opener
 from gesticulator.pipeline import Gesticulator
+from gesticulator.sampling.candidates import CandidateChooser
+from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"

@@ -101,6 +101,7 @@ def closed_loop(decode: Decode, recordings: Sequence[HeldOut]) -> list[Tensor]:
         on = [k for k, held in enumerate(recordings) if at < len(held.motion)]
         ratio = torch.stack([true[k].ratio[at] for k in on])
         block_batch = decode(torch.stack([recordings[k].motion[at] for k in on]), Pasts(before[on], ratio))
+        # The next block begins after the decoded frames, so that errors add up as they do in a performance.
         before[on] = block_batch[:, -before.shape[1]:]
         for k, block in zip(on, block_batch, strict=True):
             decoded[k].append(block)
@@ -132,6 +133,7 @@ def fit_of(held: HeldOut, decoded: Tensor) -> Fit:
 
 def stroke_blocks(places: Array, durations: Array) -> NDArray[np.bool_]:
     """[N] blocks of places [N, K, J, 3] in which a wrist is faster than a stroke's fastest moment must be."""
+    # A stroke is told by its fastest moment, not by its mean: most of a block may be preparation.
     wrists = places[:, :, [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]]
     step = np.linalg.norm(np.diff(wrists, axis=1), axis=-1) * (places.shape[1] / durations)[:, None, None]
     return np.asarray(step.max(axis=(1, 2)) > strokes.MOVES, dtype=bool)
@@ -222,6 +224,7 @@ def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> floa
     """Mean hand speed, m/s, in blocks that are quiet, as the block before them was; NaN where there is none."""
     speed = common_body(motion).hand_speed.mean(axis=1)
     at = np.clip(np.searchsorted(edges, np.arange(len(speed)) / HZ, side="right") - 1, 0, len(quiet) - 1)
+    # The first silent block still carries the retraction of the gesture before it.
     settled = quiet & np.concatenate([[False], quiet[:-1]])
     resting = speed[settled[at]]
     return float(resting.mean()) if len(resting) else float("nan")

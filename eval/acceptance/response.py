@@ -74,6 +74,7 @@ COLUMNS = {
 def effort_figures(values: Array, apart: Sequence[float]) -> Results:
     """values: [size and speed, lively and subdued, readings]; apart: cm between the hands of each reading and the same
     reading 6 dB quieter."""
+    # Logarithms, so that twice as large and half as large cancel.
     logs = np.log(values[:, 0] / values[:, 1])
     best = int(np.nanargmax(np.nanmean(logs, axis=1)))
     shown = ", ".join(f"{name} {np.exp(np.nanmean(log)):.2f}, in order in {int((log > 0).sum())} of {len(log)}"
@@ -109,8 +110,9 @@ def effort(system: BundleSystem, speaker: str | None, renderings: int) -> tuple[
                        for manner in (LIVELY, SUBDUED)]).transpose(2, 0, 1)
     apart = []
     for name, speech in sounds:
-        pair = (system.render(voice(name, sound), 0).motion for sound in (speech, EXPORTS["6 dB quieter"](speech)))
-        apart.append(stability.difference(*(common_body(motion) for motion in pair)).hands)
+        first, quieter = (common_body(system.render(voice(name, sound), 0).motion)
+                          for sound in (speech, EXPORTS["6 dB quieter"](speech)))
+        apart.append(stability.difference(first, quieter).hands)
     return effort_figures(values, apart), [_readings_table([name for name, _ in sounds], values, apart)]
 
 
@@ -258,13 +260,13 @@ def moved_by_word(first: Rendering, again: Rendering, time: float) -> tuple[floa
     """After a change of the word at a time: cm between the hands before its gesture unit, and % of other lexemes from
     the second unit after it on. NaN for what the motion is too short for."""
     assert first.edges is not None and again.edges is not None
-    bodies = common_body(first.motion), common_body(again.motion)
-    units, changed = (units_of(body) for body in bodies)
+    body, other = common_body(first.motion), common_body(again.motion)
+    units, changed = units_of(body), units_of(other)
     at, new = _unit_at(units, time), _unit_at(changed, time)
     # The new word may call for a gesture that is prepared earlier than that of the old one.
     begin = min([time, *(unit[0] for unit in (*units[at:at + 1], *changed[new:new + 1]))])
-    before = stability.difference(*(body.crop(0, round(begin * HZ)) for body in bodies)).hands \
-        if begin > 1.0 else math.nan
+    frames = round(begin * HZ)
+    before = stability.difference(body.crop(0, frames), other.crop(0, frames)).hands if begin > 1.0 else math.nan
     if at + 2 >= len(units):
         return before, math.nan
     late = int(np.searchsorted(first.edges[:-1], units[at + 2][0]))

@@ -76,6 +76,7 @@ def halves(corpus: EyeSample, space: ReferenceSpace) -> Interval:
         if first is None or second is None:  # fewer windows than a covariance takes
             return Interval.undefined(len(windows))
         distances.append(eye.frechet.frechet(first, second))
+    # The spread of the halvings themselves, not of their mean: it is the range of distances that chance gives.
     low, high = np.percentile(distances, [2.5, 97.5])
     return Interval(float(np.mean(distances)), float(low), float(high), len(windows))
 

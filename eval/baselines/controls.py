@@ -289,8 +289,8 @@ def _onsets_late(encoded: SpeechFeatures, by: int) -> tuple[Array, ...] | None:
         return None
     edges, count = encoded.blocks.edges, len(encoded)
     out = []
-    for own in range(count):
-        heard = (own - by) % count
-        share = (encoded.onsets[heard] - edges[heard]) / (edges[heard + 1] - edges[heard])
-        out.append(edges[own] + share * (edges[own + 1] - edges[own]))
+    for block in range(count):
+        source = (block - by) % count
+        share = (encoded.onsets[source] - edges[source]) / (edges[source + 1] - edges[source])
+        out.append(edges[block] + share * (edges[block + 1] - edges[block]))
     return tuple(out)

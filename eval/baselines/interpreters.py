@@ -93,7 +93,7 @@ class Bigram:
 class ReplayInterpreter:
     """Lexemes that are known beforehand, one sequence after the other: a `start` begins the next once the one before is
     played to its end. Before that it goes on, since a generator that forgets the past where the hands set out anew
-    (`selection.fresh`) starts its interpreter again there."""
+    (`systems.movement.set_out`) starts its interpreter again there."""
 
     def __init__(self, sequences: Iterable[Lexemes], size: int) -> None:
         self._coming, self._size = iter(sequences), size

@@ -92,7 +92,7 @@ class ClipMeasurement:
 
         Pieces whose times join hold everything once.
         """
-        onsets, beats = (own[(own >= start) & (own < end)] - start for own in (self.onsets, self.beats))
+        onsets, beats = (times[(times >= start) & (times < end)] - start for times in (self.onsets, self.beats))
         first = round(start * fps)
         last = round(end * fps) if end < self.duration else len(self.hand_speed) + 1
         return ClipMeasurement(onsets, beats, end - start, self.hand_speed[first:last], self.silent[first:last],
@@ -131,8 +131,8 @@ def _settled(speech: Speech, frames: int, fps: float) -> NDArray[np.bool_]:
 
 def against(motion: Motion, truth: Motion) -> JointError:
     """MAJE and MAD beside the speaker's own motion, which is brought to the same frame rate; cut to the shorter."""
-    ours, theirs = to_common_length([motion], [resample(truth, motion.fps)])
-    return motion_error(ours[0], theirs[0])
+    first, second = to_common_length([motion], [resample(truth, motion.fps)])
+    return motion_error(first[0], second[0])
 
 
 def motion_values(clip: ClipMeasurement, motion: Motion, truth: Motion, seed: int) -> dict[str, float]:

@@ -28,7 +28,7 @@ from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import Statistics, front_end_for, representation_of
-from gesticulator.drawing.cutter import encode_speech
+from gesticulator.sampling.cutter import encode_speech
 from gesticulator.training.stages.lexicon import BlockLexicon
 from lexicon.movement import MovementLexicon
 

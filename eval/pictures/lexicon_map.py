@@ -159,14 +159,14 @@ class Survey:
         words = distinctive(counts, vocabulary)
         speed = np.where(self.seconds > 0, self.way / np.maximum(self.seconds, 1), np.nan)
         return [LexemeEntry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
-                      {name: float(own[i] / max(own.sum(), 1)) for name, own in sorted(self.blocks.items())},
+                      {name: float(used[i] / max(used.sum(), 1)) for name, used in sorted(self.blocks.items())},
                       float(speed[i]), float(decoded_speed[i]), float(self.silent[i] / max(total[i], 1)), words[i],
                       self._strokes_of(i))
                 for i in range(self.size)]
 
     def _strokes_of(self, lexeme: int) -> dict[str, float]:
-        own = Counter({kind: count for (label, kind), count in self.strokes.items() if label == lexeme})
-        return {kind: count / own.total() for kind, count in own.most_common(MOST_STROKES)}
+        kinds = Counter({kind: count for (label, kind), count in self.strokes.items() if label == lexeme})
+        return {kind: count / kinds.total() for kind, count in kinds.most_common(MOST_STROKES)}
 
 
 @torch.no_grad()

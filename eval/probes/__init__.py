@@ -2,16 +2,13 @@
 
 A probe is a module with `arguments(parser)`, which adds what it takes, and `run(arguments)`, which gives the tables
 that answer the question; the command writes and shows them. A new one is a file and an entry here. Nothing imports a
-probe: what two of them need lies below, in `eval.metrics` or `eval.clip`. The acceptances of motion and
-of a corpus have a room of their own.
+probe: what two of them need lies below, in `eval.metrics` or `eval.clip`. Those of the training corpus and of the lips
+are in `gesticulator-performer`.
 """
 
 from __future__ import annotations
 
 from data_module.registry import Registry, RegistryEntry, is_tool
 
-PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {
-    "face": RegistryEntry("does the mouth follow the sound? Visemes, closures and silence beside simpler mouths",
-                          "eval.probes.face"),
-    "corpus": RegistryEntry("is a built data set good enough to learn from?", "eval.acceptance.corpus.command"),
-}, RegistryEntry, fits=is_tool)
+PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {}, RegistryEntry, fits=is_tool)
+"""None of ours at present: all are entry points."""

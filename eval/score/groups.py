@@ -54,6 +54,7 @@ def group_table(groups: Mapping[str, Mapping[str, Speech]], systems: Mapping[str
             motions = [bundle.motion(player, speech, seed) for speech in sounds.values()]
             tracks = [OnsetTrack.of(speech) for speech in sounds.values()]
             rows[f"{group}, {name}"] = synchrony_means(motions, tracks, seed)
+            # The next sound of the same group: another language would differ in rate, and not in fit alone.
             rows[f"{group}, {name}, {EXCHANGED}"] = synchrony_means(motions, [*tracks[1:], tracks[0]], seed)
     counts = ", ".join(f"{group} {len(sounds)}" for group, sounds in groups.items())
     columns = {name: Column(METRICS[name].about, METRICS[name].unit, METRICS[name].digits) for name in SHOWN}

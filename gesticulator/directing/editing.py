@@ -30,13 +30,13 @@ from numpy.typing import NDArray
 
 from data_module.types import Array, BeatFlag, Blocks
 from gesticulator.bundle.features import SpeechBlock, SpeechFeatures
-from gesticulator.drawing.cutter import BlockCutter
-from gesticulator.drawing.drawer import Direction, Keys
 from gesticulator.drawing.drawn_blocks import DrawnBlock, DrawnTree
-from gesticulator.drawing.driver import BlockRequest, Driver, GeneratedMotion, KeptDrawing, OnBlock
+from gesticulator.drawing.driver import BlockRequest, Direction, Driver, GeneratedMotion, KeptDrawing
 from gesticulator.drawing.recut import Recutter, window
-from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.plan import Block, GenerationKnobs, GesturePlan, PlanKnobs, edited_blocks, edited_themselves
+from gesticulator.sampling.cutter import BlockCutter
+from gesticulator.sampling.loop import BlockMotion, OnBlock
+from gesticulator.sampling.noise import Keys
 
 BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""

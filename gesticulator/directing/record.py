@@ -27,8 +27,8 @@ from gesticulator.plan.plan import (
 
 if TYPE_CHECKING:
     from data_module.types import Blocks, Speech
-    from gesticulator.drawing.rollout import BlockMotion
     from gesticulator.options import InferenceOptions
+    from gesticulator.sampling.loop import BlockMotion
 
 _ABOVE = ("seed", "variation", "speaker", "interpreter", "activity")
 """Settings that have fields of their own in a plan."""

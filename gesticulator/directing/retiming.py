@@ -24,7 +24,6 @@ from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.directing.moved_beats import BeatMap
 from gesticulator.directing.moved_sections import moved_knobs, moved_sections
 from gesticulator.directing.retiming_report import MovedItem, RetimingReport, runs_of
-from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.checks import LONGEST, SHORTEST
 from gesticulator.plan.plan import (
     Block,
@@ -37,6 +36,7 @@ from gesticulator.plan.plan import (
     edited_blocks,
     sound_hash,
 )
+from gesticulator.sampling.loop import BlockMotion
 
 __all__ = ["Retimed"]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import count
 
 from gesticulator.drawing.driver import BlockRequest, Driver
-from gesticulator.drawing.rollout import BlockMotion
+from gesticulator.sampling.loop import BlockMotion
 
 
 @dataclass(frozen=True)

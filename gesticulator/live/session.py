@@ -92,11 +92,11 @@ class Session:
                        "stream_seconds": limits.stream_seconds},
         }
 
-    def feed(self, samples: Samples, heard: bool = False, effort: Effort = Effort.FULL) -> Work:
-        """Process audio of the avatar or, with `heard`, of another speaker."""
+    def feed(self, samples: Samples, other_voice: bool = False, effort: Effort = Effort.FULL) -> Work:
+        """Process audio of the avatar or, with `other_voice`, of another speaker."""
         seconds = len(samples) / self.request.sample_rate
         self._received += seconds
-        if heard:
+        if other_voice:
             yield from map(self._answer, self._stream.steps("listen", samples))
             return
         if effort == Effort.NONE:
@@ -163,7 +163,7 @@ class Session:
         if not self.request.options.get("text", False):
             raise RefusedError(CloseCode.BAD_MESSAGE, "words came for a stream without the option text")
         try:
-            words = [Word(one["text"], float(one["start"]), float(one["end"])) for one in entries]
+            words = [Word(entry["text"], float(entry["start"]), float(entry["end"])) for entry in entries]
         except ValueError as error:
             raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
         if len(self._words) + len(words) > _MOST_WORDS:

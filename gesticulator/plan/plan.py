@@ -179,7 +179,7 @@ class Block:
     """How many lexemes have a score as high as its lexeme, with itself; null without scores."""
     chosen: dict[str, float] | None = None
     """Of the interpreter "advantage": prior and advantage of the lexeme that was played."""
-    runner_up: dict[str, float] | None = None
+    runner_up: dict[str, int | float] | None = None
     """Of the interpreter "advantage": the best other lexeme (id), and by how much its advantage is higher
     (worth_more)."""
 

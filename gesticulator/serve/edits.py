@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from data_module.types import Array, Blocks, Motion
     from gesticulator.bundle.bundle import Bundle
     from gesticulator.directing.editing import PlanRenderer
-    from gesticulator.drawing.rollout import BlockMotion
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.sampling.loop import BlockMotion
 
 MOST_DRAWINGS = 4
 """First generations in memory: for the takes of a page, and for plans that were opened from files since."""

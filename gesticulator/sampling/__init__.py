@@ -1,0 +1,1 @@
+"""Cut speech into blocks, choose a lexeme for each block, sample its motion."""
