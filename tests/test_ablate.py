@@ -15,9 +15,10 @@ from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.store import Store
 from eval.ablate import command, figures, racer, run
+from eval.ablate.ablation import Ablation
 from eval.ablate.cells import CellStore, summaries
 from eval.ablate.rows import COLUMNS, CONTROLS, OURS, REFERENCES, ROWS, TABLES, tiny
-from eval.ablate.run import Ablation, RgRows
+from eval.ablate.run import RgRows
 from eval.baselines.interpreters import RandomStyle
 from eval.commands import ABLATE
 from eval.context import EvalContext
