@@ -1,7 +1,7 @@
 """What edits of a plan cost: `python benchmarks/editing.py [--minutes 10] [--speech FILE ...] [--text FILE]
 [--legs standing|seated] [--local]`.
 
-Processor time from the page's request to its answer (`LivePlans.answer`), in the order of an editor's session: after
+Processor time from the page's request to its answer (`EditSession.answer`), in the order of an editor's session: after
 twenty edits of all kinds, a swap costs what it cost at first. With --minutes, the recordings are repeated up to that
 length.
 """
@@ -26,7 +26,7 @@ from data_module.speech.audio import SAMPLE_RATE, resample
 from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.export.html import describe
-from gesticulator.serve.edits import LivePlans, plan_with
+from gesticulator.page.session import EditSession, plan_with
 
 ROOT = Path(__file__).resolve().parents[1]
 VIEW = 12.0
@@ -48,7 +48,7 @@ def headers(parts: Iterable[bytes]) -> list[Plain]:
 class Editor:
     """A page's side of edits, which prints a row of the table for each edit with a name."""
 
-    plans: LivePlans
+    plans: EditSession
     plan: Plain
     have: int
 
@@ -169,12 +169,12 @@ def main() -> None:
     asked = p.parse_args()
     torch.set_num_threads(1)
     speech, system = _speech(asked.speech, asked.minutes), Gesticulator.from_pretrained()
-    system.keeps_drawings = True
+    system.keeps_generations = True
     begin = time.process_time()
     first = system(speech, text=asked.text, seed=1, legs=asked.legs == "standing", seated=asked.legs == "seated")
     drawn = time.process_time() - begin
     plan = describe(first.scene())["plan"]
-    plans = LivePlans(system, first)
+    plans = EditSession(system, first)
     gc.collect()
     gc.freeze()  # as gesticulator view does
     begin = time.process_time()

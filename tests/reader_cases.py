@@ -9,7 +9,7 @@ import json
 import re
 import threading
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -577,17 +577,17 @@ def _read_plan(file: Path) -> object:
 
 
 def _read_sent_plan(file: Path) -> object:
-    """As a page sends a plan: parsed, then read twice by one exchange, the second time from what it remembers."""
+    """As a page sends a plan: parsed, then read twice by one reader, the second time from what it remembers."""
     from data_module.files import read_json
-    from gesticulator.plan.exchange import PlanExchange
+    from gesticulator.page.plan_reader import PlanReader
 
-    exchange = PlanExchange()
+    reader = PlanReader()
     plain = read_json(file, "send it again")
     if not isinstance(plain, dict):
         raise InputError(file, "is not a plan", "send it again")
-    plan = exchange.read(plain, str(file))
-    assert exchange.read(plain, str(file)) == plan
-    return exchange.plain(plan)
+    plan = reader.read(plain, str(file))
+    assert reader.read(plain, str(file)) == plan
+    return plan.to_dict()
 
 
 def _request(folder: Path) -> Path:
@@ -617,15 +617,15 @@ class _Client:
 
 def _read_request(file: Path) -> object:
     """The answer of a server whose rendering reads the plan; AssertionError where it says that the program failed."""
-    from gesticulator.plan.exchange import PlanExchange
-    from gesticulator.serve.page_server import _PageHandler
+    from gesticulator.page.plan_reader import PlanReader
+    from gesticulator.page.server import _PageHandler
 
-    exchange = PlanExchange()
+    reader = PlanReader()
 
-    def render(request: dict[str, Any], abandoned: Callable[[], bool]) -> Iterator[bytes]:
+    def render(request: dict[str, Any], abandoned: Callable[[], bool], report: Callable[[bytes], object]) -> bytes:
         if not isinstance(request.get("plan"), dict):
             raise InputError("the request", "holds no plan", "send one")
-        return iter([json.dumps(exchange.plain(exchange.read(request["plan"]))).encode()])
+        return reader.read(request["plan"]).to_json().encode()
 
     server = SimpleNamespace(
         hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0, figures=None, export=None,
@@ -730,7 +730,7 @@ def _read_keys(file: Path) -> object:
 
 def _read_sent_character(file: Path) -> object:
     from data_module.files import read_json
-    from gesticulator.serve.page_export import _character
+    from gesticulator.page.export import _character
 
     return _character(read_json(file, "send it again"), file.parent)
 
@@ -807,7 +807,7 @@ def _read_edges(file: Path) -> object:
 
 
 def _read_place(file: Path) -> object:
-    from gesticulator.serve.page_place import place_in
+    from gesticulator.page.page_place import place_in
 
     return place_in(file)
 

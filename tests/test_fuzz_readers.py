@@ -89,7 +89,6 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("data_module", "gesticulator", "eval", "lexicon", "interpreters", "generator")
 NO_CASE = {
     "a table of the program itself": "gesticulator/plan/gestures.py:_read_table eval/study/meaning.py:sayings",
-    "makes a number of a hash": "gesticulator/serve/edits.py:whole_motion",
     "a table of the outside data; a cell that is no number is named with its line": """
         eval/probes/recognition.py:read_clips eval/probes/recognition.py:_described""",
     "an option of the command line, tested with what is no number": "gesticulator/export/clip.py:parse_keys",
@@ -120,10 +119,10 @@ NO_CASE = {
         data_module/corpora/base.py:load data_module/corpora/performer.py:Performer._reading
         data_module/corpora/ted.py:Ted.read eval/runner/ablate.py:ablate eval/runner/ablate.py:redraw
         eval/runner/rg.py:RgRows.clips eval/probes/face.py:run gesticulator/training/face.py:recordings_of
-        gesticulator/serve/edits.py:LivePlans.performance gesticulator/serve/edits.py:LivePlans.opened
-        gesticulator/serve/page_export.py:exported
+        gesticulator/page/session.py:EditSession.exported gesticulator/page/session.py:EditSession.opened
+        gesticulator/page/export.py:exported
         gesticulator/bundle/models.py:StoredParts.__getitem__ gesticulator/serve/connection.py:Connection._hello
-        gesticulator/serve/connection.py:Connection._read gesticulator/serve/edits.py:LivePlans.answer
+        gesticulator/serve/connection.py:Connection._read gesticulator/page/session.py:EditSession.answer
         gesticulator/serve/session.py:Session._add_words interpreters/base.py:opened""",
     "the bytes are hashed, copied or thrown away, not parsed": """
         data_module/corpora/smartbody.py:SmartBody.write data_module/text/word_vectors.py:_fingerprint

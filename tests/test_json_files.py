@@ -145,7 +145,6 @@ _OTHERS = {
     "data_module/performer/espeak_child.py": "runs in a process of its own, on what its parent wrote a moment ago",
     "gesticulator/characters/blender.py": "the outcome of a job that its own Blender has just written",
     "gesticulator/characters/blender_jobs.py": "runs in Blender, on the job that its parent has just written",
-    "gesticulator/plan/exchange.py": "a copy of values that it has just written as text",
     "gesticulator/plan/json_lines.py": "the parser that knows the line of each value; one number at a time",
 }
 

@@ -28,9 +28,9 @@ from eval.clip.measure import real_take
 from eval.metrics import eye
 from eval.stats import Interval, mean_interval
 from eval.table import Cell, Column, Table
+from gesticulator.page.session import EditSession
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
-from gesticulator.serve.edits import LivePlans
 
 NEUTRAL = "neutral"
 FAR = np.radians(5.0)
@@ -147,7 +147,7 @@ def played(system: Gesticulator, sounds: Sequence[Speech], seeds: int, rows: Seq
     for sound in sounds:
         for seed in range(seeds):
             neutral = system(sound, seed=seed)
-            drawn, plans = neutral.plan(), LivePlans(system, neutral)
+            drawn, plans = neutral.plan(), EditSession(system, neutral)
             for row, own in figures.items():
                 made = neutral
                 if set(ROWS[row]) & {"variation", "hold_still"}:
@@ -155,7 +155,7 @@ def played(system: Gesticulator, sounds: Sequence[Speech], seeds: int, rows: Seq
                 elif row != NEUTRAL:
                     # What changes finished poses alone is rendered from the same drawing.
                     plan = replace(drawn, knobs=replace(drawn.knobs, **ROWS[row]))
-                    made = plans.render(plan) if plan.manner == drawn.manner else \
+                    made = plans.perform(plan) if plan.manner == drawn.manner else \
                         system(sound, seed=seed, **ROWS[row])
                 own.append(measured(made, neutral, (low, high)))
     return figures

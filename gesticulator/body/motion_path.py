@@ -81,7 +81,11 @@ class MotionPath:
 
         With joint positions all frames come at the end, because rotations are computed from the whole motion.
         """
-        frames = self._knots.push(times, self._poses(times, features), until)
+        return self.push_poses(times, self._poses(times, features), until)
+
+    def push_poses(self, times: Array, poses: Array, until: int | None = None) -> Motion | None:
+        """`push` of poses [K, D_m] that are not normalised and have the knobs and gestures applied."""
+        frames = self._knots.push(times, self._cleared(poses), until)
         if self._whole is None:
             return self._motion(frames)
         self._whole.append(frames)
@@ -93,8 +97,7 @@ class MotionPath:
 
     def rewind(self, times: Array, features: NDArray[np.floating], first: int) -> None:
         """Go back to frame `first`, see `KnotPath.rewind`; features [M, D_m] at times [M] of the remembered past."""
-        self._knots.rewind(times, self._poses(times, features), first)
-        self._last = None
+        self.rewind_poses(times, self._poses(times, features), first)
         if self._stance is not None:
             while len(self._stances) > 1 and self._stances[-1][0] > first:
                 self._stances.pop()
@@ -103,12 +106,35 @@ class MotionPath:
             if number < first:
                 self._stance.step(self._representation.motion(self._knots.frames(number, first), self._knots.fps))
 
+    def rewind_poses(self, times: Array, poses: Array, first: int) -> None:
+        """`rewind` with poses [M, D_m] as in `push_poses`; the legs stay as they are (`stand_on`)."""
+        self._knots.rewind(times, self._cleared(poses), first)
+        self._last = None
+
+    @property
+    def has_legs(self) -> bool:
+        """Whether the motion is on standing legs, which depend on everything before."""
+        return self._stance is not None
+
+    def legs(self) -> Stance:
+        """A copy of the state of the legs before frame `next`. ValueError without standing legs."""
+        if self._stance is None:
+            raise ValueError("the motion has no standing legs")
+        return self._stance.fork()
+
+    def stand_on(self, legs: Stance) -> None:
+        """Go on with a copy of the legs (`legs`) after `rewind_poses` to its frame."""
+        self._stance = legs.fork()
+
     def _poses(self, times: Array, features: NDArray[np.floating]) -> Array:
         poses = self._statistics.denormalise(features.astype(np.float64), self._speaker)
         if not len(poses):
             return poses
-        poses = poses if self._shaping is None else self._shaping(poses, times)
-        return poses if self._whole is not None else \
+        return poses if self._shaping is None else self._shaping(poses, times)
+
+    def _cleared(self, poses: Array) -> Array:
+        """Poses [K, D_m] with the hands out of the body."""
+        return poses if self._whole is not None or not len(poses) else \
             cleared_poses(poses, self._representation, self._options.seated)
 
     def _motion(self, frames: Array) -> Motion | None:

@@ -16,7 +16,6 @@ from data_module.types import Array, Blocks, Speech, Word
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
 from gesticulator.bundle.files import lexicon_hash
-from gesticulator.directing.editing import still_frames
 from gesticulator.directing.shaping import (
     FADE,
     MIRROR_FADE,
@@ -53,6 +52,13 @@ _BROKEN_OFF = 1.2
 _VOWEL_SHARE, _EARLY = 0.3, 0.11
 """A stroke falls at this share of its word, less this many seconds. Measured on two read sonnets: the vowel of the
 loudest syllable begins there, and a beat of the hand leads the voice by .075 s in the median."""
+
+
+def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.bool_] | None:
+    """[K] whether the knobs require the hands to rest, in the frames at `times` [K] of a block that begins at `start`;
+    None if in no frame."""
+    ranges = knobs.still_at(start, float(times[-1]))
+    return np.any([(times > begin) & (times <= stop) for begin, stop in ranges], axis=0) if ranges else None
 
 
 def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,6 @@ from gesticulator.bundle.features import SpeechBlock, SpeechFeatures, control_ro
 from gesticulator.drawing.drawer import FREE, Direction
 from gesticulator.drawing.rollout import BlockMotion, CodecRollout, Rollout, Sampling
 from interpreters.base import Interpreter
-
-if TYPE_CHECKING:
-    from gesticulator.drawing.cutter import BlockCutter
 
 OnBlock = Callable[[int, int], None]
 """Called after each block with the number of finished blocks and the total."""
@@ -64,18 +60,6 @@ class GeneratedMotion:
     cut: Blocks
     blocks: Sequence[BlockMotion]
     motion: NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class KeptDrawing:
-    """A first generation, or its beginning, kept so that edits can start from it: the speech; the first n of its N
-    blocks; the state before each of these and after the last, or no state where nothing is drawn; and the cutter of the
-    speech at some times (`BlockCutter.fork`)."""
-
-    encoded: SpeechFeatures
-    blocks: Sequence[BlockMotion]
-    states: Sequence[Driver]
-    cutters: Sequence[BlockCutter] = ()
 
 
 def requests(encoded: SpeechFeatures, control: ControlRows | None = None,
