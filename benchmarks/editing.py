@@ -1,4 +1,4 @@
-"""What edits of a plan cost: `python benchmarks/editing.py [--minutes 10] [--speech FILE ...] [--text FILE]
+"""The cost of edits of a plan: `python benchmarks/editing.py [--minutes 10] [--speech FILE ...] [--text FILE]
 [--legs standing|seated] [--local]`.
 
 Processor time from the page's request to its answer (`EditSession.answer`), in the order of an editor's session: after
@@ -13,7 +13,7 @@ import copy
 import gc
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,50 +26,30 @@ from data_module.speech.audio import SAMPLE_RATE, resample
 from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.export.html import describe
-from gesticulator.page.session import EditSession, plan_with
+from gesticulator.page.session import EditSession
 
 ROOT = Path(__file__).resolve().parents[1]
-VIEW = 12.0
-"""Seconds of the timeline that are visible."""
 Plain = dict[str, Any]
-
-
-def headers(parts: Iterable[bytes]) -> list[Plain]:
-    """The headers of the messages of an answer."""
-    data, out = b"".join(parts), []
-    while data:
-        start = 4 + int.from_bytes(data[:4], "little")
-        out.append(json.loads(data[4:start]))
-        data = data[start + out[-1]["bytes"]:]
-    return out
 
 
 @dataclass
 class Editor:
     """A page's side of edits, which prints a row of the table for each edit with a name."""
 
-    plans: EditSession
+    session: EditSession
     plan: Plain
     have: int
 
     def edit(self, what: str, plan: Plain) -> None:
-        """Send a plan, which shares what it did not change with the present one."""
-        old, new = self.plan["blocks"], plan["blocks"]
-        head = next((at for at, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
-        tail = next((at for at, (a, b) in enumerate(zip(old[::-1], new[::-1], strict=False)) if a != b), 0)
-        tail = min(tail, len(old) - head, len(new) - head)
-        parts = {name: plan.get(name) for name in {*self.plan, *plan}
-                 if name != "blocks" and plan.get(name) != self.plan.get(name)}
-        middle = new[min(head, len(new) - 1)]["start"]
-        request = {"have": self.have, "view": [middle - VIEW / 2, middle + VIEW / 2], "changes": {
-            "blocks": [[head, len(old) - tail, new[head:len(new) - tail]]], "parts": parts}}
+        """Send a plan."""
+        request = {"have": self.have, "plan": plan}
         begin = time.process_time()
-        answer = [(part, time.process_time() - begin) for part in self.plans.answer(request)]
-        told = headers(part for part, _ in answer)
-        frames = sum(last - first for one in told for first, last in one["ranges"])
+        answer = self.session.answer(request)
+        seconds = time.process_time() - begin
+        header = json.loads(answer[4:4 + int.from_bytes(answer[:4], "little")])
         if what:
-            print(f"| {what} | {answer[0][1]:.3f} | {answer[-1][1]:.3f} | {frames:,} |", flush=True)
-        self.have, self.plan = told[-1]["rendering"], plan_with(plan, told[-1]["changes"])
+            print(f"| {what} | {seconds:.3f} | {header['range'][1] - header['range'][0]:,} |", flush=True)
+        self.have, self.plan = header["rendering"], header["plan"]
 
     def changed(self, what: str, change: Callable[[list[Plain], Plain], None]) -> None:
         """Edit a copy of the present plan."""
@@ -133,7 +113,7 @@ def session(editor: Editor, local: bool = False) -> None:
         editor.changed(f"swap under {name} {value}", _swap(at[14]))
         editor.changed(f"{name} {other} again", _knob(**{name: other}))
     before = editor.plan
-    speakers = [name for name in editor.plans.speakers if name != before["speaker"]]
+    speakers = [name for name in editor.session.speakers if name != before["speaker"]]
     settings = {**before["made_by"]["settings"], "legs": "standing"}
     for what, parts in {
             "another performer": {"speaker": speakers[0]}, "another variation": {"variation": before["variation"] + 1},
@@ -174,15 +154,15 @@ def main() -> None:
     first = system(speech, text=asked.text, seed=1, legs=asked.legs == "standing", seated=asked.legs == "seated")
     drawn = time.process_time() - begin
     plan = describe(first.scene())["plan"]
-    plans = EditSession(system, first)
+    editing = EditSession(system, first)
     gc.collect()
     gc.freeze()  # as gesticulator view does
     begin = time.process_time()
-    editor = Editor(plans, plan, plans.opened(first, plan))
+    editor = Editor(editing, plan, editing.opened(first))
     opened = time.process_time() - begin
-    print(f"{speech.duration:.0f} s, {len(plan['blocks'])} blocks; drawn in {drawn:.1f} s, "
+    print(f"{speech.duration:.0f} s, {len(plan['blocks'])} blocks; generated in {drawn:.1f} s, "
           f"editable {opened:.2f} s after that")
-    print("\n| edit | first frames, s | all, s | frames sent |\n|---|---|---|---|")
+    print("\n| edit | s | frames sent |\n|---|---|---|")
     session(editor, asked.local)
 
 
