@@ -66,7 +66,7 @@ def outcome(read: Any, file: Path) -> str:
     """"" where a file is read, or refused as documented; else what is wrong."""
     from data_module.corpora.base import DroppedError
     from data_module.errors import InputError, printable
-    from gesticulator.serve.protocol import RefusedError
+    from gesticulator.live.protocol import RefusedError
 
     held, begun = _reset_peak(), time.process_time()
     signal.setitimer(signal.ITIMER_REAL, 12 * SECONDS)
@@ -182,7 +182,7 @@ def main() -> int:
 
     from reader_cases import READERS
 
-    import gesticulator.serve.protocol  # noqa: F401 - once for all children
+    import gesticulator.live.protocol  # noqa: F401 - once for all children
 
     names = [name for name in READERS if asked.only is None or asked.only in name]
     shares = {name: asked.inputs // len(names) + (at < asked.inputs % len(names)) for at, name in enumerate(names)}

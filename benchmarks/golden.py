@@ -47,9 +47,9 @@ from gesticulator import Gesticulator, InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEECH, TEXT = ROOT / "examples" / "speech.flac", ROOT / "examples" / "speech.txt"
-SUFFIXES = (".bvh", ".glb", ".vrma", ".usda", ".npz", ".csv", ".parquet", ".json", ".html", ".bml", ".g1.csv")
+SUFFIXES = (".bvh", ".glb", ".vrma", ".usda", ".npz", ".csv", ".parquet", ".json", ".html", ".g1.csv")
 """Formats whose bytes depend on nothing but the input; .fbx, films and .usdc are left out."""
-KINDS = {"json": "plan", "bml": "plan"}
+KINDS = {"json": "plan"}
 """Suffix -> kind of a name, where it is not the suffix."""
 DECISIONS = ("plan", "html")
 """Kinds that hold the plan, which may gain fields."""
@@ -115,7 +115,7 @@ class Golden:
         run_command([*map(str, arguments), *asked, "--quiet"])
         for suffix in suffixes:
             last = suffix.rpartition(".")[2]
-            name = f"{case}{suffix}" if last in ("bml", "csv") else case
+            name = f"{case}{suffix}" if last == "csv" else case
             self.add(KINDS.get(last, last), name, Path(f"{out}{suffix}").read_bytes())
 
     def sound(self, seconds: float) -> Path:

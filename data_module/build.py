@@ -1,10 +1,8 @@
 """gesticulator build CORPUS --out STORE (python -m data_module.build): read or make a data set, and write its store.
 
-    gesticulator build performer --source DIR --out STORE    # DIR holds strokes/ and speech/
-    gesticulator build performer --preset tiny --out STORE   # three minutes, in seconds, from nothing
-    gesticulator build folder --source DIR --out STORE       # your own NAME.bvh beside NAME.wav
-    gesticulator build trinity --source DIR --out STORE      # somebody's data set; --help lists them all
-    gesticulator build smartbody --source DIR --out STROKES  # the performer's strokes, from what is published
+    gesticulator build folder --source DIR --out STORE    # your own NAME.bvh beside NAME.wav
+    gesticulator build trinity --source DIR --out STORE   # somebody's data set; --help lists them all
+    gesticulator build folder --help                      # the options of one of them
 
 An interrupted build is resumed; the result does not depend on that, nor on the number of workers. A report (minutes,
 blocks, intervals, units, missing joints, omissions with reasons) is printed and written to STORE/report.json.
@@ -149,15 +147,6 @@ def build(request: BuildRequest, making: Making | None = None, progress: bool = 
         return replace(site.finish(outcomes), elapsed=time.monotonic() - begun)
 
 
-def build_share(request: BuildRequest, making: Making, mine: Callable[[Sequence[Item]], Sequence[Item]],
-                progress: bool = True) -> list[Outcome] | None:
-    """Make the recordings of a store selected by `mine`, in parallel with other processes; their outcomes (also of
-    existing recordings), or None if the store exists. The store is finished by `build`. `InputError` as there."""
-    with lock(request.out, "a share of a build", beside=True, shared=True):
-        site = _Site.opened(request)
-        return None if isinstance(site, Report) else list(site.build(mine(site.items), making, progress))
-
-
 @dataclass
 class _Site:
     """An unfinished build. reused: number of existing recordings."""
@@ -294,71 +283,44 @@ def _share(file: Path, place: Path) -> None:
         shutil.copyfile(file, place)
 
 
-def _formats() -> str:
+def formats() -> str:
+    """The data sets that can be built, one paragraph each, for --help."""
     import textwrap
 
-    from data_module.corpora.table import CORPORA, STROKE_SOURCES
+    from data_module.corpora.table import CORPORA
 
-    names = {**CORPORA, **STROKE_SOURCES}
-    width = max(map(len, names))
+    width = max(map(len, CORPORA))
     lines = [textwrap.fill(entry.about, 118, initial_indent=f"  {name:<{width}}  ", subsequent_indent=" " * (width + 4))
-             for name, entry in names.items()]
+             for name, entry in CORPORA.items()]
     title = "corpora, and what SOURCE contains (the modules in data_module/corpora show the folders):"
     return "\n".join([title, *lines])
 
 
-def _make_strokes(name: str, source: Path | None, out: Path, options: Options) -> int:
-    """Clips without speech: `out` becomes the folder strokes/ that the performer plays, not a store."""
-    from data_module.corpora.table import open_strokes
-
-    with lock(out, "a build", beside=True):
-        maker = open_strokes(name, source, options)
-        count = maker.write(out)
-    print(f"{out}: {count} strokes, with manifest.csv; the performer takes them as SOURCE/strokes")
-    for note in maker.notes():
-        print(f"  {note}")
-    print(f"  licence: {maker.licence}")
-    return 0
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of a build, and in the epilog the list of data sets."""
+def choose_corpus(parser: argparse.ArgumentParser) -> None:
+    """The first step of parsing: the name of the data set, with the list of them in the epilog; its arguments, which
+    depend on it, are the rest."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = _formats() + (f"\n\n{parser.epilog}" if parser.epilog else "")
-    parser.add_argument("corpus", help="one of the names below")
-    parser.add_argument("--source", type=Path, metavar="DIR",
-                        help="the source data (performer: default is the variable GESTICULATOR_DATA)")
+    parser.epilog = formats() + (f"\n\n{parser.epilog}" if parser.epilog else "")
+    parser.add_argument("corpus", help="one of the names below; NAME --help lists its options")
+    parser.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="--source DIR --out STORE and options")
+
+
+def add_arguments(parser: argparse.ArgumentParser, corpus: str) -> None:
+    """The second step of parsing: the arguments of a build of `corpus`, those of its reader included. `InputError` for
+    an unknown corpus."""
+    from data_module.corpora.table import reader_of
+
+    reader = reader_of(corpus)
+    parser.set_defaults(corpus=corpus)
+    parser.add_argument("--source", type=Path, metavar="DIR", help="the source data")
     parser.add_argument("--out", type=Path, required=True, metavar="STORE", help="output folder")
-    parser.add_argument("--seed", type=int, default=1, help="performer: random seed of the corpus (default 1)")
-    parser.add_argument("--hours", type=float, default=4.2, help="performer: hours of synthetic speech (default 4.2)")
-    parser.add_argument("--links", type=float, default=1.0, metavar="SHARE",
-                        help="performer: strength of the links between speech and motion that it plants by rule "
-                        "(stroke size and trunk by vocal effort, chest by pitch, gestures by meaning, styles), from 0 "
-                        "to 1 (default 1)")
-    parser.add_argument("--carriage", type=float, default=0.0, metavar="SHARE",
-                        help="performer: strength of a further link, by which the hands are carried higher and farther "
-                        "out with vocal effort and pitch range, from 0 to 1, times --links (default 0)")
-    parser.add_argument("--repertoire", type=Path, metavar="DIR",
-                        help="performer: takes of named gestures (gesticulator gestures --takes DIR), which it plays "
-                        "at words that call for them; gesticulator build draws them if DIR does not exist")
-    parser.add_argument("--preset", choices=("default", "tiny"), default="default",
-                        help="performer: tiny is three minutes, which need no data and no other program")
-    parser.add_argument("--languages", default="", metavar="de,es",
-                        help="performer: only talks and readings in these languages: cmn, de, en, es (default: "
-                        "English talks and all readings)")
+    if hasattr(reader, "arguments"):
+        reader.arguments(parser)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1,
                         help="number of processes (default: one per core)")
     parser.add_argument("--no-dataset", action="store_true", help="write only the store, without BVH files")
     parser.add_argument("--fps", type=float, help="frames per second, if the header of the BVH files is wrong")
     parser.add_argument("--unit", type=float, help="metres per unit of the BVH files, if not as reported")
-    parser.add_argument("--split", default="", metavar="80/10/10|FILE",
-                        help="folder: percentages for training, validation and test (default 80/10/10, with at least "
-                        "one recording in each if there are three), or a file with a line NAME,train|val|test per "
-                        "recording")
-    parser.add_argument("--speaker", default="", metavar="NAME|REGEX",
-                        help="folder: the speaker of every recording, or a pattern whose group matches it in the file "
-                        "name, such as '^([a-z]+)' (default: the part before the first '_' if several recordings "
-                        "share it, else the folder's name)")
     parser.add_argument("--verbose", action="store_true", help="print the histogram of intervals between onsets too")
     parser.add_argument("--histogram", type=Path, metavar="FILE.png",
                         help="plot the intervals between onsets and between beats (needs matplotlib)")
@@ -375,43 +337,27 @@ def _check_histogram(file: Path) -> None:
 
 
 def asked_for(arguments: argparse.Namespace) -> BuildRequest:
-    """The request in `arguments`; InputError for invalid ones."""
+    """The request in the arguments of `add_arguments`; InputError for invalid ones."""
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
     from data_module.corpora.base import Options
+    from data_module.corpora.table import reader_of
 
-    for name in ("hours", "workers", "fps", "unit"):
+    for name in ("workers", "fps", "unit"):
         value = getattr(arguments, name)
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"--{name}", f"is {value:g}", "give a number above 0")
-    for name in ("links", "carriage"):
-        if not 0 <= getattr(arguments, name) <= 1:
-            raise InputError(f"--{name}", f"is {getattr(arguments, name):g}", "give a number from 0 to 1")
-    if arguments.seed < 0:
-        raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
-    source = arguments.source
-    if source is None and arguments.corpus == "performer" and arguments.preset != "tiny":
-        data = os.environ.get("GESTICULATOR_DATA")
-        source = Path(data) if data else None
-    for name in ("split", "speaker"):
-        if getattr(arguments, name) and arguments.corpus != "folder":
-            raise InputError(f"--{name}", f"is only for folder, not for {arguments.corpus}", "leave it out")
     if arguments.histogram is not None:
         _check_histogram(arguments.histogram)
-    languages = tuple(filter(None, arguments.languages.split(",")))
-    options = Options(arguments.seed, arguments.hours, arguments.preset, arguments.fps, arguments.unit, languages,
-                      arguments.split, arguments.speaker, arguments.links, arguments.carriage, arguments.repertoire)
-    return BuildRequest(arguments.corpus, source, arguments.out, options, not arguments.no_dataset)
+    reader = reader_of(arguments.corpus)
+    options = reader.options(arguments) if hasattr(reader, "options") else Options(arguments.fps, arguments.unit)
+    return BuildRequest(arguments.corpus, arguments.source, arguments.out, options, not arguments.no_dataset)
 
 
 def run(arguments: argparse.Namespace, making: Making | None = None) -> int:
     """Build the request in `arguments` and print the report; making: see `build` (by default in --workers processes).
     Returns 0; InputError if the input cannot be used."""
     request = asked_for(arguments)
-    from data_module.corpora.table import STROKE_SOURCES
-
-    if request.corpus in STROKE_SOURCES:
-        return _make_strokes(request.corpus, request.source, request.out, request.options)
     report = build(request, making or partial(in_processes, arguments.workers))
     for line in report.lines(arguments.verbose):
         print(line)
@@ -428,10 +374,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m data_module.build", formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Read or make a data set, write its store, and report what is in it.")
-    add_arguments(parser)
-    arguments = parser.parse_args(argv)
+    choose_corpus(parser)
+    given = parser.parse_args(argv)
     with one_line_errors("build"):
-        return run(arguments)
+        chosen = argparse.ArgumentParser(f"{parser.prog} {given.corpus}")
+        add_arguments(chosen, given.corpus)
+        return run(chosen.parse_args(given.rest))
 
 
 if __name__ == "__main__":

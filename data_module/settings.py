@@ -6,11 +6,15 @@ setting is refused by its name when it is read, and not by a layer of a network 
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import functools
 import hashlib
+import inspect
+import itertools
 import json
 import math
+import textwrap
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -227,3 +231,12 @@ def digest(*parts: Any) -> str:
     """A short hash of plain values and settings, such as the key of a cached stage."""
     text = json.dumps(parts, sort_keys=True, default=to_dict)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def field_docs(kind: type) -> dict[str, str]:
+    """Field of a dataclass -> the docstring below it, on one line."""
+    body = cast(ast.ClassDef, ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]).body
+    return {above.target.id: " ".join(below.value.value.split()) for above, below in itertools.pairwise(body)
+            if isinstance(above, ast.AnnAssign) and isinstance(above.target, ast.Name)
+            and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+            and isinstance(below.value.value, str)}

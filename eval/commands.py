@@ -31,7 +31,7 @@ class Plugin:
         importlib.import_module(self.module).arguments(parser)
 
     def run(self, arguments: argparse.Namespace) -> Any:
-        """What the module's `run` gives; InputError for input that cannot be used."""
+        """The result of the module's `run`; InputError for input that cannot be used."""
         return importlib.import_module(self.module).run(arguments)
 
 
@@ -54,7 +54,7 @@ def choice(word: str, about: str, known: Registry[RegistryEntry], show: Callable
 
     def run(given: argparse.Namespace) -> int:
         if given.list:
-            width = max(map(len, known))
+            width = max(map(len, known), default=0)
             print("\n".join(f"{name:<{width}}  {entry.about}" for name, entry in known.items()))
             return 0
         if not given.name:
@@ -90,9 +90,9 @@ def _name_files(files: Sequence[Path], arguments: argparse.Namespace) -> None:
 SCORE = verb("compare real, generated and other motion, with negative controls", "eval.score.command",
              "score --truth STORE --system ours=bvh_folder",
              "score --truth real --system ours=generated --speech wav --bundle shipped --out score.json")
-ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.runner.ablate",
+ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.ablate.command",
               "ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
-              "ablate --data STORE --work DIR --ray local:8", "ablate --data STORE --work DIR --slurm mem_gb=8",
+              "ablate --data STORE --work DIR --bundle default --rewards",
               "ablate --tables --out docs/results/ablation")
 PROBE = choice("probe", "answer one question about a bundle or a data set (--list shows them)", PROBES, _publish, _out,
                ("probe --list", "probe corpus --data STORE"))

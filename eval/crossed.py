@@ -98,14 +98,14 @@ def components(values: ArrayLike, weights: ArrayLike | None = None) -> Component
     if len(parts) == 2 and len(y) > seeds + clips - 1:  # else what is left is one with a seed or a clip
         parts["rest"] = np.eye(len(y))
     shares, squares, expected = _moments(y, parts, ("rest",) if seeds >= FEW_SEEDS else ("rest", "seed"))
-    kept = [parts[name] for name in shares]
-    toward = _solved(expected.T, np.array([c @ part @ c for part in kept]))
+    squares_kept = [parts[name] for name in shares]
+    toward = _solved(expected.T, np.array([c @ part @ c for part in squares_kept]))
     held = [max(share, 0.0) for share in shares.values()]
-    variance = sum(share * float(c @ part @ c) for share, part in zip(held, kept, strict=True))
-    spread = np.einsum("k,kij->ij", toward, squares) @ np.einsum("k,kij->ij", held, np.stack(kept))
+    variance = sum(share * float(c @ part @ c) for share, part in zip(held, squares_kept, strict=True))
+    spread = np.einsum("k,kij->ij", toward, squares) @ np.einsum("k,kij->ij", held, np.stack(squares_kept))
     freedom = max(float(np.trace(spread) ** 2 / np.sum(spread * spread.T)), 1.0) if variance > 0 else math.inf
-    found = dict(zip(shares, held, strict=True))
-    return Components(float(c @ y), found.get("seed", 0.0), found.get("clip", 0.0), found.get("rest", 0.0),
+    by_name = dict(zip(shares, held, strict=True))
+    return Components(float(c @ y), by_name.get("seed", 0.0), by_name.get("clip", 0.0), by_name.get("rest", 0.0),
                       math.sqrt(variance), freedom, seeds, clips)
 
 
@@ -119,11 +119,11 @@ def _moments(y: Array, parts: dict[str, Array], stay: tuple[str, ...]) -> tuple[
     while True:
         squares = np.stack([parts[name] / parts[name].sum(axis=1, keepdims=True) - 1.0 / len(y) for name in names])
         expected = np.array([[np.sum(square * parts[name]) for name in names] for square in squares])
-        found = _solved(expected, np.einsum("i,kij,j->k", y, squares, y))
-        negative = [(float(share), name) for share, name in zip(found, names, strict=True)
+        shares = _solved(expected, np.einsum("i,kij,j->k", y, squares, y))
+        negative = [(float(share), name) for share, name in zip(shares, names, strict=True)
                     if share < 0 and name not in stay]
         if not negative or len(names) == 1:
-            return dict(zip(names, map(float, found), strict=True)), squares, expected
+            return dict(zip(names, map(float, shares), strict=True)), squares, expected
         names.remove(min(negative)[1])
 
 
@@ -170,9 +170,9 @@ def trimmed(values: Array) -> Components:
     means = np.nanmean(values, axis=0)
     count = len(means)
     cut = int(TRIMMED * count)
-    kept = np.sort(np.argsort(means, kind="stable")[cut:count - cut])
-    middle, stay = components(values[:, kept]), len(kept)
-    drawn = np.clip(means, means[kept].min(), means[kept].max())
+    inner = np.sort(np.argsort(means, kind="stable")[cut:count - cut])
+    middle, stay = components(values[:, inner]), len(inner)
+    drawn = np.clip(means, means[inner].min(), means[inner].max())
     # The variance of a clip's mean over seeds holds its share of the rest already.
     between = float(drawn.var(ddof=1)) * (count - 1) / (stay - 1) / stay
     within = middle.seed / middle.seeds

@@ -1,4 +1,4 @@
-"""How good is a bundle on the test split: its lexicon, its interpreters, its hands, each beside baselines.
+"""How good are the models of a bundle on the test split: its lexicon and its interpreters, each beside baselines.
 
 Each table has the rows that a reader asks for: the performer (the rule that made the corpus), the systems, always the
 speaker's most frequent lexeme, and, where GESTICULATOR_DATA is set, a real take of a person speaking.
@@ -15,7 +15,6 @@ import torch
 from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
-from tqdm import tqdm
 
 from data_module.blocks import cut
 from data_module.motion.movement import Pasts
@@ -24,13 +23,12 @@ from data_module.types import Array, Motion, Speech
 from eval import stats
 from eval.ablate.policy import Decisions, accuracy
 from eval.baselines.interpreters import Bigram, Majority
-from eval.clip.measure import ClipMeasurement, measure, real_take
+from eval.clip.measure import real_take
 from eval.context import EvalContext, provenance
 from eval.metrics.encode import normalised_blocks
 from eval.table import Cell, Column, Table, publish
 from gesticulator.bundle import bundle as bundles
 from gesticulator.options import FPS
-from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages.lexicon import BlockLexicon, lexicon_figures, movement_figures
 from interpreters.base import LexemeInterpreter
 from interpreters.lstm import LstmInterpreter
@@ -38,9 +36,6 @@ from lexicon.movement import MovementLexicon
 
 FIT_BLOCKS = 20_000
 """Blocks that PCA and k-means are fitted on: more changes their errors in the third digit."""
-QUANTILES = (5, 25, 50, 75, 95, 99)
-"""Percentiles of hand speed."""
-HEIGHTS = (5, 50, 95)
 FREQUENT, ALONE, PREDICTED = "always the most frequent lexeme", "the lexeme alone", "predicted from the past alone"
 Rows = dict[str, dict[str, Cell]]
 
@@ -52,42 +47,22 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print, and with --out write, the tables of lexicon, accuracy and hands."""
+    """Print, and with --out write, the tables of lexicon and accuracy."""
     publish(tables(arguments), arguments.out, provenance(arguments))
     return 0
 
 
 def tables(arguments: argparse.Namespace) -> Sequence[Table]:
-    """Lexicon, accuracy and hands."""
+    """Reconstruction by the lexicon, and accuracy of the interpreters."""
     context = EvalContext.of(arguments)
-    bundle, recordings, take = context.bundle, context.recordings(), real_take(FPS)
+    bundle = context.bundle
     interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.block_models.interpreter}
-    clips = {"performer": [measure(one.motion, one.speech, cut(one.speech, bundle.config.rhythm).edges)
-                           for one in recordings], "lstm": play(context.system, recordings, "lstm", context.progress)}
     if bundle.interpreter_text is not None:
         interpreters["lstm with text"] = bundle.interpreter_text
-        clips["lstm with text"] = play(context.system, recordings, "lstm", context.progress, words=True)
     interpreters |= {
         "previous lexeme and speaker": Bigram.fitted(context.corpus, context.labels, bundle.config.lexicon.size),
         "statistical": bundle.statistical(), "majority": Majority(bundle)}
-    for name in ("statistical", "majority"):
-        clips[name] = play(context.system, recordings, interpreters[name], context.progress)
-    if take is not None:
-        made = context.system(take[1])
-        clips |= {name: [measure(motion, take[1], made.blocks.edges)] for name, motion in (
-            ("real take (BEAT)", take[0]), ("lstm on the real take's voice", made.motion))}
-    return [lexicon_table(context, recordings, take), accuracy_table(context, interpreters), hands_table(clips)]
-
-
-def play(system: Gesticulator, recordings: Sequence[Recording], interpreter: str | LexemeInterpreter, progress: bool,
-         words: bool = False) -> list[ClipMeasurement]:
-    """A system's motion for the speech of recordings, in the habits of each one's performer; words: read too."""
-    clips = []
-    for recording in tqdm(recordings, desc="clips", disable=not progress):
-        speech = recording.speech if words else replace(recording.speech, words=None)
-        made = system(speech, speaker=recording.info.speaker, interpreter=interpreter)
-        clips.append(measure(made.motion, recording.speech, made.blocks.edges))
-    return clips
+    return [lexicon_table(context, context.recordings(), real_take(FPS)), accuracy_table(context, interpreters)]
 
 
 # ------------------------------------------------------------------------------------------------------------ lexicon
@@ -111,10 +86,10 @@ def retold(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts, frequent: i
     """
     if isinstance(lexicon, MovementLexicon):
         true, always = lexicon.basis.coefficients(motion, past), torch.full((len(motion),), frequent)
-        for name, told in (("unquantised", true), ("quantised", lexicon.quantised(true)),
-                           (ALONE, lexicon.quantised(true, 0)), (FREQUENT, lexicon.added(always)),
-                           (PREDICTED, torch.zeros_like(true))):
-            yield name, lexicon.basis.compose(told, past)
+        for name, coefficients in (("unquantised", true), ("quantised", lexicon.quantised(true)),
+                                   (ALONE, lexicon.quantised(true, 0)), (FREQUENT, lexicon.added(always)),
+                                   (PREDICTED, torch.zeros_like(true))):
+            yield name, lexicon.basis.compose(coefficients, past)
         return
     latents = lexicon.latents(motion)
     labels = lexicon.quantizer.labels(latents)
@@ -125,9 +100,9 @@ def retold(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts, frequent: i
 
 def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor, past: Pasts) -> dict[str, NDArray[np.float32]]:
     """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m] and what came before each."""
-    one = int(bundle.frequencies.mean(axis=0).argmax())
-    return {name: ((made - motion) ** 2).mean(dim=(1, 2)).numpy()
-            for name, made in retold(bundle.block_models.lexicon, motion, past, one)}
+    commonest = int(bundle.frequencies.mean(axis=0).argmax())
+    return {name: ((decoded - motion) ** 2).mean(dim=(1, 2)).numpy()
+            for name, decoded in retold(bundle.block_models.lexicon, motion, past, commonest)}
 
 
 def use_of_codes(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts) -> dict[str, float]:
@@ -155,7 +130,8 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
     errors = {"PCA": ((linear.inverse_transform(linear.transform(unknown)) - unknown) ** 2).mean(1),
               "k-means": ((means.cluster_centers_[means.predict(unknown)] - unknown) ** 2).mean(1),
               **reconstructions(bundle, corpus.motion[test], corpus.pasts[test])}
-    kinds = np.concatenate([stroke_kinds(one, cut(one.speech, bundle.config.rhythm).edges) for one in recordings])
+    kinds = np.concatenate([stroke_kinds(recording, cut(recording.speech, bundle.config.rhythm).edges)
+                            for recording in recordings])
     for name, kind in (("quantised, strokes seen in training", 0), ("quantised, strokes never seen", 1)):
         errors[name] = np.where(kinds == kind, errors["quantised"], np.nan)
     owner = corpus.recording[test.numpy()]
@@ -163,19 +139,20 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
         np.nanmean(error[owner == clip]) if np.isfinite(error[owner == clip]).any() else np.nan
         for clip in np.unique(owner)])} for name, error in errors.items()}
     if take is not None:
-        own, past = normalised_blocks(bundle.config, bundle.statistics, take[0], cut(take[1], bundle.config.rhythm))
+        normalised, past = normalised_blocks(bundle.config, bundle.statistics, take[0],
+                                             cut(take[1], bundle.config.rhythm))
         rows |= {f"real take (BEAT), {name}": {"error": float(error.mean())} for name, error in
-                 reconstructions(bundle, own, past).items()}
-    told = (" Movements are decoded from the true frames before each block."
+                 reconstructions(bundle, normalised, past).items()}
+    note = (" Movements are decoded from the true frames before each block."
             if isinstance(bundle.lexicon, MovementLexicon) else "")
     used = use_of_codes(bundle.block_models.lexicon, corpus.motion[test], corpus.pasts[test])
     variance = float(unknown.var(0).mean())
     return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")}, rows,
                  "through", [f"Lexemes used on the test split: {100 * used['usage']:.0f} %; perplexity "
                              f"{used['perplexity']:.1f}. Variance of the features: {variance:.3f}. Means "
-                             f"over recordings with bootstrap 95 % intervals.{told}"],
+                             f"over recordings with bootstrap 95 % intervals.{note}"],
                  {**used, "variance": variance, **context.described(),
-                  "seconds": sum(one.speech.duration for one in recordings)})
+                  "seconds": sum(recording.speech.duration for recording in recordings)})
 
 
 # ------------------------------------------------------------------------------------------------ accuracy and motion
@@ -196,23 +173,3 @@ def accuracy_table(context: EvalContext, rows: Mapping[str, LexemeInterpreter]) 
             [accuracy(interpreter, decisions, take, kind == "teacher_forced") for take in takes],
             [len(take.blocks) - 1 for take in takes]) for kind in columns}
     return Table("Lexeme accuracy", columns, body, "interpreter")
-
-
-def hands_table(rows: Mapping[str, Sequence[ClipMeasurement]]) -> Table:
-    """Hand speeds in speech and in settled silence, percentiles, stillness, heights, speed across the seams."""
-    columns = {**{f"speed {level}": Column(f"speed, {level} %", "m/s", 2, "near") for level in QUANTILES},
-               "still": Column("under 0.1 m/s", "%", 0, "near"), "speech": Column("in speech", "m/s", 2, "near"),
-               "silence": Column("in silence", "m/s", 3, "near"),
-               **{f"height {level}": Column(f"height over hips, {level} %", "m", 2, "near") for level in HEIGHTS},
-               "seam": Column("seam speed, 99 %", "m/s", 2, "near")}
-    body: Rows = {}
-    for name, clips in rows.items():
-        speed, heights, seams = (np.concatenate([getattr(clip, key).ravel() for clip in clips])
-                                 for key in ("hand_speed", "heights", "seam_speed"))
-        body[name] = {**{f"speed {level}": float(np.percentile(speed, level)) for level in QUANTILES},
-                      "still": 100 * float((speed < 0.1).mean()),
-                      "speech": stats.mean_interval([clip.speech_speed for clip in clips]),
-                      "silence": stats.mean_interval([clip.silence_speed for clip in clips]),
-                      **{f"height {level}": float(np.percentile(heights, level)) for level in HEIGHTS},
-                      "seam": float(np.percentile(seams, 99)) if len(seams) else None}
-    return Table("Hands", columns, body, "motion")

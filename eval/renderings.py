@@ -30,7 +30,7 @@ from data_module.files import write_bytes
 from data_module.motion import rotation
 from data_module.motion.kinematics import resample
 from data_module.speech import audio
-from data_module.store import Split, Store
+from data_module.store import Store
 from data_module.types import Array, Motion, Skeleton, Speech
 from eval.baselines import controls as baselines
 from eval.baselines.unit_selection import UnitDatabase, UnitSelection
@@ -87,25 +87,18 @@ class AcceptanceVoice:
         return told.hexdigest()
 
 
-def held_out_voices(store: Store, limit: int | None, joints: int, split: Split = "test", seconds: float = SECONDS,
-                    *, spread: bool = False) -> list[AcceptanceVoice]:
-    """The middle of every recording of a split that lasts long enough, with its performer's motion in so many
-    joints; InputError where none does. limit: so many, the first or, with spread, evenly over the split."""
-    long = [info for info in store.of_split(split) if info.seconds >= SHORTEST]
-    chosen = spread_evenly(long, limit) if spread and limit else long[:limit]
+def held_out_voices(store: Store, limit: int | None, joints: int) -> list[AcceptanceVoice]:
+    """The middle of every test recording that lasts long enough, the first `limit` of them, with its performer's motion
+    in so many joints; InputError where none does."""
+    chosen = [info for info in store.of_split("test") if info.seconds >= SHORTEST][:limit]
     if not chosen:
-        raise InputError(store.path, f"has no {split} recording of {SHORTEST:g} s or more", "build a larger store")
+        raise InputError(store.path, f"has no test recording of {SHORTEST:g} s or more", "build a larger store")
     out = []
     for info in chosen:
-        piece = excerpt(store.load(info.name, joints), seconds)
+        piece = excerpt(store.load(info.name, joints), SECONDS)
         out.append(AcceptanceVoice(info.name, piece.speech, TEST, piece.motion, info.speaker,
                                    info.group or info.name))
     return out
-
-
-def spread_evenly(items: Sequence[T], count: int) -> list[T]:
-    """So many of them, evenly over all, with the first and the last."""
-    return [items[k] for k in np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int)]
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class Interval:
 
     @classmethod
     def from_dict(cls, held: Mapping[str, Any]) -> Interval:
-        """What `to_dict` gave; null counts as undefined. Results of version 0.1 call `n` "clips"."""
+        """The inverse of `to_dict`; null counts as undefined. Results of version 0.1 call `n` "clips"."""
         mean, low, high = (math.nan if held[key] is None else float(held[key]) for key in ("mean", "low", "high"))
         return cls(mean, low, high, int(held["n"] if "n" in held else held["clips"]))
 
@@ -79,11 +79,11 @@ class Interval:
         return Interval(self.mean * factor, self.low * factor, self.high * factor, self.n)
 
     def above(self, limit: float = 0.0) -> bool:
-        """Whether the whole interval lies above the limit."""
+        """True if the whole interval lies above the limit."""
         return self.low > limit
 
     def below(self, limit: float = 0.0) -> bool:
-        """Whether the whole interval lies below the limit."""
+        """True if the whole interval lies below the limit."""
         return self.high < limit
 
 

@@ -69,11 +69,11 @@ class Provenance:
 def _commit() -> str:
     """The commit of the checkout that this file lies in ("-dirty": changed since); `NOT_RECORDED` without one."""
     try:
-        found = subprocess.run(["git", "describe", "--always", "--dirty", "--exclude=*"], cwd=Path(__file__).parent,
+        described = subprocess.run(["git", "describe", "--always", "--dirty", "--exclude=*"], cwd=Path(__file__).parent,
                                capture_output=True, text=True, check=True, timeout=10)
     except (OSError, subprocess.SubprocessError):
         return NOT_RECORDED
-    return found.stdout.strip() or NOT_RECORDED
+    return described.stdout.strip() or NOT_RECORDED
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Table:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def cells(self, keys: Sequence[str] | None = None) -> list[list[str]]:
-        """What is shown of some columns (all): headings first, then the rows."""
+        """The text of some columns (all): headings first, then the rows."""
         columns = {key: self.columns[key] for key in (self.columns if keys is None else keys)}
         shown = [[self.head, *(column.heading for column in columns.values())]]
         return shown + [[name, *(shown_cell(row.get(key), column.digits) for key, column in columns.items())]
@@ -152,10 +152,10 @@ class Table:
 
     @classmethod
     def from_dict(cls, held: Mapping[str, Any]) -> Table:
-        """What `to_dict` gave; ValueError for a number of digits that no cell can be shown with."""
-        if not all(own.get("digits", 0) in range(MOST_DIGITS + 1) for own in held["columns"].values()):
+        """The inverse of `to_dict`; ValueError for a number of digits that no cell can be shown with."""
+        if not all(column.get("digits", 0) in range(MOST_DIGITS + 1) for column in held["columns"].values()):
             raise ValueError(f"digits are not 0 to {MOST_DIGITS}")
-        return cls(held["title"], {key: Column(**own) for key, own in held["columns"].items()},
+        return cls(held["title"], {key: Column(**column) for key, column in held["columns"].items()},
                    {name: {key: _unpacked(cell) for key, cell in row.items()} for name, row in held["rows"].items()},
                    held["head"], held["notes"], _undefined(held["facts"]))
 
@@ -211,7 +211,7 @@ def dumps(value: Any, indent: int | None = None) -> str:
 
 
 def loads(text: str) -> Any:
-    """What `dumps` wrote, NaN where it has null. ValueError where it is no JSON."""
+    """The inverse of `dumps`, with NaN for null. ValueError for text that is no JSON."""
     try:
         return _undefined(parse_json(text, "a result", ""))
     except InputError as error:
@@ -250,7 +250,7 @@ def load_with_provenance(path: str | Path) -> tuple[list[Table], Provenance]:
         raise InputError(path, "is not there", "run the command that writes it")
     try:
         held = read_object(path, "run the command that writes it", 1 << 28)
-        tables, about = [Table.from_dict(own) for own in held["tables"]], Provenance(**held["about"])
+        tables, about = [Table.from_dict(table) for table in held["tables"]], Provenance(**held["about"])
         markdown(tables, about)  # what holds values of other types cannot be shown
         return tables, about
     except (ValueError, KeyError, TypeError, AttributeError) as error:

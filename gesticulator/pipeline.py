@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 import torch
@@ -24,21 +24,13 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for, representation_of
 from gesticulator.bundle.files import bundle_folder, lexicon_hash
-from gesticulator.drawing.cutter import BlockCutter, encode_speech
-from gesticulator.drawing.driver import (
-    Cast,
-    ControlRows,
-    Driver,
-    GeneratedMotion,
-    OnBlock,
-    controls_at,
-    requests,
-)
-from gesticulator.drawing.rollout import BlockMotion, Sampling
 from gesticulator.options import FPS as FPS
-from gesticulator.options import HandControl, InferenceArguments, InferenceOptions, interpreter_name
+from gesticulator.options import HandControl, InferenceOptions, interpreter_name
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import sound_hash
+from gesticulator.sampling import loop
+from gesticulator.sampling.cutter import BlockCutter, encode_speech
+from gesticulator.sampling.loop import BlockMotion, ControlRows, GeneratedMotion, OnBlock, Request, Setup, controls_at
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 from interpreters.base import as_interpreter
@@ -170,16 +162,16 @@ class Gesticulator:
     @overload
     def __call__(self, speech: SpeechInput, sample_rate: float | None = None, *, text: Text | None = None,
                  encoded: SpeechFeatures | None = None, on_block: OnBlock | None = None,
-                 **options: Unpack[InferenceArguments]) -> Performance: ...
+                 **options: Any) -> Performance: ...
 
     @overload
     def __call__(self, speech: list[R] | tuple[R, ...], sample_rate: float | None = None, *,
                  text: Sequence[Text | None] | None = None, encoded: None = None, on_block: OnBlock | None = None,
-                 **options: Unpack[InferenceArguments]) -> list[Performance]: ...
+                 **options: Any) -> list[Performance]: ...
 
     def __call__(self, speech: SpeechInput | list[R] | tuple[R, ...], sample_rate: float | None = None, *,
                  text: Text | Sequence[Text | None] | None = None, encoded: SpeechFeatures | None = None,
-                 on_block: OnBlock | None = None, **options: Unpack[InferenceArguments]
+                 on_block: OnBlock | None = None, **options: Any
                  ) -> Performance | list[Performance]:
         """Gesture for a recording, or for each of a list of them.
 
@@ -221,30 +213,39 @@ class Gesticulator:
         cast = self.cast(options, self.reads_words_of(speech))
         cutters: list[BlockCutter] | None = [] if self.keeps_generations else None
         encoded = self.encode_speech(speech, cutters=cutters) if encoded is None else encoded
-        directions = None
-        if options.directed:
-            from gesticulator.directing import directions as directing
-
-            directions = directing.directions(self.bundle, options, speech, encoded.blocks)
-        driver = Driver(self.bundle, cast)
-        driver.begin(encoded.text is not None)
-        states, blocks = list[Driver](), list[BlockMotion]()
-        for request in requests(encoded, self._control_rows(cast.controls, encoded.blocks), directions):
+        state = loop.begin(self.bundle, cast, encoded.text is not None)
+        states, blocks = [state], list[BlockMotion]()
+        for request in self._requests(speech, options, cast, encoded):
+            block, state = loop.step(self.bundle, cast, state, request)
+            blocks.append(block)
             if self.keeps_generations:
-                states.append(driver.fork())
-            blocks.append(driver.draw(request))
+                states.append(state)
             if on_block is not None:
                 on_block(len(blocks), len(encoded))
-        generated = GeneratedMotion(encoded.blocks, blocks, driver.motion(blocks))
-        performance = self._performance(speech, options, cast, generated)
+        motion = loop.motion_of(self.bundle, cast, blocks)
+        performance = self._performance(speech, options, cast, GeneratedMotion(encoded.blocks, blocks, motion))
         if not self.keeps_generations:
             return performance
         from gesticulator.editing.render import Generation
 
-        return replace(performance, generation=Generation(encoded, blocks, [*states, driver], cutters or ()))
+        return replace(performance, generation=Generation(encoded, blocks, states, cutters or ()))
+
+    def _requests(self, speech: Speech, options: InferenceOptions, setup: Setup, encoded: SpeechFeatures
+                  ) -> list[Request]:
+        """A request for each of the N blocks of a first generation."""
+        rows = self._control_rows(setup.controls, encoded.blocks)
+        parts = [(encoded.block(i), None if rows is None else rows[i]) for i in range(len(encoded))]
+        if not options.directed:
+            return [Request(block, control) for block, control in parts]
+        from gesticulator.directing.directions import Director
+
+        director = Director(self.bundle, options, speech.words or (), float(encoded.blocks.edges[-1]))
+        times = encoded.blocks.knot_times.reshape(len(encoded), -1)
+        return [director.request(block, knots, control)
+                for (block, control), knots in zip(parts, times, strict=True)]
 
     def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
-               **options: Unpack[InferenceArguments]) -> Stream:
+               **options: Any) -> Stream:
         """Gesture for speech as it arrives, see `gesticulator.stream.Stream`.
 
         sample_rate: hertz of the sound that will be fed; latency: "full" or "low" (`BlockCutter`); text: words will be
@@ -284,7 +285,7 @@ class Gesticulator:
                          latency)
         return Stream(self.bundle, self.cast(checked, text), checked, cutter, sample_rate)
 
-    def cast(self, options: InferenceOptions, text: bool) -> Cast:
+    def cast(self, options: InferenceOptions, text: bool) -> Setup:
         """The performer for these options, with the bundle's defaults filled in. text: words are read."""
         defaults = self.bundle.config.selection
         activity = (defaults.activity if options.activity is None else options.activity) * options.energy_share
@@ -298,8 +299,8 @@ class Gesticulator:
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
         self._remark(interpreter)
         interpreter = interpreter.steered(options.beta, temperature)
-        sampling = Sampling(temperature, defaults.top, int(options.seed))
-        return Cast(interpreter, speaker, sampling, activity, controls, int(options.variation), interpreter.beta)
+        return Setup(interpreter, speaker, temperature, defaults.top, int(options.seed), activity, controls,
+                     int(options.variation), interpreter.beta)
 
     def _remark(self, interpreter: Interpreter) -> None:
         """Warn once (`InterpreterWarning`) of an interpreter that is no better than another by our figures."""
@@ -350,11 +351,10 @@ class Gesticulator:
 
         plan = options.plan
         assert plan is not None
-        cast = self.cast(options, self.reads_words_of(speech))
-        cast = replace(cast, sampling=replace(cast.sampling, variation=plan.variation))
         for curve in plan.manner.curves:
             for time in curve.times:
                 self._check_activity(plan.manner.share_at(time))
+        cast = self.cast(options, self.reads_words_of(speech))
         return PlanRenderer(self.bundle, cast, speech.samples, partial(self.encode_speech, speech), plan, generation)
 
     def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
@@ -386,7 +386,7 @@ class Gesticulator:
         return replace(draft, plan=named(retiming.decided(draft.plan, renderer.generation(on_block).blocks),
                                          self.lexeme_names()))
 
-    def _performance(self, speech: Speech, options: InferenceOptions, cast: Cast, rendering: GeneratedMotion
+    def _performance(self, speech: Speech, options: InferenceOptions, cast: Setup, rendering: GeneratedMotion
                      ) -> Performance:
         from gesticulator.directing.record import plan_of, rendered_plan
 
@@ -416,14 +416,14 @@ class Gesticulator:
         played = played_meanings(meanings)
         return directing.Shaping(self.bundle, options, speaker, speech.words or (), edges, lambda until: played)
 
-    def origin(self, speech: Speech, options: InferenceOptions, cast: Cast, meanings: tuple[PlanMeaning, ...]
+    def origin(self, speech: Speech, options: InferenceOptions, cast: Setup, meanings: tuple[PlanMeaning, ...]
                ) -> Origin:
         """Provenance of a performance with these options."""
         from gesticulator.directing.record import Origin
 
         used = replace(options, speaker=self.speakers[cast.speaker],
                        interpreter=options.interpreter or self.interpreters[0],
-                       temperature=cast.sampling.temperature, beta=cast.beta,
+                       temperature=cast.temperature, beta=cast.beta,
                        activity=self.bundle.config.selection.activity if options.activity is None else options.activity,
                        controls=cast.controls, hand_height=None, hand_speed=None, hand_radius=None)
         return Origin(used, self._program(), self._settings(used, self.reads_words_of(speech)), cast.score_is, meanings)

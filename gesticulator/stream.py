@@ -30,11 +30,11 @@ from gesticulator.body.motion_path import HISTORY, LONGEST_HISTORY, MotionPath
 from gesticulator.body.rest import RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
-from gesticulator.drawing.cutter import LATENCIES, TICK, BlockCutter
-from gesticulator.drawing.drawer import FREE
-from gesticulator.drawing.driver import BlockRequest, Cast, Driver, controls_at
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import Block
+from gesticulator.sampling import loop
+from gesticulator.sampling.cutter import LATENCIES, TICK, BlockCutter
+from gesticulator.sampling.loop import Request, Setup, controls_at
 
 if TYPE_CHECKING:
     from data_module.face import FaceMotion
@@ -104,21 +104,20 @@ class Stream:
     and for any call after `finish`.
     """
 
-    def __init__(self, bundle: Bundle, cast: Cast, options: InferenceOptions, cutter: Callable[..., BlockCutter],
+    def __init__(self, bundle: Bundle, setup: Setup, options: InferenceOptions, cutter: Callable[..., BlockCutter],
                  sample_rate: float = SAMPLE_RATE) -> None:
-        """cast: the performer; options: frame rate, gain, seed, legs, knobs and cues; cutter: makes the cutter of an
+        """setup: the performer; options: frame rate, gain, seed, legs, knobs and cues; cutter: makes the cutter of an
         utterance, whose blocks begin at `start` seconds."""
         if not bundle.rests_by_phrase:
             raise InputError("the bundle", "cannot rest without speech",
                              "use one with a lexicon of blocks and silence.rest=life")
-        self._bundle, self._cast, self._new_cutter = bundle, cast, cutter
+        self._bundle, self._setup, self._new_cutter = bundle, setup, cutter
         self._gain = float(options.gain)
         self._sound = SampleFeed(sample_rate, self._gain)
         self._voice = SampleFeed(sample_rate, self._gain)
         self._cutter: BlockCutter | None = cutter()
         self._text = self._cutter.reads
-        self._driver = Driver(bundle, cast)
-        self._driver.begin(self._text)
+        self._performance = loop.begin(bundle, setup, self._text)
         if options.plan is not None:
             raise InputError("plan", "needs a whole recording", "render it without a stream")
         self._director: Director | None = None
@@ -129,14 +128,14 @@ class Stream:
             from gesticulator.directing import directions as directing
 
             self._director = directing.Director(bundle, options, (), math.inf)
-            shaping = directing.Shaping(bundle, options, cast.speaker, (), np.array([0.0, math.inf]), self._meant)
+            shaping = directing.Shaping(bundle, options, setup.speaker, (), np.array([0.0, math.inf]), self._meant)
         if self._text:
             from gesticulator.directing.directions import gestures_over
             from gesticulator.directing.stream_marks import StreamMarks
 
             self._marks = StreamMarks(representation_of(bundle.config).name == "rotations")
             shaping = shaping or gestures_over(self._meant, options.seed or 0)
-        self._path = MotionPath(bundle, cast.speaker, options, self._cutter.latency == "low", shaping)
+        self._path = MotionPath(bundle, setup.speaker, options, self._cutter.latency == "low", shaping)
         self._path.history = HISTORY
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
@@ -146,7 +145,7 @@ class Stream:
         self._state, self._finished, self._hurried = StreamState.IDLE, False, False
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
-        rest = bundle.rest_feature(cast.speaker).cpu().numpy().astype(np.float32).reshape(1, -1)
+        rest = bundle.rest_feature(setup.speaker).cpu().numpy().astype(np.float32).reshape(1, -1)
         self._shown = deque([(RestKnots(np.zeros(1), rest, np.zeros((1, 2, 2))), rest)])
 
     # ------------------------------------------------------------------------------------------------------- state
@@ -234,7 +233,6 @@ class Stream:
     @hurried.setter
     def hurried(self, on: bool) -> None:
         self._hurried = on
-        self._driver.hurry(on)
 
     # ------------------------------------------------------------------------------------------------------- input
 
@@ -430,7 +428,7 @@ class Stream:
         if last > 1:
             if self._meanings is not None:
                 self._meanings.forget(at)
-            self._driver.break_off(recent, at)
+            self._performance = loop.break_off(self._performance, recent, at)
             self._path.rewind(recent.times, features, min(math.ceil(at * self.fps - 1e-6), self._path.next))
         self._shown = deque([(recent, features)])
         self._committed = float(recent.times[-1])
@@ -495,7 +493,7 @@ class Stream:
         while self._path.next < count:
             missing = until + self._path.reach - self._committed
             knots, start = min(max(math.ceil(missing / _KNOT), 1), frames), self._committed
-            features = self._driver.idle(start, _KNOT, knots)
+            features, self._performance = loop.idle(self._bundle, self._performance, start, _KNOT, knots)
             times = start + _KNOT * np.arange(1, knots + 1, dtype=np.float64)
             yield self._show(times, features, count), None
 
@@ -505,9 +503,11 @@ class Stream:
                              end=block.end + self._begun)
             edges = np.array([speech.start, speech.end])
             times = Blocks(edges, np.zeros(1, np.int8), np.zeros(1, bool), self._bundle.frames, 1.0).knot_times
-            direction = FREE if self._director is None else self._director.direction(times, speech.start)
-            generated = self._driver.draw(BlockRequest(
-                speech, controls_at(self._bundle.levels, self._cast.controls, times), direction))
+            control = controls_at(self._bundle.levels, self._setup.controls, times)
+            request = Request(speech, control) if self._director is None else self._director.request(
+                speech, times, control)
+            generated, self._performance = loop.step(self._bundle, self._setup, self._performance,
+                                                     replace(request, fast=self._hurried))
             self._past_blocks += 1
             yield self._show(times, generated.motion), generated.block
 
@@ -516,7 +516,7 @@ class Stream:
         turned = self._turns(times)
         if turned is not None:
             features = (features + turned * self._scale).astype(np.float32)
-        self._shown.append((self._driver.knots(times), features))
+        self._shown.append((loop.knots_of(self._performance, times), features))
         while self._shown[0][0].times[-1] < times[-1] - self._path.history:
             self._shown.popleft()
         self._committed = float(times[-1])

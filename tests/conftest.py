@@ -12,6 +12,7 @@ from types import ModuleType
 
 import pytest
 import torch
+import toy
 from filelock import FileLock
 from hypothesis import HealthCheck, settings
 
@@ -123,12 +124,18 @@ def trained_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Pat
 
 
 @pytest.fixture(scope="session")
-def tiny_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store of about three minutes by the procedural performer and the numpy speaker, made once for all tests."""
+def toy_corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of BVH, WAV and JSON files that toy.py writes."""
+    return made_once(tmp_path_factory, "toy", toy.write)
+
+
+@pytest.fixture(scope="session")
+def tiny_store(toy_corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of the toy corpus, three minutes, built once for all tests by the real command."""
     from data_module.build import main
 
     return made_once(tmp_path_factory, "store", lambda folder: main(
-        ["performer", "--preset", "tiny", "--out", str(folder), "--seed", "5", "--workers", "1"]))
+        ["folder", "--source", str(toy_corpus), "--out", str(folder), "--workers", "1"]))
 
 
 @pytest.fixture(scope="session")

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-import pytest
 from performances import perform
 
 from data_module.face import FaceMotion, at_rest
 from data_module.motion.skeletons import CHARACTER
-from data_module.types import Motion, Speech
+from data_module.speech.audio import load_speech
+from data_module.types import Motion, Samples, Speech
 from data_module.visemes import VISEMES, VisemeSpan, of_ipa, spans
 from gesticulator.body.face import FaceSettings, face_of
 from gesticulator.performance import Performance
@@ -19,6 +20,7 @@ from gesticulator.performance import Performance
 FPS, RATE = 30.0, 16000
 WORDS = ("mama", "oh no", "fish")
 PAUSE = 0.7
+STORED = Path(__file__).with_name("spoken_words.flac")
 
 
 def still(seconds: float, fps: float = FPS) -> Motion:
@@ -39,38 +41,41 @@ def posed(**parts: float) -> FaceMotion:
     return replace(face, gaze=np.array([[parts.get("left", 0.0), parts.get("up", 0.0)]]), **rest)
 
 
-def syllables(text: str, pauses: tuple[float, ...]) -> tuple[Performance, list[float]]:
-    """A still character that says a syllable after each of the pauses (seconds), and when each begins."""
-    espeak = pytest.importorskip("data_module.performer.espeak")
-    if shutil.which("espeak-ng") is None:
-        pytest.skip("espeak-ng is not installed")
-    samples, _ = espeak.ipa_phrases([espeak.Line("en-us", text, 150, 45, 50)])[0]
+def _word(word: str) -> tuple[Samples, list[tuple[str, float, float]]]:
+    """A word of spoken_words.flac (a synthetic voice), and its phones with their times in it, seconds."""
+    sound = load_speech(STORED).samples
+    entry = next(entry for entry in json.loads(STORED.with_suffix(".json").read_text()) if entry["word"] == word)
+    samples = sound[round(entry["start"] * RATE):round(entry["end"] * RATE)]
+    return samples, [(name, start - entry["start"], end - entry["start"]) for name, start, end in entry["phones"]]
+
+
+def _performed(pieces: list[Samples], fps: float) -> Performance:
+    """A still character with the lips of a sound, which ends with a pause."""
+    sound = np.concatenate([*pieces, np.zeros(round(PAUSE * RATE), np.float32)])
+    sound = (0.5 * sound / np.abs(sound).max()).astype(np.float32)
+    motion = still(len(sound) / RATE, fps)
+    face = face_of(FaceSettings("lips"), sound, (), motion)
+    return replace(perform(len(sound) / RATE), motion=motion, speech=Speech(sound, RATE), face=face)
+
+
+def syllables(pauses: tuple[float, ...]) -> tuple[Performance, list[float]]:
+    """A still character that says "pa" after each of the pauses (seconds), and when each begins."""
+    samples, _ = _word("pa")
     starts, pieces, at = [], [], 0.0
     for pause in pauses:
-        pieces += [np.zeros(round(pause * RATE)), samples]
+        pieces += [np.zeros(round(pause * RATE), np.float32), samples]
         starts.append(at + round(pause * RATE) / RATE)
         at = starts[-1] + len(samples) / RATE
-    sound = np.concatenate([*pieces, np.zeros(round(PAUSE * RATE))])
-    sound = (0.5 * sound / np.abs(sound).max()).astype(np.float32)
-    motion = still(len(sound) / RATE, 60.0)
-    face = face_of(FaceSettings("lips"), sound, (), motion)
-    return replace(perform(len(sound) / RATE), motion=motion, speech=Speech(sound, RATE), face=face), starts
+    return _performed(pieces, 60.0), starts
 
 
 def spoken() -> tuple[Performance, list[VisemeSpan]]:
     """A still character that says the words of `WORDS` with pauses around them, and the visemes of its phones."""
-    espeak = pytest.importorskip("data_module.performer.espeak")
-    if shutil.which("espeak-ng") is None:
-        pytest.skip("espeak-ng is not installed")
-    lines = [espeak.Line("en-us", word, 130, 45, 50) for word in WORDS]
     pieces, track, at = [], [], PAUSE
-    for samples, phones in espeak.ipa_phrases(lines):
-        pieces += [np.zeros(round(PAUSE * RATE)), samples]
+    for word in WORDS:
+        samples, phones = _word(word)
+        pieces += [np.zeros(round(PAUSE * RATE), np.float32), samples]
         track += [VisemeSpan(one.viseme, at + one.start, at + one.end)
                   for name, start, end in phones for one in spans(of_ipa(name), start, end)]
         at += len(samples) / RATE + PAUSE
-    sound = np.concatenate([*pieces, np.zeros(round(PAUSE * RATE))])
-    sound = (0.5 * sound / np.abs(sound).max()).astype(np.float32)
-    motion = still(len(sound) / RATE)
-    face = face_of(FaceSettings("lips"), sound, (), motion)
-    return replace(perform(len(sound) / RATE), motion=motion, speech=Speech(sound, RATE), face=face), track
+    return _performed(pieces, FPS), track

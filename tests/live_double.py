@@ -19,12 +19,12 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
 from data_module.visemes import VISEMES
 from gesticulator.body.motion_path import HISTORY
+from gesticulator.live.limits import ServerLimits
+from gesticulator.live.protocol import StreamRequest
+from gesticulator.live.server import LiveServer, Page, ServerAddress
+from gesticulator.live.session import Session, SessionFacts
+from gesticulator.live.vmc import VmcOutput
 from gesticulator.plan.plan import Block, BlockDraw
-from gesticulator.serve.protocol import StreamRequest
-from gesticulator.serve.server import LiveServer, Page, ServerAddress
-from gesticulator.serve.session import Session, SessionFacts
-from gesticulator.serve.settings import ServerLimits
-from gesticulator.serve.vmc import VmcOutput
 from gesticulator.stream import StreamFrames, StreamState
 
 Share = float | Callable[[], float]
@@ -50,9 +50,6 @@ class TellingStream:
         self.made = 0
         self.state = StreamState.IDLE
         self.words: list[Word] = []
-
-    def look_ahead_at(self, latency: str) -> float:
-        return LOOK_AHEAD
 
     def steps(self, call: str, *arguments: Any) -> Generator[StreamFrames, None, None]:
         """A call in one step; waits in steps of 0.4 s, which end where they are closed."""
@@ -121,6 +118,11 @@ class TellingStream:
             face.visemes[:, VISEMES.index("aa")] = 0.5 - 0.5 * np.cos(2 * np.pi * numbers / fps)
             face.visemes[:, 0] -= face.visemes[:, VISEMES.index("aa")]
         return StreamFrames(first, fps, CHARACTER, turns, np.tile([0.0, 0.95, 0.0], (len(numbers), 1)), blocks, face)
+
+
+def figure(server: LiveServer, name: str, **labels: str) -> float:
+    """The value of a metric of a server; 0 if nothing was counted."""
+    return server.metrics.registry.get_sample_value(f"gesticulator_{name}", labels) or 0.0
 
 
 def opener(limits: ServerLimits, seconds: float = 0.0, share: Share = 0.0) -> Callable[[str, StreamRequest], Session]:

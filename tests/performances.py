@@ -10,12 +10,12 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import BeatFlag, Blocks, Motion, Skeleton, Speech, Word
 from gesticulator.directing.record import Origin, plan_of
-from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.export import writers
 from gesticulator.export.clip import EVERY_FRAME
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
+from gesticulator.sampling.loop import BlockMotion
 
 RATE = 16000
 NONE = np.empty((1, 0), np.float32)

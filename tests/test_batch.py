@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from data_module.errors import InputError
-from gesticulator.batch.jobs import TRANSCRIPTS, plan
+from gesticulator.jobs import TRANSCRIPTS, jobs_for
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def sources(*names: str, output: str = "out/") -> list[str]:
-    return [str(job.source) for job in plan(names, {".bvh": output})]
+    return [str(job.source) for job in jobs_for(names, {".bvh": output})]
 
 
 def test_a_folder_is_its_sound_files_sorted_and_not_those_below(folder: Path) -> None:
@@ -49,11 +49,11 @@ def test_a_recording_that_is_named_twice_is_done_once(folder: Path) -> None:
 def test_nothing_found_is_told(names: list[str], said: str, folder: Path) -> None:
     (folder.parent / "empty").mkdir()
     with pytest.raises(InputError, match=said):
-        plan(names, {".bvh": "out/"})
+        jobs_for(names, {".bvh": "out/"})
 
 
 def targets(output: str, *names: str) -> list[str]:
-    return [str(target) for job in plan(names or ("talks/b.wav",), {".bvh": output}) for target in job.targets]
+    return [str(target) for job in jobs_for(names or ("talks/b.wav",), {".bvh": output}) for target in job.targets]
 
 
 def test_a_slash_or_a_folder_means_a_folder_and_anything_else_a_file(folder: Path) -> None:
@@ -84,28 +84,28 @@ def test_two_recordings_of_one_name_are_refused(folder: Path) -> None:
 
 
 def test_several_things_of_one_recording_may_go_to_one_folder(folder: Path) -> None:
-    jobs = plan(["talks/b.wav"], {".bvh": "out/", ".html": "out/", ".json": "plans/b2.json"})
+    jobs = jobs_for(["talks/b.wav"], {".bvh": "out/", ".html": "out/", ".json": "plans/b2.json"})
     assert [str(target) for target in jobs[0].targets] == [str(Path("out", "b.bvh")), str(Path("out", "b.html")),
                                                            str(Path("plans", "b2.json"))]
 
 
 def test_no_output_is_wrong_usage(folder: Path) -> None:
     with pytest.raises(InputError, match="-o"):
-        plan(["talks/b.wav"], {})
+        jobs_for(["talks/b.wav"], {})
 
 
 def test_a_place_that_cannot_be_written_is_the_fault_of_one_recording(folder: Path) -> None:
     (folder.parent / "out" / "b.bvh").mkdir(parents=True)
-    faults = {job.name: job.fault for job in plan(["talks"], {".bvh": "out/"})}
+    faults = {job.name: job.fault for job in jobs_for(["talks"], {".bvh": "out/"})}
     assert faults["A.flac"] is None and "is a folder" in str(faults["b.wav"])
-    (fault,) = (job.fault for job in plan(["talks/b.wav"], {".bvh": "talks/A.flac/x.bvh"}))
+    (fault,) = (job.fault for job in jobs_for(["talks/b.wav"], {".bvh": "talks/A.flac/x.bvh"}))
     assert "is not a folder" in str(fault)
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
 def test_rights_are_checked_beforehand(folder: Path) -> None:
     (folder.parent / "locked").mkdir(mode=0o555)
-    (fault,) = (job.fault for job in plan(["talks/b.wav"], {".bvh": "locked/new/x.bvh"}))
+    (fault,) = (job.fault for job in jobs_for(["talks/b.wav"], {".bvh": "locked/new/x.bvh"}))
     assert "cannot be written" in str(fault)
 
 
@@ -114,18 +114,18 @@ def test_transcripts_are_found_by_name_in_order_of_what_they_tell(folder: Path) 
     texts.mkdir()
     for suffix in reversed(TRANSCRIPTS):
         (texts / f"b{suffix}").write_text("words")
-        (job,) = plan(["talks/b.wav"], {".bvh": "out/"}, "texts")
+        (job,) = jobs_for(["talks/b.wav"], {".bvh": "out/"}, "texts")
         assert job.text == texts.relative_to(folder.parent) / f"b{suffix}"
-    faults = [job.fault for job in plan(["talks"], {".bvh": "out/"}, "texts")]
+    faults = [job.fault for job in jobs_for(["talks"], {".bvh": "out/"}, "texts")]
     assert [fault is None for fault in faults] == [False, True, False] and "no transcript of A" in str(faults[0])
     with pytest.raises(InputError, match="one transcript for several"):
-        plan(["talks"], {".bvh": "out/"}, "texts/b.txt")
+        jobs_for(["talks"], {".bvh": "out/"}, "texts/b.txt")
     with pytest.raises(InputError, match="does not exist"):
-        plan(["talks"], {".bvh": "out/"}, "nowhere")
-    (job,) = plan(["talks/c.MP3"], {".bvh": "out/"}, "texts/b.txt")
+        jobs_for(["talks"], {".bvh": "out/"}, "nowhere")
+    (job,) = jobs_for(["talks/c.MP3"], {".bvh": "out/"}, "texts/b.txt")
     assert job.text == Path("texts/b.txt"), "one recording may have any transcript"
 
 
 def test_standard_input_has_a_name_of_its_own(folder: Path) -> None:
-    (job,) = plan(["-", "-"], {".bvh": "out/"})
+    (job,) = jobs_for(["-", "-"], {".bvh": "out/"})
     assert job.source is None and job.targets == (Path("out/stdin.bvh"),) and job.name == "standard input"

@@ -18,11 +18,10 @@ import pytest
 import soundfile
 
 from data_module.errors import InputError
-from gesticulator import infer
-from gesticulator.batch import manifest as manifests
-from gesticulator.batch import run as batch
-from gesticulator.batch.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
-from gesticulator.batch.run import BatchTask, TaskOutcome, done_here, parse_shard, run_batch, sharded
+from gesticulator import batch, infer
+from gesticulator import manifest as manifests
+from gesticulator.batch import BatchTask, TaskOutcome, done_here, parse_shard, run_batch, sharded
+from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 MADE = ("1", "bundle", "settings")
@@ -62,7 +61,7 @@ def test_what_a_killed_process_noted_is_there_and_half_a_line_is_not(tmp_path: P
     path = tmp_path / "m.jsonl"
     with Manifest(path) as notes:
         notes.add(ManifestRow("a.wav"))
-    code = ("import os, sys; from pathlib import Path; from gesticulator.batch.manifest import Manifest, ManifestRow\n"
+    code = ("import os, sys; from pathlib import Path; from gesticulator.manifest import Manifest, ManifestRow\n"
             f"with Manifest(Path({str(path)!r})) as notes:\n"
             "    notes.add(ManifestRow('b.wav')); notes.add(ManifestRow('a.wav', status='failed'))\n"
             "    os.kill(os.getpid(), 9)")
@@ -313,7 +312,7 @@ def _marker(folder: Path) -> Callable[[int], float]:
 
 @pytest.mark.parametrize("late", [0, 2, 3])
 def test_a_cluster_that_a_busy_machine_does_not_start_is_started_again(late: int) -> None:
-    from gesticulator.batch import ray_pool
+    from gesticulator import ray_pool
 
     class LateRay:
         begun, ended = 0, 0
@@ -351,7 +350,7 @@ def cluster() -> Iterator[None]:
 
 @pytest.mark.usefixtures("cluster")
 def test_a_worker_that_is_killed_loses_nothing(tmp_path: Path) -> None:
-    from gesticulator.batch.ray_pool import done_on_ray
+    from gesticulator.ray_pool import done_on_ray
 
     outcomes: list[TaskOutcome] = []
     stream = done_on_ray("local:2", partial(_marker, tmp_path), list(range(4)))

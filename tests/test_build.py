@@ -1,4 +1,4 @@
-"""The build command, end to end on the tiny preset: bit for bit, in any order, after a kill, and never over others."""
+"""The build command, end to end on the toy corpus: bit for bit, in any order, after a kill, and never over others."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import pytest
 from data_module.blocks import cut
 from data_module.build import main
 from data_module.build_report import Outcome, doubts
-from data_module.corpora.table import CORPORA, STROKE_SOURCES
+from data_module.corpora.table import CORPORA
 from data_module.files import lock
 from data_module.intervals import LONGEST, STEP, Intervals, measure
 from data_module.motion import kinematics, rotation
@@ -29,15 +29,18 @@ from data_module.speech.audio import write_flac
 from data_module.store import Store
 from data_module.types import Speech
 
-TINY = ["performer", "--preset", "tiny", "--seed", "5"]
-"""As the fixture `tiny_store` builds it."""
 ROOT = Path(__file__).parent.parent
 FILLED = WHOLE_BODY.names[16:]
-"""What the tiny preset's puppet lacks: fingers and legs."""
+"""Joints that the toy corpus lacks: fingers and legs."""
 
 
 def _command(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "data_module.build", *arguments]
+
+
+def _of(corpus: Path) -> list[str]:
+    """The arguments with which the fixture `tiny_store` is built, but for --out."""
+    return ["folder", "--source", str(corpus)]
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -116,9 +119,10 @@ def test_the_data_set_beside_the_store_gives_the_same_store(tiny_store: Path, tm
     assert np.abs(apart).max() < 1e-5
 
 
-def test_killed_half_way_then_finished_by_two_workers_gives_the_same_bytes(tiny_store: Path, tmp_path: Path) -> None:
+def test_killed_half_way_then_finished_by_two_workers_gives_the_same_bytes(toy_corpus: Path, tiny_store: Path,
+                                                                           tmp_path: Path) -> None:
     out = tmp_path / "store"
-    command = _command(*TINY, "--out", str(out), "--workers", "2")
+    command = _command(*_of(toy_corpus), "--out", str(out), "--workers", "2")
     first = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
     finished = tmp_path / "store.partial" / "recordings"
     deadline = time.monotonic() + 120
@@ -139,30 +143,27 @@ def test_killed_half_way_then_finished_by_two_workers_gives_the_same_bytes(tiny_
     assert [name for name in mine if mine[name] != theirs[name]] == []
 
 
-def test_a_built_store_is_left_alone_and_other_settings_are_refused(tiny_store: Path, tmp_path: Path,
+def test_a_built_store_is_left_alone_and_other_settings_are_refused(toy_corpus: Path, tiny_store: Path, tmp_path: Path,
                                                                     capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "store"
     shutil.copytree(tiny_store, out)
     before = {file: file.stat().st_mtime_ns for file in out.rglob("*")}
-    assert main([*TINY, "--out", str(out), "--workers", "1"]) == 0
+    assert main([*_of(toy_corpus), "--out", str(out), "--workers", "1"]) == 0
     assert {file: file.stat().st_mtime_ns for file in out.rglob("*")} == before
     capsys.readouterr()
     with pytest.raises(SystemExit) as caught:
-        main([*TINY[:-1], "6", "--out", str(out), "--workers", "1"])
+        main([*_of(toy_corpus), "--speaker", "anna", "--out", str(out), "--workers", "1"])
     said = capsys.readouterr().err
-    assert caught.value.code == 2 and said.count("\n") == 1 and "seed 5 (now 6)" in said
+    assert caught.value.code == 2 and said.count("\n") == 1 and "was built with speaker (now anna)" in said
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
     (["nothing", "--out", "x"], "is not a data set"),
     (["folder", "--out", "x"], "--source"),
     (["folder", "--source", "missing", "--out", "x"], "does not exist"),
-    (["performer", "--source", ".", "--out", "x"], "manifest.csv"),
-    (["performer", "--preset", "tiny", "--hours", "-1", "--out", "x"], "--hours"),
-    (["performer", "--preset", "tiny", "--workers", "0", "--out", "x"], "--workers"),
-    (["performer", "--preset", "tiny", "--seed", "-1", "--out", "x"], "--seed"),
-    (["performer", "--preset", "tiny", "--out", "x", "--histogram", "no/such/folder/h.png"], "h.png"),
-    (["performer", "--preset", "tiny", "--out", "x", "--histogram", "h.txt"], "h.txt"),
+    (["folder", "--source", ".", "--workers", "0", "--out", "x"], "--workers"),
+    (["folder", "--source", ".", "--out", "x", "--histogram", "no/such/folder/h.png"], "h.png"),
+    (["folder", "--source", ".", "--out", "x", "--histogram", "h.txt"], "h.txt"),
 ])
 def test_bad_input_is_one_line_and_leaves_nothing(arguments: list[str], wrong: str, tmp_path: Path,
                                                   monkeypatch: pytest.MonkeyPatch,
@@ -209,11 +210,10 @@ def test_nothing_usable_is_an_error_and_leaves_nothing(tmp_path: Path, capsys: p
     assert sorted(file.name for file in tmp_path.iterdir()) == ["pairs"]
 
 
-@pytest.mark.parametrize("corpus", ["folder", "smartbody"])
-def test_two_builds_of_one_store_keep_out_of_each_others_way(corpus: str, tmp_path: Path,
-                                                              capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_builds_of_one_store_keep_out_of_each_others_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]
+                                                             ) -> None:
     with lock(tmp_path / "s", "a build", beside=True), pytest.raises(SystemExit) as caught:
-        main([corpus, "--source", str(tmp_path), "--out", str(tmp_path / "s")])
+        main(["folder", "--source", str(tmp_path), "--out", str(tmp_path / "s")])
     said = capsys.readouterr().err
     assert caught.value.code == 2 and f"s: is in use by a build (process {os.getpid()} on " in said
     assert list(tmp_path.iterdir()) == []
@@ -222,9 +222,18 @@ def test_two_builds_of_one_store_keep_out_of_each_others_way(corpus: str, tmp_pa
 @pytest.mark.parametrize("option", ["--split", "--speaker"])
 def test_options_of_a_folder_are_refused_elsewhere(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
                                                    ) -> None:
-    with pytest.raises(SystemExit):
+    with pytest.raises(SystemExit) as caught:
         main(["trinity", "--source", str(tmp_path), "--out", str(tmp_path / "s"), option, "80/10/10"])
-    assert f"{option}: is only for folder, not for trinity" in capsys.readouterr().err
+    assert caught.value.code == 2 and f"unrecognized arguments: {option}" in capsys.readouterr().err
+
+
+def test_a_corpus_of_another_distribution_says_what_to_install(monkeypatch: pytest.MonkeyPatch,
+                                                               capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(CORPORA, "_points", {})  # as in an environment without other distributions
+    with pytest.raises(SystemExit) as caught:
+        main(["performer", "--out", "x"])
+    said = capsys.readouterr().err
+    assert caught.value.code == 2 and said.count("\n") == 1 and "pip install -e integrations/performer" in said
 
 
 def test_help_names_every_corpus_and_imports_nothing_heavy() -> None:
@@ -232,7 +241,7 @@ def test_help_names_every_corpus_and_imports_nothing_heavy() -> None:
             "try:\n    main(['--help'])\n"
             "except SystemExit:\n    print([name for name in ('numpy', 'torch') if name in sys.modules])")
     said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    assert all(f"\n  {name} " in said for name in (*CORPORA, *STROKE_SOURCES))
+    assert all(f"\n  {name} " in said for name in CORPORA)
     assert said.splitlines()[-1] == "[]"
 
 
@@ -261,13 +270,13 @@ def test_the_report_counts_what_is_in_the_store(tiny_store: Path) -> None:
     assert beats[round(0.2 / STEP):round(0.5 / STEP) + 1].sum() == beats.sum() == told["blocks"]
 
 
-def test_a_store_that_is_there_is_reported_as_when_it_was_built(tiny_store: Path, tmp_path: Path,
+def test_a_store_that_is_there_is_reported_as_when_it_was_built(toy_corpus: Path, tiny_store: Path, tmp_path: Path,
                                                                 capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is in the extra 'figures'")
     out, picture = tmp_path / "store", tmp_path / "intervals.png"
     shutil.copytree(tiny_store, out)
     told = json.loads((out / "report.json").read_text(encoding="utf-8"))
-    again = [*TINY, "--out", str(out), "--workers", "1", "--histogram", str(picture)]
+    again = [*_of(toy_corpus), "--out", str(out), "--workers", "1", "--histogram", str(picture)]
     assert main(again) == 0
     said = capsys.readouterr().out
     assert f"{told['blocks']} blocks" in said and "#" not in said

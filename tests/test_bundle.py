@@ -28,8 +28,8 @@ from gesticulator.pipeline import Gesticulator
 
 SMALL = ("interpreter.audio_bottleneck=0", "style.audio_bottleneck=0", "generator.audio_bottleneck=0")
 SPEECH = Speech(np.random.default_rng(0).normal(0, 0.1, 32000).astype(np.float32), 16000)
-PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "planner", "interpreter_text",
-         "style_text", "q_network", "advantage")
+PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "interpreter_text", "style_text",
+         "q_network", "advantage")
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
 from data_module.types import Motion
 from gesticulator import infer
-from gesticulator.batch.jobs import retargeter_for
+from gesticulator.arguments import infer_arguments, settings_of
 from gesticulator.characters.blender import blender, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
 from gesticulator.characters.command import COMMAND
@@ -28,6 +28,7 @@ from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter, retarget
 from gesticulator.characters.rig import Character
 from gesticulator.export import fbx_child as blender_child
+from gesticulator.jobs import retargeter_for
 from tests.performances import perform
 from tests.rigs import Rig, as_glb, draw
 
@@ -265,10 +266,10 @@ def test_somebody_who_sits_in_her_file_keeps_legs_and_hips_unless_told(style: st
 
 def test_the_command_tells_of_somebody_who_sits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     parser = argparse.ArgumentParser()
-    infer.arguments(parser)
+    infer_arguments(parser)
     file = str(seated_file(draw(4, "mixamo", "A"), tmp_path / "sits.glb"))
     for told, legs in (([], False), (["--legs"], True), (["--seated"], False)):
-        made = retargeter_for(parser.parse_args(["a.wav", "--character", file, *told]))
+        made = retargeter_for(settings_of(parser.parse_args(["a.wav", "--character", file, *told])).character)
         assert made is not None and made.legs is legs
         assert ("sits.glb: is seated" in capsys.readouterr().err) is (not told)
 

@@ -20,18 +20,16 @@ from small_characters import write_character
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
-from data_module.motion.skeletons import CHARACTER, FINGERED, LEG_JOINTS, WHOLE_BODY
+from data_module.motion.skeletons import FINGERED, LEG_JOINTS, WHOLE_BODY
 from data_module.motion.standing_legs import with_standing_legs
 from data_module.types import Array, Motion
 from gesticulator import infer
-from gesticulator.batch.clip_options import check_clip_outputs
+from gesticulator.arguments import infer_arguments, jobs_of
 from gesticulator.body.looping import looped
 from gesticulator.body.planting import added_to_rest, in_place, upper_alone
 from gesticulator.export.clip import ClipLayout, parse_keys
-from gesticulator.export.glb import skeleton_glb
-from gesticulator.export.glb_pieces import GlbFile
 from gesticulator.export.key_reduction import METRES_PER_DEGREE, SPAN, STEADY_SHARE, kept_frames, rotation_errors
-from gesticulator.export.nodes import of_motion
+from gesticulator.jobs import Job
 
 FPS = 60.0
 
@@ -118,20 +116,6 @@ def tracks(file: GlbData) -> dict[tuple[str, str], tuple[Array, Array]]:
     return {(file.names()[channel["target"]["node"]], channel["target"]["path"]): (
         file.numbers(own["samplers"][channel["sampler"]]["input"])[:, 0].astype(float),
         file.numbers(own["samplers"][channel["sampler"]]["output"]).astype(float)) for channel in own["channels"]}
-
-
-@pytest.mark.parametrize("frames", [1, 2, SPAN, SPAN + 1, SPAN + 2, 2 * SPAN + 1, 1300])
-@pytest.mark.parametrize("keys", [0.0, 0.1])
-def test_a_file_in_pieces_has_the_bytes_of_the_whole(frames: int, keys: float, tmp_path: Path) -> None:
-    motion = Motion(CHARACTER, lively(frames, len(CHARACTER)), np.zeros((frames, 3)), FPS)
-    clip = ClipLayout("talk", keys)
-    file = GlbFile(tmp_path / "a.glb", CHARACTER, FPS, clip)
-    for first in range(0, frames, 97):
-        file.add(motion.crop(first, first + 97))
-    file.finish()
-    file.close()
-    whole = skeleton_glb(of_motion(replace(perform(), motion=motion).scene().standing), clip)
-    assert (tmp_path / "a.glb").read_bytes() == whole
 
 
 def test_keys_on_the_command_line() -> None:
@@ -237,25 +221,28 @@ def test_the_name_is_in_every_file_that_has_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(samples, made.speech.samples, atol=1e-4)
 
 
-def asked(**given: object) -> argparse.Namespace:
+def jobs(words: str) -> list[Job]:
+    """The jobs of a command line."""
     parser = argparse.ArgumentParser()
-    infer.arguments(parser)
-    args = parser.parse_args(["a.wav"])
-    return argparse.Namespace(**{**vars(args), **given})
+    infer_arguments(parser)
+    return jobs_of(parser.parse_args(["a.wav", *words.split()]))
 
 
-@pytest.mark.parametrize(("given", "suffixes", "message"), [
-    ({"layer": "additive"}, [".mp4"], "--layer additive: makes no sense in .mp4"),
-    ({"sound": True}, [".html"], "--sound"),
-    ({"one_file": True}, [".bvh"], "--one-file: is not for .bvh"),
-    ({"one_file": True, "clip_name": "a"}, [".glb"], "does not go with --clip-name"),
-    ({"one_file": True, "shard": "1/2"}, [".glb"], "does not go with --shard"),
-    ({"layer": "additive", "root": "none"}, [".glb"], "--root"),
+@pytest.mark.parametrize(("words", "message"), [
+    ("-o a.smplx.npz --layer additive", "--layer additive: makes no sense in .npz"),
+    ("-o a.html --sound", "--sound"),
+    ("-o a.bvh --one-file", "--one-file: is not for .bvh"),
+    ("-o a.glb --one-file --clip-name a", "does not go with --clip-name"),
+    ("-o a.glb --one-file --shard 1/2", "does not go with --shard"),
+    ("-o a.glb --layer additive --root none", "--root"),
 ])
-def test_options_that_make_no_sense_are_refused(given: dict[str, object], suffixes: list[str], message: str) -> None:
+def test_options_that_make_no_sense_are_refused(words: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        check_clip_outputs(asked(**given), suffixes)
-    check_clip_outputs(asked(loop=True, mask="upper", sound=True), [".glb", ".html"])
+        jobs(words)
+    (job,) = jobs("-o a.glb -o a.html --loop --mask upper --sound")
+    assert job.clip == ClipLayout(loop=True, upper=True, sound=True)
+    (plain,) = jobs("-o a.glb")
+    assert plain.clip is None
 
 
 def test_recordings_become_clips_of_one_file_and_the_recording_beside_stays(

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import pytest
 
 from data_module.corpora.base import Options
-from data_module.corpora.table import CORPORA, STROKE_SOURCES, open_corpus
+from data_module.corpora.table import CORPORA, open_corpus
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
 from eval.metrics import METRICS
@@ -30,7 +30,7 @@ from gesticulator.training.stages import ENTRIES, STAGES
 from gesticulator.training.stages.base import Node, Run, Stage
 from interpreters import INTERPRETERS
 
-TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA, STROKE_SOURCES, METRICS)  # type: ignore[assignment]
+TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA, METRICS)  # type: ignore[assignment]
 
 
 @pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")
@@ -61,8 +61,8 @@ def test_a_reader_of_characters_refuses_what_is_none_in_one_line(suffix: str, tm
 
 @pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")
                                              for table in (PROBES, PLOTS) for name in table])
-def test_a_probe_or_a_drawing_has_arguments_a_run_and_a_line_about_it(table: Registry[RegistryEntry], name: str
-                                                                      ) -> None:
+def test_a_probe_or_a_plot_has_arguments_a_run_and_a_line_about_it(table: Registry[RegistryEntry], name: str
+                                                                   ) -> None:
     tool = table.load(name)
     parser = argparse.ArgumentParser()
     tool.arguments(parser)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import shutil
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -18,12 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.corpora.base import DroppedError, Options, Reader, load, split_of, spread, trimmed
-from data_module.corpora.performer import PARTS, TEST_READINGS, Performer, tail_begins
-from data_module.corpora.table import CORPORA, open_corpus
+from data_module.corpora.folder import FolderOptions
+from data_module.corpora.table import CORPORA, SEPARATE, open_corpus
 from data_module.errors import InputError
 from data_module.motion import kinematics, skeletons
 from data_module.motion.bvh import write_bvh
-from data_module.speech.audio import load_speech, write_flac
+from data_module.speech.audio import write_flac
 from data_module.store import SPLITS
 from data_module.types import Motion, Speech, Word
 
@@ -68,7 +67,6 @@ def _ted(root: Path) -> Path:
 
 
 SAMPLES: dict[str, Callable[[Path], Reader]] = {
-    "performer": lambda root: open_corpus("performer", None, Options(preset="tiny")),
     "folder": lambda root: open_corpus("folder", _folder(root), Options()),
     "trinity": lambda root: open_corpus("trinity", published_bvh.trinity(root), Options()),
     "zeroeggs": lambda root: open_corpus("zeroeggs", published_bvh.zeroeggs(root), Options()),
@@ -81,10 +79,10 @@ SAMPLES: dict[str, Callable[[Path], Reader]] = {
 
 
 def test_every_reader_has_a_sample() -> None:
-    assert set(SAMPLES) == set(CORPORA)
+    assert set(SAMPLES) == set(CORPORA) - set(SEPARATE)
 
 
-@pytest.mark.parametrize("name", list(CORPORA))
+@pytest.mark.parametrize("name", list(SAMPLES))
 def test_contract(name: str, tmp_path: Path) -> None:
     reader = SAMPLES[name](tmp_path)
     assert reader.licence
@@ -104,19 +102,17 @@ def test_contract(name: str, tmp_path: Path) -> None:
     table = skeletons.find_table(recording.motion.skeleton.names)
     tall = np.linalg.norm(places[:, table["Head"]] - places[:, table["Hips"]], axis=-1)
     assert 0.4 < np.median(tall) < 0.8
-    again = load(SAMPLES[name](tmp_path / "again") if name == "performer" else reader, items[-1])
+    again = load(reader, items[-1])
     assert np.array_equal(again.motion.rotations, recording.motion.rotations)
     assert np.array_equal(again.speech.samples, recording.speech.samples) and len(character) == len(again.motion)
     assert all(isinstance(line, str) for line in reader.notes())
 
 
 def test_unknown_corpus_and_source() -> None:
-    with pytest.raises(InputError, match="performer, folder"):
+    with pytest.raises(InputError, match="folder, trinity"):
         open_corpus("nothing", None, Options())
     with pytest.raises(InputError, match="does not exist"):
         open_corpus("folder", Path("/no/such/folder"), Options())
-    with pytest.raises(InputError, match="tiny"):
-        open_corpus("performer", None, Options())
 
 
 @given(st.integers(60, 200), st.floats(1.0, 4.0))
@@ -219,12 +215,13 @@ def test_splits_and_speakers_of_a_folder_as_the_user_says(tmp_path: Path) -> Non
     source = _pairs(tmp_path, "s1-a", "s1-b", "s2-a")
     listed = tmp_path / "splits.csv"
     listed.write_text("name,split\ns1-a,test\n s1-b , train\ns2-a,val\nother,train\n")
-    infos = [item.info for item in open_corpus("folder", source, Options(split=str(listed), speaker="^(s.)-")).items()]
+    options = FolderOptions(split=str(listed), speaker="^(s.)-")
+    infos = [item.info for item in open_corpus("folder", source, options).items()]
     assert [info.split for info in infos] == ["test", "train", "val"]
     assert [info.speaker for info in infos] == ["s1", "s1", "s2"]
-    infos = [item.info for item in open_corpus("folder", source, Options(split="0/0/100", speaker="Ann")).items()]
+    infos = [item.info for item in open_corpus("folder", source, FolderOptions(split="0/0/100", speaker="Ann")).items()]
     assert {(info.split, info.speaker, info.voice) for info in infos} == {("test", "Ann", "Ann")}
-    notes = " ".join(open_corpus("folder", source, Options(split="100/0/0")).notes())
+    notes = " ".join(open_corpus("folder", source, FolderOptions(split="100/0/0")).notes())
     assert "no recording is in test" in notes and "--split" in notes
 
 
@@ -240,7 +237,7 @@ def test_splits_and_speakers_that_cannot_be(split: str, speaker: str, says: str,
     (tmp_path / "BROKEN").write_text("s1-a,train\ns1-b,perhaps\n")
     split = str(tmp_path / split) if split in ("FILE", "BROKEN") else split
     with pytest.raises(InputError, match=says):
-        open_corpus("folder", source, Options(split=split, speaker=speaker))
+        open_corpus("folder", source, FolderOptions(split=split, speaker=speaker))
 
 
 @pytest.mark.parametrize(("told", "says"), [
@@ -272,123 +269,3 @@ def test_a_broken_truth_drops_its_recording(told: dict[str, Any], tmp_path: Path
 def test_folder_without_pairs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no BVH file"):
         open_corpus("folder", tmp_path, Options())
-
-
-def test_sentences_voices_and_strokes_of_the_tiny_performer_do_not_leak() -> None:
-    from data_module.performer.text import sentence_key
-
-    reader = open_corpus("performer", None, Options(preset="tiny"))
-    said: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
-    voices: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
-    for item in reader.items():
-        voices[item.info.split].add(item.info.voice)
-        said[item.info.split] |= {sentence_key(utterance) for utterance in item.content.utterances}
-    assert not voices["test"] & (voices["train"] | voices["val"])
-    assert not said["test"] & said["train"] and not said["val"] & said["train"] and not said["test"] & said["val"]
-
-
-def _full_source(outside_data: Path) -> Path:
-    pytest.importorskip("pocketsphinx")
-    if not (outside_data / "free_motion" / "manifest.csv").is_file():
-        pytest.skip("the outside data has no free_motion")
-    return outside_data
-
-
-def test_plan_of_the_default_performer(outside_data: Path) -> None:
-    """Shares, leaks and kept readings of the real plan; nothing is spoken or played."""
-    source = _full_source(outside_data)
-    reader = open_corpus("performer", source, Options(hours=4.0))
-    items = reader.items()
-    infos = [item.info for item in items]
-    assert {info.part for info in infos} == set(PARTS) and len({info.name for info in infos}) == len(infos)
-    made = [info for info in infos if info.part != "reading"]
-    share = Counter(info.split for info in made)
-    assert share["val"] >= 20 and sum(info.split == "test" for info in infos) >= 60
-    seconds = Counter[str]()
-    for item in items:
-        seconds[item.info.split] += item.size
-    assert seconds["train"] > 0.7 * seconds.total(), "recordings for test are short"
-    train = [info for info in infos if info.split != "test"]
-    test = [info for info in infos if info.split == "test"]
-    assert not {info.group for info in train} & {info.group for info in test}
-    assert not {i.voice for i in train if i.part != "reading"} & {i.voice for i in test}
-    assert {i.speaker for i in test} <= {i.speaker for i in train}
-    assert {"brad", "brad2", "connor", "garza", "story", "conversation"} <= {i.speaker for i in test}
-    # Each reading by three performers at most; those held out, whole, by one.
-    readings = Counter((info.group, info.split) for info in infos if info.part == "reading")
-    assert {group for group, split in readings if split == "test"} == {*TEST_READINGS, "de_prose_1_tail"}
-    assert all(count == (1 if split == "test" else 3) for (_, split), count in readings.items())
-    again = open_corpus("performer", source, Options(hours=4.0)).items()
-    assert [(item.info, item.content) for item in items] == [(item.info, item.content) for item in again]
-    assert [item.content for item in reader.items()] == [item.content for item in items], "asked twice, the same"
-    longer = open_corpus("performer", source, Options(hours=4.4)).items()
-    assert longer[0] == items[0] and longer[-1] == items[-1]
-    other = open_corpus("performer", source, Options(hours=4.0, seed=2)).items()
-    assert other[-60].content != items[-60].content
-
-
-@pytest.mark.parametrize("name", ["de_prose_1", "es_prose_1"])
-def test_the_last_thirty_seconds_are_kept(outside_data: Path, name: str) -> None:
-    speech = load_speech(outside_data / "speech" / f"{name}.flac")
-    at = tail_begins(speech.samples, speech.sample_rate) / speech.sample_rate
-    assert 30 <= speech.duration - at <= 32
-
-
-def test_no_sentence_and_no_take_crosses_a_split(outside_data: Path) -> None:
-    from data_module.performer.text import sentence_key
-
-    source = _full_source(outside_data)
-    reader = open_corpus("performer", source, Options(hours=4.0))
-    assert isinstance(reader, Performer)
-    said: dict[str, list[str]] = {"train": [], "val": [], "test": []}
-    for item in reader.items():
-        if item.info.part in ("talk", "style"):
-            said[item.info.split] += [sentence_key(utterance) for utterance in item.content.utterances]
-    everything = [one for sentences in said.values() for one in sentences]
-    assert len(everything) > 2000 and len(set(everything)) > 0.99 * len(everything)
-    pools: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
-    for (_, split), texts in reader._phrases[0].items():
-        pools[split] |= set(texts)
-    for one, other in (("train", "test"), ("val", "test"), ("train", "val")):
-        assert not set(said[one]) & set(said[other])
-        assert not {phrase for phrase in pools[one] if len(phrase) > 20} & pools[other]
-    takes = reader._take_splits
-    assert set(takes.values()) == {"train", "val", "test"} and len(takes) > 90
-
-
-def test_without_real_motion_the_rest_is_still_played(outside_data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("pocketsphinx")
-    for name in ("strokes", "speech"):
-        (tmp_path / name).symlink_to(outside_data / name)
-    reader = open_corpus("performer", tmp_path, Options(hours=1.0))
-    assert {item.info.part for item in reader.items()} == {"talk", "style", "reading"}
-    assert "CMU" not in reader.licence and "cmu" not in reader.licence and "SmartBody" in reader.licence
-    german = open_corpus("performer", outside_data, Options(hours=1.0, languages=("de",)))
-    assert {item.info.language for item in german.items()} == {"de"}
-    assert "motion" not in {item.info.part for item in german.items()}
-
-
-def test_licences_of_what_a_corpus_is_made_of(outside_data: Path) -> None:
-    licence = open_corpus("performer", _full_source(outside_data), Options()).licence
-    credit = ("The data used in this project was obtained from mocap.cs.cmu.edu. "
-              "The database was created with funding from NSF EIA-0196217.")
-    assert credit in licence
-    for named in ("Rocketbox", "MIT", "LGPL 2.1", "LibriVox", "PNGestures"):
-        assert named in licence
-
-
-def test_a_talk_made_for_motion_uses_takes_of_its_split_alone(outside_data: Path) -> None:
-    pytest.importorskip("pocketsphinx")
-    if not shutil.which("espeak-ng"):
-        pytest.skip("espeak-ng is not installed")
-    reader = open_corpus("performer", _full_source(outside_data), Options(hours=4.0))
-    assert isinstance(reader, Performer)
-    item = next(i for i in reader.items() if i.info.part == "motion" and i.info.voice == "us_f3")
-    reader._phrases[0][item.info.voice, item.info.split] = reader._phrases[0][item.info.voice, item.info.split][:220]
-    recording = load(reader, item)
-    assert recording.info.sources and all(reader._take_splits[name] == "train" for name in recording.info.sources)
-    assert recording.motion.duration == pytest.approx(recording.speech.duration, abs=1 / 60)
-    assert recording.truth is not None and len(recording.truth.phrases) > 8 and recording.speech.words
-    hands = kinematics.positions_of(recording.motion)[:, [11, 15]]
-    speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1) * recording.motion.fps
-    assert 0.2 < speed.mean() < 1.0

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import warnings
 
-import numpy as np
 import pytest
-from benchmark_files import benchmark
 
-from eval.acceptance.bounds import Bound
-from eval.renderings import spread_evenly
 from gesticulator.bundle import bundle as bundles
 from gesticulator.options import InferenceOptions
 from gesticulator.pipeline import Gesticulator, InterpreterWarning
 from gesticulator.training.presets import preset
-
-cql = benchmark("cql")
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +21,7 @@ def temperature(system: Gesticulator, **asked: object) -> float:
     options = InferenceOptions.of(dict(asked))  # type: ignore[arg-type]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InterpreterWarning)
-        return system.cast(options, text=False).sampling.temperature
+        return system.cast(options, text=False).temperature
 
 
 def test_the_shipped_q_network_is_sampled_and_temperature_0_is_arg_max(shipped: bundles.Bundle) -> None:
@@ -64,32 +58,3 @@ def test_streams_of_one_gesticulator_remark_once(shipped: bundles.Bundle) -> Non
         for _ in range(2):
             system.stream(16000, interpreter="cql")
     assert [one for one in caught if issubclass(one.category, InterpreterWarning)] == caught[:1]
-
-
-# The table
-
-
-def played(*sequences: list[int], silent: list[bool] | None = None) -> object:
-    own = cql.Played()
-    for sequence in sequences:
-        own.add(np.array(sequence), np.array(silent or [False] * len(sequence)), {"eye_seam": 1.0})
-    return own
-
-
-def test_shares_entropy_and_runs_are_of_voiced_blocks() -> None:
-    row = cql.cells(played([0, 0, 0, 1], [2, 3, 4, 5]), 6, None)
-    assert (row["commonest"].mean, row["most"], row["used"].mean) == (50.0, 75.0, 3.0)
-    assert row["pooled"] == pytest.approx(100 * 3 / 8)
-    assert row["nats"].mean == pytest.approx((0.5623351446 + np.log(4)) / 2)
-    assert row["run"].mean == 2.0 and "frechet" not in row
-    quiet = cql.cells(played([0, 0, 0, 1], silent=[True, True, False, False]), 6, None)
-    assert quiet["commonest"].mean == 50.0, "blocks without voice do not count"
-
-
-def test_twice_the_margin() -> None:
-    assert cql.doubled(Bound(4.0, 8.0)) == Bound(2.0, 10.0)
-    assert cql.doubled(Bound(high=3.0)).high == 6.0
-
-
-def test_recordings_are_spread_over_the_split() -> None:
-    assert spread_evenly(list(range(11)), 3) == [0, 5, 10] and spread_evenly([1, 2], 5) == [1, 2]

@@ -23,7 +23,6 @@ from gesticulator import Gesticulator
 from gesticulator.body.life import Shifts, ShiftStyle
 from gesticulator.directing.directions import LONGEST_GESTURE
 from gesticulator.directing.named_gestures import span_of_gesture
-from gesticulator.drawing.driver import Driver
 from gesticulator.editing.recut import Recutter
 from gesticulator.export.html import describe
 from gesticulator.page.server import AbandonedError
@@ -31,6 +30,7 @@ from gesticulator.page.session import EditSession
 from gesticulator.performance import Performance
 from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan_file import parse_plan
+from gesticulator.sampling import loop
 
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SECONDS, SEED = 6.0, 1
@@ -265,13 +265,13 @@ def test_renderings_in_memory_are_bounded_and_a_page_goes_on(system: Gesticulato
 
 def _counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Counts the blocks that are drawn from now on."""
-    count, draw = [0], Driver.draw
+    count, step = [0], loop.step
 
-    def counted(self: Driver, request: Any) -> Any:
+    def counted(*args: Any) -> Any:
         count[0] += 1
-        return draw(self, request)
+        return step(*args)
 
-    monkeypatch.setattr(Driver, "draw", counted)
+    monkeypatch.setattr(loop, "step", counted)
     return count
 
 

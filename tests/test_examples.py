@@ -14,6 +14,7 @@ import pytest
 import soundfile
 from gltf_reader import GlbFile
 from small_characters import write_character
+from untrained import untrained
 
 from data_module.errors import InputError
 from data_module.motion import rotation
@@ -21,6 +22,7 @@ from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.kinematics import positions_of
 from eval.table import load
 from gesticulator import Gesticulator
+from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import Schedules
 from gesticulator.characters.blender import check_blender, run_in_blender
 from gesticulator.plan.plan import edited_blocks
@@ -28,10 +30,8 @@ from gesticulator.plan.plan_file import read_plan
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0
-RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_at_words", "own_engine", "samples",
-       "score", "to_blender", "to_character", "to_vrm", "train", "two_takes"}
-NEEDS_MORE = {"make_speech"}
-"""Examples that need a program that is not installed with the tests."""
+RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_at_words", "own_engine", "racer",
+       "rhythmic_gesticulator", "samples", "score", "to_blender", "to_character", "to_vrm", "train", "two_takes"}
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,26 @@ def example(name: str) -> Callable[..., None]:
 
 
 def test_every_example_is_run_here() -> None:
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == RUN | NEEDS_MORE
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == RUN
+
+
+def test_rhythmic_gesticulator_in_the_papers_steps_is_the_systems_motion(recording: Path, tmp_path: Path) -> None:
+    example("rhythmic_gesticulator")(str(recording), str(tmp_path / "steps.bvh"))
+    Gesticulator.from_pretrained("paper")(recording).save(tmp_path / "whole.bvh")
+    steps, whole = (read_bvh(tmp_path / name) for name in ("steps.bvh", "whole.bvh"))
+    np.testing.assert_array_equal(steps.rotations, whole.rotations)
+
+
+def test_racer_in_the_papers_steps_with_a_lexicon_and_with_a_codec(recording: Path, tmp_path: Path) -> None:
+    codec = untrained("system=racer", "rhythm.beats.rule=even", "rhythm.beats.d_max=0.4", "front_end.name=mel",
+                      "text.encoder=", "generator.use_control=false", "interpreter.use_control=false", "racer.size=12",
+                      "racer.width=16", "lexicon.size=12", "lexicon.code_width=16", "default_speaker=ann")
+    bundles.save(codec, tmp_path / "codec", "a card")
+    for name, given in (("lexicon", ()), ("codec", (str(tmp_path / "codec"),))):
+        example("racer")(str(recording), str(tmp_path / f"{name}.bvh"), *given)
+        motion = read_bvh(tmp_path / f"{name}.bvh")
+        assert motion.duration == pytest.approx(SECONDS, abs=0.02)
+        assert np.abs(np.diff(motion.rotations, axis=0)).max() > 1e-4
 
 
 def test_a_file_to_bvh(recording: Path, tmp_path: Path) -> None:

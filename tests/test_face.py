@@ -38,7 +38,6 @@ from gesticulator.body.face_life import RATE, FaceLife
 from gesticulator.body.face_lips import REACH, SHIPPED, Lips, load_weights, with_dominance, with_strength
 from gesticulator.characters.face_shapes import ARKIT, arkit, curves, find_shapes, is_lips, oculus, summed, vrm
 from gesticulator.options import InferenceOptions
-from gesticulator.training.face import FaceTraining, LabelledRows, fit, with_long_pause
 from interpreters.visemes import VisemeNet, VisemeStepper
 
 
@@ -178,32 +177,6 @@ def test_weights_are_small_and_are_what_their_record_says(tmp_path: Path) -> Non
     (folder / "visemes.safetensors").unlink()
     with pytest.raises(InputError, match="cannot be read"):
         load_weights(folder)
-
-
-def test_a_small_network_learns_which_band_is_loud() -> None:
-    rng = np.random.default_rng(0)
-    recordings = []
-    for _ in range(6):
-        kinds = np.repeat(rng.integers(0, 3, 20), 12)
-        rows = np.full((480, 33), -12.0, np.float32)
-        for frame, kind in enumerate(kinds):
-            rows[2 * frame:2 * frame + 2, 10 * kind:10 * kind + 10] = -3.0
-        rows[:, 32] = -4.0
-        recordings.append(LabelledRows(rows, kinds + 9))
-    net = fit(recordings, FaceTraining(epochs=24, batch=4, rate=5e-3))
-    one = recordings[0]
-    with torch.inference_mode():
-        found = net(torch.from_numpy(stacked(one.rows))[None])[0].argmax(-1).numpy()
-    assert (found == one.labels).mean() > 0.8
-
-
-def test_a_longer_pause_is_silence_and_keeps_what_was_before() -> None:
-    rng = np.random.default_rng(0)
-    visemes = np.concatenate([np.full(30, 10), np.zeros(10, int), np.full(200, 12)])
-    piece = LabelledRows(rng.standard_normal((480, 33)).astype(np.float32), visemes)
-    longer = with_long_pause(piece, np.random.default_rng(1))
-    assert len(longer.labels) == 240 and (longer.labels == SILENT).sum() >= 35
-    assert np.array_equal(longer.rows[:80], piece.rows[:80])
 
 
 # -------------------------------------------------------------------------------------------------- lids, brows, eyes

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -103,12 +103,10 @@ def test_gestures_and_expressions_have_different_names() -> None:
 
 
 def test_a_cue_of_the_face_needs_one_on_the_command_line() -> None:
-    face = argparse.Namespace(cues=[GestureCue("smile", time=1.0)], face="full")
-    check_cues(None, face)  # type: ignore[arg-type]
-    face.face = "lips"
-    with pytest.raises(InputError, match="--face full"):
-        check_cues(None, face)  # type: ignore[arg-type]
     options = InferenceOptions(cues=(GestureCue("smile", time=1.0),))
+    check_cues(None, replace(options, face="full"))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="--face full"):
+        check_cues(None, replace(options, face="lips"))  # type: ignore[arg-type]
     assert not options.directed and not options.shaped
 
 

@@ -241,7 +241,7 @@ def test_smplx_has_the_jaw_and_the_eyes(tmp_path: Path) -> None:
 def test_a_packet_of_the_server_holds_the_face() -> None:
     from pipecat_gesticulator.protocol import Poses
 
-    from gesticulator.serve.protocol import StreamRequest, pack
+    from gesticulator.live.protocol import StreamRequest, pack
     from gesticulator.stream import StreamFrames
 
     made = with_face(perform(1.0))
@@ -256,7 +256,7 @@ def test_a_packet_of_the_server_holds_the_face() -> None:
 
 def test_vmc_sends_blend_shapes_and_eyes() -> None:
     osc = pytest.importorskip("pythonosc.osc_bundle")
-    from gesticulator.serve.vmc import VmcFrames
+    from gesticulator.live.vmc import VmcFrames
 
     made = with_face(perform(1.0))
     frame = len(made.motion) // 2  # in a

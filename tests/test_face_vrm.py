@@ -29,9 +29,9 @@ from gesticulator.characters.face_shapes import vrm
 from tests.zoo import CACHE, Unavailable
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGE, JS = ROOT / "integrations" / "three-gesticulator", Path(__file__).resolve().parent / "js"
+PACKAGE, JS = ROOT / "integrations" / "gesticulator-client" / "src", Path(__file__).resolve().parent / "js"
 PRESETS = {"aa": 0, "ih": 1, "ou": 2, "ee": 3, "oh": 4, "blink": 5, "happy": 6, "sad": 7}
-PLAYERS = ("three-vrm", "three-gesticulator")
+PLAYERS = ("three-vrm", "gesticulator-client")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import torch
 from data_module.motion.movement import MovementBasis, pasts_of
 from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, FlowTime, _fade, circumstances
 from generator.model import GeneratorConfig, GeneratorWidths
-from gesticulator.drawing.drawer import Keys
+from gesticulator.sampling.noise import Keys
 
 FRAMES, WIDTH, AUDIO = 4, 3, 5
 CONFIG = GeneratorConfig(motion_features=8, audio_features=4, style_width=0, position_width=4, hidden=16,

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from gesticulator.drawing.drawer import Keys
-from gesticulator.drawing.rollout import FADES, FirstPoses, Offset
+from gesticulator.sampling.noise import Keys
+from gesticulator.systems.movement import FADES, Offset, first_pose
 
 NAMES = ["Spine", "LeftArm", "RightArm"]
 REST = np.concatenate([np.full(3, 9.0), np.full(3, 2.0), np.full(3, -4.0)])
@@ -37,7 +37,7 @@ def test_an_offset_is_over_when_it_has_faded() -> None:
 
 
 def test_first_poses_lie_between_the_speakers_pose_and_rest_each_arm_for_itself() -> None:
-    poses = np.stack([FirstPoses(Keys(1), NAMES, REST).at(0.2 * n) for n in range(2000)])
+    poses = np.stack([first_pose(Keys(1), NAMES, REST, 0.2 * n) for n in range(2000)])
     assert (poses[:, :3] == 0).all(), "the trunk begins in the mean pose"
     shares = poses[:, [3, 6]] / REST[[3, 6]]
     assert shares.min() > -0.45 and shares.max() < 0.55
@@ -46,7 +46,8 @@ def test_first_poses_lie_between_the_speakers_pose_and_rest_each_arm_for_itself(
 
 
 def test_first_poses_are_keyed_by_seed_and_time_and_change_gradually() -> None:
-    one, two = (FirstPoses(Keys(seed), NAMES, REST) for seed in (1, 2))
-    assert not np.array_equal(one.at(7.0), FirstPoses(Keys(1, 5), NAMES, REST).at(7.0)), "variations differ"
-    assert np.abs(one.at(7.0) - two.at(7.0)).max() > 0.05
-    assert np.abs(one.at(7.01) - one.at(7.0)).max() < 0.8
+    pose, other_seed, variation, later = (first_pose(keys, NAMES, REST, time) for keys, time in (
+        (Keys(1), 7.0), (Keys(2), 7.0), (Keys(1, 5), 7.0), (Keys(1), 7.01)))
+    assert not np.array_equal(pose, variation)
+    assert np.abs(pose - other_seed).max() > 0.05
+    assert np.abs(later - pose).max() < 0.8

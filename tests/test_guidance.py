@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from untrained import SILENT, untrained
 
-from data_module.controls import Controls
 from data_module.types import Speech
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import with_settings
-from gesticulator.drawing.driver import Cast, Driver, GeneratedMotion, requests
-from gesticulator.drawing.rollout import Sampling
 from gesticulator.pipeline import Gesticulator
+from gesticulator.sampling import loop
+from gesticulator.sampling.loop import GeneratedMotion, Request, Setup
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +33,9 @@ def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0
     encoded = dataclasses.replace(system.encode_speech(Speech(samples.astype(np.float32), 16000)), text=None)
     blocks = len(encoded.blocks)
     rows = np.ones((blocks, own.frames, 6), np.float32) if asked else None
-    driver = Driver(own, Cast(system.interpreter("lstm"), 0, Sampling(0.0, 0, 0), 1.0, Controls.free()))
-    driver.begin()
-    made = driver.run(requests(encoded, rows))
-    return GeneratedMotion(encoded.blocks, made, driver.motion(made))
+    setup = Setup(system.interpreter("lstm"), 0, temperature=0.0, top=0, seed=0)
+    made = loop.run(own, setup, [Request(encoded.block(i), None if rows is None else rows[i]) for i in range(blocks)])
+    return GeneratedMotion(encoded.blocks, made, loop.motion_of(own, setup, made))
 
 
 def scores(made: GeneratedMotion) -> np.ndarray:

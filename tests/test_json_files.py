@@ -142,10 +142,8 @@ def test_what_python_writes_beyond_the_standard_is_read_where_it_wrote_it() -> N
 
 _OTHERS = {
     "data_module/files.py": "the reader itself",
-    "data_module/performer/espeak_child.py": "runs in a process of its own, on what its parent wrote a moment ago",
     "gesticulator/characters/blender.py": "the outcome of a job that its own Blender has just written",
     "gesticulator/characters/blender_jobs.py": "runs in Blender, on the job that its parent has just written",
-    "gesticulator/plan/json_lines.py": "the parser that knows the line of each value; one number at a time",
 }
 
 

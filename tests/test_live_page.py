@@ -17,8 +17,8 @@ from live_double import TURN, served
 from small_characters import write_character
 
 from data_module.motion.skeletons import CHARACTER
-from gesticulator.serve.page import pages
-from gesticulator.serve.settings import ServerLimits
+from gesticulator.live.limits import ServerLimits
+from gesticulator.live.server import live_pages
 
 ROOT = Path(__file__).resolve().parents[1]
 _PATIENCE = 240_000
@@ -51,7 +51,7 @@ def opened(window: Any) -> Iterator[tuple[Any, list[str], list[str]]]:
     """The page, what it complained about and what it asked for."""
     complaints: list[str] = []
     requests: list[str] = []
-    with served(ServerLimits(core_share=100.0), pages()) as (_, port):
+    with served(ServerLimits(), live_pages()) as (_, port):
         page = window.new_page(viewport={"width": 640, "height": 480})
         page.set_default_timeout(_PATIENCE)
         page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
@@ -130,7 +130,7 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
 
 def test_the_page_tells_that_the_machine_is_too_slow_and_that_it_keeps_up_again(window: Any) -> None:
     work = [3.0]  # seconds for a second of sound
-    with served(ServerLimits(core_share=100.0), pages(), share=lambda: work[0]) as (_, port):
+    with served(ServerLimits(), live_pages(), share=lambda: work[0]) as (_, port):
         page = window.new_page(viewport={"width": 640, "height": 480})
         page.set_default_timeout(_PATIENCE)
         page.goto(f"http://127.0.0.1:{port}/")

@@ -17,7 +17,7 @@ from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
 from pipecat_gesticulator import Poses
 from pipecat_gesticulator.livekit import GestureAudioOutput
 
-from gesticulator.serve.settings import ServerLimits
+from gesticulator.live.limits import ServerLimits
 
 RATE = 24000
 
@@ -82,7 +82,7 @@ def test_sound_passes_poses_come_and_an_interruption_takes_them_back() -> None:
             output.on_detached()
             return silent, output
 
-    with served(ServerLimits(core_share=100.0), {}) as (_, port):
+    with served(ServerLimits(), {}) as (_, port):
         silent, _ = asyncio.run(drive(f"ws://127.0.0.1:{port}/stream"))
         assert len(silent.taken) == 60, "sound passes, whatever the server does"
 

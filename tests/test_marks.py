@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from pipecat_gesticulator.marks import timed_words, without_marks
 from recogniser_samples import FILES, Words
 
+from data_module.errors import InputError
 from data_module.motion.rotation import conjugate, multiply
 from data_module.speech.audio import load_speech
 from data_module.text.marks import EMOJI, mark_name, marked_text, marked_words
@@ -32,13 +33,13 @@ from gesticulator.directing.marks import (
     with_mark_cues,
 )
 from gesticulator.directing.named_gestures import span_of_gesture
-from gesticulator.directing.stream_marks import LATEST
+from gesticulator.directing.stream_marks import LATEST, StreamMarks
+from gesticulator.live.limits import ServerLimits
+from gesticulator.live.protocol import StreamRequest
+from gesticulator.live.session import session_opener
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.gestures import GESTURES, REPERTOIRE
 from gesticulator.plan.plan import GestureCue
-from gesticulator.serve.protocol import StreamRequest
-from gesticulator.serve.session import session_opener
-from gesticulator.serve.settings import ServerLimits
 
 ROOT = Path(__file__).parents[1]
 RATE = 16000
@@ -333,6 +334,16 @@ def test_a_mark_waits_for_the_next_words(g: Any) -> None:
     alone = [*words[:5], Word("[shrug]", 2.3, 2.3)]
     whole = [*words[:5], Word("[shrug] w5", words[5].start, words[5].end)]
     np.testing.assert_array_equal(_streamed(g, [alone, words[5:]]), _streamed(g, [whole, words[6:]]))
+
+
+def test_no_more_marks_may_wait_than_a_plan_may_have() -> None:
+    """One message with thousands of marks would hold up every other stream of a server for seconds."""
+    marks = StreamMarks(rotations=True)
+    marks.take([Word("[shrug]yes", 10.0 + number, 10.5 + number) for number in range(100)], 0.0)
+    with pytest.raises(InputError, match="more than 100 wait"):
+        marks.take([Word("[shrug]no", 200.0, 200.5)], 0.0)
+    assert len(marks.cues()) == 100
+    marks.take([Word("[shrug]no", 200.0, 200.5)], 50.0)  # half of the earlier ones are over
 
 
 def test_streams_give_the_words_back_without_marks(g: Any) -> None:

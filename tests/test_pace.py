@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gesticulator.serve.pace import CATCHES_UP, PASSES, Effort, Pace
+from gesticulator.live.pace import CATCH_UP_SECONDS, SKIP_SECONDS, Effort, Pace
 
 CHUNK, PIECE = 0.02, 0.5
 
@@ -65,7 +65,7 @@ def test_however_slow_it_is_a_microphone_is_not_late_for_long(full: float, less:
     server = SlowServer(full, less)
     server.run(microphone(120.0))
     # A piece at full cost may be under way before it is noticed, and one at less cost before there is nothing for it.
-    assert max(server.late) < PASSES + 1.2 + PIECE * (full + less)
+    assert max(server.late) < SKIP_SECONDS + 1.2 + PIECE * (full + less)
     assert sum(server.seconds.values()) == pytest.approx(120.0)
     if less < 1.0:
         assert server.seconds[Effort.NONE] == 0.0, "less is enough"
@@ -81,7 +81,7 @@ def test_a_moment_without_work_is_caught_up_and_nothing_is_passed_over() -> None
     assert server.seconds[Effort.NONE] == 0.0 and 1.0 < server.seconds[Effort.LESS] < 5.0
     assert max(server.late) < 3.1 and server.late[-1] < 0.1
     caught = [late for late in server.late if late > 0.3]
-    assert len(caught) * PIECE * 0.15 < CATCHES_UP
+    assert len(caught) * PIECE * 0.15 < CATCH_UP_SECONDS
 
 
 @pytest.mark.parametrize("drift", [0.99, 1.01])
@@ -103,7 +103,7 @@ def test_an_answer_that_comes_at_once_is_not_late_while_it_waits() -> None:
 def test_an_answer_that_cannot_be_drawn_as_fast_as_it_is_played_is_passed_over_in_parts() -> None:
     server = SlowServer(3.0, 2.0)
     server.run(np.zeros(round(60 / CHUNK)))
-    assert max(server.late) < PASSES + 1.2 + PIECE * 5.0 and server.seconds[Effort.NONE] > 0.0
+    assert max(server.late) < SKIP_SECONDS + 1.2 + PIECE * 5.0 and server.seconds[Effort.NONE] > 0.0
 
 
 def test_what_is_not_played_any_more_is_not_ahead() -> None:

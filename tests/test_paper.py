@@ -14,8 +14,8 @@ from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.speech.audio import load_speech
 from data_module.types import Speech
+from eval.ablate.rows import PRESETS
 from eval.renderings import BundleSystem, KeptRenderings, system_at
-from eval.rows import rg
 from eval.score.played_rows import PlayedBundle
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
@@ -94,7 +94,7 @@ def test_nothing_of_ours_is_in_the_papers_form(name: str) -> None:
 
 
 def test_the_quick_preset_is_that_of_the_tables() -> None:
-    quick, table = preset("paper-quick"), rg.PRESETS["ablation"]()
+    quick, table = preset("paper-quick"), PRESETS["ablation"]()
     assert table.schedules == quick.schedules and table.generator == quick.generator
     assert [stage.name for stage in wanted(quick)] == [stage.name for stage in wanted(table)]
     assert "speech" not in {stage.name for stage in wanted(quick)} and table.cql == quick.cql

@@ -50,7 +50,7 @@ def test_the_schema_is_in_our_wheel() -> None:
     wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
     ((source, target),) = wheel["force-include"].items()
     assert (ROOT / source).samefile(FOLDER / "pipecat_gesticulator" / "protocol.json")
-    from gesticulator.serve import protocol
+    from gesticulator.live import protocol
 
     places = [place.relative_to(ROOT).as_posix() for place in protocol._PLACES]
     assert places == [source, target]
@@ -73,7 +73,7 @@ def test_its_own_tests_pass_in_a_real_pipeline() -> None:
         pytest.skip("pipecat-ai is not installed, and PIPECAT_PYTHON names no Python that has it")
     if shutil.which("espeak-ng") is None:
         pytest.skip("espeak-ng is not installed")
-    run = "import sys; from gesticulator.serve.command import COMMAND as C; sys.exit(C.main(sys.argv[1], sys.argv[2:]))"
+    run = "import sys; from gesticulator.live.command import COMMAND as C; sys.exit(C.main(sys.argv[1], sys.argv[2:]))"
     server = f'{sys.executable} -c "{run}"'
     done = subprocess.run([python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"], cwd=FOLDER, text=True,
                           env={**os.environ, "PYTHONPATH": str(FOLDER), "GESTICULATOR_COMMAND": server,

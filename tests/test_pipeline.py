@@ -16,9 +16,9 @@ from data_module.errors import InputError
 from data_module.types import Speech, Word
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import with_settings
-from gesticulator.drawing.rollout import approach_rest
 from gesticulator.performance import Performance
 from gesticulator.pipeline import Gesticulator
+from gesticulator.systems.paper import approach_rest
 
 RATE = 16000
 WORDS = (Word("heavy", 0.2, 0.6), Word("bread", 0.6, 1.1), Word("rises", 3.3, 3.8), Word("slowly", 3.8, 4.4))

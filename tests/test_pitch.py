@@ -11,7 +11,7 @@ import soundfile
 
 from data_module.speech.silence import PITCH_HOP, PITCH_WINDOW, PitchLevel, pitch_of
 from data_module.types import Samples
-from gesticulator.drawing.candidates import with_pitch
+from gesticulator.sampling.candidates import with_pitch
 
 RATE = 16000
 EXAMPLE_VOICE = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")[0]

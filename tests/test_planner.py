@@ -9,11 +9,11 @@ import pytest
 import torch
 from scipy.stats import chisquare
 
-from gesticulator.bundle.config import SelectionConfig
 from gesticulator.bundle.features import SpeechBlock
 from gesticulator.directing.record import units_of_blocks
-from gesticulator.drawing.rollout import BlockMotion, phrasing
 from gesticulator.plan.plan import Block, BlockDraw
+from gesticulator.sampling.loop import BlockMotion
+from gesticulator.systems.movement import GOES_ON_PAUSING, HOLD, VOICE_RETURNS, phrasing
 from gesticulator.training.stages.planner import units_of
 from interpreters.base import BlockFeatures
 from interpreters.planner import APEXES, CLASSES, HANDS, PHASES, SIZES, UnitDecision, UnitPlanner
@@ -135,18 +135,18 @@ def test_a_bias_moves_the_odds_of_a_phase_and_a_hold_needs_raised_hands() -> Non
 
 
 def test_a_pause_that_goes_on_holds_and_one_that_ends_prepares() -> None:
-    settings = SelectionConfig(hold=0.5, phrasing=2.0, setting_out=3.0)
     quiet, voiced = np.ones(FRAMES, bool), np.zeros(FRAMES, bool)
     nothing = np.zeros((3 * FRAMES, 2), np.float32)
 
     def of(now: np.ndarray, ahead: np.ndarray | None) -> dict[str, float]:
         speech = SpeechBlock(4, 2.0, 2.4, (0.4, 0.4, 0.4), (False, bool(now.all()), False), nothing, nothing, None, now,
                              ahead)
-        return {name: value for name, value in zip(PHASES, phrasing(settings, speech), strict=True) if value}
+        return {name: value for name, value in zip(PHASES, phrasing(speech), strict=True) if value}
 
-    assert of(quiet, quiet) == {"hold": 2.5}
-    assert of(quiet, voiced) == of(quiet, np.array([True, True, True, False])) == {"hold": 0.5, "preparation": 3.0}
-    assert of(voiced, voiced) == of(voiced, quiet) == of(quiet, None) == {"hold": 0.5}
+    assert of(quiet, quiet) == {"hold": HOLD + GOES_ON_PAUSING}
+    assert of(quiet, voiced) == of(quiet, np.array([True, True, True, False])) == {
+        "hold": HOLD, "preparation": VOICE_RETURNS}
+    assert of(voiced, voiced) == of(voiced, quiet) == of(quiet, None) == {"hold": HOLD}
 
 
 def test_a_stroke_follows_another_after_its_apex() -> None:

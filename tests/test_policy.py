@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from data_module.layers import freeze
 from eval.ablate import policy
 from eval.ablate.policy import Decisions, Policy, PolicyJudge
 from eval.baselines.interpreters import Random, ReplayInterpreter
 from interpreters.episodes import Demonstration
-from interpreters.lstm import LstmConfig
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import RewardTable
 
@@ -32,46 +30,6 @@ def test_the_return_is_the_mean_over_all_windows() -> None:
     assert policy.episode_return(rewards, 4) == 10.0
     assert math.isnan(policy.episode_return(rewards, 5))
     assert policy.episode_return(np.full(40, 0.5)) == 7.5, "15 steps"
-
-
-def test_regret_asks_for_the_best_that_was_allowed() -> None:
-    rewards = np.array([[0.1, 0.5, 0.9], [0.2, 0.0, 0.4]])
-    allowed = np.array([[True, True, False], [True, True, True]])
-    assert policy.regret(rewards, np.array([1, 0]), allowed) == pytest.approx((0.0 + 0.2) / 2)
-    assert policy.regret(rewards, np.array([1, 0]), np.ones((2, 3), bool)) == pytest.approx((0.4 + 0.2) / 2)
-    assert policy.regret(rewards, rewards.argmax(1), np.ones((2, 3), bool)) == 0.0
-
-
-def test_returns_to_go_are_discounted_to_the_end() -> None:
-    np.testing.assert_allclose(policy.return_to_go(np.array([1.0, 2.0, 4.0]), 0.5), [3.0, 4.0, 4.0])
-    np.testing.assert_allclose(policy.return_to_go(np.ones(200), 0.99)[0], (1 - 0.99 ** 200) / 0.01)
-
-
-def test_conservative_gaps_by_hand() -> None:
-    q = np.array([[0.0, math.log(3.0), 100.0], [2.0, 2.0, 2.0]])
-    allowed = np.array([[True, True, False], [True, True, True]])
-    nll, gap = policy.conservative_gaps(q, np.array([0, 2]), allowed)
-    assert nll == pytest.approx((math.log(4.0) + math.log(3.0)) / 2)
-    assert gap == pytest.approx((math.log(3.0) + 0.0) / 2)
-    # A number that is added to all values of a state changes neither.
-    moved = q + np.array([[7.0], [-3.0]])
-    assert policy.conservative_gaps(moved, np.array([0, 2]), allowed) == pytest.approx((nll, gap))
-
-
-def test_ranks_are_compared_and_not_values() -> None:
-    rising = np.array([1.0, 2.0, 3.0, 4.0])
-    assert policy.rank_correlation(rising, np.exp(rising)) == pytest.approx(1.0)
-    assert policy.rank_correlation(rising, -rising ** 3) == pytest.approx(-1.0)
-    # rho = 1 - 6 sum d^2 / (n (n^2 - 1)), d = 0, 1, 1, 0.
-    assert policy.rank_correlation(rising, np.array([1.0, 3.0, 2.0, 4.0])) == pytest.approx(1 - 12 / 60)
-    assert math.isnan(policy.rank_correlation(rising, np.ones(4)))
-    assert math.isnan(policy.rank_correlation(rising[:1], rising[:1]))
-
-
-def test_silence_counts_silent_blocks_only() -> None:
-    lexemes, silent = np.array([0, 1, 2, 2, 3]), np.array([False, True, True, True, False])
-    assert policy.silent_share(lexemes, silent, np.array([2, 3])) == pytest.approx(200 / 3)
-    assert math.isnan(policy.silent_share(lexemes, np.zeros(5, bool), np.array([2])))
 
 
 def test_what_is_allowed_is_never_nothing() -> None:
@@ -150,72 +108,25 @@ def reward_of(own: Decisions, window: int = 3) -> RewardTable:
     return RewardTable(freeze(model), torch.randn(count, 2, 2), torch.zeros(count), torch.randn(SIZE, 2, 3))  # type: ignore[arg-type]
 
 
-class ByTable:
-    """An lstm whose probabilities are those of a table [S, S], by the lexeme before."""
-
-    config = LstmConfig()
-    speakers = 1
-
-    def __init__(self, table: np.ndarray) -> None:
-        self.table = torch.as_tensor(table).log()
-
-    def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: None = None, text: None = None,
-               pose: None = None) -> tuple[Tensor, None]:
-        assert audio.shape[:2] == previous.shape and speaker.shape == (1, 1)
-        return self.table[previous], None
-
-
-def test_the_behaviour_is_that_of_the_lstm_among_what_is_allowed() -> None:
-    table = np.array([[0.1, 0.2, 0.3, 0.4], [0.005, 0.595, 0.3, 0.1], [0.25] * 4, [0.25] * 4])
-    own = decisions([0, 1, 0, 2], silent=[3])
-    got = policy.behaviour(ByTable(table), own, own.takes[0], own.takes[0].lexemes)  # type: ignore[arg-type]
-    np.testing.assert_allclose(got, [0.2, 0.005, 0.3 / 0.7])
-    assert (got < policy.RARE).tolist() == [False, True, False]
-
-
 def test_values_of_a_take_by_hand() -> None:
-    own = decisions([0, 1, 0, 2], silent=[3])
-    free, forced = np.array([0, 1, 1, 2]), np.array([0, 1, 3, 3])
-    table = np.array([[0.1, 0.2, 0.3, 0.4], [0.8, 0.001, 0.199, 0.0], [0.25] * 4, [0.25] * 4])
-    judge = PolicyJudge(own, {"": reward_of(own)}, ByTable(table), [np.array([0, 1, 2])])  # type: ignore[arg-type]
-    values = judge.lexeme_values(own.takes[0], free, forced)
-    assert values["accuracy"] == pytest.approx(200 / 3) and values["teacher_forced"] == pytest.approx(100 / 3)
+    one = decisions([0, 1, 0, 2], silent=[3])
+    free, reward = np.array([0, 1, 1, 2]), reward_of(one)
+    values = PolicyJudge(one, {"": reward, "judge_": reward}).lexeme_values(one.takes[0], free)
+    assert values["accuracy"] == pytest.approx(200 / 3) and values["longest_run"] == 2
     assert values["lexeme_diversity"] == pytest.approx(-(2 / 3 * math.log(2 / 3) + 1 / 3 * math.log(1 / 3)))
-    assert values["longest_run"] == 2 and values["distinct_2"] == 1.0
-    assert values["rare"] == pytest.approx(100 / 3), "1 after 1"
-    assert values["unseen_bigrams"] == pytest.approx(100 / 3), "1 1 was never seen"
-    assert values["silent"] == 100.0
-    each = policy.every_reward(reward_of(own), own.takes[0], free)
-    assert values["cosine"] == pytest.approx(each[[0, 1, 2], [1, 1, 2]].mean()) and math.isnan(values["return"])
+    assert math.isnan(values["return"]), "three decisions are no episode"
+    long = decisions([0, 1] * 8)
+    each = policy.every_reward(reward_of(long), long.takes[0], long.takes[0].lexemes)
+    values = PolicyJudge(long, {"": reward_of(long)}).lexeme_values(long.takes[0], long.takes[0].lexemes)
+    assert values["return"] == pytest.approx(each[np.arange(15), [1, 0] * 7 + [1]].sum()) and values["accuracy"] == 100
 
 
-class Knows:
-    """Q values that are the discounted returns of always moving on by one, plus a constant."""
-
-    def __init__(self, returns: np.ndarray, more: float) -> None:
-        self.returns, self.more = returns, more
-
-    def start(self, speaker: int, first_lexeme: int) -> int:
-        return 0
-
-    def step(self, state: int, features: Any, previous_lexeme: int) -> tuple[np.ndarray, int]:
-        scores = np.full(SIZE, self.returns[state] + self.more - 1.0)
-        scores[(previous_lexeme + 1) % SIZE] += 1.0
-        return scores, state + 1
-
-
-def test_values_that_know_the_return_are_calibrated() -> None:
-    own = decisions([0, 1, 2, 3, 0, 1, 2, 3])  # what the policy does too
-    rewards, take = reward_of(own), own.takes[0]
-    got = policy.taken(policy.every_reward(rewards, take, take.lexemes), take.lexemes[1:])
-    returns = policy.return_to_go(got, 0.9)
-    for more in (0.0, 2.5):
-        judge = PolicyJudge(own, {}, None, [])  # type: ignore[arg-type]
-        free, forced = (policy.walk(Policy(Knows(returns, more)), own, take, teacher) for teacher in (False, True))
-        q = judge.score_values(take, free, forced, rewards, 0.9)
-        assert q["calibration"] == pytest.approx(more) and q["spearman"] == pytest.approx(1.0)
-        assert q["gap"] == pytest.approx(0.0) and q["nll"] == pytest.approx(math.log(math.e + 3) - 1)
-    assert math.isnan(judge.score_values(take, free, forced, None, 0.9)["calibration"]), "logits"
+def test_a_matched_temperature_has_the_entropy_that_is_wanted() -> None:
+    scores = torch.as_tensor(np.random.default_rng(0).normal(size=(50, 6)))
+    for nats in (0.5, 1.2, 1.7):
+        at = policy.matched_temperature(scores, nats)
+        assert policy.entropy_of(scores / at) == pytest.approx(nats, abs=1e-3)
+    assert policy.entropy_of(torch.zeros(3, 8)) == pytest.approx(math.log(8))
 
 
 def test_accuracy_of_known_interpreters() -> None:

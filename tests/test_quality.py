@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from eval.context import EvalContext
 from eval.stats import Interval
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
-from gesticulator.pipeline import Gesticulator
 
 
 def test_successors_are_the_most_frequent_next_lexemes(tiny_store: Path, tiny_bundle: Path) -> None:
@@ -34,27 +32,13 @@ def test_the_command_writes_every_table(tiny_store: Path, tiny_bundle: Path, tmp
     assert QUALITY.main("gesticulator quality", [
         "--data", str(tiny_store), "--bundle", str(tiny_bundle), "--out", str(out), "--quiet", "--work",
         str(tiny_bundle.with_name(tiny_bundle.name + ".work"))]) == 0
-    lexicon, accuracy, hands = load(out)
+    lexicon, accuracy = load(out)
     systems = {"lstm", "lstm with text", "statistical", "majority"}
     assert set(accuracy.rows) == {"previous lexeme and speaker", *systems}
-    assert set(hands.rows) == {"performer", *systems}
-    assert hands.rows["lstm"] != hands.rows["lstm with text"], "one hears, the other reads too"
     linear, quantised = (lexicon.rows[name]["error"] for name in ("PCA", "quantised"))
     assert isinstance(linear, Interval) and isinstance(quantised, Interval) and linear.mean < quantised.mean
     assert accuracy.rows["majority"]["teacher_forced"] == accuracy.rows["majority"]["free_running"]
     assert lexicon.facts["store"]["test_recordings"] == 2 and "majority" in capsys.readouterr().out
-
-
-def test_words_are_read_only_by_the_row_that_is_to_read(tiny_store: Path, tiny_bundle: Path) -> None:
-    store, system = Store.open(tiny_store), Gesticulator.from_pretrained(tiny_bundle)
-    recording = store.load(store.of_split("test")[0].name)
-    assert recording.speech.words
-    parts = system.bundle.with_parts(interpreter_text=None, style_text=None)
-    deaf = Gesticulator(replace(parts, text=None))
-    heard, read, never = (quality.play(own, [recording], "lstm", False, words=words)[0].hand_speed
-                          for own, words in ((system, False), (system, True), (deaf, True)))
-    np.testing.assert_array_equal(heard, never)
-    assert not np.array_equal(heard, read)
 
 
 def test_blocks_know_whether_their_stroke_was_shown_in_training(tiny_store: Path) -> None:

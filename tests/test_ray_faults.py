@@ -24,13 +24,13 @@ from data_module.errors import EXIT_BAD_INPUT, InputError
 from data_module.files import remove_unfinished_of, write_bytes
 from data_module.motion import skeletons
 from data_module.motion.bvh import write_bvh
-from gesticulator.batch.manifest import DONE, FAILED, read_manifest
-from gesticulator.batch.run import TaskOutcome
+from gesticulator.batch import TaskOutcome
+from gesticulator.manifest import DONE, FAILED, read_manifest
 
 pytest.importorskip("ray", reason="Ray is not installed: pip install 'gesticulator[scale]'")
 if not Path("/proc/self/stat").exists():
     pytest.skip("processes are looked up as on Linux", allow_module_level=True)
-from gesticulator.batch import ray_pool
+from gesticulator import ray_pool
 
 ROOT = Path(__file__).resolve().parent.parent
 SPEECH = ROOT / "examples" / "speech.flac"
@@ -39,7 +39,7 @@ BAD = "clip_2"
 DRIVER = """
 import os, sys
 from gesticulator import cli
-from gesticulator.batch import manifest
+from gesticulator import manifest
 add = manifest.Manifest.add
 def add_and_kill(self, row):
     add(self, row)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable
@@ -419,18 +417,6 @@ def test_a_store_of_what_was_published(name: str, tmp_path: Path, monkeypatch: p
     assert all(set(recording.motion.absent) == set() for recording in recordings)
     assert all(recording.motion.fps == 60 for recording in recordings)
     assert store.licence in said
-
-
-def test_a_foreign_corpus_needs_nothing_of_the_performer(tmp_path: Path) -> None:
-    source = published.trinity(tmp_path, train=(1,), test=())
-    code = ("import sys\nfrom data_module.build import main\n"
-            "assert main(sys.argv[1:]) == 0\n"
-            "print(sorted(m for m in sys.modules if m.startswith('data_module.performer.')))\n")
-    command = [sys.executable, "-c", code, "trinity", "--source", str(source), "--out", str(tmp_path / "s"),
-               "--workers", "1"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parent.parent, check=True,
-                          env={"PATH": "", "OMP_NUM_THREADS": "1"})
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_sound_of_any_rate_and_two_channels_is_read(tmp_path: Path) -> None:

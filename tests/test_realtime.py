@@ -23,10 +23,10 @@ from pipecat_gesticulator.realtime import RATE, RealtimeGestures
 from websockets.asyncio.server import ServerConnection, serve
 
 from data_module.speech.audio import load_speech, resample
+from gesticulator.live.limits import ServerLimits
+from gesticulator.live.server import LiveServer, ServerAddress
+from gesticulator.live.session import session_opener
 from gesticulator.pipeline import Gesticulator
-from gesticulator.serve.server import LiveServer, ServerAddress
-from gesticulator.serve.session import session_opener
-from gesticulator.serve.settings import ServerLimits
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "integrations" / "pipecat-gesticulator" / "examples"
@@ -50,7 +50,7 @@ def speech(seconds: float) -> bytes:
 @asynccontextmanager
 async def gestures() -> AsyncIterator[str]:
     """The URL of our server, with its models."""
-    address, limits = ServerAddress(port=0), ServerLimits(drain_seconds=0.5, core_share=100.0)
+    address, limits = ServerAddress(port=0), ServerLimits(drain_seconds=0.5)
     listening = address.listen()
     server = LiveServer(address, limits, session_opener(Gesticulator.from_pretrained(), limits))
     running = asyncio.create_task(server.run(listening))

@@ -6,7 +6,6 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, suppress
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from live_double import TURN, opener
+from live_double import TURN, figure, opener
 from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlayer, Welcome, connect_resuming
 from pipecat_gesticulator.resuming import RefusedError, _cut_start, _Sent
-from websockets.asyncio.client import connect as open_socket
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.http11 import Request, Response
@@ -27,13 +25,12 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.types import Motion
+from gesticulator.live.limits import ServerLimits
+from gesticulator.live.server import LiveServer, ServerAddress
+from gesticulator.live.session import session_opener
 from gesticulator.pipeline import Gesticulator
-from gesticulator.serve.resume import SentMessages
-from gesticulator.serve.server import LiveServer, ServerAddress
-from gesticulator.serve.session import session_opener
-from gesticulator.serve.settings import ServerLimits
 
-LIMITS = ServerLimits(streams=8, drain_seconds=0.2, resume_seconds=20.0, core_share=100.0, address_opens=1e4)
+LIMITS = ServerLimits(streams=8, drain_seconds=0.2)
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 FASTEST, HARDEST = 3.5, 100.0
 """m/s and m/s^2 of a hand: what the example does within a stroke is 2.2 and 31; a jump of 3 cm would be 108 m/s^2."""
@@ -119,72 +116,25 @@ async def spoken(stream: ResumingStream, seconds: float, breaks: int, break_it: 
     return poses, events
 
 
-def assert_whole(poses: list[Poses], seconds: float) -> None:
-    """Every frame once, and each the one that it says."""
-    numbers = np.concatenate([np.arange(one.first, one.first + len(one)) for one in poses])
-    np.testing.assert_array_equal(numbers, np.arange(round(seconds * 60)))
-    hips = np.concatenate([one.rotations[:, 0] for one in poses]).astype(np.float64)
-    np.testing.assert_allclose(rotation.to_exponential_map(hips)[:, 1], numbers * TURN, atol=1e-6)
-
-
 @pytest.mark.parametrize("breaks", [1, 5])
 def test_a_broken_connection_costs_no_frame_and_no_sound(breaks: int) -> None:
-    """The state is kept: every frame comes once, wherever the connection broke, on both ways."""
+    """Each frame comes once and is that of its sound: a connection begins at the first missing frame."""
     async def test() -> None:
         async with running() as (server, port, _), \
                 connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE)) as stream:
             poses, events = await spoken(stream, 10.0, breaks, lambda: break_connections(server), 0.5)
-            assert_whole(poses, 10.5)
-            backs = [event["resumed"] for event in events if event["type"] == "back"]
-            assert backs and all(backs)
-            assert server.metrics.numbers["resumed_total"] == len(backs)
-            assert events[-1] == {"type": "done", "frames": 630}
-            assert {one.source for one in poses} == {0}
-        assert server.metrics.numbers["parked"] == server.metrics.numbers["streams"] == 0
-
-    run(test)
-
-
-def test_a_stream_that_nobody_comes_back_to_is_given_up() -> None:
-    async def test() -> None:
-        limits = replace(LIMITS, resume_seconds=0.1)
-        async with running(limits=limits) as (server, port, _):
-            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE))
-            await stream.open()
-            await stream.send(pcm(1.0))
-            break_connections(server)
-            while server.connections:
-                await asyncio.sleep(0.01)
-            assert server.metrics.coded["closed_total"] == {"1006": 1}
-
-    run(test)
-
-
-def test_a_parked_stream_gives_way_to_a_client_that_is_there() -> None:
-    async def test() -> None:
-        async with running(limits=replace(LIMITS, streams=1)) as (server, port, _):
-            url = f"ws://127.0.0.1:{port}/stream"
-            lost = ResumingStream(url, Hello(SAMPLE_RATE))
-            await lost.open()
-            with pytest.raises(RefusedError, match="1 streams"):
-                await ResumingStream(url, Hello(SAMPLE_RATE)).open()
-            break_connections(server)
-            while not any(one.parked for one in server.connections):
-                await asyncio.sleep(0.01)
-            async with connect_resuming(url, Hello(SAMPLE_RATE)) as other:
-                await other.finish()
-                assert [message async for message in other][-1]["type"] == "done"  # type: ignore[index]
-
-    run(test)
-
-
-@pytest.mark.parametrize("resume", [{"session": "guessed", "messages": 0}, {"session": "", "messages": 10**15}])
-def test_a_session_that_is_not_there_is_a_new_stream(resume: dict[str, Any]) -> None:
-    async def test() -> None:
-        async with running() as (_, port, _), open_socket(f"ws://127.0.0.1:{port}/stream") as ws:
-            await ws.send(json.dumps(json.loads(Hello(SAMPLE_RATE).text()) | {"resumable": True, "resume": resume}))
-            told = json.loads(await ws.recv())
-            assert told["type"] == "hello" and told["resumed"] is False and len(told["session"]) > 20
+            numbers = np.concatenate([np.arange(packet.first, packet.first + len(packet)) for packet in poses])
+            np.testing.assert_array_equal(numbers, np.arange(630))
+            begins = {source: min(packet.first for packet in poses if packet.source == source)
+                      for source in {packet.source for packet in poses}}
+            for packet in poses:  # the double tells the number of its frame, counted from where its stream began
+                turns = rotation.to_exponential_map(packet.rotations[:, 0].astype(np.float64))[:, 1] / TURN
+                expected = np.arange(len(packet)) + packet.first - begins[packet.source]
+                np.testing.assert_allclose(turns, expected, atol=1e-3)
+            backs = [event for event in events if event["type"] == "back"]
+            assert backs and len(backs) == max(begins)
+            assert events[-1]["type"] == "done"
+        assert figure(server, "streams") == 0
 
     run(test)
 
@@ -286,7 +236,7 @@ async def _visits(time: Time, break_it: Callable[[int, ServerConnection], Awaita
     async def greet_and_break(socket: ServerConnection) -> None:
         await socket.recv()
         visits.append(time.now)
-        await socket.send(json.dumps(GREETING | {"resumed": True}))
+        await socket.send(json.dumps(GREETING))
         while not stream.connected:
             await asyncio.sleep(0)
         await break_it(len(visits), socket)
@@ -366,7 +316,7 @@ def test_nor_before_a_proxy_asks_for_it(asked: str, least: float) -> None:
 
     async def greet(socket: ServerConnection) -> None:
         await socket.recv()
-        await socket.send(json.dumps(GREETING | {"resumed": len(calls) > 1}))
+        await socket.send(json.dumps(GREETING))
         if len(calls) == 1:
             socket.transport.abort()
         await socket.wait_closed()
@@ -388,7 +338,7 @@ def test_nor_before_a_proxy_asks_for_it(asked: str, least: float) -> None:
 
 
 GREETING = {"type": "hello", "protocol": 1, "stream": "a", "fps": 60.0, "output": "joints", "look_ahead": 0.0,
-            "joints": [], "limits": {"message_bytes": 1e6}, "session": "a", "resumed": False, "messages": 0}
+            "joints": [], "limits": {"message_bytes": 1e6}}
 
 
 def packet(first: int, count: int) -> bytes:
@@ -505,7 +455,6 @@ def test_an_interruption_that_reaches_back_before_the_session_leaves_it() -> Non
                     break
             await stream.close()
             assert came == [(0, 0, 60), (1, 60, 20), (2, 30, 30)]
-            assert "resume" in sessions[1][0] and "resume" not in sessions[2][0]
             assert stream.time == pytest.approx(0.8)
             for _ in range(500):
                 if len(closed) == 2:
@@ -517,8 +466,8 @@ def test_an_interruption_that_reaches_back_before_the_session_leaves_it() -> Non
     run(test)
 
 
-def test_a_session_that_an_interruption_leaves_while_it_is_opened_is_not_gone_on_with() -> None:
-    """The client interrupts to before the session between its hello and the server's: the next one begins there."""
+def test_an_interruption_while_a_connection_is_opened_is_where_it_begins() -> None:
+    """The client interrupts to before the first missing frame, between its hello and the server's."""
     async def test() -> None:
         hellos: list[dict[str, Any]] = []
         interrupt: list[Callable[[], Awaitable[None]]] = []
@@ -528,9 +477,9 @@ def test_a_session_that_an_interruption_leaves_while_it_is_opened_is_not_gone_on
             number = len(hellos)
             if number == 3:
                 await interrupt[0]()
-                await socket.send(json.dumps({**GREETING, "resumed": True, "messages": 1}))
+                await socket.send(json.dumps(GREETING))
                 with suppress(ConnectionClosed):
-                    await socket.send(packet(20, 10))
+                    await socket.send(packet(0, 10))
                     await socket.wait_closed()
                 return
             await socket.send(json.dumps(GREETING))
@@ -555,17 +504,16 @@ def test_a_session_that_an_interruption_leaves_while_it_is_opened_is_not_gone_on
                     if message.source == 2:
                         break
             await stream.close()
-            assert came == [(0, 0, 60), (1, 60, 20), (2, 30, 20)]
-            assert ["resume" in one for one in hellos] == [False, True, True, False]
+            assert came == [(0, 0, 60), (1, 60, 20), (2, 30, 10)]
 
     run(test)
 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
-    """Sound, waits and interruptions, while connections break and servers forget: each frame follows the last one or is
+    """Sound, waits and interruptions, while connections break: each frame follows the last one or is
     where an interruption was, and in the end there are as many as the media time that was asked for, though
-    interruptions lie between frames and sessions begin at frames. Of the commands none is lost, nor is the end."""
+    interruptions lie between frames and connections begin at frames. Of the commands none is lost, nor is the end."""
     rng = np.random.default_rng(seed)
 
     async def test() -> None:
@@ -577,7 +525,7 @@ def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
             came = Came()
             reading = asyncio.create_task(came.read(stream))
             for _ in range(60):
-                op = str(rng.choice(["send", "send", "send", "idle", "interrupt", "break", "forget", "wait"]))
+                op = str(rng.choice(["send", "send", "send", "idle", "interrupt", "break", "wait"]))
                 log.append(op)
                 if op == "send":
                     await stream.send(pcm(float(rng.uniform(0.0, 0.6))))
@@ -586,14 +534,8 @@ def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
                 elif op == "interrupt" and came.next > 1 and came.source == stream._source:
                     came.cut(int(rng.integers(1, came.next)))
                     await stream.interrupt((came.next - float(rng.choice([0.0, rng.uniform(0.0, 0.99)]))) / 60)
-                elif op in ("break", "forget"):
+                elif op == "break":
                     break_connections(server)
-                    if op == "forget":
-                        before = list(server.connections)
-                        while any(not one.parked for one in before if one in server.connections):
-                            await asyncio.sleep(0)
-                        for connection in before:
-                            connection.give_up()
                 else:
                     await asyncio.sleep(float(rng.choice([0.0, 0.02])))
             await stream.finish()
@@ -603,15 +545,6 @@ def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
             await stream.close()
 
     run(test)
-
-
-def test_sent_messages_are_taken_back_in_order_and_bounded() -> None:
-    sent = SentMessages(100)
-    for number in range(50):
-        sent.add(b"%09d" % number)
-    assert sent.since(38) is None and sent.since(51) is None and sent.count == 50
-    assert sent.since(47) == [b"%09d" % number for number in (47, 48, 49)]
-    assert sent.count == 47 and sent.since(47) == [] and len(sent.since(40) or []) == 7
 
 
 # ---------------------------------------------------------------- on screen
@@ -647,13 +580,8 @@ def test_the_server_is_killed_in_mid_sentence_and_no_hand_leaps() -> None:
             serving = asyncio.create_task(server.run(listening))
             ports.put_nowait(listening.getsockname()[1])
             await stop.wait()
+            serving.cancel()  # nothing outlives a process that is killed
             break_connections(server)
-            while any(not one.parked for one in server.connections):
-                await asyncio.sleep(0)  # longer, and a quick client is back on the dying server
-                break_connections(server)
-            for connection in list(server.connections):
-                connection.give_up()  # nothing outlives a process that is killed
-            serving.cancel()
             await asyncio.gather(serving, return_exceptions=True)
 
         ports: asyncio.Queue[int] = asyncio.Queue()

@@ -46,7 +46,7 @@ SEEDS: tuple[int, ...] = (
     1037161756, 1037905641, 1042702780, 1045601444, 1049646383, 1052682093, 1056906415, 1066840912,
 )
 """Drawn by the system's random numbers; none was exchanged since. The generator knows more names than it did then, so
-they draw other rigs now; `benchmarks/retarget.py` takes seeds that nothing was ever tried on."""
+they draw other rigs now."""
 FRAMES = 16
 """Frames of the source that are compared, evenly over the clip."""
 SECONDS = 12.0

@@ -14,11 +14,10 @@ from untrained import PLAIN, untrained
 from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.store import Store
-from eval.commands import PROBE
+from eval.ablate import rewards
+from eval.ablate.rewards import RewardProbe
+from eval.commands import ABLATE
 from eval.context import EvalContext
-from eval.metrics import ranking
-from eval.metrics.reward_model import RewardProbe
-from eval.probes import rewards
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
 from gesticulator.training.stages.corpus import Corpus, prepare
@@ -36,32 +35,20 @@ def test_windows_of_takes() -> None:
     assert rewards.windows([take([0] * 7, silent=[])], 3, 3)[0].tolist() == [[0, 1, 2], [3, 4, 5]], "one window apart"
 
 
-def test_places_by_hand() -> None:
-    scores = np.array([[0.9, 0.1, 0.2], [0.8, 0.5, 0.6], [0.3, 0.3, 0.3]])
-    everyone = np.ones((3, 3), dtype=bool)
-    assert ranking.places(scores, everyone).tolist() == [1, 3, 3], "a tie is lost"
-    assert ranking.places(scores, np.eye(3, dtype=bool)).tolist() == [1, 1, 1], "nobody to lose to"
-    not_the_first = everyone.copy()
-    not_the_first[1, 0] = False
-    assert ranking.places(scores, not_the_first)[1] == 2
-
-
 def test_retrieval_both_ways_against_chance() -> None:
     # Three windows of one recording, one of another, which has no rival of its own recording.
     owner = np.array([0, 0, 0, 1])
     scores = np.array([[0.9, 0.1, 0.2, 1.0], [0.8, 0.5, 0.6, 0.0], [0.3, 0.4, 0.7, 0.0], [0.0, 0.0, 0.0, 0.5]])
     same = owner[:, None] == owner
-    hits = ranking.retrieval(scores, same)
+    hits = rewards.retrieval(scores, same)
     np.testing.assert_array_equal(hits["motion_r1"], [100, 0, 100, np.nan])
     np.testing.assert_array_equal(hits["audio_r1"], [100, 100, 100, np.nan])
-    np.testing.assert_array_equal(hits["motion_r5"], [100, 100, 100, np.nan])
     np.testing.assert_allclose(hits["chance_r1"], [100 / 3] * 3 + [np.nan])
-    np.testing.assert_array_equal(hits["chance_r5"], [100, 100, 100, np.nan])
-    others = ranking.retrieval(scores, ~same)
+    others = rewards.retrieval(scores, ~same)
     np.testing.assert_array_equal(others["motion_r1"], [0, 100, 100, 100])
     np.testing.assert_array_equal(others["audio_r1"], [100, 100, 100, 0])
     np.testing.assert_allclose(others["chance_r1"], [50, 50, 50, 25])
-    assert not ranking.retrieval(np.ones((4, 4)), np.ones((4, 4), dtype=bool))["motion_r1"].any()
+    assert not rewards.retrieval(np.ones((4, 4)), np.ones((4, 4), dtype=bool))["motion_r1"].any()
 
 
 def test_a_shift_goes_both_ways_and_stays_in_the_take() -> None:
@@ -80,82 +67,18 @@ def test_a_shift_goes_both_ways_and_stays_in_the_take() -> None:
     assert np.isnan(shifted(5)).all()
 
 
-def test_rank_and_share_of_the_true_action() -> None:
-    each = np.array([[0.1, 0.4, 0.2, 0.3], [0.5, 0.5, 0.1, 0.9], [0.2, 0.2, 0.2, 0.2]])
-    true = np.array([1, 0, 3])
-    assert ranking.true_rank(each, true).tolist() == [1.0, 2.5, 2.5], "ties share, a constant has chance"
-    share, guessed = ranking.share_of_range(each, true)
-    np.testing.assert_allclose(share, [1.0, 0.5, np.nan])
-    np.testing.assert_allclose(guessed, [0.5, 0.5, np.nan])
-
-
-def test_spread_over_actions_and_over_states() -> None:
-    states, actions = np.array([[0.0], [4.0]]), np.array([[-1.0, 1.0]])
-    assert ranking.spreads(states + actions) == (1.0, 2.0)
-    assert ranking.spreads(states + 0 * actions) == (0.0, 2.0)
-    assert ranking.spreads(0 * states + actions) == (1.0, 0.0)
-    assert np.isnan(ranking.spreads(actions)).all(), "one state"
-
-
 def test_two_models_agree_over_actions_and_not_over_states() -> None:
     first = np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [5.0, 5.0, 5.0]])
     second = np.array([[10.0, 20.0, 30.0], [9.0, 8.0, 7.0], [0.0, 1.0, 0.0], [1.0, 2.0, 3.0]])
-    np.testing.assert_allclose(ranking.agreement(first, second), [1.0, -1.0, 0.0, np.nan], atol=1e-12)
+    np.testing.assert_allclose(rewards.agreement(first, second), [1.0, -1.0, 0.0, np.nan], atol=1e-12)
     # What differs between states alone, by as much as one likes, is no agreement.
-    assert abs(ranking.agreement(np.array([[100.0, 101.0, 100.0]]), np.array([[101.0, 100.5, 100.0]]))[0]) < 1e-12
-
-
-def test_the_gap_beside_the_reach() -> None:
-    owner = np.array([0, 0, 1])
-    got = rewards.domain_gap(np.array([0.9, 0.8, 0.7]), np.array([0.8, 0.8, 0.8]), np.array([0.1, 0.2, 0.3]), owner)
-    assert got["gap"].mean == pytest.approx(0.0) and got["reach"].mean == pytest.approx(0.6)
-    assert got["ratio"] == pytest.approx(0.0)
-    flat, one = np.full(3, 0.5), np.array([0, 0, 0])
-    assert rewards.domain_gap(flat - 0.2, flat, flat - 0.4, one)["ratio"] == pytest.approx(0.5), "either way"
-    assert np.isnan(rewards.domain_gap(flat, flat, flat, one)["ratio"])
+    assert abs(rewards.agreement(np.array([[100.0, 101.0, 100.0]]), np.array([[101.0, 100.5, 100.0]]))[0]) < 1e-12
 
 
 def take(lexemes: list[int], silent: list[int], recording: int = 0) -> Demonstration:
     count = len(lexemes)
     return Demonstration(recording, 0, np.arange(count) + 100 * recording, np.array(lexemes),
                          np.isin(np.arange(count), silent))
-
-
-def test_actions_of_spoken_decisions_alone() -> None:
-    takes = [take([0, 1, 2, 0], silent=[2]), take([1, 1], silent=[0], recording=1)]
-    every = [np.array([[0.0, 1.0, 0.5], [9.0, 9.0, 9.0], [0.6, 0.2, 1.0]]), np.array([[0.3, 0.2, 0.1]])]
-    kept = rewards.spoken(every, takes)
-    assert kept.tolist() == [[0.0, 1.0, 0.5], [0.6, 0.2, 1.0], [0.3, 0.2, 0.1]]
-    assert rewards.owner_of(takes).tolist() == [0, 0, 1]
-    got = rewards.single(kept, takes)
-    assert got["median_rank_of_recordings"].mean == pytest.approx((2 * 1.5 + 2) / 3)
-    assert got["share_of_range"].mean == pytest.approx((1.0 + 0.5 + 0.5) / 3)
-    assert got["spread_actions"].n == 1, "one decision has no spread over states"
-    assert got["spread_states"].mean == pytest.approx(0.05)
-
-
-def by_shift(*line: float) -> dict[str, np.ndarray]:
-    """Two recordings of one window each, with these rewards by shift, of another recording's motion and random."""
-    names = [*map(str, rewards.SHIFTS), "another recording", "random"]
-    return {name: np.array([value, value + 0.1]) for name, value in zip(names, line, strict=True)}
-
-
-def test_differences_by_shift_are_paired_and_claims_go_by_intervals() -> None:
-    def compared(*line: float) -> tuple[dict[str, Any], dict[str, bool]]:
-        return rewards.compared(by_shift(*line, 0.05, 0.0), np.array([0, 1]), window=8)
-
-    got, claims = compared(0.9, 0.5, 0.4, 0.3, 0.2, 0.1)
-    assert got["0"].mean == pytest.approx(0.95) and all(claims.values())
-    assert got["matched - 1"].to_dict() == pytest.approx({"mean": 0.4, "low": 0.4, "high": 0.4, "n": 2})
-    assert [name for name in got if name.startswith("matched")] == [
-        f"matched - {name}" for name in ("1", "2", "4", "8", "16", "another recording", "random")]
-    assert (got["4 - random"].low, got["16 - random"].low) == pytest.approx((0.3, 0.1))
-    _, rises = compared(0.9, 0.5, 0.4, 0.45, 0.2, 0.1)
-    assert not rises["falls with every shift inside the window"] and rises["matched > shifted"]
-    _, beyond = compared(0.9, 0.5, 0.4, 0.3, 0.2, 0.2)
-    assert all(beyond.values()), "none of its blocks are shared any more"
-    _, level = compared(0.9, 0.9, 0.4, 0.3, 0.2, 0.0)
-    assert not level["matched > shifted"] and not level["shifted by 16 > random"] and level["shifted by 4 > random"]
 
 
 # ------------------------------------------------------------------------------------------------- models and tables
@@ -191,7 +114,9 @@ def test_a_probe_gives_the_reward_of_the_model(bundle: bundles.Bundle, corpus: C
     np.testing.assert_allclose(decoded, probe.played(labels[at], at), atol=1e-5)
     along = probe.table.sequence(torch.as_tensor(own.lexemes), torch.as_tensor(own.blocks)).numpy()
     np.testing.assert_allclose(decoded, along[3:], atol=1e-5)
-    np.testing.assert_allclose(probe.every(own)[np.arange(len(own.blocks) - 1), own.lexemes[1:]], along[1:], atol=1e-5)
+    spoken = ~own.silent[1:]
+    true = own.lexemes[1:][spoken]
+    np.testing.assert_allclose(probe.every(own)[np.arange(len(true)), true], along[1:][spoken], atol=1e-5)
     for kind in ("captured", "decoded"):
         for retimed in (False, True):
             np.testing.assert_allclose(np.diagonal(probe.pairs(kind, at[:5], retimed)),
@@ -236,7 +161,7 @@ class Knows:
     table = type("Table", (), {"size": 7})()
 
     def score(self, kind: str, motion: np.ndarray, audio: np.ndarray) -> np.ndarray:
-        assert kind in rewards.MOTIONS
+        assert kind in ("captured", "decoded")
         return -np.abs(motion - audio).mean(axis=1) / 1000
 
     def pairs(self, kind: str, own: np.ndarray, retimed: bool) -> np.ndarray:
@@ -249,34 +174,11 @@ class Knows:
         return np.full(len(audio), -1.0)
 
 
-def test_a_reward_that_knows_the_moment_passes() -> None:
-    takes = [take([0] * 40, silent=[0, 1, 2], recording=k) for k in range(3)]
-    silent = np.zeros(300, dtype=bool)
-    silent[[0, 1, 2, 100, 101, 102, 200, 201, 202]] = True
-    every = [np.tile(np.eye(7)[0], (39, 1))] * 3
-    found, shifts, single, claims = rewards.figures(Knows(), takes, silent,  # type: ignore[arg-type]
-                                                    rewards.spoken(every, takes))
-    for against in ("same recording", "other recordings"):
-        hits = found[f"decoded, rivals of {against}"]
-        assert hits["motion_r1"].mean == hits["audio_r5"].mean == 100.0
-        assert found[f"durations alone, rivals of {against}"]["motion_r1"].mean == 0.0
-    same = found["decoded, rivals of same recording"]
-    assert same["chance_r1"].mean == pytest.approx(100 / 19), "the first of twenty is silent"
-    assert shifts["decoded"]["matched - 8"].mean == pytest.approx(0.008)
-    assert shifts["decoded"]["another recording"].mean < -0.1
-    assert single["ratio"] == 0.0 and single["reach"].mean == 1.0
-    assert single["median_rank_of_recordings"].mean == 1.0
-    assert len(claims) == 11 and all(claims.values()), claims
-    _, _, _, blind = rewards.figures(Knows(), takes, silent,  # type: ignore[arg-type]
-                                     np.ones((len(rewards.owner_of(takes)), 7)))
-    assert not blind["true lexeme above chance"]
-
-
 def test_random_motion_repeats_and_differs_between_recordings(bundle: bundles.Bundle, corpus: Corpus) -> None:
     labels = token_labels(bundle.lexicon, corpus)
     assert bundle.reward is not None
     probe, takes = RewardProbe.of(bundle.reward, bundle, corpus, labels), takes_of(corpus, labels, "test")
-    for kind in rewards.MOTIONS:
+    for kind in ("captured", "decoded"):
         first, again = (rewards.by_shift(probe, kind, takes) for _ in range(2))
         for name, own in first.items():
             np.testing.assert_array_equal(own, again[name])
@@ -290,28 +192,41 @@ def context(tiny_store: Path, bundle: bundles.Bundle, work: Path) -> EvalContext
     return EvalContext.over(Store.open(tiny_store), bundle, work, progress=False)
 
 
+def test_a_reward_that_knows_the_moment_finds_it() -> None:
+    takes = [take([0] * 40, silent=[0, 1, 2], recording=k) for k in range(3)]
+    silent = np.zeros(300, dtype=bool)
+    silent[[0, 1, 2, 100, 101, 102, 200, 201, 202]] = True
+    found: Any = rewards.retrieved(Knows(), takes, silent)  # type: ignore[arg-type]
+    assert found["decoded"]["motion_r1"].mean == found["decoded"]["audio_r1"].mean == 100.0
+    assert found["durations alone"]["motion_r1"].mean == 0.0, "ties are lost"
+    assert found["decoded"]["chance_r1"].mean == pytest.approx(100 / 19), "the first of twenty is silent"
+    moved: Any = rewards.shifts(Knows(), takes, silent)["decoded"]  # type: ignore[arg-type]
+    assert moved["matched - 8"].mean == pytest.approx(0.008) and moved["another recording"].mean < -0.1
+    assert moved["matched - random"].mean == pytest.approx(1.0)
+
+
+def test_the_rank_of_the_true_action() -> None:
+    each = np.array([[0.1, 0.4, 0.2, 0.3], [0.5, 0.5, 0.1, 0.9], [0.2, 0.2, 0.2, 0.2]])
+    assert rewards.true_rank(each, np.array([1, 0, 3])).tolist() == [1.0, 2.5, 2.5], "ties share, a constant has chance"
+
+
 def test_the_tables_of_random_models(context: EvalContext) -> None:
-    found, shifts, single, claims = rewards.rewards(context)
-    assert found.facts["store"]["test_recordings"] == 2
-    assert len(found.rows) == 16 and sum("same recording" in row for row in found.rows) == 8
-    for row, hits in found.rows.items():
-        # Nobody trained it: what it finds is not far from what guessing would.
-        if "same recording" in row:
-            assert hits["motion_r1"].mean < 50 and hits["chance_r1"].mean < 50  # type: ignore[union-attr]
+    found, shifts, single = rewards.rewards(context)
+    assert found.facts["store"]["test_recordings"] == 2 and len(found.rows) == 6
+    for hits in found.rows.values():  # nobody trained it: what it finds is not far from what guessing would
+        assert hits["motion_r1"].mean < 50 and hits["chance_r1"].mean < 50  # type: ignore[union-attr]
     assert list(shifts.rows)[:8] == ["0", "1", "2", "4", "8", "16", "another recording", "random"]
     assert shifts.rows["0"]["reward: decoded"] != shifts.rows["0"]["judge: decoded"]
     assert f"among {len(context.bundle.lexicon.vectors)} lexemes" in single.notes[0]
-    assert set(single.rows) == set(claims.columns) == {"reward", "judge"}
-    assert {row["judge"] for row in claims.rows.values()} <= {"yes", "no"}
 
 
 def test_the_command(tiny_store: Path, bundle: bundles.Bundle, work: Path, tmp_path: Path,
                      monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bundles, "load", lambda path: bundle)
-    out = tmp_path / "rewards.json"
-    assert PROBE.main("gesticulator probe", ["rewards", "--data", str(tiny_store), "--work", str(work), "--quiet",
-                                             "--out", str(out)]) == 0
-    assert load(out)[0].facts["settings"]["window"] == 4
+    assert ABLATE.main("gesticulator ablate", ["--rewards", "--data", str(tiny_store), "--work", str(work), "--quiet",
+                                               "--out", str(tmp_path)]) == 0
+    assert [table.title for table in load(tmp_path / "rewards.json")] == [
+        "Retrieval", "Mean reward by shift, blocks", "Single actions"]
 
 
 @pytest.mark.parametrize("lacking", ["reward", "reward_judge"])

@@ -24,7 +24,8 @@ from data_module.motion.skeletons import CHARACTER, NAME_TABLES, facing
 from data_module.motion.smplx import SKELETON as SMPLX
 from data_module.store import Store
 from data_module.types import Motion, Speech
-from eval.baselines.controls import jittered, mean_pose
+from eval.ablate.rewards import RewardProbe
+from eval.baselines.controls import bobbing, jittered, mean_pose
 from eval.clip import foreign
 from eval.clip.clip_set import TRUTH, common_clips
 from eval.clip.foreign import Clip, read_motion
@@ -33,9 +34,10 @@ from eval.context import EvalContext, with_judges
 from eval.metrics import METRICS, fgd
 from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.encode import SpeechBlocks, encode_motion, judged_reward
+from eval.metrics.evaluate import OnsetTrack
 from eval.metrics.gesture_features import RawFeatures
-from eval.metrics.reward_model import RewardProbe
 from eval.score import command as score
+from eval.score import groups
 from eval.score.command import flags, mean_of
 from eval.score.played_rows import PlayedBundle
 from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
@@ -546,3 +548,42 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     encoded = encode_motion(bundle, common.motions[TRUTH][0], speech.blocks, speech.speaker)
     assert judged_reward(bundle, encoded, speech) == pytest.approx(np.mean(values), abs=2e-3)
     assert (encoded.labels == token_labels(bundle.lexicon, corpus)[blocks]).mean() > 0.98
+
+
+# ----------------------------------------------------------------------------------------------------------- by group
+
+def clicking(seconds: float, rate: float, seed: int) -> Speech:
+    """Bursts of noise `rate` times a second, each at a random moment of its turn."""
+    rng = np.random.default_rng(seed)
+    samples = 1e-4 * rng.normal(size=round(seconds * 16000))
+    for turn in range(round(seconds * rate)):
+        begin = round((turn + rng.uniform(0.1, 0.6)) / rate * 16000)
+        samples[begin:begin + 800] += 0.3 * rng.normal(size=len(samples[begin:begin + 800]))
+    return Speech(samples.astype(np.float32), 16000)
+
+
+def test_motion_that_beats_to_its_own_sound_is_above_its_group_exchanged() -> None:
+    sounds = [clicking(12.0, 1.5, seed) for seed in range(5)]
+    tracks = [OnsetTrack.of(speech) for speech in sounds]
+    still = mean_pose([Motion(CHARACTER, rotation.from_exponential_map(np.zeros((720, len(CHARACTER), 3))),
+                              np.zeros((720, 3)), 60.0)])[0]
+    motions = bobbing([still] * 5, [track.onsets for track in tracks])
+    right = groups.synchrony_means(motions, tracks, 0)["above_A"]
+    wrong = groups.synchrony_means(motions, [*tracks[1:], tracks[0]], 0)["above_A"]
+    assert isinstance(right, Interval) and isinstance(wrong, Interval)
+    assert right.low > wrong.high and abs(wrong.mean) < 40.0 < right.mean
+
+
+def test_groups_are_named_by_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("de_anna", "de_ben", "en_cay", "en_dan"):
+        soundfile.write(tmp_path / f"{name}.flac", clicking(3.0, 2.0, 1).samples, 16000)
+    found = groups.sounds_of(tmp_path)
+    assert {group: list(sounds) for group, sounds in found.items()} == {
+        "de": ["de_anna", "de_ben"], "en": ["en_cay", "en_dan"]}
+    (tmp_path / "en_dan.flac").unlink()
+    for arguments, says in ((["--speech", str(tmp_path)], "holds one recording of the group 'en'"),
+                            (["--speech", str(tmp_path / "no")], "is not a folder"),
+                            ([], "give --speech FOLDER")):
+        with pytest.raises(SystemExit):
+            SCORE.main("gesticulator score", ["--group", "--system", "ours=default", *arguments])
+        assert says in capsys.readouterr().err

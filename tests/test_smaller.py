@@ -15,6 +15,7 @@ from gesticulator.bundle.config import with_settings
 from gesticulator.directing import shaping
 from gesticulator.directing.strokes import LARGE, StrokeMemory
 from gesticulator.performance import Performance
+from gesticulator.systems import movement
 
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SEED = 2
@@ -58,7 +59,9 @@ def test_no_hand_of_a_performer_is_faster_at_half_the_intensity(system: Gesticul
 def test_with_a_lift_that_changes_within_a_stroke_one_is_half_as_fast_again(
         system: Gesticulator, speech: Speech, monkeypatch: pytest.MonkeyPatch) -> None:
     # A take in which it shows: in one of fourteen it is so much. Settings of sampling decide what the takes are.
-    settings = [f"selection.{name}" for name in ("hold=0.8", "phrasing=2", "noise=0.9", "reach=0")]
+    monkeypatch.setattr(movement, "HOLD", 0.8)
+    monkeypatch.setattr(movement, "GOES_ON_PAUSING", 2.0)
+    settings = ["selection.noise=0.9", "selection.reach=0"]
     bundle = replace(system.bundle, config=with_settings(system.bundle.config, settings))
     sampled = Gesticulator(bundle)
     sampled.keeps_generations = True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +9,6 @@ import numpy as np
 import pytest
 
 from data_module.errors import InputError
-from gesticulator import infer
-from gesticulator.batch.jobs import retargeter_for
 from gesticulator.characters.command import COMMAND
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import RigMapping, save_mapping
@@ -19,6 +16,7 @@ from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
 from gesticulator.characters.rig import Character, decomposed
 from gesticulator.characters.soundness import examine, probe_motion
+from gesticulator.jobs import CharacterRequest, retargeter_for
 from tests.rigs import PLACES, Rig, as_glb, draw, placed
 
 
@@ -149,13 +147,11 @@ def _depth(parents: list[int], node: int) -> int:
 
 
 def test_the_command_warns_of_what_is_odd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    parser = argparse.ArgumentParser()
-    infer.arguments(parser)
     file = tmp_path / "mirrored.glb"
     placed(draw(3, "mixamo", "A"), "mirrored", np.random.default_rng(1), file)
-    assert retargeter_for(parser.parse_args(["a.wav", "--character", str(file)])) is not None
+    assert retargeter_for(CharacterRequest(str(file))) is not None
     assert "left and right exchanged" in capsys.readouterr().err
-    assert retargeter_for(parser.parse_args(["a.wav", "--character", str(file), "--quiet"])) is not None
+    assert retargeter_for(CharacterRequest(str(file)), quiet=True) is not None
     assert capsys.readouterr().err == ""
 
 
@@ -176,8 +172,6 @@ def test_a_confidence_is_measured_and_a_doubt_is_shown_by_both_commands(tmp_path
         found[name] = capsys.readouterr().out
     assert "100% sure" in found["even"] and "doubt" not in found["even"]
     assert "90% sure: look at the result" in found["odd"] and "doubt: " in found["odd"]
-    parser = argparse.ArgumentParser()
-    infer.arguments(parser)
-    retargeter_for(parser.parse_args(["a.wav", "--character", str(file), "--mapping", str(tmp_path / "odd.json")]))
+    retargeter_for(CharacterRequest(str(file), str(tmp_path / "odd.json")))
     doubt = found["odd"].split("doubt: ")[1].splitlines()[0]
     assert f"{doubt}; look at the result" in capsys.readouterr().err

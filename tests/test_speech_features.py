@@ -18,7 +18,7 @@ from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle import features as hearing
 from gesticulator.bundle.features import encode, front_end_for, tempo_column, three_blocks, word_table
-from gesticulator.drawing.cutter import encode_speech
+from gesticulator.sampling.cutter import encode_speech
 from gesticulator.training import presets
 from gesticulator.training.stages.corpus import Corpus, prepare
 

@@ -14,8 +14,8 @@ from data_module.motion.skeletons import CHARACTERS
 from data_module.speech.audio import load_speech
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.features import LEAST_MOVEMENT, Normaliser, Statistics, control_rows
-from gesticulator.drawing import rollout
 from gesticulator.pipeline import Gesticulator
+from gesticulator.systems import movement
 from gesticulator.training.presets import preset
 from gesticulator.training.stages.measured import measured, resting
 
@@ -94,21 +94,14 @@ def test_absent_joints_of_the_shipped_bundle_are_exactly_still_before_the_clamp(
     absent, blocks = np.flatnonzero(~present), list[torch.Tensor]()
     trunk_and_arms = 3 * len(CHARACTERS[16].names)
     assert (absent < trunk_and_arms).sum() < 6, "a finger may be a hinge, which turns about one axis alone"
-    drawer_for = rollout.drawer_for
+    sample = movement.FlowSampler.sample
 
     def watched(*given: Any) -> Any:
-        drawer = drawer_for(*given)
-        draw = drawer.block
+        sampled = sample(*given)
+        blocks.append(sampled[0])
+        return sampled
 
-        def block(*told: Any) -> Any:
-            out = draw(*told)
-            blocks.append(out[0])
-            return out
-
-        drawer.block = block  # type: ignore[method-assign]
-        return drawer
-
-    monkeypatch.setattr(rollout, "drawer_for", watched)
+    monkeypatch.setattr(movement.FlowSampler, "sample", watched)
     # Bounds so wide that the clamp does nothing.
     wide = dataclasses.replace(bundle.statistics, bounds=np.where(present, bundle.statistics.bounds * 1e3,
                                                                   [[-1e-9], [1e-9]]))

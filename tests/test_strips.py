@@ -87,10 +87,10 @@ def test_command_draws_a_picture(tmp_path, capsys) -> None:
     assert not (tmp_path / "m.doc").exists()
 
 
-def test_the_list_names_every_drawing_and_an_unknown_one_is_refused(capsys) -> None:
+def test_the_list_names_every_plot_and_an_unknown_name_is_refused(capsys) -> None:
     assert PLOT.main("gesticulator plot", ["--list"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(PLOTS)
     for name in ("nothing", None):
         with pytest.raises(SystemExit) as caught:
             PLOT.main("gesticulator plot", [name] if name else [])
-        assert caught.value.code == 2 and "strip, video, lexicon" in capsys.readouterr().err
+        assert caught.value.code == 2 and "strip, lexicon" in capsys.readouterr().err

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from benchmark_files import benchmark
 
 from data_module.errors import InputError
 from data_module.speech.audio import load_speech
@@ -40,15 +41,16 @@ def test_the_words_of_the_example_are_heard_at_their_times(model: str) -> None:
     speech = load_speech(SPEECH)
     transcript = transcribed(speech, model)
     assert transcript is not None and transcript.timing == "words" and transcript.words
-    figures = benchmark("transcription")
-    said, heard = align(speech, TEXT.read_text(encoding="utf-8")), transcript.words
-    assert figures.word_error_rate(figures.spelled(said), figures.spelled(heard)) < 0.2
-    times = [(word.start, word.end) for word in heard]
+    reference, words = align(speech, TEXT.read_text(encoding="utf-8")), transcript.words
+    times = [(word.start, word.end) for word in words]
     assert times == sorted(times) and times[0][0] >= 0.0 and times[-1][1] <= speech.duration
-    starts = {text: word.start for text, word in zip(figures.spelled(said), said, strict=True)}
-    errors = [abs(word.start - starts[text]) for text, word in zip(figures.spelled(heard), heard, strict=True)
-              if figures.spelled(said).count(text) == 1 == figures.spelled(heard).count(text)]
-    assert len(errors) > 20 and np.median(errors) < 0.2
+    spelled, spelled_reference = ([re.sub(r"[^a-z0-9']", "", word.text.lower()) for word in some]
+                                  for some in (words, reference))
+    matches = SequenceMatcher(None, spelled_reference, spelled, autojunk=False).get_matching_blocks()
+    errors = [abs(reference[match.a + step].start - words[match.b + step].start)
+              for match in matches for step in range(match.size)]
+    assert len(errors) > 0.8 * len(reference), "at most a fifth of the words is missed"
+    assert np.median(errors) < 0.2
     again = transcribed(speech, model)
     assert again == transcript, "the same sound, the same words"
 

@@ -7,9 +7,25 @@ import math
 import numpy as np
 import pytest
 
+from eval.ablate.cells import Cells
+from eval.ablate.rows import CONTROLS, ELSEWHERE, ROWS, TABLES, Claim, Elsewhere
+from eval.ablate.verdicts import (
+    ALIKE,
+    HOLDS,
+    NO_EFFECT,
+    NO_TEST,
+    REVERSED,
+    UNDECIDED,
+    beaten_by,
+    claims_table,
+    decide,
+    margin_of,
+    needed_for,
+    present,
+    reading,
+    readings,
+)
 from eval.crossed import Components, components
-from eval.rows.verdicts import FAILS, HOLDS, UNDECIDED, decide, needed_for, present
-from eval.stats import Interval
 
 
 def found(mean: float, error: float, seeds: int = 3) -> Components:
@@ -17,40 +33,45 @@ def found(mean: float, error: float, seeds: int = 3) -> Components:
     return Components(mean, 0.0, error ** 2 * 15, 0.0, error, 1e9, seeds, 15)
 
 
-@pytest.mark.parametrize(("mean", "error", "above", "below", "reason"), [
-    (3.0, 1.0, HOLDS, FAILS, "the opposite"), (-3.0, 1.0, FAILS, HOLDS, "the opposite"),
-    (1.9, 1.0, UNDECIDED, UNDECIDED, ""), (0.0, 1.0, FAILS, FAILS, "equivalent to none"),
-    (0.4, 1.0, UNDECIDED, UNDECIDED, ""), (1.0, 0.4, FAILS, FAILS, "less than half of the paper's effect"),
-    (1.5, 0.4, HOLDS, FAILS, "the opposite")])
-def test_a_margin_of_two_and_every_side_of_the_bounds(mean: float, error: float, above: str, below: str, reason: str
-                                                      ) -> None:
-    told = decide(found(mean, error), "above", 2.0)
-    assert (told.word, decide(found(mean, error), "below", 2.0).word) == (above, below)
-    assert reason in (told.reason, decide(found(mean, error), "below", 2.0).reason)
-    mirrored = decide(found(-mean, error), "below", 2.0)
-    assert (mirrored.word, mirrored.reason) == (told.word, told.reason)
+@pytest.mark.parametrize(("mean", "error", "above", "below"), [
+    (3.0, 1.0, HOLDS, REVERSED), (-3.0, 1.0, REVERSED, HOLDS), (1.9, 1.0, UNDECIDED, UNDECIDED),
+    (0.0, 1.0, NO_EFFECT, NO_EFFECT), (0.4, 1.0, UNDECIDED, UNDECIDED), (1.0, 0.4, NO_EFFECT, NO_EFFECT),
+    (1.5, 0.4, HOLDS, REVERSED)])
+def test_a_margin_of_two_and_every_side_of_the_bounds(mean: float, error: float, above: str, below: str) -> None:
+    decision = decide(found(mean, error), ">", 2.0)
+    assert (decision.word, decide(found(mean, error), "<", 2.0).word) == (above, below)
+    assert bool(decision.reason) == (above == NO_EFFECT and mean > 0), "less than half of the paper's effect"
+    mirrored = decide(found(-mean, error), "<", 2.0)
+    assert (mirrored.word, mirrored.reason) == (decision.word, decision.reason)
+
+
+@pytest.mark.parametrize(("mean", "word"), [(3.0, HOLDS), (-3.0, REVERSED), (0.0, UNDECIDED), (1.9, UNDECIDED)])
+def test_without_a_printed_effect_the_sign_alone_decides(mean: float, word: str) -> None:
+    decision = decide(found(mean, 1.0), ">", math.nan)
+    assert decision.word == word and decision.needed == ()
 
 
 @pytest.mark.parametrize(("mean", "error", "word"), [
-    (0.0, 1.0, HOLDS), (1.0, 0.5, HOLDS), (1.0, 1.0, UNDECIDED), (5.0, 1.0, FAILS), (-5.0, 1.0, FAILS),
+    (0.0, 1.0, HOLDS), (1.0, 0.5, HOLDS), (1.0, 1.0, UNDECIDED), (5.0, 1.0, REVERSED), (-5.0, 1.0, REVERSED),
     (3.5, 1.0, UNDECIDED)])
 def test_alike_is_within_the_margin(mean: float, error: float, word: str) -> None:
-    assert decide(found(mean, error), "alike", 2.0).word == word
+    assert decide(found(mean, error), "=", 2.0).word == word
 
 
 def test_two_seeds_decide_nothing_and_say_so() -> None:
-    told = decide(found(9.0, 1.0, seeds=2), "above", 2.0)
-    assert (told.word, told.reason, told.needed) == (UNDECIDED, "2 of 3 seeds", ())
+    decision = decide(found(9.0, 1.0, seeds=2), ">", 2.0)
+    assert (decision.word, decision.reason, decision.needed) == (UNDECIDED, "2 of 3 seeds", ())
 
 
-def test_something_is_there_when_every_interval_is_above_zero() -> None:
-    above, around, below = Interval(2, 1, 3, 9), Interval(0.5, -1, 2, 9), Interval(-2, -3, -1, 9)
-    few = Interval(2, 1, 3, 2)
-    assert present([above, above]).word == HOLDS and present([above]).value == above
-    assert present([above, around]).word == UNDECIDED and present([above, around]).value == around
-    assert present([above, below, around]).word == FAILS
-    assert present([above, few]).word == UNDECIDED and "1 are over less than 3 clips" in present([above, few]).reason
-    assert present([around]).needed == (1, math.ceil(9 * (2.8 * (3 / 3.92) / 0.5) ** 2))
+def test_something_is_there_when_its_lowest_interval_is_above_zero() -> None:
+    def of(*lowest: float) -> Elsewhere:
+        return Elsewhere("RG Fig. 10", "hands follow", lowest=lowest, intervals=2)
+
+    assert present(of(2, 1, 3, 9)).word == HOLDS and present(of(-2, -3, -1, 9)).word == REVERSED
+    around = present(of(0.5, -1, 2, 9))
+    assert around.word == UNDECIDED and around.needed == (1, math.ceil(9 * (2.8 * (3 / 3.92) / 0.5) ** 2))
+    assert present(of(2, 1, 3, 2)).word == UNDECIDED, "two clips decide nothing"
+    assert present(Elsewhere("RG Fig. 12", "people prefer ours", "people")).reason == "people"
 
 
 @pytest.mark.parametrize("sizes", [(0.3, 1.0, 1.0), (0.1, 3.0, 1.0)])
@@ -64,7 +85,7 @@ def test_as_many_seeds_and_clips_as_are_named_decide_in_four_of_five_experiments
         for _ in range(80):
             table = truth + seed * rng.normal(size=(seeds, 1)) + clip * rng.normal(size=clips) + rest * rng.normal(
                 size=(seeds, clips))
-            right[truth] += decide(components(table), "above", margin).word == (HOLDS if truth else FAILS)
+            right[truth] += decide(components(table), ">", margin).word == (HOLDS if truth else NO_EFFECT)
     assert right[0.0] / 80 == pytest.approx(0.85, abs=0.1), "the number is whole, so power is 80 % or a little more"
     assert right[2 * margin] / 80 > 0.75
 
@@ -75,3 +96,94 @@ def test_more_spread_or_a_narrower_margin_needs_more() -> None:
     assert clips == 60 and needed_for(base, 1.0)[0] > seeds
     wide = needed_for(Components(0.0, 0.01, 400.0, 1.0, 1.0, 2.0, 3, 15), 2.0)
     assert wide[1] > 60, "where clips differ by much, no number of seeds is enough"
+
+
+# ---------------------------------------------------------------------------------------------------------- readings
+
+LOWER = Claim("RG Table 1", "fgd", "ours", "<", "no-style")
+HIGHER = Claim("RG Table 1", "pmb", "ours", ">", "no-lexemes")
+
+
+def cells_by(metric: str, **rows: list[list[float]]) -> Cells:
+    """Cells with metric = rows[row][seed][clip]; the performer and the controls have no seed."""
+    return {name.replace("_", "-"): {seed: {"clips": [{"name": f"clip {k}", metric: value}
+                                                      for k, value in enumerate(clips)]}
+                                     for seed, clips in enumerate(seeds, start=name not in ("performer", *CONTROLS))}
+            for name, seeds in rows.items()}
+
+
+def test_differences_are_paired_over_seeds_and_clips() -> None:
+    rng = np.random.default_rng(0)
+    hard = rng.normal(3, 0.1, size=(3, 1)) + rng.normal(10, 3, size=12)  # what clips and seeds differ by is far more
+    better = hard - 2 + rng.normal(0, 0.3, size=(3, 12))
+    right = reading(LOWER, cells_by("fgd", ours=better.tolist(), no_style=hard.tolist()), "fgd")
+    assert right.word == HOLDS and right.over == (3, 12)
+    assert right.value.mean == pytest.approx(-2, abs=0.2)
+    assert right.margin == pytest.approx((12.53 - 10.78) / 12.53 / 2 * hard.mean(), rel=0.01), "as a share"
+    other = reading(LOWER, cells_by("fgd", ours=hard.tolist(), no_style=better.tolist()), "fgd")
+    assert other.word == REVERSED
+    noise = rng.normal(10, 9, size=(3, 12)).tolist()
+    other = reading(LOWER, cells_by("fgd", ours=better.tolist(), no_style=noise), "fgd")
+    assert other.word == UNDECIDED and len(other.needed) == 2
+    assert reading(LOWER, cells_by("fgd", ours=[[1.0]] * 3), "fgd").reason == "not run: no-style"
+    empty = cells_by("fgd", ours=[[float("nan")] * 2] * 3, no_style=[[1.0] * 2] * 3)
+    assert reading(LOWER, empty, "fgd").reason == "FGD was not measured of both"
+
+
+def test_the_margin_is_half_of_the_papers_effect() -> None:
+    cells = cells_by("fgd", ours=[[1.0, 2.0]] * 3, no_style=[[2.0, 6.0]] * 3)
+    assert margin_of(LOWER, cells, "fgd") == pytest.approx((12.53 - 10.78) / 12.53 / 2 * 4.0)
+    assert margin_of(HIGHER, {}, "pmb_above_chance") == pytest.approx((91.36 - 85.74) / 2)
+    assert margin_of(Claim("RG Table 1", "pmb", "ours", "=", "no-style"), {}, "pmb") == ALIKE
+    assert math.isnan(margin_of(Claim("RG Fig. 18", "fgd", "size-100", "<", "size-10"), cells, "fgd"))
+
+
+def test_a_control_takes_the_valid_verdict_and_leaves_the_published_one() -> None:
+    rows = {"ours": [[50.0, 51.0, 52.0]] * 3, "no_lexemes": [[30.0, 31.0, 32.5]] * 3}
+    wrong = [[5.0, 6.0, 7.5]]
+    passes = cells_by("pmb_above_chance", **rows, shuffled=wrong, jitter=wrong)
+    plain, valid, fooled = readings(HIGHER, passes)
+    assert (plain.word, valid.word, fooled) == (UNDECIDED, HOLDS, ""), "PMB at 0.2 s was not measured"
+    fails = cells_by("pmb_above_chance", **rows, shuffled=wrong, jitter=[[49.0, 51.5, 53.0]])
+    _, valid, fooled = readings(HIGHER, fails)
+    assert valid.word == NO_TEST and fooled == "jitter"
+    better = {"ours": [[1.0, 2.0, 3.1]] * 3, "no_style": [[5.0, 6.0, 7.0]] * 3, "shuffled": [[0.5, 1.0, 1.5]]}
+    plain, valid, fooled = readings(LOWER, cells_by("fgd", **better))
+    assert (plain.word, valid.word, fooled) == (HOLDS, NO_TEST, "shuffled"), "both stand side by side"
+    silent = Claim("RG 6.4.1", "silence_speed", "ours", "<", "no-hint")
+    plain, valid, _ = readings(silent, cells_by("silence_speed", ours=[[1.0, 2.0, 3.0]] * 3, still=[[0.0, 1.1, 2.2]],
+                                                no_hint=[[2.0, 3.5, 4.0]] * 3))
+    assert plain.word == HOLDS and (valid.word, valid.reason) == (NO_TEST, "the paper prints no effect")
+
+
+def test_an_amount_is_less_in_a_still_body_and_not_more_in_noise() -> None:
+    def fooling(still: float, jitter: float) -> str:
+        rows = {"ours": [[3.0, 3.1, 3.2]] * 3, "performer": [[4.0, 4.1, 4.2]], "still": [[still, still, still + 0.1]],
+                "jitter": [[jitter, jitter + 0.1, jitter + 0.21]], "reversed": [[4.0, 4.1, 4.2]]}
+        return beaten_by("diversity", cells_by("diversity", **rows))
+
+    assert fooling(0.0, 4.0) == ""
+    assert fooling(3.2, 4.0) == "still" and fooling(0.0, 5.0) == "jitter"
+    assert beaten_by("fgd", cells_by("fgd", ours=[[1.0]] * 3)) == "controls that were not run"
+    assert beaten_by("accuracy", {}) == "" and "random" in beaten_by("return", {})
+
+
+def test_every_claim_is_of_rows_and_figures_that_there_are_and_the_papers_numbers_bear_it_out() -> None:
+    """What is listed as a claim of the paper must be true of the paper's own figures."""
+    claims = [claim for table in TABLES.values() for claim in table.claims]
+    assert len(set(claims)) == len(claims) == 83 - len(ELSEWHERE)
+    numbered = 0
+    for claim in claims:
+        table = TABLES[claim.where]
+        assert {claim.first, claim.second} <= {line.row for line in table.lines} and claim.metric in table.columns
+        assert len({ROWS[name].split for name in (claim.first, claim.second) if name in ROWS}) == 1, "of one split"
+        for _, one, other in table.both(claim):
+            numbered += 1
+            assert {"<": one < other, ">": one > other, "=": abs(one - other) < ALIKE}[claim.sign], claim
+    assert numbered > 60
+    first = next(claim for claim in claims if (claim.second, claim.metric) == ("no-lexemes", "fgd"))
+    assert TABLES["RG Table 1"].both(first) == [("Trinity", 10.78, 29.75), ("TED", 2.04, 5.22)]
+    reward = next(claim for claim in claims if (claim.second, claim.metric) == ("racer-dqn", "return"))
+    assert TABLES["RACER Table 2"].both(reward) == [("Trinity", 9.34, 4.23)]
+    count = claims_table({}).facts["count"]
+    assert sum(count["valid"].values()) == sum(count["published"].values()) == 83

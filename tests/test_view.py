@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import base64
 import http.client
 import json
@@ -18,8 +17,8 @@ import soundfile
 from small_characters import write_character
 
 from gesticulator import Gesticulator
-from gesticulator.batch.jobs import Job
-from gesticulator.page.command import COMMAND, _go_on, _way_in
+from gesticulator.options import InferenceOptions
+from gesticulator.page.command import COMMAND, PageRequest, _job, _way_in, _with_saved_edits
 from gesticulator.page.saved_edits import SavedEdits, place_of
 from gesticulator.page.server import TOKEN_HEADER
 from gesticulator.plan.plan_file import read_plan
@@ -73,13 +72,12 @@ def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixt
     saved.save()
     assert read_plan(place) == plan
 
-    def gone_on(*words: str) -> argparse.Namespace:
+    def gone_on(*words: str) -> InferenceOptions:
         args = COMMAND.parser("gesticulator view").parse_args([str(sound), *words])
-        _go_on(system, Job(sound), args)
-        return args
+        return _with_saved_edits(system, _job(args), PageRequest(anew=args.anew))[0].options
 
-    args = gone_on()
-    assert (args.plan, args.retime) == (str(place), False) and "are opened" in capsys.readouterr().out
+    options = gone_on()
+    assert (options.plan, options.retime) == (plan, False) and "are opened" in capsys.readouterr().out
     assert gone_on("--anew").plan is None
     # The sound was exported again, with a pause at the start.
     soundfile.write(sound, np.concatenate([np.zeros(rate, np.float32), samples]), rate, subtype="FLOAT")

@@ -21,8 +21,8 @@ from data_module.motion import kinematics
 from data_module.motion.skeletons import FINGERED, standing
 from data_module.types import Motion
 from gesticulator.export.vrma import BONES
-from gesticulator.serve import vmc
-from gesticulator.serve.settings import ServerLimits
+from gesticulator.live import vmc
+from gesticulator.live.limits import ServerLimits
 from gesticulator.stream import StreamFrames
 
 # HumanBodyBones of Unity, each with the bone above it that a character of ours has.
@@ -199,7 +199,7 @@ def test_frames_are_sent_when_they_are_due(motion: Motion, monkeypatch: pytest.M
     moments = sorted({at for at, _ in sent[1:]})
     played = [(at - begin, receive_all([data for when, data in sent[1:] if when == at])) for at in moments]
     truth = vmc.VmcFrames(motion)
-    hands = np.array([receive_all(truth.bundles(k, 0.0)).bones["RightLowerArm"] for k in range(len(truth))])
+    hands = np.array([receive_all(truth.bundles(k, 0.0)).bones["RightLowerArm"] for k in range(len(motion))])
     frames = [int(np.abs(hands - one.bones["RightLowerArm"]).sum(1).argmin()) for _, one in played]
     assert frames == list(range(len(frames))) and abs(len(frames) - 1.6 * motion.fps) <= 2, "each of them once"
     late = np.array([at for at, _ in played]) - np.array(frames) / motion.fps

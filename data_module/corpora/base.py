@@ -17,32 +17,20 @@ from data_module.errors import InputError
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
 from data_module.types import Motion, Speech, Word
 
-__all__ = ["DroppedError", "Imported", "Item", "Options", "Reader", "StrokeSource"]
+__all__ = ["DroppedError", "Imported", "Item", "Options", "Reader"]
 
 
 @dataclass(frozen=True)
 class Options:
-    """The user's options of a reader.
+    """The user's options that every reader takes; a reader with more has a class derived from it.
 
-    seed, hours, preset, languages (empty: the default of the reader): for synthetic corpora. fps: frames per second of
-    the motion files, if their header is wrong. unit: metres per unit of the motion files, if it cannot be guessed.
-    split, speaker: of a folder's recordings, see `data_module.corpora.folder`; empty for the default. links:
-    strength of the links between speech and motion that the performer plants by rule, 0 to 1; carriage: of a further
-    one, from effort and pitch range to the height and reach of the hands; repertoire: folder of takes of named gestures
-    (`data_module.performer.repertoire`), or None.
+    fps: frames per second of the motion files, if their header is wrong. unit: metres per unit of the motion files, if
+    it cannot be guessed. seed: random seed of a synthetic corpus, recorded in its store; 1 for files.
     """
 
-    seed: int = 1
-    hours: float = 4.2
-    preset: str = "default"
     fps: float | None = None
     unit: float | None = None
-    languages: tuple[str, ...] = ()
-    split: str = ""
-    speaker: str = ""
-    links: float = 1.0
-    carriage: float = 0.0
-    repertoire: Path | None = None
+    seed: int = 1
 
 
 @dataclass(frozen=True)
@@ -71,7 +59,12 @@ class DroppedError(Exception):
 
 
 class Reader(Protocol):
-    """A data set as the build sees it."""
+    """A data set as the build sees it: an object of a class that is opened as `reader(source, options)`.
+
+    A class with command-line options of its own has two static methods: `arguments(parser)` adds them to the parser
+    of `build NAME`, and `options(arguments)` returns an instance of its class derived from `Options`, or raises
+    `InputError`.
+    """
 
     licence: str
     """In a few words, who may use the stores built from it."""
@@ -87,19 +80,6 @@ class Reader(Protocol):
 
     def notes(self) -> Sequence[str]:
         """Lines for the build's report: what was left out, and why."""
-
-
-class StrokeSource(Protocol):
-    """Clips without speech, from which not a store but the performer's folder `strokes/` is made."""
-
-    licence: str
-    """In a few words, who may use the strokes."""
-
-    def write(self, out: Path) -> int:
-        """Write the folder `out` whole or not at all; the number of clips in it."""
-
-    def notes(self) -> Sequence[str]:
-        """Lines for the report: what was left out, and why."""
 
 
 def needed(source: Path | None, advice: str) -> Path:

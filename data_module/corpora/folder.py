@@ -4,16 +4,17 @@
 `NAME.TextGrid`, `.json` (words with times), `.srt`, `.vtt` or `.txt` (plain); without one the words are unknown.
 `NAME.json` may also give split, performer, voice, language, whether the performer stands in one place (`stands`),
 joints with synthetic motion (`filled`) and the truth of a scripted performance. Without it the split follows the order
-of the names, 80/10/10 or `Options.split`, and the performer is the part of the names before the first "_" if several
-recordings share it, else the folder, or given by `Options.speaker`.
+of the names, 80/10/10 or --split, and the performer is the part of the names before the first "_" if several
+recordings share it, else the folder, or given by --speaker.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +34,40 @@ _SAID = ("words", "segments", "tiers", "text")
 """Keys of a JSON object with a transcript."""
 
 
+@dataclass(frozen=True)
+class FolderOptions(Options):
+    """split: see `spread_by`; speaker: see `speakers_by`; both empty for the default."""
+
+    split: str = ""
+    speaker: str = ""
+
+
 class Folder:
     """A reader of same-named speech and BVH files."""
 
     licence = "that of the source folder; ask its owner"
 
+    @staticmethod
+    def arguments(parser: argparse.ArgumentParser) -> None:
+        """The options of a folder."""
+        parser.add_argument("--split", default="", metavar="80/10/10|FILE",
+                            help="percentages for training, validation and test (default 80/10/10, with at least one "
+                            "recording in each if there are three), or a file with a line NAME,train|val|test per "
+                            "recording")
+        parser.add_argument("--speaker", default="", metavar="NAME|REGEX",
+                            help="the speaker of every recording, or a pattern whose group matches it in the file "
+                            "name, such as '^([a-z]+)' (default: the part before the first '_' if several recordings "
+                            "share it, else the folder's name)")
+
+    @staticmethod
+    def options(arguments: argparse.Namespace) -> FolderOptions:
+        """The options in parsed arguments."""
+        return FolderOptions(arguments.fps, arguments.unit, split=arguments.split, speaker=arguments.speaker)
+
     def __init__(self, source: Path | None, options: Options) -> None:
         source = needed(source, "name the folder that holds the BVH and sound files")
-        self._source, self._options = source, options
+        self._source = source
+        self._options = options if isinstance(options, FolderOptions) else FolderOptions(options.fps, options.unit)
         self._pairs: dict[str, tuple[Path, Path]] = {}
         self._alone: list[str] = []
         files = {file.name: file for file in sorted(source.iterdir()) if file.is_file()}

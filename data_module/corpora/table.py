@@ -1,4 +1,4 @@
-"""The tables of data sets and of sources of strokes, by their names on the command line.
+"""The table of data sets by their names on the command line.
 
 A new data set is one file in this folder with a reader (`data_module.corpora.base`) and one entry of `CORPORA`; or an
 entry point of another package.
@@ -7,18 +7,15 @@ entry point of another package.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
 
 if TYPE_CHECKING:
-    from data_module.corpora.base import Options, Reader, StrokeSource
+    from data_module.corpora.base import Options, Reader
 
 CORPORA: Registry[RegistryEntry] = Registry("corpora", "a data set that can be read", {
-    "performer": RegistryEntry(
-        "scripted motion made of real strokes (SOURCE/strokes) on real (SOURCE/speech) and synthetic speech",
-        "data_module.corpora.performer:Performer"),
     "folder": RegistryEntry(
         "your own NAME.bvh of any rig beside NAME.flac, .wav, .mp3 or .ogg, optionally with a transcript "
         "NAME.TextGrid, NAME.json (words with times), NAME.srt, NAME.vtt or NAME.txt",
@@ -40,29 +37,20 @@ CORPORA: Registry[RegistryEntry] = Registry("corpora", "a data set that can be r
 }, RegistryEntry)
 """By name: reader(source, options) -> `Reader`."""
 
-STROKE_SOURCES: Registry[RegistryEntry] = Registry("strokes", "a source of strokes that can be read", {
-    "smartbody": RegistryEntry(
-        "SmartBody's data/behaviorsets; writes the folder strokes/ for `performer` instead of a store",
-        "data_module.corpora.smartbody:SmartBody"),
-}, RegistryEntry)
-"""The same for sources that make a folder of strokes instead of a store."""
+SEPARATE = {"performer": "pip install gesticulator-performer, or in a checkout: pip install -e integrations/performer"}
+"""Data sets of distributions of their own, and how to install them."""
+
+
+def reader_of(name: str) -> Any:
+    """The class of the reader `name`; `InputError` for an unknown one, or for one whose distribution is missing."""
+    if name not in CORPORA and name in SEPARATE:
+        raise InputError(name, "is a distribution of its own, which is not installed", SEPARATE[name])
+    return CORPORA.load(name)
 
 
 def open_corpus(name: str, source: Path | None, options: Options) -> Reader:
     """The reader `name` on the folder `source`; `InputError` for an unknown reader or a missing folder."""
-    if name not in CORPORA:
-        raise InputError(name, "is not a data set that can be read",
-                         f"take one of {', '.join((*CORPORA, *STROKE_SOURCES))}")
-    _check_folder(source)
-    return cast("Reader", CORPORA.load(name)(source, options))
-
-
-def open_strokes(name: str, source: Path | None, options: Options) -> StrokeSource:
-    """The source of strokes `name`, a key of `STROKE_SOURCES`, on the folder `source`; `InputError` without it."""
-    _check_folder(source)
-    return cast("StrokeSource", STROKE_SOURCES.load(name)(source, options))
-
-
-def _check_folder(source: Path | None) -> None:
+    reader = reader_of(name)
     if source is not None and not source.is_dir():
         raise InputError(source, "is not a folder" if source.exists() else "does not exist", "check --source")
+    return cast("Reader", reader(source, options))

@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data_module.errors import InputError, shown
-from data_module.files import read_text, write_text
+from data_module.files import new_file, read_text
 from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion, Skeleton
 
-__all__ = ["BvhWarning", "BvhWriter", "read_bvh", "write_bvh"]
+__all__ = ["BvhWarning", "read_bvh", "write_bvh"]
 
 _AXES = {"Xrotation": "X", "Yrotation": "Y", "Zrotation": "Z"}
 _PLACES = {"Xposition": 0, "Yposition": 1, "Zposition": 2}
@@ -31,6 +31,8 @@ that, so X is the last axis of hand and forearm. In takes of nine speakers with 
 the hands' angles ended 360 degrees off three times; with `_WRITTEN_ORDER` it was twenty times."""
 CENTIMETRES = 0.01
 """Metres."""
+_ROWS = 2048
+"""Frames that become text at a time: a megabyte or two."""
 _LARGEST = 1e9
 """Largest plausible number of degrees or units of length, of at least a millimetre."""
 _LARGEST_FILE = 1 << 30
@@ -254,21 +256,25 @@ def _compose(angles: Array, order: str) -> Array:
 def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIMETRES) -> None:
     """Write a motion as BVH, atomically; rotations in the order ZXY, those of the arms in `_ORDERS_OF_ARMS`. unit:
     metres per unit of the file."""
-    write_text(path, bvh_text(motion, unit))
+    writer = _BvhWriter(motion.skeleton, motion.fps, unit, len(motion))
+    with new_file(path) as out:
+        out.write(writer.head().encode())
+        # The text of an hour is 300 MB: it is written in pieces.
+        for first in range(0, len(motion), _ROWS):
+            out.write(writer.rows(motion.crop(first, first + _ROWS)).encode())
 
 
 def bvh_text(motion: Motion, unit: float = CENTIMETRES) -> str:
     """The BVH file of a motion, as text. unit: metres per unit of the file; its numbers have six decimals."""
-    writer = BvhWriter(motion.skeleton, motion.fps, unit)
-    rows = writer.rows(motion)
-    return writer.head() + rows
+    writer = _BvhWriter(motion.skeleton, motion.fps, unit, len(motion))
+    return writer.head() + writer.rows(motion)
 
 
-class BvhWriter:
-    """Streaming writer of a BVH file; the text is the same as for all frames at once."""
+class _BvhWriter:
+    """The text of a BVH file in pieces; it is the same as for all frames at once."""
 
-    def __init__(self, skeleton: Skeleton, fps: float, unit: float = CENTIMETRES) -> None:
-        """unit: metres per unit of the file."""
+    def __init__(self, skeleton: Skeleton, fps: float, unit: float, frames: int) -> None:
+        """unit: metres per unit of the file; frames: their number."""
         if unit != 1.0:
             skeleton = skeletons.scaled_skeleton(skeleton, 1.0 / unit)
         self._orders = [_order_of(name) for name in skeleton.names]
@@ -277,11 +283,10 @@ class BvhWriter:
         tips = {joint: tip for joint, tip in skeleton.end_sites.items() if joint not in skeleton.parents}
         self._lines, self._order = hierarchy(skeleton.names, skeleton.parents, skeleton.offsets, tips, channels)
         self._fps, self._unit, self._unwrap = fps, unit, Unwrap()
-        self.frames = 0
-        """Number of frames so far."""
+        self._frames = frames
 
     def rows(self, motion: Motion) -> str:
-        self.frames += len(motion)
+        """The lines of the next frames."""
         places = motion.root_positions if self._unit == 1.0 else motion.root_positions * (1.0 / self._unit)
         # Unwrapped angles are smooth in tools that interpolate the channels separately.
         euler = np.empty((len(motion), len(self._orders), 3))
@@ -295,7 +300,7 @@ class BvhWriter:
         return body.getvalue()
 
     def head(self) -> str:
-        return "\n".join([*self._lines, "MOTION", f"Frames: {self.frames}", f"Frame Time: {1.0 / self._fps:.10f}", ""])
+        return "\n".join([*self._lines, "MOTION", f"Frames: {self._frames}", f"Frame Time: {1.0 / self._fps:.10f}", ""])
 
 
 def _order_of(joint: str) -> str:

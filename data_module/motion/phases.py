@@ -18,7 +18,6 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from data_module.motion import kinematics, skeletons
-from data_module.truth import PhaseSpan
 from data_module.types import Array, Motion
 
 SLOW = 0.15
@@ -112,23 +111,6 @@ def hand_phases(motion: Motion) -> tuple[HandPhases, HandPhases]:
     places = kinematics.positions_of(skeletons.facing(motion))
     left, right = (phases_of(places[:, table[side + "Hand"]], motion.fps) for side in ("Left", "Right"))
     return left, right
-
-
-def truth_of_phases(motion: Motion) -> tuple[PhaseSpan, ...]:
-    """The phases of both hands of a motion in order of time, seconds."""
-    out = []
-    for hand, found in zip(("left", "right"), hand_phases(motion), strict=True):
-        apexes = {movement.apex: movement.size for movement in found.strokes}
-        for number, (first, last) in enumerate(found.units):
-            changes = np.flatnonzero(np.diff(found.labels[first:last])) + 1 + first
-            for start, end in zip([first, *changes], [*changes, last], strict=True):
-                phase = Phase(found.labels[start])
-                apex = max((at for at in apexes if start <= at < end), key=apexes.__getitem__, default=end)
-                size = sum(size for at, size in apexes.items() if start <= at < end)
-                seconds = [float(frame) / motion.fps for frame in (start, end, apex)]
-                out.append(PhaseSpan(hand, phase.name.lower(), number, seconds[0], seconds[1], seconds[2],
-                                        float(size)))
-    return tuple(sorted(out, key=lambda phase: (phase.start, phase.hand)))
 
 
 def lasting(mask: NDArray[np.bool_], frames: float) -> NDArray[np.bool_]:

@@ -82,24 +82,6 @@ def continuous(q: Array) -> Array:
     return np.concatenate([q[:1], q[1:] * signs[..., None]])
 
 
-class Continuous:
-    """Streaming `continuous` for quaternions [T, ..., 4]: the same bits as for all of them at once."""
-
-    def __init__(self) -> None:
-        self._last: Array | None = None
-        self._signs: Array = np.ones(1)
-
-    def __call__(self, q: Array) -> Array:
-        if not len(q):
-            return q
-        before = np.concatenate([q[:1] if self._last is None else self._last, q[:-1]])
-        flips = np.where(np.sum(q * before, axis=-1) < 0, -1.0, 1.0)
-        signs: Array = self._signs * np.cumprod(flips, axis=0)
-        # Store the original quaternion and its sign separately, for neighbours at right angles.
-        self._last, self._signs = q[-1:].copy(), signs[-1:]
-        return np.asarray(q * signs[..., None])
-
-
 def from_euler(angles: Array, order: str) -> Array:
     """[..., 3] radians about the axes of `order` (such as "ZXY", the outermost first) to [..., 4]."""
     a = np.asarray(angles, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The papers' figures, drawn from what the rows of an ablation left behind (see `eval.runner.ablate`).
+"""The papers' figures, drawn from what the rows of an ablation left behind (see `eval.ablate.command`).
 
 A figure is FIGURE.svg or FIGURE.png in the folder of the cells, with FIGURE.json beside it: which figure of the paper
 it is, its title, caption and numbers. It is drawn again when what it is drawn from has another key. What it shows of
@@ -19,22 +19,21 @@ from data_module import intervals
 from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.files import write_text
-from data_module.motion.motion_beats import acting_positions, acting_speed
+from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
 from data_module.speech.beats import find_beats
+from data_module.speech.onsets import detect_onsets
 from data_module.store import Recording
 from eval.ablate import style_editing
+from eval.ablate.rows import COLUMNS, OURS, PERFORMER, REAL_TAKE, ROWS, TABLES
+from eval.ablate.run import SHOWN_SEED, RgRows, configured
 from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
-from eval.metrics.diversity import nearest_lexemes
-from eval.metrics.encode import latents_of
+from eval.metrics.encode import EncodedMotion, latents_of
+from eval.metrics.evaluate import WIDE
 from eval.pictures.edited import figure_10
 from eval.pictures.embedding import NEIGHBOURS, embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
 from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_strip
-from eval.rows import OURS, PERFORMER, REAL_TAKE, TABLES
-from eval.rows.rg import SIZES
-from eval.rows.row import COLUMNS, PAPERS_DELTA
-from eval.runner.rg import SHOWN_SEED, RgRows
 from eval.table import dumps, loads
 from gesticulator.bundle import config as configs
 from gesticulator.pipeline import Gesticulator
@@ -43,7 +42,7 @@ from gesticulator.training.stages import LABELS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-VERSION = 3
+VERSION = 4
 """Raised when the same rows would be drawn otherwise."""
 POINTS = 3000
 """Blocks in the picture of the lexicon."""
@@ -56,8 +55,18 @@ STRETCH = 8.0
 Drawn = tuple["Picture", str, dict[str, Any]]
 """The picture, its caption, its numbers."""
 Summaries = Mapping[str, Any]
-"""`eval.rows.cells.summaries`."""
+"""`eval.ablate.cells.summaries`."""
 Draw = Callable[[RgRows, Summaries], Drawn]
+
+
+def shown_recording(rg: RgRows) -> Recording:
+    """The test recording that figures of one clip show: the first."""
+    return rg.recording(rg.names("test")[0])
+
+
+def encoded(rg: RgRows, name: str) -> list[EncodedMotion]:
+    """Latents and nearest lexemes of the motion of a row or of the performer, clip by clip, by the lexicon of ours."""
+    return [one for one in rg.scored(rg.names("test")).encoded(rg.motions(name)) if one is not None]
 
 
 def start_of(recording: Recording) -> float:
@@ -97,21 +106,21 @@ def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
 
 def pipeline(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 2, on a stretch of real data."""
-    recording, clip, motion = rg.shown, rg.clips(OURS)[0], rg.motion(OURS)
+    recording, motion = shown_recording(rg), rg.motions(OURS)[0]
     rhythm = rg.first.config.rhythm
     shown = Overview(recording.speech, find_beats(recording.speech, rhythm.beats),
-                     cut(recording.speech, rhythm).edges, clip["lexemes"],
-                     acting_speed(acting_positions(motion), motion.fps), motion.fps, clip["beats"],
+                     cut(recording.speech, rhythm).edges, encoded(rg, OURS)[0].labels,
+                     acting_speed(acting_positions(motion), motion.fps), motion.fps, motion_beats(motion),
                      recording.speech.words or (), rg.first.get(LABELS).silent.tolist())
-    return (overview(shown, start_of(rg.shown), STRETCH),
+    return (overview(shown, start_of(recording), STRETCH),
             "Speech is cut at its beats; each block gets a lexeme; the generator draws the motion.", {})
 
 
 def strip(name: str) -> Draw:
     """RG Fig. 9, of a row or of the performer."""
     def drawn(rg: RgRows, rows: Summaries) -> Drawn:
-        recording, motion = rg.shown, rg.motion(name)
-        times = frame_times(motion, start_of(rg.shown), STRETCH / 2, 9)
+        recording, motion = shown_recording(rg), rg.motions(name)[0]
+        times = frame_times(motion, start_of(recording), STRETCH / 2, 9)
         return draw_page([Source("", motion)], times, recording.speech, find_beats(recording.speech),
                          layout=replace(STRIP, views=("front",))), (
             f"{name}: {STRETCH / 2:g} s of {recording.info.name}."), {}
@@ -154,11 +163,9 @@ def clusters(rg: RgRows, rows: Summaries) -> Drawn:
     levels = {f"{kind} level": audio_clusters.cluster(
         features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
         for kind, features in (("low", corpus.low), ("high", corpus.high))}
-    vectors = rg.judge.lexicon.vectors.double().numpy()
     found = {}
     for name in (PERFORMER, OURS):
-        lexemes = [nearest_lexemes(clip["latents"], vectors)[heard]
-                   for clip, heard in zip(rg.clips(name), spoken, strict=True)]
+        lexemes = [clip.labels[heard] for clip, heard in zip(encoded(rg, name), spoken, strict=True)]
         found[name] = audio_clusters.association(levels, np.concatenate(lexemes), place, groups[place])
     return cluster_bars(found), (
         "H(lexeme of the motion | cluster of the audio), less than by chance where the level says something of the "
@@ -171,9 +178,9 @@ def clusters(rg: RgRows, rows: Summaries) -> Drawn:
 def panels(title: str, *names: str) -> Draw:
     """RG Figs 15 and 17: the latents of rows in one embedding."""
     def drawn(rg: RgRows, rows: Summaries) -> Drawn:
-        clips = {name: rg.clips(name) for name in names}
-        latents = {name: np.concatenate([clip["latents"] for clip in own]) for name, own in clips.items()}
-        labels = {name: np.concatenate([clip["lexemes"] for clip in own]) for name, own in clips.items()}
+        clips = {name: encoded(rg, name) for name in names}
+        latents = {name: np.concatenate([clip.latents.double().numpy() for clip in of]) for name, of in clips.items()}
+        labels = {name: np.concatenate([clip.labels for clip in of]) for name, of in clips.items()}
         silent, size = rg.first.get(LABELS).silent.tolist(), len(rg.judge.lexicon.vectors)
         shown = {name: (points, labels[name][chosen])
                  for name, (points, chosen) in joint_embedding(latents, EACH).items()}
@@ -186,17 +193,22 @@ def panels(title: str, *names: str) -> Draw:
 def strips_of_beats(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 16."""
     names = [line.row for line in TABLES["RG Table 4"].lines]
-    first = {name: rg.clips(name)[0] for name in (*names, PERFORMER)}
-    shown = {name: (own["beats"], own["onsets"], own["edges"]) for name, own in first.items()}
-    return beat_strips(shown, start_of(rg.shown), STRETCH, PAPERS_DELTA), (
-        f"Onsets of the speech above, beats of the motion below, pairs within {PAPERS_DELTA} s joined. No chance level "
+    recording = shown_recording(rg)
+    onsets = detect_onsets(recording.speech.samples, recording.speech.sample_rate)
+    shown = {}
+    for name in (*names, PERFORMER):
+        rhythm = configured(rg.first.config, OURS if name == PERFORMER else name).rhythm
+        shown[name] = (motion_beats(rg.motions(name)[0]), onsets, cut(recording.speech, rhythm).edges)
+    return beat_strips(shown, start_of(recording), STRETCH, WIDE), (
+        f"Onsets of the speech above, beats of the motion below, pairs within {WIDE} s joined. No chance level "
         "is drawn: at this delta most beats find an onset in any motion (Fig. 11)."), {
-        name: pmb.pmb(own["beats"], own["onsets"], PAPERS_DELTA) for name, own in first.items()}
+        name: pmb.pmb(beats, onsets, WIDE) for name, (beats, _, _) in shown.items()}
 
 
 def sizes(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 18."""
-    there = [size for size in SIZES if f"size-{size}" in rows]
+    sizes = [int(name.removeprefix("size-")) for name in ROWS if name.startswith("size-")]
+    there = [size for size in sizes if f"size-{size}" in rows]
     if len(there) < 2:
         raise InputError("figure-18", "needs two sizes", "run the rows size-N")
     keys = {COLUMNS[key].heading: key for key in ("fgd", "pmb_above_chance")}
@@ -235,12 +247,12 @@ FIGURES: dict[str, PaperFigure] = {
     "figure-14": PaperFigure("RG Fig. 14", "what two levels of the audio say of the lexeme", clusters,
                              (PERFORMER, OURS)),
     "figure-15": PaperFigure("RG Fig. 15", "what style codes add", panels(
-        "Latents of the motion in one t-SNE, coloured by the lexeme that it was made of (the performer: nearest).",
+        "Latents of the motion in one t-SNE, coloured by the nearest lexeme.",
         PERFORMER, *_STEPS), (PERFORMER, *_STEPS), dots=True),
     "figure-16": PaperFigure("RG Fig. 16", "beats under three ranges of intervals", strips_of_beats,
                              (*(line.row for line in TABLES["RG Table 4"].lines), PERFORMER)),
     "figure-17": PaperFigure("RG Fig. 17", "what lexemes add", panels(
-        "Latents of the motion in one t-SNE, coloured by the lexeme that it was made of (else: nearest).",
+        "Latents of the motion in one t-SNE, coloured by the nearest lexeme.",
         PERFORMER, "no-lexemes", OURS), (PERFORMER, "no-lexemes", OURS), dots=True),
     "figure-18": PaperFigure("RG Fig. 18", "how many lexemes", sizes),
 }
@@ -249,7 +261,7 @@ FIGURES: dict[str, PaperFigure] = {
 def figure_key(rg: RgRows, name: str, rows: Summaries) -> str:
     """Hash of what a figure is drawn from: the rows whose motion it shows, or else all figures of the tables."""
     shown = FIGURES[name].rows
-    stands = ([rg.place(row).key for row in shown] if shown else
+    stands = ([rg.shared if row == PERFORMER else rg.cell_key(row, SHOWN_SEED) for row in shown] if shown else
               [rg.shared, {row: {key: value.to_dict() for key, value in own["figures"].items()}
                                       for row, own in rows.items()}])
     return configs.digest(VERSION, name, stands)

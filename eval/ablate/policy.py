@@ -16,8 +16,6 @@ from typing import Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import logsumexp
-from scipy.stats import spearmanr
 from torch import Tensor
 from tqdm import tqdm
 
@@ -25,13 +23,11 @@ from data_module.store import Recording
 from data_module.types import Array, Motion
 from eval.baselines.interpreters import ReplayInterpreter
 from eval.metrics.accuracy import lexeme_accuracy
-from eval.metrics.diversity import distinct_2, diversity, longest_run, unseen_bigrams
-from eval.rows.row import EPISODE
+from eval.metrics.diversity import diversity, longest_run
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.pipeline import Gesticulator
 from gesticulator.training.stages import Corpus
-from gesticulator.training.stages.interpreter import teacher_logits
 from gesticulator.training.stages.q_network import features_of, takes_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.episodes import Demonstration
@@ -40,8 +36,8 @@ from interpreters.lstm import LstmInterpreter
 Lexemes = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-RARE = 0.01
-"""A choice that the lstm gives less than this is out of distribution."""
+EPISODE = 15
+"""Decisions in an episode, RACER's 6 seconds of codes."""
 SEED = 0
 _TEMPERATURES = (0.002, 50.0)
 """Between these a matched one is sought; Q values may differ by hundredths."""
@@ -59,40 +55,6 @@ def episode_return(rewards: Array, steps: int = EPISODE) -> float:
 def taken(values: Array, lexemes: Lexemes) -> Array:
     """[n] the value of the lexeme that was taken, from the values of all [n, S]."""
     return np.asarray(np.take_along_axis(values, lexemes[:, None], axis=1)[:, 0], dtype=np.float64)
-
-
-def regret(rewards: Array, lexemes: Lexemes, allowed: Mask) -> float:
-    """Mean over i of max_a r(s_i, a) - r(s_i, a_i), a among those allowed; rewards and allowed: [n, S]."""
-    return float((np.where(allowed, rewards, -np.inf).max(axis=1) - taken(rewards, lexemes)).mean())
-
-
-def silent_share(lexemes: Lexemes, silent: Mask, silent_lexemes: Lexemes) -> float:
-    """Percent of silent blocks with a silent lexeme; NaN without a silent block."""
-    return 100.0 * float(np.isin(lexemes[silent], silent_lexemes).mean()) if silent.any() else float("nan")
-
-
-def return_to_go(rewards: Array, gamma: float) -> Array:
-    """[n] G_i = r_i + gamma G_{i+1}, nothing after the last (RACER Eq. 1)."""
-    out, after = np.empty(len(rewards)), 0.0
-    for i in range(len(rewards) - 1, -1, -1):
-        out[i] = after = float(rewards[i]) + gamma * after
-    return out
-
-
-def conservative_gaps(q: Array, lexemes: Lexemes, allowed: Mask) -> tuple[float, float]:
-    """E[logsumexp Q - Q(a)] and E[max Q - Q(a)] over the lexemes a of the data, q and allowed [n, S] (RACER Eq. 11).
-
-    The first is what the conservative term brings down, and is the NLL of the data, in nats, if Q were logits.
-    """
-    masked, data = np.where(allowed, q, -np.inf), taken(q, lexemes)
-    return float((logsumexp(masked, axis=1) - data).mean()), float((masked.max(axis=1) - data).mean())
-
-
-def rank_correlation(first: Array, second: Array) -> float:
-    """Spearman's rho of two rows [n]; NaN where either is constant or has fewer than two values."""
-    if len(first) < 2 or np.ptp(first) == 0 or np.ptp(second) == 0:
-        return float("nan")
-    return float(spearmanr(first, second).statistic)
 
 
 def entropy_of(scores: Tensor) -> float:
@@ -200,15 +162,6 @@ def accuracy(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonst
     return lexeme_accuracy(walk(Policy(interpreter), decisions, take, teacher)[0][1:], take.lexemes[1:]).percent
 
 
-@torch.inference_mode()
-def behaviour(model: LstmInterpreter, decisions: Decisions, take: Demonstration, lexemes: Lexemes) -> Array:
-    """[M - 1] pi_beta: what the lstm, among those allowed, gives each of `lexemes` [M] after the ones before it."""
-    logits = teacher_logits(model, decisions.corpus, take.blocks, lexemes)
-    blocked = torch.as_tensor(~decisions.allowed(take)[1:])
-    share = logits.double().masked_fill(blocked, -torch.inf).softmax(dim=-1).numpy()
-    return taken(share, lexemes[1:])
-
-
 def every_reward(rewards: Rewards, take: Demonstration, lexemes: Lexemes) -> Array:
     """[M - 1, S] the reward that each lexeme would have had at each decision."""
     each: Array = rewards.sequence_every(torch.as_tensor(lexemes), torch.as_tensor(take.blocks))[1:].double().numpy()
@@ -219,46 +172,19 @@ def every_reward(rewards: Rewards, take: Demonstration, lexemes: Lexemes) -> Arr
 
 @dataclass(frozen=True)
 class PolicyJudge:
-    """What choices are judged by. tables: reward tables by the prefix of their columns; lstm: tells common choices from
-    rare ones; training: the lexemes of the training split."""
+    """What choices are judged by. tables: reward tables by the prefix of their columns."""
 
     decisions: Decisions
     tables: Mapping[str, Rewards]
-    lstm: LstmInterpreter
-    training: Sequence[Lexemes]
 
-    def lexeme_values(self, take: Demonstration, free: Lexemes, forced: Lexemes) -> dict[str, float]:
-        """What the lexemes [M] of one take tell: chosen on the policy's own past, and on the performer's."""
-        own, right, allowed = free[1:], take.lexemes[1:], self.decisions.allowed(take)[1:]
-        values = dict[str, float]()
-        for prefix, rewards in self.tables.items():
-            each = every_reward(rewards, take, free)
-            got = taken(each, own)
-            values |= {f"{prefix}return": episode_return(got), f"{prefix}cosine": float(got.mean()),
-                       f"{prefix}regret": regret(each, own, allowed)}
-        return values | {
-            "accuracy": 100.0 * float((own == right).mean()),
-            "teacher_forced": 100.0 * float((forced[1:] == right).mean()),
-            "lexeme_diversity": diversity(own, self.decisions.size).nats, "longest_run": longest_run([own]),
-            "distinct_2": distinct_2([free]),
-            "rare": 100.0 * float((behaviour(self.lstm, self.decisions, take, free) < RARE).mean()),
-            "unseen_bigrams": 100.0 * unseen_bigrams([free], self.training),
-            "silent": silent_share(own, take.silent[1:], self.decisions.silent)}
-
-    def score_values(self, take: Demonstration, free: Walk, forced: Walk, valued: Rewards | None, gamma: float
-                     ) -> dict[str, float]:
-        """What scores tell as Q values: the gaps on the performer's lexemes, by how much Q overrates the first decision
-        and Spearman's rho of Q with the return-to-go on the policy's own. free, forced: `walk` on the policy's own past
-        and on the performer's. valued: the reward whose discounted sum the scores estimate; None where they are no
-        values."""
-        nll, gap = conservative_gaps(forced[1], take.lexemes[1:], self.decisions.allowed(take)[1:])
-        values = {"nll": nll, "gap": gap, "calibration": float("nan"), "spearman": float("nan")}
-        if valued is not None:
-            lexemes, scores = free
-            q = taken(scores, lexemes[1:])
-            returns = return_to_go(taken(every_reward(valued, take, lexemes), lexemes[1:]), gamma)
-            values |= {"calibration": float(q[0] - returns[0]), "spearman": rank_correlation(q, returns)}
-        return values
+    def lexeme_values(self, take: Demonstration, lexemes: Lexemes) -> dict[str, float]:
+        """The figures of the lexemes [M] that a policy chose on one take: returns by each reward, accuracy (percent),
+        diversity (nats) and the longest run of one lexeme."""
+        chosen = lexemes[1:]
+        returns = {f"{prefix}return": episode_return(taken(every_reward(rewards, take, lexemes), chosen))
+                   for prefix, rewards in self.tables.items()}
+        return {**returns, "accuracy": 100.0 * float((chosen == take.lexemes[1:]).mean()),
+                "lexeme_diversity": diversity(chosen, self.decisions.size).nats, "longest_run": longest_run([chosen])}
 
 
 def perform(system: Gesticulator, recordings: Sequence[Recording], lexemes: Sequence[Lexemes], label: str,

@@ -2,8 +2,7 @@
 
 For each feature (height of the right hand, speed and radius of both hands) and each level (low, mid, high: the 15, 50
 and 85 % quantiles of training) every clip is generated with that level requested throughout, with the same seed, so
-that differences between rows are paired. An editing signal is accepted when low, mid and high stand in order and
-neighbouring 95 % intervals do not overlap.
+that differences between rows are paired.
 
 What fools these figures: a hand that trembles is a fast hand, so speed is given a second time after smoothing over
 50 ms; features go together in a body (raising a hand from the hip takes it outwards), so that a change of another
@@ -14,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,20 +25,19 @@ from data_module.motion.motion_beats import ACTING, acting_positions, acting_spe
 from data_module.store import Recording, RecordingInfo, Store
 from data_module.types import Array, Motion
 from eval.clip.excerpts import excerpt
-from eval.stats import Interval, mean_interval, paired
-from eval.table import Cell, Column
+from eval.stats import Interval, mean_interval
+from eval.table import Column
 from gesticulator.pipeline import Gesticulator
 
 CLIPS = 8
 SECONDS = 40.0
 SHORTEST = 5.0
 """Seconds: a shorter recording holds no more than a window and is left out."""
-FREE, REFERENCE, ACCEPTED = "no request", "the store's own motion", "yes"
+FREE, REFERENCE = "no request", "the store's own motion"
 SHOWN = {"height": Column("right hand height", UNITS["height"], 3), "speed": Column("hand speed", UNITS["speed"], 3),
          "radius": Column("hand radius", UNITS["radius"], 3),
          "steady_speed": Column("hand speed without tremor", UNITS["speed"], 3)}
 """What is measured on every clip: the features, and the speed of the hands without tremor."""
-_STEADY = 0.5  # of a rise in speed must be left without tremor
 _HAND_COLUMNS = [column for column, name in enumerate(ACTING) if name.endswith("Hand")]
 
 
@@ -88,8 +86,7 @@ def figures(play: Play, clips: Sequence[Recording], levels: Levels, *, progress:
     """Everything that is told, as plain values.
 
     "values" has each row's measures clip by clip, "series" the asked feature of the first clip over time (averaged over
-    four seconds, as in training), "rows" means with intervals, "editing" what became of each feature's three levels,
-    "elsewhere" how much everything changes, clip by clip, where one feature is asked for at high instead of at low.
+    four seconds, as in training), "rows" means with intervals.
     """
     asked = {FREE: Controls.free()} | {row_name(feature, level): Controls(**{feature: levels.value(feature, level)})
                                        for feature, level in itertools.product(FEATURES, LEVELS)}
@@ -105,9 +102,6 @@ def figures(play: Play, clips: Sequence[Recording], levels: Levels, *, progress:
         "asked": {feature: {level: levels.value(feature, level) for level in LEVELS} for feature in FEATURES},
         "spread": dict(zip(FEATURES, levels.spread.tolist(), strict=True)),
         "rows": {name: _intervals(of) for name, of in values.items()},
-        "editing": {feature: editing(feature, values, levels) for feature in FEATURES},
-        "elsewhere": {feature: _intervals(values[row_name(feature, "high")] - values[row_name(feature, "low")])
-                      for feature in FEATURES},
         "values": {name: dict(zip(SHOWN, of.T.tolist(), strict=True)) for name, of in values.items()},
         "series": series, "beside": {"free": FREE, "store": REFERENCE},
         "titles": {name: column.heading for name, column in SHOWN.items()}}
@@ -115,32 +109,3 @@ def figures(play: Play, clips: Sequence[Recording], levels: Levels, *, progress:
 
 def _intervals(values: Array) -> dict[str, Interval]:
     return {name: mean_interval(column) for name, column in zip(SHOWN, values.T, strict=True)}
-
-
-def editing(feature: str, values: Mapping[str, Array], levels: Levels) -> dict[str, Cell]:
-    """A row of the first table: what became of the three levels of one feature, from values [clips, 4] by row.
-
-    "share" is how much of the asked range, low to high, was realised (1 is all of it), clip by clip; "in_order" is the
-    percentage of clips whose own three values rise; "apart" is the verdict of `acceptance`, where speed that is all
-    tremor does not count.
-    """
-    low, mid, high = (values[row_name(feature, level)][:, FEATURES.index(feature)] for level in LEVELS)
-    asked = [levels.value(feature, level) for level in LEVELS]
-    span = asked[2] - asked[0]
-    around = [mean_interval(own) for own in (low, mid, high)]
-    verdict = acceptance(*around)
-    if feature == "speed" and verdict == ACCEPTED:
-        steady = values[row_name(feature, "high")] - values[row_name(feature, "low")]
-        if steady[:, -1].mean() < _STEADY * (high - low).mean():
-            verdict = "only by tremor"
-    return {"asked": " / ".join(f"{value:.3f}" for value in asked), **dict(zip(LEVELS, around, strict=True)),
-            "apart": verdict, "in_order": 100 * float(np.mean((low < mid) & (mid < high))),
-            "low_to_mid": paired(mid, low), "mid_to_high": paired(high, mid),
-            "share": mean_interval((high - low) / (span if span > 0 else math.nan))}
-
-
-def acceptance(low: Interval, mid: Interval, high: Interval) -> str:
-    """"yes" when low, mid and high stand in order and neighbouring intervals do not overlap; else which do."""
-    overlapping = [name for name, lower, upper in (("low, mid", low, mid), ("mid, high", mid, high))
-                   if not lower.high < upper.low]
-    return "no: " + " and ".join(overlapping) if overlapping else ACCEPTED

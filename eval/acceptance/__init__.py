@@ -1,1 +1,1 @@
-"""What must hold of a bundle's motion, of RACER and of a corpus, claim by claim."""
+"""The acceptance: does the motion of a bundle keep the bounds of `bounds.toml`? Clause by clause."""

@@ -53,11 +53,11 @@ class Bound:
     of: str = MEAN
 
     def keeps(self, value: float) -> bool:
-        """Whether a number lies within the limits; NaN does not."""
+        """True if a number lies within the limits; NaN does not."""
         return bool(self.low < value < self.high if self.strict else self.low <= value <= self.high)
 
     def holds(self, value: Interval) -> bool | None:
-        """Whether a value keeps the bound; None where its interval does not decide."""
+        """True if a value keeps the bound; None if its interval does not decide."""
         if self.of != WHOLE:
             return self.keeps({MEAN: value.mean, LOW: value.low, HIGH: value.high}[self.of])
         if self.keeps(value.low) and self.keeps(value.high):
@@ -78,8 +78,6 @@ class Bound:
 
 ANY = Bound()
 """Shown, not judged."""
-POSITIVE = Bound(low=0.0, strict=True, of=LOW)
-"""A difference that is more than chance."""
 
 
 def at_most(high: float) -> Bound:
@@ -125,7 +123,7 @@ class Verdict:
 
     @property
     def figure(self) -> str:
-        """What was measured."""
+        """The title of the measured figure."""
         return self.claim.figure
 
     @property
@@ -239,8 +237,8 @@ class Row:
         if other is None:
             return self.claim(on, ANY).judge(value, remark)
         limit = self.times * max(other.value.mean, self.least)
-        told = f"the bound is {f'{self.times:g} times ' if self.times != 1.0 else ''}that of: {self.limit}"
-        return self.claim(on, at_most(limit)).judge(value, "; ".join(filter(None, (remark, told))))
+        source = f"the bound is {f'{self.times:g} times ' if self.times != 1.0 else ''}that of: {self.limit}"
+        return self.claim(on, at_most(limit)).judge(value, "; ".join(filter(None, (remark, source))))
 
     def _lacking(self, on: str, figures: Figures) -> str:
         """Why the figure has no value, where that is no fault of the motion; else empty."""

@@ -133,7 +133,7 @@ def tables(arguments: argparse.Namespace) -> list[Table]:
 
 
 def _opened(arguments: argparse.Namespace) -> Acceptance:
-    """What is judged; InputError for options that cannot be used."""
+    """Open the bundle, the store and the voices; InputError for options that cannot be used."""
     for name, value in (("--renderings", arguments.renderings), ("--limit", arguments.limit)):
         if value is not None and value < 1:
             raise InputError(name, f"is {value}", "give 1 or more")
@@ -144,26 +144,26 @@ def _opened(arguments: argparse.Namespace) -> Acceptance:
     store = Store.open(arguments.data) if arguments.data else None
     work = arguments.work or (None if store is None else Path(f"{store.path}.work") / "acceptance")
     cache = KeptRenderings(None if work is None else work / "renderings")
-    ours = BundleSystem(OURS, bundle_folder(arguments.bundle), cache)
-    _ = ours.bundle.block_models  # a bundle of RACER's own codec has no lexemes by which blocks are sampled
-    ours.gesticulator.speaker_index(arguments.speaker)
-    chosen = _voices(arguments, store, ours)
+    system = BundleSystem(OURS, bundle_folder(arguments.bundle), cache)
+    _ = system.bundle.block_models  # a bundle of RACER's own codec has no lexemes by which blocks are sampled
+    system.gesticulator.speaker_index(arguments.speaker)
+    chosen = _voices(arguments, store, system)
     others = [system_at(name, Path(place), cache) for name, place in places.items()]
-    if WITHOUT_SOUND in ours.gesticulator.interpreters:
-        others.insert(0, ours.asking(WITHOUT_SOUND, interpreter=WITHOUT_SOUND))
+    if WITHOUT_SOUND in system.gesticulator.interpreters:
+        others.insert(0, system.asking(WITHOUT_SOUND, interpreter=WITHOUT_SOUND))
     if store is not None:
         others.append(UnitSystem(UNITS, store, work, cache))
-    context = EvalContext(models=ours.bundle) if store is None or work is None else EvalContext.over(
-        store, ours.bundle, work, arguments.limit)
-    return Acceptance(context, ours, others, chosen, arguments.renderings)
+    context = EvalContext(models=system.bundle) if store is None or work is None else EvalContext.over(
+        store, system.bundle, work, arguments.limit)
+    return Acceptance(context, system, others, chosen, arguments.renderings)
 
 
-def _voices(arguments: argparse.Namespace, store: Store | None, ours: BundleSystem) -> list[AcceptanceVoice]:
+def _voices(arguments: argparse.Namespace, store: Store | None, system: BundleSystem) -> list[AcceptanceVoice]:
     """The real take's voice and those of the test split; InputError where there is neither."""
     take = real_take(HZ, own_rig=True)
     chosen = [] if take is None else [AcceptanceVoice(TAKE, take[1], TAKE, take[0])]
     if store is not None:
-        chosen += held_out_voices(store, arguments.limit, ours.bundle.config.motion.joints)
+        chosen += held_out_voices(store, arguments.limit, system.bundle.config.motion.joints)
     if not chosen:
         raise InputError("acceptance", "has no voice to gesture for", "give --data, or set GESTICULATOR_DATA")
     return [replace(voice, performer=arguments.speaker) for voice in chosen]
@@ -194,7 +194,7 @@ def _write(acceptance: Acceptance, folder: Path) -> None:
     """The bundle's motion as files that `--system NAME=folder` reads: every voice as in the group `motion`."""
     folder.mkdir(parents=True, exist_ok=True)
     rendered = renderings_on(acceptance.ours, acceptance.voices, acceptance.renderings)
-    for number, (voice, (made, _)) in enumerate(rendered):
+    for number, (voice, (rendering, _)) in enumerate(rendered):
         stem = folder / f"{voice.name}.{number}"
-        write_bvh(stem.with_name(stem.name + ".bvh"), made.motion)
-        write_text(stem.with_name(stem.name + ".json"), plan_of(made))
+        write_bvh(stem.with_name(stem.name + ".bvh"), rendering.motion)
+        write_text(stem.with_name(stem.name + ".json"), plan_of(rendering))

@@ -70,7 +70,7 @@ class HeldOut:
 
 
 def codes_of(lexicon: Lexicon | MovementLexicon) -> dict[str, Decode]:
-    """What a lexicon makes of blocks by all of its codes, and by the lexeme alone."""
+    """Decoders of a lexicon by all of its codes, and by the lexeme alone."""
     if isinstance(lexicon, MovementLexicon):
         return {ALL: partial(_movements, lexicon, None), ALONE: partial(_movements, lexicon, 0)}
     # A lexicon of poses has one level.
@@ -94,17 +94,18 @@ def open_loop(decode: Decode, held: HeldOut) -> Tensor:
 
 def closed_loop(decode: Decode, recordings: Sequence[HeldOut]) -> list[Tensor]:
     """[N, K, D_m] of each recording: every block after what was decoded before it."""
-    made: list[list[Tensor]] = [[] for _ in recordings]
+    decoded: list[list[Tensor]] = [[] for _ in recordings]
     true = [held.pasts() for held in recordings]
     before = joined(past[:1] for past in true).frames
     for at in range(max(len(held.motion) for held in recordings)):
         on = [k for k, held in enumerate(recordings) if at < len(held.motion)]
         ratio = torch.stack([true[k].ratio[at] for k in on])
-        told = decode(torch.stack([recordings[k].motion[at] for k in on]), Pasts(before[on], ratio))
-        before[on] = told[:, -before.shape[1]:]
-        for k, block in zip(on, told, strict=True):
-            made[k].append(block)
-    return [torch.stack(blocks) for blocks in made]
+        block_batch = decode(torch.stack([recordings[k].motion[at] for k in on]), Pasts(before[on], ratio))
+        # The next block begins after the decoded frames, so that errors add up as they do in a performance.
+        before[on] = block_batch[:, -before.shape[1]:]
+        for k, block in zip(on, block_batch, strict=True):
+            decoded[k].append(block)
+    return [torch.stack(blocks) for blocks in decoded]
 
 
 @dataclass(frozen=True)
@@ -119,19 +120,20 @@ class Fit:
 
 def fit_of(held: HeldOut, decoded: Tensor) -> Fit:
     """How near decoded blocks [N, K, D_m] are to the truth, in the blocks of strokes."""
-    truth, told = held.positions(held.motion), held.positions(decoded)
+    truth, drawn = held.positions(held.motion), held.positions(decoded)
     last = np.concatenate([held.positions(held.first[None, None])[:, -1:], truth[:-1, -1:]])
     moving = stroke_blocks(truth, held.durations.numpy())
-    x, y, l0 = truth[moving], told[moving], last[moving]
+    x, y, l0 = truth[moving], drawn[moving], last[moving]
     inner = x - x.mean(axis=1, keepdims=True)
     wrists = [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]
-    heights = [hands.correlation(places[..., wrists, 1].reshape(-1, 2)) for places in (told, truth)]
+    heights = [hands.correlation(places[..., wrists, 1].reshape(-1, 2)) for places in (drawn, truth)]
     return Fit(np.array([((y - y.mean(axis=1, keepdims=True) - inner) ** 2).sum(), (inner ** 2).sum()]),
                np.array([((y - x) ** 2).sum(), ((x - l0) ** 2).sum()]), np.array(heights))
 
 
 def stroke_blocks(places: Array, durations: Array) -> NDArray[np.bool_]:
     """[N] blocks of places [N, K, J, 3] in which a wrist is faster than a stroke's fastest moment must be."""
+    # A stroke is told by its fastest moment, not by its mean: most of a block may be preparation.
     wrists = places[:, :, [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]]
     step = np.linalg.norm(np.diff(wrists, axis=1), axis=-1) * (places.shape[1] / durations)[:, None, None]
     return np.asarray(step.max(axis=(1, 2)) > strokes.MOVES, dtype=bool)
@@ -222,6 +224,7 @@ def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> floa
     """Mean hand speed, m/s, in blocks that are quiet, as the block before them was; NaN where there is none."""
     speed = common_body(motion).hand_speed.mean(axis=1)
     at = np.clip(np.searchsorted(edges, np.arange(len(speed)) / HZ, side="right") - 1, 0, len(quiet) - 1)
+    # The first silent block still carries the retraction of the gesture before it.
     settled = quiet & np.concatenate([[False], quiet[:-1]])
     resting = speed[settled[at]]
     return float(resting.mean()) if len(resting) else float("nan")
@@ -229,8 +232,8 @@ def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> floa
 
 def silent_figure(renderings: Sequence[Rendering], silent: NDArray[np.int64], groups: Sequence[str]) -> Measured:
     """Hand speed, m/s, where silent lexemes follow each other."""
-    values = [silent_speed(made.motion, made.edges, np.isin(made.lexemes, silent)) for made in renderings
-              if made.edges is not None]
+    values = [silent_speed(rendering.motion, rendering.edges, np.isin(rendering.lexemes, silent))
+              for rendering in renderings if rendering.edges is not None]
     return Measured(stats.mean_interval(values, groups=list(groups)), f"{len(silent)} silent lexemes")
 
 
@@ -272,20 +275,20 @@ def measure(system: BundleSystem, store: Store | None, voices: Sequence[Acceptan
     results = lexicon_figures(recordings, codes)
     results["absent", ""] = absent_figure([open_loop(codes[ALL], held) for held in recordings],
                                           system.bundle.statistics.present)
-    played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
-    results |= _obedience(system, voices, played, PLAYED)
+    as_played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
+    results |= _obedience(system, voices, as_played, PLAYED)
     if system.bundle.rests_by_phrase:
         bare = system.bare()
         results |= _obedience(system, voices, [bare.render(voice, k % renderings) for k, voice in enumerate(voices)],
                               ALONE_PLAYED)
     groups = [voice.group or voice.name for voice in voices]
-    results["silent_speed", ""] = silent_figure(played, system.bundle.silent, groups)
+    results["silent_speed", ""] = silent_figure(as_played, system.bundle.silent, groups)
     return results
 
 
-def _obedience(system: BundleSystem, voices: Sequence[AcceptanceVoice], played: Sequence[Rendering], on: str
+def _obedience(system: BundleSystem, voices: Sequence[AcceptanceVoice], performed: Sequence[Rendering], on: str
                ) -> Results:
     speakers = [system.gesticulator.speaker_index(system.speaker(voice)) for voice in voices]
-    ranks = [encode(system.bundle, rendering, speaker) for rendering, speaker in zip(played, speakers, strict=True)]
+    ranks = [encode(system.bundle, rendering, speaker) for rendering, speaker in zip(performed, speakers, strict=True)]
     groups = [voice.group or voice.name for voice in voices]
-    return obedience_figures(ranks, [rendering.lexemes for rendering in played], groups, system.bundle.silent, on)
+    return obedience_figures(ranks, [rendering.lexemes for rendering in performed], groups, system.bundle.silent, on)

@@ -1,4 +1,4 @@
-"""What changes in the motion when something of the input does: effort, level, style controls, words, exports.
+"""How the motion responds to a change of the input: effort, level, style controls, words, exports.
 
 - Effort (`effort`): every reading in GESTICULATOR_DATA said again lively and subdued at its own level
   (`stimuli.said_with`). With the same seed, size is the median stroke amplitude and speed the mean hand speed in
@@ -74,6 +74,7 @@ COLUMNS = {
 def effort_figures(values: Array, apart: Sequence[float]) -> Results:
     """values: [size and speed, lively and subdued, readings]; apart: cm between the hands of each reading and the same
     reading 6 dB quieter."""
+    # Logarithms, so that twice as large and half as large cancel.
     logs = np.log(values[:, 0] / values[:, 1])
     best = int(np.nanargmax(np.nanmean(logs, axis=1)))
     shown = ", ".join(f"{name} {np.exp(np.nanmean(log)):.2f}, in order in {int((log > 0).sum())} of {len(log)}"
@@ -109,8 +110,9 @@ def effort(system: BundleSystem, speaker: str | None, renderings: int) -> tuple[
                        for manner in (LIVELY, SUBDUED)]).transpose(2, 0, 1)
     apart = []
     for name, speech in sounds:
-        pair = (system.render(voice(name, sound), 0).motion for sound in (speech, EXPORTS["6 dB quieter"](speech)))
-        apart.append(stability.difference(*(common_body(motion) for motion in pair)).hands)
+        first, quieter = (common_body(system.render(voice(name, sound), 0).motion)
+                          for sound in (speech, EXPORTS["6 dB quieter"](speech)))
+        apart.append(stability.difference(first, quieter).hands)
     return effort_figures(values, apart), [_readings_table([name for name, _ in sounds], values, apart)]
 
 
@@ -203,12 +205,12 @@ def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
 def _interpreter(system: BundleSystem, voice: AcceptanceVoice, name: str) -> Measured:
     """1 if the interpreter gives motion as long as the sound, else 0."""
     try:
-        made, _ = system.perform(voice, 0, interpreter=name)
+        performance, _ = system.perform(voice, 0, interpreter=name)
     except InputError as error:
         return Measured(Interval.exact(0.0, 1), str(error))
-    whole = abs(made.motion.duration - made.duration) <= 1.0 / made.fps
+    whole = abs(performance.motion.duration - performance.duration) <= 1.0 / performance.fps
     return Measured(Interval.exact(float(whole), 1),
-                    f"{len(np.unique(made.lexemes))} lexemes in {len(made.lexemes)} blocks")
+                    f"{len(np.unique(performance.lexemes))} lexemes in {len(performance.lexemes)} blocks")
 
 
 # ---------------------------------------------------------------------------------------------------------- stability
@@ -258,13 +260,13 @@ def moved_by_word(first: Rendering, again: Rendering, time: float) -> tuple[floa
     """After a change of the word at a time: cm between the hands before its gesture unit, and % of other lexemes from
     the second unit after it on. NaN for what the motion is too short for."""
     assert first.edges is not None and again.edges is not None
-    bodies = common_body(first.motion), common_body(again.motion)
-    units, changed = (units_of(body) for body in bodies)
+    body, other = common_body(first.motion), common_body(again.motion)
+    units, changed = units_of(body), units_of(other)
     at, new = _unit_at(units, time), _unit_at(changed, time)
     # The new word may call for a gesture that is prepared earlier than that of the old one.
     begin = min([time, *(unit[0] for unit in (*units[at:at + 1], *changed[new:new + 1]))])
-    before = stability.difference(*(body.crop(0, round(begin * HZ)) for body in bodies)).hands \
-        if begin > 1.0 else math.nan
+    frames = round(begin * HZ)
+    before = stability.difference(body.crop(0, frames), other.crop(0, frames)).hands if begin > 1.0 else math.nan
     if at + 2 >= len(units):
         return before, math.nan
     late = int(np.searchsorted(first.edges[:-1], units[at + 2][0]))

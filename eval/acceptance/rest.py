@@ -107,6 +107,7 @@ class Rested:
         late = [self.between(start + RESTS_FROM, stop - PREPARES) for start, stop in self.pauses
                 if stop - start > RESTS_FROM + _LEAST + PREPARES]
         talking = self.in_speech()
+        # Of all pauses together: one with a second of rest weighs less than one with five.
         return stats.mean(np.concatenate(late)) / talking if late and talking > 0 else float("nan")
 
     def wakes(self) -> Array:
@@ -169,6 +170,7 @@ def pause_figures(rested: Sequence[Rested], groups: Sequence[str]) -> Results:
 def life_figures(bodies: Sequence[CommonBody], groups: Sequence[str], on: str) -> Results:
     """The longest freeze of the head of all renderings, s, and frames in which a hand does not move at all, %."""
     freezes = [head_freeze(body) for body in bodies]
+    # One frozen rendering is a fault, whatever the others do, so the longest is judged.
     mean = stats.mean_interval(freezes, groups=list(groups))
     worst = Interval(max(freezes), float("nan"), float("nan"), mean.n)
     return {("longest_freeze", on): Measured(worst, f"of all; on average {mean.text()}"),
@@ -190,6 +192,7 @@ def waking_figures(wakes: Array, usual: Array | None) -> Results:
         def percentile(chosen: Array, peak: Array = wakes[:, column]) -> float:
             return float(np.percentile(peak[chosen], WORST))
 
+        # The percentile interval: a percentile of a redrawn set is not biased upwards, as a distance is.
         value = stats.of_set(percentile, len(wakes), basic=False) if len(wakes) else Interval.undefined()
         results[figure, PAUSES] = Measured(value, f"{WORST:g} % of {len(wakes)} wakes, {USUAL:g} % of the corpus")
         if usual is not None and len(usual):
@@ -226,6 +229,7 @@ def activity_figures(shares: Array, moving: Array) -> Results:
 
 def _rank(values: Array) -> float:
     """Spearman's correlation with the activities; 0 where nothing changes."""
+    # Ranks of equal values are undefined, and a knob without an effect must fail.
     return 0.0 if np.ptp(values) < 1e-9 else float(spearmanr(ACTIVITIES, values).statistic)
 
 

@@ -75,7 +75,9 @@ def with_pauses(speech: Speech, lengths: Sequence[float] = PAUSES) -> Speech:
     """
     rate = speech.sample_rate
     levels = frame_levels(speech.samples, rate)
+    # Over 15 frames, so that the gap between two syllables is preferred to one quiet frame within a word.
     smooth = np.convolve(levels, np.ones(15) / 15, mode="same")
+    # Digital silence would be a louder change than a pause of a room, and speech without a pause has no quiet level.
     quiet = float(np.clip(np.percentile(levels, 5), -90.0, -50.0))
     around = max(1, len(levels) // (2 * (len(lengths) + 1)))
     pieces, start = [], 0
@@ -162,11 +164,13 @@ def said_with(speech: Speech, effort: VocalEffort) -> Speech:
                                   for k in range(call(pitch, "Get number of points"))]))
         call(pitch, "Formula", f"{median} * exp({effort.pitch} * ln(self / {median}))")
         call([pitch, manipulation], "Replace pitch tier")
+    # Praat stretches durations, the inverse of the rate.
     lasting = call("Create DurationTier", "rate", 0, speech.duration)
     call(lasting, "Add point", 0, 1.0 / effort.rate)
     call([lasting, manipulation], "Replace duration tier")
     samples = np.asarray(call(manipulation, "Get resynthesis (overlap-add)").values[0], dtype=np.float64)
     samples = tilted(samples, speech.sample_rate, effort.tilt)
+    # The tilt and the resynthesis change the level, and effort is to be heard without it.
     level = loudness(speech.samples.astype(np.float64), speech.sample_rate)
     gain = level / max(loudness(samples, speech.sample_rate), 1e-9)
     return replace(speech, samples=(gain * samples).astype(np.float32), words=None)
@@ -236,6 +240,7 @@ def _as_mp3(speech: Speech) -> Speech:
 def _aligned(samples: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Samples moved to where they fit the reference best, and cut or padded to its length."""
     size = len(reference) + len(samples)
+    # The peak of the cross-correlation is the delay of the encoder.
     spectrum = np.fft.rfft(samples, size) * np.conj(np.fft.rfft(reference, size))
     shift = int(np.fft.irfft(spectrum, size).argmax())
     shift -= size if shift > size // 2 else 0

@@ -44,8 +44,8 @@ Intervals = dict[str, Interval]
 def sample_of(pairs: Sequence[tuple[AcceptanceVoice, Pair]], space: ReferenceSpace | None) -> EyeSample:
     """Renderings measured; the interval draws those of one group of voices together."""
     sample = EyeSample()
-    for said, (made, late) in pairs:
-        sample.add(made.motion, said.heard, made.edges, space, group=said.group or said.name,
+    for spoken, (rendering, late) in pairs:
+        sample.add(rendering.motion, spoken.heard, rendering.edges, space, group=spoken.group or spoken.name,
                    rolled=None if late is None else late.motion)
     return sample
 
@@ -53,10 +53,10 @@ def sample_of(pairs: Sequence[tuple[AcceptanceVoice, Pair]], space: ReferenceSpa
 def own_motion(voices: Sequence[AcceptanceVoice], space: ReferenceSpace | None) -> EyeSample:
     """The motion of the speakers themselves, with seams where a system would cut; a real take has no seams."""
     sample = EyeSample()
-    for said in voices:
-        if said.own is not None:
-            edges = cut(said.speech).edges if said.place == TEST else None
-            sample.add(said.own, said.heard, edges, space, group=said.group or said.name)
+    for spoken in voices:
+        if spoken.own is not None:
+            edges = cut(spoken.speech).edges if spoken.place == TEST else None
+            sample.add(spoken.own, spoken.heard, edges, space, group=spoken.group or spoken.name)
     return sample
 
 
@@ -76,6 +76,7 @@ def halves(corpus: EyeSample, space: ReferenceSpace) -> Interval:
         if first is None or second is None:  # fewer windows than a covariance takes
             return Interval.undefined(len(windows))
         distances.append(eye.frechet.frechet(first, second))
+    # The spread of the halvings themselves, not of their mean: it is the range of distances that chance gives.
     low, high = np.percentile(distances, [2.5, 97.5])
     return Interval(float(np.mean(distances)), float(low), float(high), len(windows))
 
@@ -184,9 +185,9 @@ def _measured(systems: Sequence[RenderedSystem], voices: Sequence[AcceptanceVoic
     for system in systems:
         pairs = renderings_on(system, voices, renderings)
         if system.name == OURS:
-            once = {voice.name: (made.motion, voice.heard) for voice, (made, _) in reversed(pairs)}
+            once = {voice.name: (rendering.motion, voice.heard) for voice, (rendering, _) in reversed(pairs)}
         if pairs:
-            timed[system.name] = [Timed.of(made.motion, voice) for voice, (made, _) in pairs]
+            timed[system.name] = [Timed.of(rendering.motion, voice) for voice, (rendering, _) in pairs]
             figures[system.name] = {**sample_of(pairs, space).figures(space, corpus),
                                     **timing.figures(timed[system.name])}
     beside = [timing.paired_table(timed, OURS)] if len(voices) > 1 else []

@@ -1,1 +1,1 @@
-"""What any system must beat: motion that is known to be wrong, interpreters that know nothing, unit selection."""
+"""Baselines that any system must beat: motion known to be wrong, interpreters that know nothing, unit selection."""

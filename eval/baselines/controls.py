@@ -16,8 +16,7 @@ A metric is worth what it makes of these (mir_eval's rule that perfect input giv
   both, cannot see it; to the eye it is the first sign of a machine.
 - `bobbing`: the mean pose whose forearms go up and down in turn and stop at each onset of the sound. What rewards
   timing alone takes it for the best gesturer of all.
-- `splayed`, `one_curl`, `rigid_wrists`: forearms turned outward, fingers as one paddle, hands as planks. Distances
-  between windows of joint positions do not move.
+- `splayed`: forearms turned outward. Distances between windows of joint positions do not move.
 - `frozen_in_pauses`: speech is untouched, and each silence is a photograph.
 
 Each takes clips and gives clips; the same seed gives the same clips. ValueError where there is nothing to choose from.
@@ -26,7 +25,6 @@ Each takes clips and gives clips; the same seed gives the same clips. ValueError
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -169,32 +167,6 @@ def splayed(clips: Clips, seed: int = 0, degrees: float = 20.0) -> list[Motion]:
     return out
 
 
-def one_curl(clips: Clips, seed: int = 0) -> list[Motion]:
-    """Every finger joint of a hand, the thumb's too, turned as the first joint of its index finger: a paddle that
-    curls. Clips without fingers stay as they are."""
-    out = []
-    for clip in clips:
-        rotations = clip.rotations.copy()
-        for side in ("Left", "Right"):
-            fingers = [joint for joint, name in enumerate(clip.skeleton.names)
-                       if re.fullmatch(rf"{side}Hand(Thumb|Index|Middle|Ring|Pinky)\d", name)]
-            if fingers:
-                rotations[:, fingers] = rotations[:, clip.skeleton.index(f"{side}HandIndex1")][:, None]
-        out.append(replace(clip, rotations=rotations))
-    return out
-
-
-def rigid_wrists(clips: Clips, seed: int = 0) -> list[Motion]:
-    """Each clip whose hands keep in line with their forearms, and only follow them."""
-    out = []
-    for clip in clips:
-        rotations = clip.rotations.copy()
-        hands = find_table(clip.skeleton.names)
-        rotations[:, [hands["LeftHand"], hands["RightHand"]]] = (1.0, 0.0, 0.0, 0.0)
-        out.append(replace(clip, rotations=rotations))
-    return out
-
-
 def frozen_in_pauses(clips: Clips, silent: Sequence[NDArray[np.bool_]]) -> list[Motion]:
     """Each clip with its pose held through every silence; silent: of each clip, [F] at 100 Hz. A person prepares the
     next phrase there."""
@@ -293,7 +265,7 @@ ROLLED = 60
 
 
 def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
-    """What is heard comes `by` blocks late (half the recording where that is less), and wraps around; the grid stays.
+    """Shift the speech features `by` blocks (at most half the recording), wrapped around; the grid stays.
 
     A system that follows the voice loses its timing by that; one that only moves on its grid keeps it. Durations
     belong to the grid, so the tempo in the last column of the features stays, too.
@@ -317,8 +289,8 @@ def _onsets_late(encoded: SpeechFeatures, by: int) -> tuple[Array, ...] | None:
         return None
     edges, count = encoded.blocks.edges, len(encoded)
     out = []
-    for own in range(count):
-        heard = (own - by) % count
-        share = (encoded.onsets[heard] - edges[heard]) / (edges[heard + 1] - edges[heard])
-        out.append(edges[own] + share * (edges[own + 1] - edges[own]))
+    for block in range(count):
+        source = (block - by) % count
+        share = (encoded.onsets[source] - edges[source]) / (edges[source + 1] - edges[source])
+        out.append(edges[block] + share * (edges[block + 1] - edges[block]))
     return tuple(out)

@@ -93,14 +93,14 @@ class Bigram:
 class ReplayInterpreter:
     """Lexemes that are known beforehand, one sequence after the other: a `start` begins the next once the one before is
     played to its end. Before that it goes on, since a generator that forgets the past where the hands set out anew
-    (`selection.fresh`) starts its interpreter again there."""
+    (`systems.movement.set_out`) starts its interpreter again there."""
 
     def __init__(self, sequences: Iterable[Lexemes], size: int) -> None:
         self._coming, self._size = iter(sequences), size
         self._left: deque[int] = deque()
 
     def start(self, speaker: int, first_lexeme: int) -> None:
-        """What is yet to come is kept here."""
+        """Keep the lexemes that are still to be replayed."""
         if not self._left:
             self._left = deque(next(self._coming).tolist())
 

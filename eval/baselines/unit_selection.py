@@ -63,7 +63,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Sounds:
-    """What blocks sound like: silent [N]; durations [N] s; contour [N, 6] dB under the recording's loud speech."""
+    """The sound of blocks: silent [N]; durations [N] s; contour [N, 6] dB under the recording's loud speech."""
 
     silent: NDArray[np.bool_]
     durations: Array
@@ -109,23 +109,23 @@ class UnitDatabase:
 
     @classmethod
     def of(cls, store: Store, settings: BlockSettings | None = None, work: Path | None = None) -> UnitDatabase:
-        """The units of a store's training split; kept in `work` where it is told. InputError for a store without."""
+        """The units of a store's training split, cached in `work` if given. InputError for a store without one."""
         chosen = settings or BlockSettings()
         if not store.of_split("train"):
             raise InputError(store.path, "has no training split", "build the store again")
         key = hashlib.sha256(json.dumps([store.fingerprint, asdict(chosen), _PARTS]).encode()).hexdigest()[:16]
-        kept = None if work is None else work / f"units.{key}.npz"
-        if kept is not None and kept.is_file():
-            found = _read(kept, chosen)
-            if found is not None:
-                return found
-        made = cls._gathered(store, chosen)
-        if kept is not None:
-            kept.parent.mkdir(parents=True, exist_ok=True)
+        cache = None if work is None else work / f"units.{key}.npz"
+        if cache is not None and cache.is_file():
+            database = _read(cache, chosen)
+            if database is not None:
+                return database
+        database = cls._gathered(store, chosen)
+        if cache is not None:
+            cache.parent.mkdir(parents=True, exist_ok=True)
             packed = io.BytesIO()
-            np.savez(packed, poses=made.poses, follower=made.follower, **asdict(made.sounds))
-            write_bytes(kept, packed.getvalue())
-        return made
+            np.savez(packed, poses=database.poses, follower=database.follower, **asdict(database.sounds))
+            write_bytes(cache, packed.getvalue())
+        return database
 
     @classmethod
     def _gathered(cls, store: Store, settings: BlockSettings) -> UnitDatabase:

@@ -43,10 +43,10 @@ def common_clips(folders: Mapping[str, Mapping[str, Clip]], rate: float | None =
     """
     names, notes = shared_names({row: list(clips) for row, clips in folders.items()})
     fps = rate or min(clips[name].motion.fps for clips in folders.values() for name in names)
-    made = ClipSet([], [], [], {row: [] for row in folders}, fps, [*notes, *_body_notes(folders, names, fps)])
+    clip_set = ClipSet([], [], [], {row: [] for row in folders}, fps, [*notes, *_body_notes(folders, names, fps)])
     for name in names:
-        _add(made, {row: clips[name] for row, clips in folders.items()}, piece)
-    return made
+        _add(clip_set, {row: clips[name] for row, clips in folders.items()}, piece)
+    return clip_set
 
 
 def shared_names(names: Mapping[str, Sequence[str]]) -> tuple[list[str], list[str]]:
@@ -77,7 +77,7 @@ def listed(names: Sequence[str], most: int) -> str:
 
 
 def _body_notes(folders: Mapping[str, Mapping[str, Clip]], names: Sequence[str], fps: float) -> list[str]:
-    """What a row has had to give up to be compared: frame rate, joints that it lacks."""
+    """Notes on the frame rate and the joints that a row lost in the comparison."""
     notes = []
     for row, clips in folders.items():
         rates = sorted({clips[name].motion.fps for name in names} - {fps})

@@ -71,19 +71,19 @@ def find_motions(folder: Path) -> tuple[dict[str, Path], list[str]]:
     """The motion files of a folder by name, and what was left out. InputError when it is none or holds none."""
     if not folder.is_dir():
         raise InputError(folder, "is not a folder", f"name one that holds NAME{' or NAME'.join(MOTIONS)}")
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     notes = []
     for kind in MOTIONS:
         for file in sorted(folder.iterdir()):
             if file.suffix.lower() != kind or not file.is_file():
                 continue
-            if file.stem in found:
-                notes.append(f"{file}: {found[file.stem].name} is read instead")
+            if file.stem in files:
+                notes.append(f"{file}: {files[file.stem].name} is read instead")
             else:
-                found[file.stem] = file
-    if not found:
+                files[file.stem] = file
+    if not files:
         raise InputError(folder, "holds no motion", f"put NAME{' or NAME'.join(MOTIONS)} there")
-    return dict(sorted(found.items())), notes
+    return dict(sorted(files.items())), notes
 
 
 def find_sound(folder: Path, name: str) -> Path | None:
@@ -131,8 +131,8 @@ def _of_store(store: Store, only: Sequence[str] | None, split: str) -> dict[str,
     clips = {}
     for info in _chosen(store, split):
         if only is None or info.name in only:
-            own = store.load(info.name)
-            clips[info.name] = Clip(info.name, own.motion, replace(own.speech, speaker=info.speaker),
+            recording = store.load(info.name)
+            clips[info.name] = Clip(info.name, recording.motion, replace(recording.speech, speaker=info.speaker),
                                     info.group or info.name)
     return clips
 
@@ -154,11 +154,11 @@ def read_motion(path: Path, fps: float | None = None, fingers: bool = False) -> 
         # A rate that is told answers the warning of a header that contradicts itself.
         warnings.simplefilter("ignore", BvhWarning)
         try:
-            found = read_bvh(path, fps=rate) if kind == ".bvh" else read_smplx(path, fps=rate)
-            whole = to_character(found, skeleton=FINGERED) if fingers else None
+            motion = read_bvh(path, fps=rate) if kind == ".bvh" else read_smplx(path, fps=rate)
+            whole = to_character(motion, skeleton=FINGERED) if fingers else None
             if whole is not None and not set(FINGER_JOINTS) & set(whole.absent):
                 return whole
-            return to_character(found)
+            return to_character(motion)
         except InputError as error:
             advice = _RATE_ADVICE if error.advice == FRAME_RATE_ADVICE else error.advice
             # A skeleton is known by its joints alone, and a user by the file.
@@ -167,17 +167,17 @@ def read_motion(path: Path, fps: float | None = None, fingers: bool = False) -> 
 
 
 def sidecar(path: Path) -> dict[str, Any]:
-    """What NAME.json, else joints.json, tells of a motion file; nothing where there is none."""
+    """The content of NAME.json, else of joints.json, beside a motion file; empty without either."""
     for place in (path.with_suffix(".json"), path.with_name(SHARED)):
         if place.is_file():
-            told = read_json(place, "repair it")
-            if isinstance(told, dict):
-                return told
+            document = read_json(place, "repair it")
+            if isinstance(document, dict):
+                return document
     return {}
 
 
-def _rate(told: dict[str, Any], path: Path) -> float | None:
-    rate = told.get("fps")
+def _rate(document: dict[str, Any], path: Path) -> float | None:
+    rate = document.get("fps")
     if rate is None:
         return None
     if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < 1000:
@@ -191,12 +191,12 @@ def read_positions(path: Path, fps: float | None = None) -> Motion:
 
     InputError for a file or a sidecar that is missing or says something else.
     """
-    told = sidecar(path)
-    names, rate = told.get("joints"), fps if fps is not None else _rate(told, path)
+    document = sidecar(path)
+    names, rate = document.get("joints"), fps if fps is not None else _rate(document, path)
     beside = path.with_suffix(".json")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or rate is None:
         raise InputError(beside, "does not name joints and fps", 'write {"joints": [...], "fps": ..., "up": "+Y"}')
-    up = told.get("up", "+Y")
+    up = document.get("up", "+Y")
     if not isinstance(up, str) or up not in _UP:
         raise InputError(beside, f"has up {shown(up)!r}", f"choose among {', '.join(_UP)}")
     points = read_npy(path)
@@ -291,9 +291,10 @@ def edges_of_plan(plan: Path) -> Array | None:
     if not plan.is_file():
         return None
     try:
-        told = read_object(plan, "write it with infer --explain, or take it away", 1 << 26)
-        edges = np.array(told["edges"] if "edges" in told else
-                         [*(block["start"] for block in told["blocks"]), told["blocks"][-1]["end"]], dtype=np.float64)
+        document = read_object(plan, "write it with infer --explain, or take it away", 1 << 26)
+        edges = np.array(document["edges"] if "edges" in document else
+                         [*(block["start"] for block in document["blocks"]), document["blocks"][-1]["end"]],
+                         dtype=np.float64)
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(plan, "tells no block edges", "write it with infer --explain, or take it away") from None
     if edges.ndim != 1 or not np.isfinite(edges).all() or (np.diff(edges) <= 0).any():

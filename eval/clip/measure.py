@@ -1,4 +1,4 @@
-"""What is measured on one clip of motion beside its speech: the only measurer, for every table of `eval`.
+"""Measurements of one clip of motion beside its speech, shared by the tables of `eval`.
 
 Speeds are those of the wrists as seen from the facing hips, m/s; times are seconds from the clip's begin. The formulas
 themselves are the metric chapters'.
@@ -88,11 +88,11 @@ class ClipMeasurement:
         return stats.mean(self.hand_speed[self.silent])
 
     def piece(self, start: float, end: float, fps: float) -> ClipMeasurement:
-        """What lies between two times, at the motion's frame rate. It keeps the thresholds of the whole, and no seams.
+        """The part between two times, at the motion's frame rate. It keeps the thresholds of the whole, and no seams.
 
         Pieces whose times join hold everything once.
         """
-        onsets, beats = (own[(own >= start) & (own < end)] - start for own in (self.onsets, self.beats))
+        onsets, beats = (times[(times >= start) & (times < end)] - start for times in (self.onsets, self.beats))
         first = round(start * fps)
         last = round(end * fps) if end < self.duration else len(self.hand_speed) + 1
         return ClipMeasurement(onsets, beats, end - start, self.hand_speed[first:last], self.silent[first:last],
@@ -131,13 +131,13 @@ def _settled(speech: Speech, frames: int, fps: float) -> NDArray[np.bool_]:
 
 def against(motion: Motion, truth: Motion) -> JointError:
     """MAJE and MAD beside the speaker's own motion, which is brought to the same frame rate; cut to the shorter."""
-    ours, theirs = to_common_length([motion], [resample(truth, motion.fps)])
-    return motion_error(ours[0], theirs[0])
+    first, second = to_common_length([motion], [resample(truth, motion.fps)])
+    return motion_error(first[0], second[0])
 
 
 def motion_values(clip: ClipMeasurement, motion: Motion, truth: Motion, seed: int) -> dict[str, float]:
-    """What tables show of a clip: PMB above chance (percent, at `pmb.DELTA`), mean hand speeds (m/s), MAJE (mm) and
-    MAD (mm/s^2)."""
+    """The figures of a clip in tables: PMB above chance (percent, at `pmb.DELTA`), mean hand speeds (m/s), MAJE (mm)
+    and MAD (mm/s^2)."""
     error = against(motion, truth)
     return {"pmb_above_chance": clip.rhythm(seed=seed).above_chance, "speech_speed": clip.speech_speed,
             "silence_speed": clip.silence_speed, "maje": error.maje, "mad": error.mad}

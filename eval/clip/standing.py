@@ -26,6 +26,7 @@ def slide(motion: Motion) -> float:
     """Metres over which an ankle or ball goes at most, along the floor, while its foot is planted."""
     positions = kinematics.positions_of(motion)
     places = {name: positions[:, joint] for name, joint in find_table(motion.skeleton.names).items()}
+    # The 1st percentile, as a single frame may lie lower by a rounding of the rotations.
     longest = 0.0
     for side in ("Left", "Right"):
         foot = places[side + "Foot"], places[side + "ToeBase"]

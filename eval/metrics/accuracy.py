@@ -76,25 +76,25 @@ def lexeme_accuracy(chosen: ArrayLike, own: ArrayLike) -> Accuracy:
     Leave out block 0 where the interpreter was given it. To pool clips, weigh each by its `blocks`. ValueError for
     unequal shapes, another shape than [n], and labels that are negative or no whole numbers.
     """
-    ours, theirs = _pair(chosen, own)
-    if len(ours) == 0:
+    first, second = _pair(chosen, own)
+    if len(first) == 0:
         return Accuracy(float("nan"), 0, _NO_BLOCK)
-    return Accuracy(100.0 * float(np.mean(ours == theirs)), len(ours))
+    return Accuracy(100.0 * float(np.mean(first == second)), len(first))
 
 
 def agreement_by_chance(own: ArrayLike, chosen: ArrayLike) -> Agreement:
-    """What sequences of lexemes [n] with these shares would agree by, and the share of agreement above it.
+    """Agreement of sequences of lexemes [n] with these shares by chance, and the share of agreement above it.
 
     The mean accuracy over all orders of `chosen` is this chance level, exactly. ValueError as in `lexeme_accuracy`.
     """
-    theirs, ours = _pair(own, chosen)
-    nan, blocks = float("nan"), len(ours)
+    first, second = _pair(own, chosen)
+    nan, blocks = float("nan"), len(second)
     if blocks == 0:
         return Agreement(nan, nan, nan, 0, _NO_BLOCK)
-    size = 1 + int(max(ours.max(), theirs.max()))
+    size = 1 + int(max(second.max(), first.max()))
     # In whole numbers, so that chance is 100 % when it is and not a hair below.
-    by_chance = int(np.bincount(theirs, minlength=size) @ np.bincount(ours, minlength=size))
-    percent, chance = 100.0 * float(np.mean(ours == theirs)), 100.0 * by_chance / blocks ** 2
+    by_chance = int(np.bincount(first, minlength=size) @ np.bincount(second, minlength=size))
+    percent, chance = 100.0 * float(np.mean(second == first)), 100.0 * by_chance / blocks ** 2
     if by_chance == blocks ** 2:
         return Agreement(percent, chance, nan, blocks, "one lexeme is all that there is: chance leaves no room")
     return Agreement(percent, chance, above_chance(percent, chance), blocks)

@@ -1,4 +1,4 @@
-"""Whether sound that sounds alike goes with gestures that are alike (RG 7.4.1, Figure 14), in numbers.
+"""Association between clusters of sound and lexemes (RG 7.4.1, Figure 14).
 
 Theory: blocks of speech are put into clusters by one level of the audio features (k-means), and each block has the
 lexeme of its motion. If the clusters tell something about the lexeme, the lexemes within a cluster are fewer: the
@@ -55,8 +55,8 @@ def conditional_entropy(table: Array) -> Array:
 def turned(labels: Labels, recording: Labels, rng: np.random.Generator) -> Labels:
     """Labels [n] turned round within each recording [n] by a random number of blocks."""
     out = labels.copy()
-    for own in np.unique(recording):
-        at = np.flatnonzero(recording == own)
+    for number in np.unique(recording):
+        at = np.flatnonzero(recording == number)
         least = _FARTHEST if len(at) > 2 * _FARTHEST else 0
         out[at] = np.roll(labels[at], int(rng.integers(least, max(len(at) - least, 1))))
     return out
@@ -86,13 +86,13 @@ def association(levels: Mapping[str, Labels], lexemes: Labels, recording: Labels
     out: dict[str, Any] = {}
     gains: dict[str, Array] = {}
     for name, clusters in levels.items():
-        own = _drawn_entropy(weights, clusters, lexemes, group)
+        values = _drawn_entropy(weights, clusters, lexemes, group)
         chance = np.mean([_drawn_entropy(weights, clusters, other, group) for other in shuffled[:_AVERAGED]], axis=0)
         every = [float(conditional_entropy(_tables(clusters, other, group).sum(axis=0))) for other in shuffled]
-        gains[name] = chance - own
-        out[name] = {"entropy": float(own[0]), "by_chance": float(np.mean(every)),
+        gains[name] = chance - values
+        out[name] = {"entropy": float(values[0]), "by_chance": float(np.mean(every)),
                      "gain": _interval(gains[name], groups),
-                     "p": (1 + sum(value <= own[0] for value in every)) / (1 + turns)}
+                     "p": (1 + sum(value <= values[0] for value in every)) / (1 + turns)}
     names = list(levels)
     out["gain_differences"] = {f"{b} - {a}": _interval(gains[b] - gains[a], groups)
                                for i, a in enumerate(names) for b in names[i + 1:]}

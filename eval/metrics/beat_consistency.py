@@ -72,17 +72,17 @@ def onset_score(motion_beats: Array, onsets: Array, sigma: float = SIGMA) -> flo
     """
     if not (np.isfinite(sigma) and sigma > 0):
         raise ValueError(f"sigma must be positive, not {sigma}")
-    own, heard = np.asarray(motion_beats, dtype=np.float64), np.asarray(onsets, dtype=np.float64)
-    if own.ndim != 1 or heard.ndim != 1 or not (np.isfinite(own).all() and np.isfinite(heard).all()):
-        raise ValueError(f"times must be finite seconds, [n], not {own.shape} and {heard.shape}")
-    own = np.sort(own)
-    if len(heard) == 0:
+    beats, times = np.asarray(motion_beats, dtype=np.float64), np.asarray(onsets, dtype=np.float64)
+    if beats.ndim != 1 or times.ndim != 1 or not (np.isfinite(beats).all() and np.isfinite(times).all()):
+        raise ValueError(f"times must be finite seconds, [n], not {beats.shape} and {times.shape}")
+    beats = np.sort(beats)
+    if len(times) == 0:
         return float("nan")
-    if len(own) == 0:
+    if len(beats) == 0:
         return 0.0
-    after = np.searchsorted(own, heard)
-    nearest = np.minimum(np.abs(heard - own[np.maximum(after - 1, 0)]),
-                         np.abs(own[np.minimum(after, len(own) - 1)] - heard))
+    after = np.searchsorted(beats, times)
+    nearest = np.minimum(np.abs(times - beats[np.maximum(after - 1, 0)]),
+                         np.abs(beats[np.minimum(after, len(beats) - 1)] - times))
     return float(np.exp(-nearest ** 2 / (2.0 * sigma ** 2)).mean())
 
 
@@ -100,11 +100,11 @@ def joint_beats(speeds: Array, fps: float = FPS, order: int = ORDER, moving: flo
     """
     from scipy.signal import argrelextrema
 
-    own = np.asarray(speeds, dtype=np.float64)
-    if own.ndim != 2 or not np.isfinite(own).all() or not (np.isfinite(fps) and fps > 0):
-        raise ValueError(f"speeds must be finite, [T, J], and fps positive, not {own.shape} and {fps}")
+    table = np.asarray(speeds, dtype=np.float64)
+    if table.ndim != 2 or not np.isfinite(table).all() or not (np.isfinite(fps) and fps > 0):
+        raise ValueError(f"speeds must be finite, [T, J], and fps positive, not {table.shape} and {fps}")
     beats = []
-    for column in own.T:
+    for column in table.T:
         least = argrelextrema(column, np.less, order=order, mode="clip")[0] if len(column) else np.zeros(0, int)
         rest = moving * column.mean() if len(column) else 0.0
         # Speed t is that between frames t and t + 1.

@@ -26,7 +26,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaln
 
 from data_module.types import Array
 
@@ -66,43 +65,30 @@ class MotionVariance:
 
 def entropy(counts: ArrayLike) -> float:
     """- sum of p_i log p_i in nats, of how often each lexeme occurs [S] (RG Eq. 23); NaN where nothing occurs."""
-    own = np.asarray(counts, dtype=np.float64)
-    if own.sum() <= 0:
+    times = np.asarray(counts, dtype=np.float64)
+    if times.sum() <= 0:
         return float("nan")
-    shares = own[own > 0] / own.sum()
+    shares = times[times > 0] / times.sum()
     # Where one lexeme is all there is, -0.0 would be printed.
     return abs(float(-(shares * np.log(shares)).sum()))
 
 
-def expected_kinds(labels: Labels, drawn: int) -> float:
-    """How many different lexemes `drawn` of the labels, drawn without replacement, hold on average (rarefaction)."""
-    counts = np.unique(labels, return_counts=True)[1].astype(np.float64)
-    total = float(len(labels))
-    if not 0 <= drawn <= total:
-        raise ValueError(f"{drawn} of {len(labels)} labels cannot be drawn")
-    rest = total - counts
-    # The probability that a kind is missed, C(rest, drawn) / C(total, drawn); impossible where too few others exist.
-    missed = np.where(rest >= drawn, np.exp(gammaln(rest + 1) - gammaln(np.maximum(rest - drawn, 0) + 1)
-                                            - gammaln(total + 1) + gammaln(total - drawn + 1)), 0.0)
-    return float((1 - missed).sum())
-
-
 def diversity(labels: ArrayLike, size: int) -> Diversity:
     """- sum of p_i log p_i over the `size` lexemes of the lexicon, of labels [N] (RG Eq. 23)."""
-    own = checked_labels(labels, size)
-    if len(own) == 0:
+    sequence = checked_labels(labels, size)
+    if len(sequence) == 0:
         nan = float("nan")
         return Diversity(nan, nan, nan, 0, 0, "there is no block")
-    counts = np.bincount(own, minlength=size)
+    counts = np.bincount(sequence, minlength=size)
     nats = entropy(counts)
     share, reason = (nats / float(np.log(size)), "") if size > 1 else (float("nan"), "the lexicon has one lexeme")
-    return Diversity(nats, nats / float(np.log(2.0)), share, int((counts > 0).sum()), len(own), reason)
+    return Diversity(nats, nats / float(np.log(2.0)), share, int((counts > 0).sum()), len(sequence), reason)
 
 
 def nearest_lexemes(latents: Array, vectors: Array) -> Labels:
     """[N] the lexeme nearest to each latent [N, D], of vectors [S, D] (RG Eq. 4): what a real motion is said to do."""
-    own, lexemes = _latents(latents, vectors)
-    distances = (own ** 2).sum(1)[:, None] - 2.0 * own @ lexemes.T + (lexemes ** 2).sum(1)
+    points, lexemes = _latents(latents, vectors)
+    distances = (points ** 2).sum(1)[:, None] - 2.0 * points @ lexemes.T + (lexemes ** 2).sum(1)
     return distances.argmin(axis=1).astype(np.int64)
 
 
@@ -112,11 +98,11 @@ def motion_variance(latents: Array, labels: ArrayLike, vectors: Array) -> Motion
     labels: [N], for a generated motion the lexeme it was made from, for a real one that of `nearest_lexemes`. The
     variance is the unbiased one, so that rare lexemes do not lower the mean.
     """
-    own, lexemes = _latents(latents, vectors)
+    points, lexemes = _latents(latents, vectors)
     chosen = checked_labels(labels, len(lexemes))
-    if len(chosen) != len(own):
-        raise ValueError(f"{len(own)} latents have {len(chosen)} labels")
-    distances = np.linalg.norm(own - lexemes[chosen], axis=1)
+    if len(chosen) != len(points):
+        raise ValueError(f"{len(points)} latents have {len(chosen)} labels")
+    distances = np.linalg.norm(points - lexemes[chosen], axis=1)
     counts = np.bincount(chosen, minlength=len(lexemes))
     variances = [float(distances[chosen == lexeme].var(ddof=1)) for lexeme in np.flatnonzero(counts > 1)]
     once = int((counts == 1).sum())
@@ -134,8 +120,8 @@ def lexeme_moments(clips: Sequence[tuple[Array, Labels] | None], vectors: Array)
     lengths = [np.zeros(0) if clip is None else np.linalg.norm(clip[0] - vectors[clip[1]], axis=1) for clip in clips]
     middle = float(np.concatenate(lengths).mean())
     labels = [np.zeros(0, dtype=np.int64) if clip is None else clip[1] for clip in clips]
-    powers = [np.array([np.bincount(own, (length - middle) ** power, minlength=len(vectors))
-                        for own, length in zip(labels, lengths, strict=True)]) for power in (0, 1, 2)]
+    powers = [np.array([np.bincount(clip_labels, (length - middle) ** power, minlength=len(vectors))
+                        for clip_labels, length in zip(labels, lengths, strict=True)]) for power in (0, 1, 2)]
     return powers[0], powers[1], powers[2]
 
 
@@ -167,11 +153,11 @@ def longest_run(sequences: Sequence[ArrayLike], leave_out: ArrayLike = ()) -> fl
 
 def runs(sequence: ArrayLike) -> list[tuple[int, int]]:
     """(lexeme, blocks) of every run of one lexeme in a sequence [N], in order."""
-    own = checked_labels(sequence)
-    if len(own) == 0:
+    labels = checked_labels(sequence)
+    if len(labels) == 0:
         return []
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(own)) + 1, [len(own)]])
-    return [(int(own[begin]), int(length)) for begin, length in zip(edges, np.diff(edges), strict=False)]
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(labels)) + 1, [len(labels)]])
+    return [(int(labels[begin]), int(length)) for begin, length in zip(edges, np.diff(edges), strict=False)]
 
 
 def unseen_bigrams(sequences: Sequence[ArrayLike], training: Sequence[ArrayLike]) -> float:
@@ -182,34 +168,34 @@ def unseen_bigrams(sequences: Sequence[ArrayLike], training: Sequence[ArrayLike]
     pairs, known = _bigrams(sequences), _bigrams(training)
     if len(pairs) == 0 or len(known) == 0:
         return float("nan")
-    seen = {(int(a), int(b)) for a, b in known}
-    return float(np.mean([(int(a), int(b)) not in seen for a, b in pairs]))
+    trained = {(int(a), int(b)) for a, b in known}
+    return float(np.mean([(int(a), int(b)) not in trained for a, b in pairs]))
 
 
 def checked_labels(labels: ArrayLike, size: int | None = None) -> Labels:
     """Labels [N] of lexemes; ValueError unless they are whole numbers from 0 (to size - 1), in one row."""
-    own = np.asarray(labels)
-    if own.size == 0 and own.ndim == 1:
+    values = np.asarray(labels)
+    if values.size == 0 and values.ndim == 1:
         return np.zeros(0, dtype=np.int64)
-    if own.ndim != 1 or not np.issubdtype(own.dtype, np.integer):
-        raise ValueError(f"labels must be whole numbers, [N], not {own.dtype} {own.shape}")
-    if own.min() < 0 or (size is not None and own.max() >= size):
+    if values.ndim != 1 or not np.issubdtype(values.dtype, np.integer):
+        raise ValueError(f"labels must be whole numbers, [N], not {values.dtype} {values.shape}")
+    if values.min() < 0 or (size is not None and values.max() >= size):
         raise ValueError(f"labels must lie in 0 to {'N_s' if size is None else size} - 1: "
-                         f"{own.min()} to {own.max()}")
-    return own.astype(np.int64)
+                         f"{values.min()} to {values.max()}")
+    return values.astype(np.int64)
 
 
 def _bigrams(sequences: Sequence[ArrayLike]) -> Labels:
     """[n, 2] every pair of neighbours."""
-    own = [checked_labels(sequence) for sequence in sequences]
-    pairs = [np.stack([labels[:-1], labels[1:]], axis=1) for labels in own if len(labels) > 1]
+    checked = [checked_labels(sequence) for sequence in sequences]
+    pairs = [np.stack([labels[:-1], labels[1:]], axis=1) for labels in checked if len(labels) > 1]
     return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
 
 
 def _latents(latents: Array, vectors: Array) -> tuple[Array, Array]:
-    own, lexemes = np.asarray(latents, dtype=np.float64), np.asarray(vectors, dtype=np.float64)
-    if own.ndim != 2 or lexemes.ndim != 2 or own.shape[1] != lexemes.shape[1] or len(lexemes) == 0:
-        raise ValueError(f"latents [N, D] and lexemes [S, D] do not fit: {own.shape} and {lexemes.shape}")
-    if not (np.isfinite(own).all() and np.isfinite(lexemes).all()):
+    points, lexemes = np.asarray(latents, dtype=np.float64), np.asarray(vectors, dtype=np.float64)
+    if points.ndim != 2 or lexemes.ndim != 2 or points.shape[1] != lexemes.shape[1] or len(lexemes) == 0:
+        raise ValueError(f"latents [N, D] and lexemes [S, D] do not fit: {points.shape} and {lexemes.shape}")
+    if not (np.isfinite(points).all() and np.isfinite(lexemes).all()):
         raise ValueError("latents and lexemes must be finite")
-    return own, lexemes
+    return points, lexemes

@@ -28,7 +28,7 @@ from data_module.types import Array, Blocks, Motion, Speech
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import Statistics, front_end_for, representation_of
-from gesticulator.drawing.cutter import encode_speech
+from gesticulator.sampling.cutter import encode_speech
 from gesticulator.training.stages.lexicon import BlockLexicon
 from lexicon.movement import MovementLexicon
 
@@ -89,14 +89,14 @@ def normalised_blocks(config: Config, statistics: Statistics, motion: Motion, bl
     mean = statistics.mean_pose[statistics.speakers.index(speaker)] if known else poses.mean(axis=(0, 1))
 
     def features(values: Array) -> Tensor:
-        own = (values - mean) / statistics.deviation
+        scaled = (values - mean) / statistics.deviation
         if config.motion.representation == "rotations":
-            own = own * (np.arange(own.shape[-1]) < 3 * len(motion.skeleton))
-        return torch.as_tensor(own, dtype=torch.float32)
+            scaled = scaled * (np.arange(scaled.shape[-1]) < 3 * len(motion.skeleton))
+        return torch.as_tensor(scaled, dtype=torch.float32)
 
-    made = features(poses)
+    block_features = features(poses)
     seconds = torch.as_tensor(blocks.durations, dtype=torch.float32)
-    return made, pasts_of(made, seconds, features(block_module.first_pose(motion, representation)))
+    return block_features, pasts_of(block_features, seconds, features(block_module.first_pose(motion, representation)))
 
 
 @torch.no_grad()
@@ -119,9 +119,9 @@ def labels_of(lexicon: BlockLexicon, latents: Tensor) -> NDArray[np.int64]:
 def read_motion(lexicon: BlockLexicon, config: Config, statistics: Statistics, motion: Motion, blocks: Blocks,
                 speaker: str = "") -> EncodedMotion:
     """A motion in given blocks as a lexicon of these settings reads it."""
-    own, past = normalised_blocks(config, statistics, motion, blocks, speaker)
-    latents = latents_of(lexicon, own, past)
-    return EncodedMotion(blocks, own, latents, labels_of(lexicon, latents))
+    normalised, past = normalised_blocks(config, statistics, motion, blocks, speaker)
+    latents = latents_of(lexicon, normalised, past)
+    return EncodedMotion(blocks, normalised, latents, labels_of(lexicon, latents))
 
 
 def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:

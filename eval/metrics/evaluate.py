@@ -128,19 +128,19 @@ def eye_values(motion: Motion, voice: eye.VoiceActivity | None, edges: Array | N
 
 
 def _synchrony_values(out: Values, beats: MotionBeats, track: OnsetTrack, seed: int) -> None:
-    for mode, own in beats.modes.items():
-        percent = pmb.pmb(own, track.onsets)
-        chance = pmb.chance(own, track.onsets, track.duration, seed=seed).mean
+    for mode, times in beats.modes.items():
+        percent = pmb.pmb(times, track.onsets)
+        chance = pmb.chance(times, track.onsets, track.duration, seed=seed).mean
         out.put(f"pmb_{mode}", percent, pmb.NO_BEAT)
         out.put(f"chance_{mode}", chance, pmb.NO_BEAT)
         out.put(f"above_{mode}", 100.0 * pmb.above_chance(percent, chance),
-                "chance leaves no room" if len(own) else pmb.NO_BEAT)
+                "chance leaves no room" if len(times) else pmb.NO_BEAT)
     out.put("pmb_A_wide", pmb.pmb(beats.modes["A"], track.onsets, WIDE), pmb.NO_BEAT)
     out.put("area_A", pmb.delta_curve(beats.modes["A"], track.onsets).area, pmb.NO_BEAT)
-    found = consistency(beats.joints, track.onsets, track.duration, seed=seed)
-    for name, value in (("consistency", found.score), ("consistency_chance", found.chance),
-                        ("consistency_above", found.above_chance)):
-        out.put(name, value, found.reason)
+    scored = consistency(beats.joints, track.onsets, track.duration, seed=seed)
+    for name, value in (("consistency", scored.score), ("consistency_chance", scored.chance),
+                        ("consistency_above", scored.above_chance)):
+        out.put(name, value, scored.reason)
 
 
 def synchrony(name: str, beats: MotionBeats, track: OnsetTrack) -> float:

@@ -109,12 +109,12 @@ class Figure:
 
 def gaussian(features: Array) -> Gaussian:
     """The moments of features [N, E]. ValueError for fewer than two, another shape, or numbers not finite."""
-    own = np.asarray(features, dtype=np.float64)
-    if own.ndim != 2 or len(own) < 2 or own.shape[1] == 0:
-        raise ValueError(f"features must be [N, E] with N of 2 or more, not {own.shape}")
-    if not np.isfinite(own).all():
+    points = np.asarray(features, dtype=np.float64)
+    if points.ndim != 2 or len(points) < 2 or points.shape[1] == 0:
+        raise ValueError(f"features must be [N, E] with N of 2 or more, not {points.shape}")
+    if not np.isfinite(points).all():
         raise ValueError("features must be finite")
-    return Gaussian(own.mean(axis=0), np.atleast_2d(np.cov(own, rowvar=False)), len(own))
+    return Gaussian(points.mean(axis=0), np.atleast_2d(np.cov(points, rowvar=False)), len(points))
 
 
 def samples_needed(width: int) -> int:
@@ -171,8 +171,8 @@ def measure(generated: Sequence[Array], real: Sequence[Array], by: Features, *, 
         width = max((clip.shape[1] for clip in (*generated, *real) if len(clip)), default=1)
         return Figure(nan, Interval.undefined(), nan, counts, samples_needed(width), by.name, by.frames, by.fps,
                       by.sha256, f"{min(counts)} windows in a set: a covariance needs two")
-    ours, theirs = ([clip for clip in clips if len(clip)] for clips in (generated, real))
-    both = gaussian(np.concatenate(ours)), gaussian(np.concatenate(theirs))
+    first, second = ([clip for clip in clips if len(clip)] for clips in (generated, real))
+    both = gaussian(np.concatenate(first)), gaussian(np.concatenate(second))
     needed, got = samples_needed(len(both[0].mean)), frechet_distance(*both)
     bounds = _interval(generated, real, got, paired, seed, draws)
     reason = "" if min(counts) >= needed else (
@@ -195,8 +195,9 @@ def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[A
     whole = np.flatnonzero([min(map(len, clips)) > 0 for clips in zip(first, second, real, strict=True)])
 
     def apart(chosen: stats.Indices) -> float:
-        one, other, theirs = (np.concatenate([clips[k] for k in whole[chosen]]) for clips in (first, second, real))
-        return distance(one, theirs) - distance(other, theirs)
+        first_set, second_set, real_set = (np.concatenate([clips[k] for k in whole[chosen]])
+                                           for clips in (first, second, real))
+        return distance(first_set, real_set) - distance(second_set, real_set)
 
     return stats.of_set(apart, len(whole), draws=DRAWS) if len(whole) > 1 else Interval.undefined(len(whole))
 
@@ -212,14 +213,14 @@ class _Moments:
     """Counts, sums and sums of squares of each clip: a redrawn set's moments without its features."""
 
     def __init__(self, clips: Sequence[Array]) -> None:
-        own = [np.asarray(clip, dtype=np.float64) for clip in clips]
-        width = max(clip.shape[1] for clip in own if len(clip))
-        middle = np.concatenate([clip for clip in own if len(clip)]).mean(axis=0)
-        own = [clip - middle if len(clip) else np.zeros((0, width)) for clip in own]
+        centred = [np.asarray(clip, dtype=np.float64) for clip in clips]
+        width = max(clip.shape[1] for clip in centred if len(clip))
+        middle = np.concatenate([clip for clip in centred if len(clip)]).mean(axis=0)
+        centred = [clip - middle if len(clip) else np.zeros((0, width)) for clip in centred]
         self._middle = middle
-        self._counts = np.array([len(clip) for clip in own], dtype=np.float64)
-        self._sums = np.array([clip.sum(axis=0) for clip in own])
-        self._squares = np.array([clip.T @ clip for clip in own])
+        self._counts = np.array([len(clip) for clip in centred], dtype=np.float64)
+        self._sums = np.array([clip.sum(axis=0) for clip in centred])
+        self._squares = np.array([clip.T @ clip for clip in centred])
 
     def drawn(self, times: Array) -> Gaussian | None:
         """The moments when clip k is taken times[k] times; None when that leaves fewer than two windows."""
@@ -236,12 +237,12 @@ def _interval(generated: Sequence[Array], real: Sequence[Array], got: float, pai
     clips = min(len(generated), len(real))
     if clips < 2:
         return Interval.exact(got, clips)
-    ours, theirs = _Moments(generated), _Moments(real)
+    first, second = _Moments(generated), _Moments(real)
     sizes = [len(generated)] if paired else [len(generated), len(real)]
-    found = []
+    values = []
     for chosen in stats.resamples(np.random.default_rng(seed), sizes, draws):
-        times = [np.bincount(own, minlength=size).astype(float) for own, size in zip(chosen, sizes, strict=True)]
-        pair = ours.drawn(times[0]), theirs.drawn(times[-1])
+        times = [np.bincount(drawn, minlength=size).astype(float) for drawn, size in zip(chosen, sizes, strict=True)]
+        pair = first.drawn(times[0]), second.drawn(times[-1])
         if pair[0] is not None and pair[1] is not None:
-            found.append(frechet_distance(pair[0], pair[1]))
-    return stats.limits(got, found, clips, basic=True, least=0.0)
+            values.append(frechet_distance(pair[0], pair[1]))
+    return stats.limits(got, values, clips, basic=True, least=0.0)

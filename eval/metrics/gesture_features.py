@@ -70,15 +70,15 @@ def windows(motion: Motion, frames: int, fps: float = FPS, stride: int | None = 
     step = max(1, frames // 2) if stride is None else stride
     if frames < 1 or step < 1:
         raise ValueError(f"windows need 1 frame or more and a stride of 1 or more, not {frames} and {step}")
-    own = directions(motion, fps)
-    if len(own) < frames:
+    vectors = directions(motion, fps)
+    if len(vectors) < frames:
         return np.zeros((0, frames, DIRECTIONS))
-    return np.lib.stride_tricks.sliding_window_view(own, frames, axis=0)[::step].transpose(0, 2, 1).copy()
+    return np.lib.stride_tricks.sliding_window_view(vectors, frames, axis=0)[::step].transpose(0, 2, 1).copy()
 
 
 @dataclass(frozen=True)
 class Features:
-    """What the distance is measured in. frames: of a window; sha256: of the file of weights, "none" without one.
+    """A feature space of FGD. frames: of a window; sha256: of the file of weights, "none" without one.
 
     encode: [N, frames, 27] to [N, E].
     """
@@ -91,12 +91,12 @@ class Features:
 
     def features(self, windows: Array) -> Array:
         """[N, E] of windows [N, frames, 27] in our axes; ValueError for another shape or numbers not finite."""
-        own = np.asarray(windows, dtype=np.float64)
-        if own.ndim != 3 or own.shape[1:] != (self.frames, DIRECTIONS):
-            raise ValueError(f"windows must be [N, {self.frames}, {DIRECTIONS}], not {own.shape}")
-        if not np.isfinite(own).all():
+        checked = np.asarray(windows, dtype=np.float64)
+        if checked.ndim != 3 or checked.shape[1:] != (self.frames, DIRECTIONS):
+            raise ValueError(f"windows must be [N, {self.frames}, {DIRECTIONS}], not {checked.shape}")
+        if not np.isfinite(checked).all():
             raise ValueError("windows must be finite")
-        return self.encode(own)
+        return self.encode(checked)
 
 
 class RawFeatures(Features):
@@ -113,10 +113,10 @@ class RawFeatures(Features):
 
 def _batched(encode: Callable[[Tensor], Tensor], axes: Sequence[float] = (1.0, 1.0, 1.0)) -> Callable[[Array], Array]:
     """A network in evaluation mode as what `Features` takes. axes: of our directions to the network's."""
-    def of(own: Array) -> Array:
-        told = torch.as_tensor(own * np.tile(axes, len(TED_BONES)), dtype=torch.float32)
+    def of(windows: Array) -> Array:
+        batch = torch.as_tensor(windows * np.tile(axes, len(TED_BONES)), dtype=torch.float32)
         with torch.no_grad():
-            return torch.cat([encode(part) for part in told.split(512)]).double().numpy()
+            return torch.cat([encode(part) for part in batch.split(512)]).double().numpy()
 
     return of
 
@@ -174,8 +174,8 @@ def published(folder: str | Path) -> Features:
     if not weights.is_file():
         raise InputError(weights, "does not exist", "name the folder of the Human3.6M gesture encoder")
     try:
-        told = read_object(weights.with_suffix(".json"), "fetch it again")
-        frames, fps, width = int(told["frames"]), float(told["fps"]), int(told["dim"])
+        settings = read_object(weights.with_suffix(".json"), "fetch it again")
+        frames, fps, width = int(settings["frames"]), float(settings["fps"]), int(settings["dim"])
         if width != DIRECTIONS:
             raise ValueError(f"it reads {width} numbers a frame, not {DIRECTIONS}")
         network = Encoder(frames, slope=1.0)
@@ -183,13 +183,13 @@ def published(folder: str | Path) -> Features:
     except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise InputError(weights, f"is not the Human3.6M gesture encoder ({str(error).splitlines()[0]})",
                          "name the folder that holds it with its .json, or fetch both again") from None
-    made = Features("Human3.6M (Yoon et al. 2020)", frames, fps, _sha256(weights.read_bytes()),
+    network_features = Features("Human3.6M (Yoon et al. 2020)", frames, fps, _sha256(weights.read_bytes()),
                     _batched(freeze(network), PUBLISHED_AXES))
     reference = weights.with_name(_REFERENCE)
-    if reference.is_file() and (off := reference_error(made, reference)) > 1e-3:
+    if reference.is_file() and (off := reference_error(network_features, reference)) > 1e-3:
         raise InputError(weights, f"gives features that are up to {off:.2g} off those of {_REFERENCE}",
                          "fetch both again")
-    return made
+    return network_features
 
 
 def reference_windows(path: str | Path) -> tuple[Array, Array]:
@@ -225,7 +225,7 @@ def _our_name(theirs: str) -> str:
 
 @dataclass(frozen=True)
 class AutoencoderConfig:
-    """What our own network is; the widths are the family's."""
+    """Settings of our network; the widths are those of its family."""
 
     frames: int = 34
     """Frames of a window."""
@@ -276,9 +276,9 @@ class Autoencoder(nn.Module):
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """L1 of the standardised windows and of their differences in time. batch: windows [N, frames, 27]."""
-        own = (batch["windows"] - self.mean) / self.deviation
-        again = self.decode(self.widen(self.encoder(own)).unflatten(1, (4, -1))).transpose(1, 2)
-        error = again - own
+        standardised = (batch["windows"] - self.mean) / self.deviation
+        again = self.decode(self.widen(self.encoder(standardised)).unflatten(1, (4, -1))).transpose(1, 2)
+        error = again - standardised
         return {"reconstruction": error.abs().mean(), "velocity": torch.diff(error, dim=1).abs().mean()}
 
 
@@ -332,9 +332,9 @@ def save(network: Autoencoder, folder: str | Path) -> str:
     """Write NAME.safetensors and NAME.json into `folder`; the SHA-256 of the former, which the latter holds too."""
     place, data = Path(folder), _bytes(network)
     place.mkdir(parents=True, exist_ok=True)
-    told = {"format": _FORMAT, "sha256": _sha256(data), "config": asdict(network.config), "origin": network.origin}
+    settings = {"format": _FORMAT, "sha256": _sha256(data), "config": asdict(network.config), "origin": network.origin}
     write_bytes(place / f"{NAME}.safetensors", data)
-    write_text(place / f"{NAME}.json", json.dumps(told, indent=1, sort_keys=True) + "\n")
+    write_text(place / f"{NAME}.json", json.dumps(settings, indent=1, sort_keys=True) + "\n")
     return _sha256(data)
 
 
@@ -342,17 +342,17 @@ def load(folder: str | Path) -> Autoencoder:
     """The inverse of `save`; InputError when a file is missing, was changed or is of another format."""
     weights = Path(folder) / f"{NAME}.safetensors"
     try:
-        told, data = read_object(weights.with_suffix(".json"), "train it again"), weights.read_bytes()
-        if (told["format"], told["sha256"]) != (_FORMAT, _sha256(data)):
+        settings, data = read_object(weights.with_suffix(".json"), "train it again"), weights.read_bytes()
+        if (settings["format"], settings["sha256"]) != (_FORMAT, _sha256(data)):
             raise ValueError("its .json tells of another format or another file")
-        network = Autoencoder(AutoencoderConfig(**told["config"]))
+        network = Autoencoder(AutoencoderConfig(**settings["config"]))
         network.load_state_dict(safetensors.torch.load(data))
         if _bytes(network) != data:
             raise ValueError("its .json tells of another configuration")
     except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise InputError(weights, f"is not a network of gesture features ({str(error).splitlines()[0]})",
                          "train it again") from None
-    network.origin = told.get("origin", {})
+    network.origin = settings.get("origin", {})
     freeze(network)
     return network
 
@@ -371,23 +371,23 @@ def _sha256(data: bytes) -> str:
 def by_name(found: Sequence[Features]) -> dict[str, Features]:
     """Networks by a name that tells them apart: with the length of their windows."""
     table: dict[str, Features] = {}
-    for one in found:
-        length = f"{one.frames} frames"
-        name = one.name if one.name.endswith(length) else f"{one.name}, {length}"
+    for network in found:
+        length = f"{network.frames} frames"
+        name = network.name if network.name.endswith(length) else f"{network.name}, {length}"
         # Two networks of our own may differ only in what they were trained on.
-        table[name if name not in table else f"{name} ({one.sha256[:8]})"] = one
+        table[name if name not in table else f"{name} ({network.sha256[:8]})"] = network
     return table
 
 
 def networks(store: Store, work: Path, progress: bool = True) -> list[Features]:
     """Our own networks, trained on the store's training split once and kept in `work`; the papers' where it is."""
-    found: list[Features] = []
+    every: list[Features] = []
     for frames in NETWORK_FRAMES:
         folder = work / f"fgd-{store.fingerprint[:12]}-{frames}"
         if not (folder / f"{NAME}.json").is_file():
             save(train(store, folder, AutoencoderConfig(frames=frames), progress=progress), folder)
-        found.append(as_features(load(folder)))
+        every.append(as_features(load(folder)))
     place = os.environ.get("GESTICULATOR_DATA")
     if place and (Path(place) / PUBLISHED_FOLDER).is_dir():
-        found.append(published(Path(place) / PUBLISHED_FOLDER))
-    return found
+        every.append(published(Path(place) / PUBLISHED_FOLDER))
+    return every

@@ -112,18 +112,18 @@ def motion_error(generated: Motion, truth: Motion, *, seed_frames: int = 0) -> J
         raise ValueError(f"seed_frames must leave a frame of {len(truth)}, not {seed_frames}")
     absent = {*generated.absent, *truth.absent, truth.skeleton.names[0]}
     counts = np.array([name not in absent for name in truth.skeleton.names])
-    ours, theirs = (positions_of(facing(motion))[seed_frames:] for motion in (generated, truth))
-    return joint_error(ours, theirs, truth.fps, counts)
+    first, second = (positions_of(facing(motion))[seed_frames:] for motion in (generated, truth))
+    return joint_error(first, second, truth.fps, counts)
 
 
 def _kept(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """The mask as [T, J]."""
     if mask is None:
         return np.ones(shape, dtype=bool)
-    own = np.asarray(mask)
-    if own.dtype != np.bool_ or own.shape not in (shape, shape[1:]):
-        raise ValueError(f"the mask must be of bool, [J] or [T, J] = {shape}, not {own.dtype} {own.shape}")
-    return np.broadcast_to(own, shape)
+    chosen = np.asarray(mask)
+    if chosen.dtype != np.bool_ or chosen.shape not in (shape, shape[1:]):
+        raise ValueError(f"the mask must be of bool, [J] or [T, J] = {shape}, not {chosen.dtype} {chosen.shape}")
+    return np.broadcast_to(chosen, shape)
 
 
 def _means(vectors: Array, kept: NDArray[np.bool_]) -> tuple[float, float]:

@@ -98,8 +98,8 @@ def mismatch(values: Array, *, seed: int = 0, draws: int = DRAWS) -> Mismatch:
 
 def _defined(table: Array) -> Array:
     """Without the clips whose motion or speech has no value, those that lack the most first."""
-    kept = np.arange(len(table))
-    while len(kept) and not np.isfinite(table[np.ix_(kept, kept)]).all():
-        lacking = ~np.isfinite(table[np.ix_(kept, kept)])
-        kept = np.delete(kept, int((lacking.sum(axis=0) + lacking.sum(axis=1)).argmax()))
-    return table[np.ix_(kept, kept)]
+    clips = np.arange(len(table))
+    while len(clips) and not np.isfinite(table[np.ix_(clips, clips)]).all():
+        lacking = ~np.isfinite(table[np.ix_(clips, clips)])
+        clips = np.delete(clips, int((lacking.sum(axis=0) + lacking.sum(axis=1)).argmax()))
+    return table[np.ix_(clips, clips)]

@@ -100,7 +100,7 @@ def pmb(motion_beats: Array, onsets: Array, delta: float = DELTA) -> float:
 
 def chance(motion_beats: Array, onsets: Array, duration: float, delta: float = DELTA, *, seed: int = 0,
            shifts: int = SHIFTS) -> Chance:
-    """What PMB the motion would reach beside another stretch of speech: circular shifts over `duration` seconds.
+    """PMB of the motion beside another stretch of speech: circular shifts over `duration` seconds.
 
     Shifts are drawn evenly, no closer to 0 than a second (or a tenth of the duration). The p-value is the share of
     shifts that do as well as no shift, with the unshifted one counted in. NaN without motion beats. ValueError as in
@@ -145,7 +145,7 @@ def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float,
 
 def _times(seconds: Array) -> Array:
     """Times [n], checked, rising."""
-    own = np.asarray(seconds, dtype=np.float64)
-    if own.ndim != 1 or not np.isfinite(own).all():
-        raise ValueError(f"times must be finite seconds, [n], not {own.shape}")
-    return np.sort(own)
+    values = np.asarray(seconds, dtype=np.float64)
+    if values.ndim != 1 or not np.isfinite(values).all():
+        raise ValueError(f"times must be finite seconds, [n], not {values.shape}")
+    return np.sort(values)

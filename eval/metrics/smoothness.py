@@ -117,11 +117,11 @@ def hand_speeds(motion: Motion) -> Array:
 
 def speed_histogram(speeds: Array) -> Array:
     """[BINS] how many of the speeds (m/s, any shape) lie in each bin. ValueError for any below 0 or not finite."""
-    own = np.asarray(speeds, dtype=np.float64).ravel()
-    if own.size and not (np.isfinite(own).all() and own.min() >= 0):
+    values = np.asarray(speeds, dtype=np.float64).ravel()
+    if values.size and not (np.isfinite(values).all() and values.min() >= 0):
         raise ValueError("speeds must be finite and 0 or more")
     # A speed on the edge of a bin is in the upper one, also where the division is a hair too small.
-    bins = np.minimum((own / BIN + 1e-9).astype(int), BINS - 1)
+    bins = np.minimum((values / BIN + 1e-9).astype(int), BINS - 1)
     return np.bincount(bins, minlength=BINS).astype(np.float64)
 
 
@@ -131,7 +131,8 @@ def hellinger(first: Array, second: Array) -> float:
     NaN has one reason here: a histogram of nothing. ValueError for different bins, or counts below 0 or not finite.
     """
     p, q = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    if p.shape != q.shape or p.ndim != 1 or not all(np.isfinite(own).all() and (own >= 0).all() for own in (p, q)):
+    if p.shape != q.shape or p.ndim != 1 or not all(
+            np.isfinite(histogram).all() and (histogram >= 0).all() for histogram in (p, q)):
         raise ValueError(f"histograms must have the same bins, finite and 0 or more: {p.shape} and {q.shape}")
     if p.sum() <= 0 or q.sum() <= 0:
         return float("nan")

@@ -1,4 +1,4 @@
-"""What all plots share: the size of a page's picture, its text and its frame."""
+"""The common layout of plots: the size of a page's picture, its text and its frame."""
 
 from __future__ import annotations
 

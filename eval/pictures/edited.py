@@ -1,4 +1,4 @@
-"""What a bundle does with what is asked of its style, after RG Fig. 10; the figures are those of its probe."""
+"""Style editing as a picture (RG Fig. 10), of the figures of `eval.ablate.style_editing`."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def figure_10(result: Mapping[str, Any]) -> Figure:
     for index, (feature, axes) in enumerate(zip(FEATURES, figure.subplots(
             len(FEATURES), 2, width_ratios=(2, 1), sharey="row"), strict=True)):
         over_time, boxes = axes
-        rows, asked = {level: f"{feature} {level}" for level in LEVELS} | result["beside"], result["asked"][feature]
+        rows, requested = {level: f"{feature} {level}" for level in LEVELS} | result["beside"], result["asked"][feature]
         drawn = boxes.boxplot([result["values"][row][feature] for row in rows.values()], whis=(0, 100))
         boxes.set_xticks(range(1, len(rows) + 1), list(rows))
         for place, (level, colour) in enumerate(COLOURS.items(), 1):
             series = result["series"][rows[level]]
             curve = series["values"][index]
             over_time.plot(np.arange(len(curve)) / series["fps"], curve, color=colour, label=level)
-            over_time.axhline(asked[level], color=colour, linestyle="--", linewidth=0.8)
-            boxes.hlines(asked[level], place - 0.4, place + 0.4, color=colour, linestyle="--")
+            over_time.axhline(requested[level], color=colour, linestyle="--", linewidth=0.8)
+            boxes.hlines(requested[level], place - 0.4, place + 0.4, color=colour, linestyle="--")
             drawn["boxes"][place - 1].set_color(colour)
         over_time.set_ylabel(result["titles"][feature])
         if index == 0:

@@ -35,8 +35,8 @@ def embed(latents: Array, seed: int = 0) -> Array:
     from sklearn.manifold import TSNE
 
     perplexity = min(PERPLEXITY, (len(latents) - 1) / 3)
-    made = TSNE(perplexity=perplexity, init="pca", random_state=seed).fit_transform(latents)
-    return np.asarray(made, dtype=np.float64)
+    points = TSNE(perplexity=perplexity, init="pca", random_state=seed).fit_transform(latents)
+    return np.asarray(points, dtype=np.float64)
 
 
 def neighbours_agree(points: Array, labels: Labels, count: int = NEIGHBOURS) -> float:
@@ -49,9 +49,9 @@ def neighbours_agree(points: Array, labels: Labels, count: int = NEIGHBOURS) -> 
 
 def colours(size: int) -> list[str]:
     """`size` colours, neighbours in number far apart in hue."""
-    made = [colorsys.hls_to_rgb(i * 0.61803398875 % 1, (0.42, 0.56, 0.34)[i % 3], (0.65, 0.8, 0.5)[i % 3])
+    shades = [colorsys.hls_to_rgb(i * 0.61803398875 % 1, (0.42, 0.56, 0.34)[i % 3], (0.65, 0.8, 0.5)[i % 3])
             for i in range(size)]
-    return ["#" + "".join(f"{round(255 * part):02x}" for part in own) for own in made]
+    return ["#" + "".join(f"{round(255 * part):02x}" for part in shade) for shade in shades]
 
 
 def joint_embedding(latents: Mapping[str, Array], most: int = 1500, seed: int = 0) -> dict[str, tuple[Array, Labels]]:

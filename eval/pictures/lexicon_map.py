@@ -1,4 +1,4 @@
-"""What is in the lexicon, for the eye (RG Fig. 6): `gesticulator plot lexicon --data STORE --out FOLDER`.
+"""The lexicon as pictures and a table (RG Fig. 6): `gesticulator plot lexicon --data STORE --out FOLDER`.
 
 `latents.png` and `latents.svg`: t-SNE (van der Maaten and Hinton 2008) of the latents of blocks (E(M), or the weighted
 coefficients of a lexicon of movements), coloured by lexeme. What fools it: t-SNE tears and clumps; only who is near
@@ -99,8 +99,8 @@ def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int
         z = difference / np.sqrt(1 / here + 1 / rest)
     z = np.where((counts >= least) & np.isfinite(z), z, -np.inf)
     chosen = [[w for w in np.argsort(-row, kind="stable")[:most] if row[w] >= sure] for row in z]
-    return [tuple(LexemeWord(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in own)
-            for lexeme, own in enumerate(chosen)]
+    return [tuple(LexemeWord(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in places)
+            for lexeme, places in enumerate(chosen)]
 
 
 def words_on_blocks(recording: Recording, edges: Array) -> list[tuple[int, str]]:
@@ -141,9 +141,9 @@ class Survey:
         self.blocks[name] = self.blocks.get(name, np.zeros(self.size)) + np.bincount(labels, minlength=self.size)
         self.silent += np.bincount(labels[blocks.silent], minlength=self.size)
         speed = hand_speeds(recording.motion).mean(axis=1)
-        own = labels[block_of_frames(blocks.edges, len(speed), recording.motion.fps)]
-        self.way += np.bincount(own, speed, self.size)
-        self.seconds += np.bincount(own, minlength=self.size)
+        of_frames = labels[block_of_frames(blocks.edges, len(speed), recording.motion.fps)]
+        self.way += np.bincount(of_frames, speed, self.size)
+        self.seconds += np.bincount(of_frames, minlength=self.size)
         self.words.update((int(labels[block]), text) for block, text in words_on_blocks(recording, blocks.edges))
         self.strokes.update((int(label), kind) for label, kind in
                             zip(labels, strokes_on_blocks(recording, blocks.edges), strict=False))
@@ -159,14 +159,14 @@ class Survey:
         words = distinctive(counts, vocabulary)
         speed = np.where(self.seconds > 0, self.way / np.maximum(self.seconds, 1), np.nan)
         return [LexemeEntry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
-                      {name: float(own[i] / max(own.sum(), 1)) for name, own in sorted(self.blocks.items())},
+                      {name: float(used[i] / max(used.sum(), 1)) for name, used in sorted(self.blocks.items())},
                       float(speed[i]), float(decoded_speed[i]), float(self.silent[i] / max(total[i], 1)), words[i],
                       self._strokes_of(i))
                 for i in range(self.size)]
 
     def _strokes_of(self, lexeme: int) -> dict[str, float]:
-        own = Counter({kind: count for (label, kind), count in self.strokes.items() if label == lexeme})
-        return {kind: count / own.total() for kind, count in own.most_common(MOST_STROKES)}
+        kinds = Counter({kind: count for (label, kind), count in self.strokes.items() if label == lexeme})
+        return {kind: count / kinds.total() for kind, count in kinds.most_common(MOST_STROKES)}
 
 
 @torch.no_grad()
@@ -181,7 +181,7 @@ def decoded(bundle: Bundle) -> list[Motion]:
         blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
     poses = blocks.double().numpy() * bundle.statistics.deviation + bundle.statistics.mean_pose.mean(axis=0)
     representation = representation_of(bundle.config)
-    return [representation.motion(own, bundle.config.rhythm.fps) for own in poses]
+    return [representation.motion(pose, bundle.config.rhythm.fps) for pose in poses]
 
 
 # --------------------------------------------------------------------------------------------------- the command

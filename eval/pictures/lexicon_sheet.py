@@ -34,17 +34,17 @@ _LAYOUT = replace(STRIP, spacing=0.95, margin=0.7, low=0.72, high=1.98)
 
 
 def in_words(motion: Motion) -> str:
-    """What both hands do from the first frame to the last, such as "right 18 cm up and out; left rests".
+    """Describe the path of both hands from the first frame to the last, such as "right 18 cm up and out; left rests".
 
     Up, forward and out (away from the middle of the body) are those of the character, which faces forward.
     """
     points = figure_points(motion, np.arange(len(motion)) / motion.fps)
-    told = {side: _way(points[f"{side}Hand"], math.copysign(1.0, points[f"{side}Arm"][0, 0]))
+    paths = {side: _way(points[f"{side}Hand"], math.copysign(1.0, points[f"{side}Arm"][0, 0]))
             for side in ("Right", "Left")}
-    if len(set(told.values())) == 1:
-        own = told["Right"]
-        return "both rest" if own == "rests" else f"both {own}"
-    return "; ".join(f"{side.lower()} {own}" for side, own in told.items())
+    if len(set(paths.values())) == 1:
+        path = paths["Right"]
+        return "both rest" if path == "rests" else f"both {path}"
+    return "; ".join(f"{side.lower()} {path}" for side, path in paths.items())
 
 
 def _way(path: Array, outwards: float) -> str:

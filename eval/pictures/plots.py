@@ -117,8 +117,8 @@ def _draw_beats(axis: Axes, beats: Array, onsets: Array, edges: Array, span: tup
     def within(times: Array) -> NDArray[np.bool_]:
         return (times >= span[0]) & (times <= span[1])
 
-    pairs, seen = pmb.matched(beats, onsets, delta), within(beats)
-    paired, alone = seen & (pairs >= 0), seen & (pairs < 0)
+    pairs, shown = pmb.matched(beats, onsets, delta), within(beats)
+    paired, alone = shown & (pairs >= 0), shown & (pairs < 0)
     axis.vlines(onsets[within(onsets)], 0.78, 1.22, color=INK, linewidth=1.6, label="onset")
     joined = [[(float(onsets[k]), 0.78), (float(beat), 0.0)] for beat, k in zip(beats[paired], pairs[paired],
                                                                              strict=True)]
@@ -128,9 +128,9 @@ def _draw_beats(axis: Axes, beats: Array, onsets: Array, edges: Array, span: tup
     axis.scatter(beats[alone], np.zeros(alone.sum()), s=38, facecolor="white", edgecolor=VERMILION, linewidths=1.6,
                  zorder=3, clip_on=False, label="motion beat, not matched")
     axis.vlines(edges[within(edges)], -0.35, 1.35, color=SOFT, linewidth=0.8, alpha=0.6, zorder=0, label="block edge")
-    count = int(seen.sum())
-    told = f"PMB {100 * paired.sum() / count:.0f} %\n{paired.sum()} of {count}" if count else "no motion\nbeat"
-    axis.text(1.015, 0.5, told, transform=axis.transAxes, fontsize=TEXT, color=INK, va="center")
+    count = int(shown.sum())
+    label_text = f"PMB {100 * paired.sum() / count:.0f} %\n{paired.sum()} of {count}" if count else "no motion\nbeat"
+    axis.text(1.015, 0.5, label_text, transform=axis.transAxes, fontsize=TEXT, color=INK, va="center")
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 18
@@ -163,42 +163,42 @@ def size_sweep(sizes: Sequence[int], figures: Mapping[str, Sequence[Triple]],
     return figure
 
 
-def _draw_intervals(axis: Axes, at: Array, own: Array) -> None:
-    """Means [n] joined by a line, each with its interval; own: [n, 3]."""
-    axis.plot(at, own[:, 0], color=BLUE, marker="o", markersize=5, linewidth=1.6, label="mean and 95 % interval")
-    known = np.isfinite(own).all(axis=1)
-    axis.vlines(at[known], own[known, 1], own[known, 2], color=BLUE, linewidth=1.4, label="_interval")
+def _draw_intervals(axis: Axes, at: Array, intervals: Array) -> None:
+    """Means [n] joined by a line, each with its interval; intervals: [n, 3] mean, low, high."""
+    axis.plot(at, intervals[:, 0], color=BLUE, marker="o", markersize=5, linewidth=1.6, label="mean and 95 % interval")
+    known = np.isfinite(intervals).all(axis=1)
+    axis.vlines(at[known], intervals[known, 1], intervals[known, 2], color=BLUE, linewidth=1.4, label="_interval")
     for end in (1, 2):
-        axis.plot(at, own[:, end], color=BLUE, marker="_", markersize=8, linestyle="none", label="_end")
+        axis.plot(at, intervals[:, end], color=BLUE, marker="_", markersize=8, linestyle="none", label="_end")
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 14
 
-def cluster_bars(found: Mapping[str, Mapping[str, Any]]) -> Figure:
+def cluster_bars(panels: Mapping[str, Mapping[str, Any]]) -> Figure:
     """How much the cluster of a block's sound tells of its lexeme, for each level of the encoder (RG Fig. 14).
 
-    found: whose motion -> `eval.metrics.audio_clusters.association`. Left the entropy of
+    panels: whose motion -> `eval.metrics.audio_clusters.association`. Left the entropy of
     the lexeme given the cluster beside what the same lexemes, turned round, have by chance, under the entropy of the
     lexeme alone; right the gain, which alone has an interval. Clusters of a few blocks have a low entropy whatever they
     hold, so a bar means something only beside its chance.
     """
-    levels = list(dict.fromkeys(name for own in found.values() for name in own if _is_level(own[name])))
+    levels = list(dict.fromkeys(name for measured in panels.values() for name in measured if _is_level(measured[name])))
     figure = canvas(3.9)
     bars, gains = figure.subplots(1, 2, width_ratios=(3, 2))
     wide = 0.8 / (2 * len(levels))
-    for group, own in enumerate(found.values()):
-        total = float(own["lexeme_entropy"])
+    for group, measured in enumerate(panels.values()):
+        total = float(measured["lexeme_entropy"])
         bars.hlines(total, group - 0.45, group + 0.45, color=INK, linestyle=DASHES[0], linewidth=1.4,
                     label="lexeme alone" if group == 0 else "_lexeme alone")
         for number, name in enumerate(levels):
-            _draw_level(bars, gains, (group + (2 * number + 1 - len(levels)) * wide, wide), name, own[name],
+            _draw_level(bars, gains, (group + (2 * number + 1 - len(levels)) * wide, wide), name, measured[name],
                         PALETTE[number % len(PALETTE)], "" if group == 0 else "_")
     gains.axhline(0.0, color=INK, linewidth=0.9, zorder=0)
     gains.margins(y=0.12)
     for axis, title in ((bars, "entropy of the lexeme given the cluster, nats"),
                         (gains, "gain: chance less entropy, nats")):
-        axis.set_xticks(range(len(found)), [f"{name}\n{own['blocks']} blocks" for name, own in found.items()])
-        axis.set(title=title, xlim=(-0.55, len(found) - 0.45))
+        axis.set_xticks(range(len(panels)), [f"{name}\n{panel['blocks']} blocks" for name, panel in panels.items()])
+        axis.set(title=title, xlim=(-0.55, len(panels) - 0.45))
         _graded(axis)
         axis.tick_params(axis="x", length=0)
     _legend(figure, (bars,))
@@ -209,19 +209,19 @@ def _is_level(value: object) -> bool:
     return isinstance(value, Mapping) and "entropy" in value
 
 
-def _draw_level(bars: Axes, gains: Axes, place: tuple[float, float], name: str, own: Mapping[str, Any], colour: str,
-                hidden: str) -> None:
+def _draw_level(bars: Axes, gains: Axes, place: tuple[float, float], name: str, measured: Mapping[str, Any],
+                colour: str, hidden: str) -> None:
     """A level's bar, that of its chance beside it, and its gain. place: middle and width; hidden: "_" keeps the names
     out of the legend."""
     middle, wide = place
-    bars.bar(middle - wide / 2, own["entropy"], 0.9 * wide, color=colour, label=f"{hidden}{name}")
-    bars.bar(middle + wide / 2, own["by_chance"], 0.9 * wide, facecolor="white", edgecolor=colour, hatch="///",
+    bars.bar(middle - wide / 2, measured["entropy"], 0.9 * wide, color=colour, label=f"{hidden}{name}")
+    bars.bar(middle + wide / 2, measured["by_chance"], 0.9 * wide, facecolor="white", edgecolor=colour, hatch="///",
              linewidth=1.2, label=f"{hidden}{name}, by chance")
-    gain = own["gain"]
+    gain = measured["gain"]
     gains.vlines(middle, gain.low, gain.high, color=colour, linewidth=1.8, label=f"_{name}")
     gains.plot([middle], [gain.mean], color=colour, marker=MARKERS[0], markersize=6.5, linestyle="none",
                label=f"_{name}")
-    gains.annotate(f"p {own['p']:.2f}", (middle, max(gain.high, gain.mean)), (0, 4), textcoords="offset points",
+    gains.annotate(f"p {measured['p']:.2f}", (middle, max(gain.high, gain.mean)), (0, 4), textcoords="offset points",
                    ha="center", fontsize=TEXT, color=INK)
 
 
@@ -229,7 +229,7 @@ def _draw_level(bars: Axes, gains: Axes, place: tuple[float, float], name: str, 
 
 @dataclass(frozen=True)
 class Overview:
-    """What Fig. 2 is drawn from. edges: [N + 1] seconds and lexemes: [N] of the blocks; hand_speed: [T] m/s, frame t at
+    """The data of Fig. 2. edges: [N + 1] seconds and lexemes: [N] of the blocks; hand_speed: [T] m/s, frame t at
     t / fps seconds, such as `motion_beats.acting_speed`; motion_beats: seconds; silent: lexemes that are hatched."""
 
     speech: Speech
@@ -312,13 +312,13 @@ def _draw_cells(axis: Axes, edges: Array, lexemes: Labels, silent: Sequence[int]
     _quiet(axis)
 
 
-def _draw_hands(axis: Axes, speed: Array, fps: float, found: Array, start: float, end: float) -> None:
+def _draw_hands(axis: Axes, speed: Array, fps: float, beat_times: Array, start: float, end: float) -> None:
     times = np.arange(len(speed)) / fps
     # One frame more on both sides, so that the line reaches the edges.
-    seen = (times >= start - 1 / fps) & (times <= end + 1 / fps)
-    axis.plot(times[seen], speed[seen], color=INK, linewidth=1.4, label="_speed")
-    mine = found[(found >= start) & (found <= end)]
-    top = 1.1 * float(speed[seen].max(initial=0.0)) or 1.0
+    shown = (times >= start - 1 / fps) & (times <= end + 1 / fps)
+    axis.plot(times[shown], speed[shown], color=INK, linewidth=1.4, label="_speed")
+    mine = beat_times[(beat_times >= start) & (beat_times <= end)]
+    top = 1.1 * float(speed[shown].max(initial=0.0)) or 1.0
     axis.vlines(mine, -0.22 * top, np.interp(mine, times, speed) if len(speed) else 0.0, color=BLUE, linewidth=0.9,
                 label="_beats")
     axis.plot(mine, np.full(len(mine), -0.22 * top), color=BLUE, marker="^", markersize=6, linestyle="none",

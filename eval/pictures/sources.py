@@ -1,4 +1,4 @@
-"""Who is drawn: one motion, or the real take, the corpus, ours and other systems beside each other.
+"""The motions of a picture: one file, or the real take, the corpus, ours and other systems beside each other.
 
 The same options for every picture. What gestures to a sound gestures to one and the same: `--sound`, else that
 of the real take, else that of the corpus recording.
@@ -70,16 +70,16 @@ def opened(arguments: argparse.Namespace) -> tuple[list[Source], Speech | None]:
         # Opens torch, which a page without ours does not need.
         from gesticulator.pipeline import Gesticulator
 
-        made = Gesticulator.from_pretrained(arguments.ours or None)(speech, seed=arguments.seed)
-        sources.append(Source("ours", made.motion))
+        performance = Gesticulator.from_pretrained(arguments.ours or None)(speech, seed=arguments.seed)
+        sources.append(Source("ours", performance.motion))
     sources += [_system(name, value, arguments) for name, value in named(arguments.system, "--system").items()]
     return sources, speech
 
 
-def _recording(told: str) -> Recording:
+def _recording(choice: str) -> Recording:
     from data_module.store import Store
 
-    place, _, name = told.partition(":")
+    place, _, name = choice.partition(":")
     store = Store.open(place)
     if not name and not store.of_split("test"):
         raise InputError(place, "has no test split", "name a recording: --corpus STORE:NAME")

@@ -63,19 +63,19 @@ def run(arguments: argparse.Namespace) -> list[Path]:
     """Draw it; the picture's path."""
     from data_module.speech.beats import BeatSettings, find_beats
 
-    told, layout, dpi = arguments, PAGE, DPI
-    if told.motion is not None:
-        sources.alone(told)
+    given, layout, dpi = arguments, PAGE, DPI
+    if given.motion is not None:
+        sources.alone(given)
         layout, dpi = STRIP, 150
-    if told.legs:
+    if given.legs:
         layout = replace(layout, legs=True, low=STRIP.low)
-    out: Path | None = told.out or (told.motion and told.motion.with_suffix(".png"))
+    out: Path | None = given.out or (given.motion and given.motion.with_suffix(".png"))
     if out is None:
         raise InputError("--out", "is missing", "name the picture: --out page.png")
-    drawn, speech = sources.opened(told)
-    times = (frame_times(drawn[0].motion, told.start, told.seconds, told.frames) if told.motion is not None else
-             page_times(told.start, SECONDS if told.seconds is None else told.seconds,
+    drawn, speech = sources.opened(given)
+    times = (frame_times(drawn[0].motion, given.start, given.seconds, given.frames) if given.motion is not None else
+             page_times(given.start, SECONDS if given.seconds is None else given.seconds,
                         max((source.motion.duration for source in drawn), default=0.0)))
     beats = None if speech is None else find_beats(speech, BeatSettings())
-    save_strip(draw_page(drawn, times, speech, beats, told.title, told.credit, layout), out, dpi)
+    save_strip(draw_page(drawn, times, speech, beats, given.title, given.credit, layout), out, dpi)
     return [out]

@@ -99,7 +99,7 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
     shown = [[source for source in sources if source.motion.duration > line[-1] - 1e-9] for line in lines]
     foot = [*dict.fromkeys([*(source.credit for source in sources if source.credit), *credits])]
     rows = len(layout.views) * (layout.high - layout.low) + _AIR
-    tall = sum((_CAPTION if source.name else 0.0) + rows for own in shown for source in own)
+    tall = sum((_CAPTION if source.name else 0.0) + rows for line_sources in shown for source in line_sources)
     tall += len(lines) * ((_SOUND if speech is not None else 0.0) + _CLOCK + _GAP)
     tall += (_TITLE if title else 0.0) + _CREDIT * len(foot) + _AIR
     wide = (len(lines[0]) - 1) * layout.spacing + 2 * layout.margin
@@ -107,8 +107,8 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
     pen = _Pen(NewFigure(figsize=(wide * scale, tall * scale), facecolor="white"), wide, tall)
     if title:
         pen.text(_TITLE, title, 12, INK, ha="center")
-    for line, own in zip(lines, shown, strict=True):
-        _draw_line(pen, own, line, speech, beats, layout)
+    for line, line_sources in zip(lines, shown, strict=True):
+        _draw_line(pen, line_sources, line, speech, beats, layout)
     for text in foot:
         pen.text(_CREDIT, text, 7.5, SOFT)
     return pen.figure

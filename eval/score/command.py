@@ -70,10 +70,11 @@ from eval.metrics.gesture_features import (
 )
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
+from eval.score.groups import group_table, sounds_of
 from eval.score.played_rows import PlayedBundle, unit_selection_row
 from eval.score.tables import BOBBING, FLOOR, NO_FLOOR, STILL, Figures, Flag, Scores, tables
 from eval.stats import Indices, Interval
-from eval.table import Marked, publish
+from eval.table import Marked, Table, publish
 
 RAW_FRAMES = (34, 60)
 """Windows of the raw directions, at 15 fps, where networks of two lengths are not to be had."""
@@ -137,23 +138,23 @@ class ScoredClips:
     def row(self, name: str, kind: str, motions: list[Motion]) -> ScoreRow:
         """Everything about one set of motions."""
         row = ScoreRow(name, kind, motions, [MotionBeats.of(motion) for motion in motions])
-        own = self.clips.motions[TRUTH]
-        truth = baselines.to_common_length(motions, own)[1]
+        speakers = self.clips.motions[TRUTH]
+        truth = baselines.to_common_length(motions, speakers)[1]
         _put(row, MOTION_METRICS, [
-            clip_values(motion, theirs, beats, track, self.context.seed + k) for k, (motion, theirs, beats, track)
+            clip_values(motion, second, beats, track, self.context.seed + k) for k, (motion, second, beats, track)
             in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
         _put(row, tuple(EYE_METRICS), [
             eye_values(motion, voice, None if speech is None else speech.blocks.edges, self.context.space)
             for motion, voice, speech in zip(motions, self.voices, self.speeches, strict=True)])
         row.features = {key: pooled(motions, network) for key, network in self.context.networks.items()}
-        ours, theirs = (np.array([speed_histogram(hand_speeds(motion)) for motion in clips])
-                        for clips in (motions, own))
-        row.sets["speed_distance"] = lambda chosen: hellinger(ours[chosen].sum(0), theirs[chosen].sum(0))
+        first, second = (np.array([speed_histogram(hand_speeds(motion)) for motion in clips])
+                        for clips in (motions, speakers))
+        row.sets["speed_distance"] = lambda chosen: hellinger(first[chosen].sum(0), second[chosen].sum(0))
         self._lexemes(row)
         return row
 
     def _lexemes(self, row: ScoreRow) -> None:
-        """What the lexemes nearest to a row's blocks say, where there is a lexicon."""
+        """Measure the lexemes nearest to a row's blocks, if there is a lexicon."""
         of_sets = ("diversity", "motion_variance")
         bundle = self.context.models
         if bundle is None:
@@ -168,8 +169,8 @@ class ScoredClips:
             row.reasons |= dict.fromkeys(of_sets, "no speech is known")
             return
         vectors = bundle.lexicon.vectors.double().numpy()
-        moments = lexeme_moments([None if one is None else (one.latents.double().numpy(), one.labels)
-                                  for one in encoded], vectors)
+        moments = lexeme_moments([None if motion is None else (motion.latents.double().numpy(), motion.labels)
+                                  for motion in encoded], vectors)
         row.sets["diversity"] = lambda chosen: entropy(moments[0][chosen].sum(axis=0))
         row.sets["motion_variance"] = lambda chosen: variance_of_moments(
             *(part[chosen].sum(axis=0) for part in moments))
@@ -190,7 +191,7 @@ def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.VoiceActivity |
     """Each control's motions, and why one could not be made. voices: of each clip, None where its speech is
     not known; without any nothing bobs."""
     truth, notes = clips.motions[TRUTH], []
-    made = {STILL: baselines.mean_pose(truth)}
+    controls = {STILL: baselines.mean_pose(truth)}
     groups: list[str] | None = clips.groups
     try:
         baselines.donors(truth, seed, groups)
@@ -199,13 +200,13 @@ def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.VoiceActivity |
         notes.append("clips of one sound could not be kept apart in the shuffled row and the halves: too few groups")
     for name, make in baselines.CONTROLS.items():
         try:
-            made[name] = (baselines.shuffled(truth, seed, groups) if name == "shuffled" else make(truth, seed))
+            controls[name] = (baselines.shuffled(truth, seed, groups) if name == "shuffled" else make(truth, seed))
         except ValueError as error:
             notes.append(f"no row {name}: {error}")
     if any(voices):
-        made[BOBBING] = baselines.bobbing(truth, [np.zeros(0) if voice is None else voice.onsets[0]
+        controls[BOBBING] = baselines.bobbing(truth, [np.zeros(0) if voice is None else voice.onsets[0]
                                                   for voice in voices])
-    return made, notes
+    return controls, notes
 
 
 # --------------------------------------------------------------------------------------------------------- figures
@@ -297,21 +298,21 @@ def flags(rows: Mapping[str, ScoreRow], figures: Figures, metrics: Mapping[str, 
     from the truth when the paired interval of their difference holds 0. A control that is as good as a system is listed
     too: a known fault does no worse.
     """
-    found = []
+    listed_flags = []
     systems = [row.name for row in rows.values() if row.kind == "system"]
     for name, metric in metrics.items():
         for control in (row for row in rows.values() if row.kind == "control"):
             says = _against_truth(name, metric, control, rows[TRUTH], figures, seed)
-            own = _badness(metric, figures, name, control.name)
+            badness = _badness(metric, figures, name, control.name)
             theirs = {system: _badness(metric, figures, name, system) for system in systems}
-            beaten = [system for system, value in theirs.items() if _below(own, value)]
-            alike = [system for system, value in theirs.items() if math.isfinite(own) and math.isfinite(value)
-                     and not _below(own, value) and not _below(value, own)]
+            beaten = [system for system, value in theirs.items() if _below(badness, value)]
+            alike = [system for system, value in theirs.items() if math.isfinite(badness) and math.isfinite(value)
+                     and not _below(badness, value) and not _below(value, badness)]
             says += [f"beats {', '.join(beaten)}"] if beaten else []
             says += [f"is as good as {', '.join(alike)}"] if alike else []
             if says and metric.good:
-                found.append(Flag(name, control.name, "; ".join(says)))
-    return found
+                listed_flags.append(Flag(name, control.name, "; ".join(says)))
+    return listed_flags
 
 
 def mean_of(figures: Figures, row: str, metric: str) -> float:
@@ -333,27 +334,30 @@ def _badness(metric: Metric, figures: Figures, name: str, row: str) -> float:
 
 def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow, figures: Figures, seed: int
                    ) -> list[str]:
-    own, theirs = mean_of(figures, control.name, name), mean_of(figures, TRUTH, name)
-    if not (math.isfinite(own) and math.isfinite(theirs)):
+    control_value, truth_value = mean_of(figures, control.name, name), mean_of(figures, TRUTH, name)
+    if not (math.isfinite(control_value) and math.isfinite(truth_value)):
         return []
     if metric.good == "low":
         floor = mean_of(figures, FLOOR, name)
-        return [f"is no farther than half of the truth from the other ({own:.3g}, {floor:.3g})"] if own <= floor else []
-    if metric.good == "high" and own >= theirs:
-        return [f"beats the truth ({own:.3g}, {theirs:.3g})"]
+        if control_value > floor:
+            return []
+        return [f"is no farther than half of the truth from the other ({control_value:.3g}, {floor:.3g})"]
+    if metric.good == "high" and control_value >= truth_value:
+        return [f"beats the truth ({control_value:.3g}, {truth_value:.3g})"]
     apart = (stats.paired(control.values[name], truth.values[name], seed=seed) if name in control.values
              else stats.of_set(_less(control.sets[name], truth.sets[name]), len(truth.motions), seed=seed))
-    near = apart.low <= 0.0 <= apart.high
-    return [f"does not differ from the truth ({own:.3g}, {theirs:.3g})"] if near or own == theirs else []
+    if apart.low <= 0.0 <= apart.high or control_value == truth_value:
+        return [f"does not differ from the truth ({control_value:.3g}, {truth_value:.3g})"]
+    return []
 
 
 def score(context: EvalContext, clips: ClipSet, *, with_controls: bool = True) -> Scores:
     """Measure all rows on the same clips."""
     shared, seed = ScoredClips.of(context, clips), context.seed
-    made, notes = control_rows(clips, seed, shared.voices) if with_controls else ({}, [])
+    controls, notes = control_rows(clips, seed, shared.voices) if with_controls else ({}, [])
     rows = {name: shared.row(name, TRUTH if name == TRUTH else "system", motions)
             for name, motions in clips.motions.items()}
-    rows |= {name: shared.row(name, "control", motions) for name, motions in made.items()}
+    rows |= {name: shared.row(name, "control", motions) for name, motions in controls.items()}
     both = {name: row_figures(row, rows[TRUTH], context) for name, row in rows.items()}
     if with_controls:
         both[FLOOR] = floor_figures(rows[TRUTH], shared)
@@ -374,19 +378,19 @@ def score(context: EvalContext, clips: ClipSet, *, with_controls: bool = True) -
 # --------------------------------------------------------------------------------------------------------- command
 
 def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict[str, Features]:
-    """What FGD is measured in, two window lengths at least: the papers' network (fgd_folder), our own that lie in work
+    """The feature spaces of FGD, two window lengths at least: the papers' network (fgd_folder), our own in work
     (trained there on the truth's training split where it is a store), and raw directions for lengths that lack."""
-    found: list[Features] = [published(fgd_folder)] if fgd_folder else []
-    own = sorted(file.parent for file in work.rglob("gesture_features.json")) if work is not None else []
-    if work is not None and not own and (truth / "store.json").is_file():
+    chosen: list[Features] = [published(fgd_folder)] if fgd_folder else []
+    folders = sorted(file.parent for file in work.rglob("gesture_features.json")) if work is not None else []
+    if work is not None and not folders and (truth / "store.json").is_file():
         work.mkdir(parents=True, exist_ok=True)
-        found += [one for one in networks(Store.open(truth), work) if one.name.startswith("own")]
-    found += [as_features(load(folder)) for folder in own]
+        chosen += [network for network in networks(Store.open(truth), work) if network.name.startswith("own")]
+    chosen += [as_features(load(folder)) for folder in folders]
     for frames in RAW_FRAMES:
-        lengths = {round(one.frames / one.fps, 6) for one in found}
+        lengths = {round(network.frames / network.fps, 6) for network in chosen}
         if len(lengths) < 2 and round(frames / FPS, 6) not in lengths:
-            found.append(RawFeatures(frames))
-    return by_name(found)
+            chosen.append(RawFeatures(frames))
+    return by_name(chosen)
 
 
 def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]], list[str]]:
@@ -399,17 +403,17 @@ def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]],
     unknown = sorted(set(rates) - {TRUTH, *systems})
     if unknown:
         raise InputError(f"--fps {unknown[0]}", "names no system", f"choose among {', '.join((TRUTH, *systems))}")
-    played = {name: bundle for name, place in systems.items() if (bundle := PlayedBundle.named(place))}
-    for name in sorted(set(rates) & set(played)):
+    bundles = {name: bundle for name, place in systems.items() if (bundle := PlayedBundle.named(place))}
+    for name in sorted(set(rates) & set(bundles)):
         raise InputError(f"--fps {name}", "is for motion files, and a bundle is played at its own rate", "leave it out")
     places = {TRUTH: arguments.truth,
-              **{name: Path(place) for name, place in systems.items() if name not in played}}
+              **{name: Path(place) for name, place in systems.items() if name not in bundles}}
     names, notes = shared_names({name: names_in(place, arguments.split) for name, place in places.items()})
     folders: dict[str, dict[str, Clip]] = {}
     for name, place in places.items():
         folders[name], left_out = read_folder(place, arguments.speech, rates.get(name), names, arguments.split)
-        notes += [f"{name}: {one}" for one in left_out]
-    folders |= {name: bundle.row(folders[TRUTH], arguments.seed) for name, bundle in played.items()}
+        notes += [f"{name}: {reason}" for reason in left_out]
+    folders |= {name: bundle.row(folders[TRUTH], arguments.seed) for name, bundle in bundles.items()}
     silent = [name for name in names if all(clips[name].speech is None for clips in folders.values())]
     if silent and arguments.speech is not None:
         raise InputError(arguments.speech, f"has no sound for {listed(silent, 3)}",
@@ -428,9 +432,12 @@ def _positive(what: str, value: str) -> float:
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """What `gesticulator score` takes."""
+    """Add the options of `gesticulator score`."""
     add = parser.add_argument
-    add("--truth", type=Path, required=True, metavar="DIR", help="the speakers' own motion, or a store")
+    add("--truth", type=Path, metavar="DIR", help="the speakers' own motion, or a store")
+    add("--group", action="store_true",
+        help="without --truth: synchrony of bundles on the sounds of --speech, by the part of a file's name before its "
+        "first '_', such as LANGUAGE in LANGUAGE_VOICE.flac")
     add("--system", action="append", required=True, metavar="NAME=DIR",
         help="motion files, or a bundle (a folder, default or paper) that is run on the audio of the truth, "
         "NAME=BUNDLE:INTERPRETER; can be repeated")
@@ -455,7 +462,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def scored(arguments: argparse.Namespace) -> Scores:
-    """What the command measures; InputError for what the user gave and cannot be used."""
+    """All figures of the command; InputError for input that cannot be used."""
+    if arguments.truth is None:
+        raise InputError("--truth", "is missing", "name a folder of motion or a store, or compare by --group")
     rate, piece = (None if value is None else _positive(name, value)
                    for name, value in (("--rate", arguments.rate), ("--piece", arguments.piece)))
     bundle = None
@@ -479,5 +488,20 @@ def scored(arguments: argparse.Namespace) -> Scores:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, write and show."""
-    publish(tables(scored(arguments)), arguments.out, provenance(arguments))
+    measured = [by_group(arguments)] if arguments.group else tables(scored(arguments))
+    publish(measured, arguments.out, provenance(arguments))
     return 0
+
+
+def by_group(arguments: argparse.Namespace) -> Table:
+    """The table of `--group`; InputError for options that do not go with it."""
+    if arguments.truth is not None or arguments.speech is None:
+        raise InputError("--group", "compares sounds and no motion of speakers",
+                         "give --speech FOLDER and leave --truth out")
+    systems = {}
+    for name, place in named(arguments.system, "--system").items():
+        bundle = PlayedBundle.named(place)
+        if bundle is None:
+            raise InputError(f"--system {name}", f"{place} holds no bundle", "give default, paper or a folder")
+        systems[name] = bundle
+    return group_table(sounds_of(arguments.speech), systems, arguments.seed)

@@ -9,7 +9,7 @@ from pathlib import Path
 from data_module.errors import InputError
 from data_module.motion.skeletons import to_character
 from data_module.store import Store
-from data_module.types import Speech
+from data_module.types import Motion, Speech
 from eval.clip.foreign import Clip
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import INDEX, bundle_folder
@@ -19,7 +19,7 @@ from interpreters import INTERPRETERS
 
 @dataclass(frozen=True)
 class PlayedBundle:
-    """A bundle and who chooses its lexemes (None: its first interpreter)."""
+    """A bundle and the interpreter that chooses its lexemes (None: its first one)."""
 
     folder: Path
     interpreter: str | None = None
@@ -29,27 +29,32 @@ class PlayedBundle:
         """BUNDLE or BUNDLE:INTERPRETER, where BUNDLE is a folder, "default" or "paper"; None for a place that holds no
         bundle, such as a folder of motion files, by whatever name."""
         before, colon, after = place.rpartition(":")
-        own, chooser = (before, after) if colon and after in INTERPRETERS else (place, None)
-        folder = bundle_folder(own) if (Path(own) / INDEX).is_file() or not Path(own).is_dir() else Path(own)
+        bundle, chooser = (before, after) if colon and after in INTERPRETERS else (place, None)
+        folder = Path(bundle)
+        if (folder / INDEX).is_file() or not folder.is_dir():
+            folder = bundle_folder(bundle)
         return cls(folder, chooser) if (folder / INDEX).is_file() else None
 
-    def row(self, truth: Mapping[str, Clip], seed: int) -> dict[str, Clip]:
-        """What it makes of the truth's sounds, in the manner of each clip's own speaker where the bundle knows her.
+    def opened(self) -> Gesticulator:
+        """The pipeline that plays it."""
+        return Gesticulator(bundles.load(self.folder))
 
-        InputError for a clip without speech, and where the bundle lacks the interpreter.
-        """
-        system = Gesticulator(bundles.load(self.folder))
-        row = {}
-        for name, clip in truth.items():
-            speech = speech_of(name, clip, "to gesture to", "give --speech, or motion files for --system")
-            speaker = speech.speaker if speech.speaker in system.speakers else None
-            made = system(speech, speaker=speaker, interpreter=self.interpreter, seed=seed)
-            row[name] = replace(clip, motion=to_character(made.motion))  # without fingers, as files are read
-        return row
+    def motion(self, system: Gesticulator, speech: Speech, seed: int) -> Motion:
+        """Its motion for a sound, in the manner of the speaker where the bundle knows that name; on the 16-joint
+        character, without fingers, as files are read. InputError where the bundle lacks the interpreter."""
+        speaker = speech.speaker if speech.speaker in system.speakers else None
+        return to_character(system(speech, speaker=speaker, interpreter=self.interpreter, seed=seed).motion)
+
+    def row(self, truth: Mapping[str, Clip], seed: int) -> dict[str, Clip]:
+        """Its motion for the truth's sounds; InputError for a clip without speech, and as `motion`."""
+        system = self.opened()
+        return {name: replace(clip, motion=self.motion(system, speech_of(
+            name, clip, "to gesture to", "give --speech, or motion files for --system"), seed))
+            for name, clip in truth.items()}
 
 
 def unit_selection_row(truth: Mapping[str, Clip], store: Store, work: Path | None, seed: int) -> dict[str, Clip]:
-    """What unit selection makes of the truth's speech; InputError for a clip without speech."""
+    """Motion by unit selection for the truth's speech; InputError for a clip without speech."""
     from eval.baselines.unit_selection import UnitDatabase, UnitSelection
 
     units = UnitSelection(UnitDatabase.of(store, work=work))

@@ -1,4 +1,4 @@
-"""What `eval.score` measures, and its tables: figures by part, the mismatch test, the flags, and how to read them."""
+"""The results of `eval.score` and their tables: figures by part, the mismatch test, the flags, and how to read them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Figures = dict[str, dict[str, Marked]]
 
 @dataclass(frozen=True)
 class Flag:
-    """What a control does to a metric."""
+    """A metric that a control beats or equals."""
 
     metric: str
     control: str
@@ -72,7 +72,7 @@ _LEGEND = (
 
 
 def tables(scores: Scores) -> list[Table]:
-    """What is compared, a table for each part, and what to make of it; metrics that a control beats bear (!)."""
+    """A table of the compared rows, one for each part, and the flags; metrics that a control beats bear (!)."""
     flagged = {flag.metric for flag in scores.flags}
     out = [_about(scores)]
     for part, title in _PARTS.items():
@@ -88,7 +88,7 @@ def tables(scores: Scores) -> list[Table]:
 
 
 def _about(scores: Scores) -> Table:
-    """What is compared, what the rows are, how cells are to be read."""
+    """The compared clips, the rows, and how to read the cells."""
     clips, kinds = len(scores.clips), scores.kinds
     few = f" Fewer than {FEW} clips: the intervals are too narrow." if clips < FEW else ""
     rows: dict[str, str] = {TRUTH: _ROWS[TRUTH]} | {name: "judged" for name, kind in kinds.items() if kind == "system"}
@@ -101,7 +101,7 @@ def _about(scores: Scores) -> Table:
              "systems": [name for name, kind in kinds.items() if kind == "system"],
              "controls": [name for name, kind in kinds.items() if kind == "control"]}
     return Table(f"{clips} clip{'' if clips == 1 else 's'}, {scores.seconds:.0f} s, at {scores.fps:g} fps.{few}",
-                 {"what": Column("what it is")}, {name: {"what": told} for name, told in rows.items()}, "row",
+                 {"what": Column("what it is")}, {name: {"what": text} for name, text in rows.items()}, "row",
                  [*_LEGEND, *(f"Note: {note}." for note in scores.notes)], facts)
 
 
@@ -148,22 +148,22 @@ def _flag_table(scores: Scores) -> Table:
     if "control" not in scores.kinds.values():
         return Table(title, {}, {}, notes=["No controls were measured, so nothing here says which metric can be "
                                            "trusted."])
-    told: dict[str, list[str]] = {}
+    lines: dict[str, list[str]] = {}
     for flag in scores.flags:
-        told.setdefault(scores.metrics[flag.metric].heading, []).append(f"*{flag.control}* {flag.says}")
-    return Table(title, column if told else {}, {name: {"says": ". ".join(says)} for name, says in told.items()},
-                 "metric", [] if told else ["None."],
+        lines.setdefault(scores.metrics[flag.metric].heading, []).append(f"*{flag.control}* {flag.says}")
+    return Table(title, column if lines else {}, {name: {"says": ". ".join(says)} for name, says in lines.items()},
+                 "metric", [] if lines else ["None."],
                  {"flags": [vars(flag) | {"title": scores.metrics[flag.metric].heading} for flag in scores.flags]})
 
 
 def _reason_tables(scores: Scores) -> list[Table]:
     """Why figures are undefined, if any are; by reason."""
-    found: dict[tuple[str, str], list[str]] = {}
+    lacking: dict[tuple[str, str], list[str]] = {}
     for metric, column in scores.metrics.items():
         cells = {name: row[metric] for name, row in scores.figures.items() if metric in row and column.part != "fgd"}
         for reason in dict.fromkeys(cell.reason for cell in cells.values() if cell.reason not in ("", NO_FLOOR)):
             rows = ", ".join(name for name, cell in cells.items() if cell.reason == reason)
-            found.setdefault((reason, rows), []).append(column.heading)
+            lacking.setdefault((reason, rows), []).append(column.heading)
     return [Table("Undefined", {"rows": Column("rows"), "why": Column("why")}, {
-        "; ".join(titles): {"rows": rows, "why": reason} for (reason, rows), titles in found.items()}, "metrics")
-    ] if found else []
+        "; ".join(titles): {"rows": rows, "why": reason} for (reason, rows), titles in lacking.items()}, "metrics")
+    ] if lacking else []

@@ -1,4 +1,4 @@
-"""What the ratings of a user study say: means, one-way ANOVA and Tukey's test, ranks (RG 7.3.3; RACER Figure 4).
+"""Analysis of the ratings of a user study: means, one-way ANOVA and Tukey's test, ranks (RG 7.3.3; RACER Figure 4).
 
 Theory: one-way ANOVA asks whether systems differ at all, F = (spread between systems) / (spread within); Tukey's honest
 significant difference asks which pairs do, at 5 % for all pairs together. Both take every rating as an independent
@@ -45,7 +45,7 @@ _SHARE = (LEVEL[1] - LEVEL[0]) / 100
 
 @dataclass(frozen=True)
 class Key:
-    """What the page kept to itself: items maps an opaque id to (clip, system), both as numbers."""
+    """The secret of a study: items maps an opaque id to (clip, system), both as numbers."""
 
     study: str
     systems: tuple[str, ...]
@@ -78,21 +78,23 @@ class Ratings:
 
 def read_key(path: Path) -> Key:
     """The key that `study make` wrote; InputError for anything else."""
-    told = _json(path)
+    document = _json(path)
     try:
-        systems, aspects, (low, high) = _names(told["systems"]), _names(told["aspects"]), map(_whole, told["scale"])
-        items = {name: (_whole(own["clip"]), systems.index(own["system"])) for name, own in told["items"].items()}
-        clips = len(told["clips"])
+        systems, aspects = _names(document["systems"]), _names(document["aspects"])
+        low, high = map(_whole, document["scale"])
+        items = {name: (_whole(item["clip"]), systems.index(item["system"]))
+                 for name, item in document["items"].items()}
+        clips = len(document["clips"])
         if len(systems) < 2 or not aspects or not all(0 <= clip < clips for clip, _ in items.values()):
             raise ValueError("an item belongs to no clip")
-        if not isinstance(told["study"], str) or clips * len(systems) * len(aspects) > _MOST_QUESTIONS:
+        if not isinstance(document["study"], str) or clips * len(systems) * len(aspects) > _MOST_QUESTIONS:
             raise ValueError("no study")
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InputError(path, "is not the key of a study", "give the key.json that `study make` wrote") from None
     if not _LOWEST <= low < high <= _LOWEST + _MOST_STEPS:
         raise InputError(path, f"has a scale from {shown(low, 12)} to {shown(high, 12)}",
                          f"give whole numbers from {_LOWEST} to {_LOWEST + _MOST_STEPS}, the lesser first")
-    return Key(told["study"], systems, aspects, clips, (low, high), items)
+    return Key(document["study"], systems, aspects, clips, (low, high), items)
 
 
 def _names(values: Any) -> tuple[str, ...]:
@@ -120,9 +122,9 @@ def _rows(path: Path) -> list[dict[str, Any]]:
         if path.suffix.lower() == ".csv":
             table = csv.DictReader(io.StringIO(read_text(path, "give the file that was saved")))
             return [{name: row[name] for name in COLUMNS} for row in table]
-        told = _json(path)
-        return [{"study": told["study"], "rater": told["rater"], "item": str(own["item"]), "aspect": aspect,
-                 "rating": rating} for own in told["answers"] for aspect, rating in own["ratings"].items()]
+        document = _json(path)
+        return [{"study": document["study"], "rater": document["rater"], "item": str(answer["item"]), "aspect": aspect,
+                 "rating": rating} for answer in document["answers"] for aspect, rating in answer["ratings"].items()]
     except (KeyError, TypeError, AttributeError, csv.Error):
         raise InputError(path, "is not a file of ratings",
                          f"give what the page saved; the columns of a table are {', '.join(COLUMNS)}") from None
@@ -161,15 +163,15 @@ def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> 
     unknown = sorted(set(without) - {answer.rater for answer in answers})
     if unknown:
         raise InputError("--without", f"rater {unknown[0]} gave no answer", "name raters that are in the files")
-    kept = [answer for answer in answers if answer.rater not in without]
-    if not kept:
+    counted = [answer for answer in answers if answer.rater not in without]
+    if not counted:
         raise InputError("ratings", "hold no answer", "give what the raters saved")
-    raters = tuple(sorted({answer.rater for answer in kept}, key=lambda name: (len(name), name)))
+    raters = tuple(sorted({answer.rater for answer in counted}, key=lambda name: (len(name), name)))
     if len(raters) * key.clips * len(key.systems) * len(key.aspects) > _MOST_RATINGS:
         raise InputError("ratings", f"name {len(raters)} raters", "give what the raters of this study saved")
     values = np.full((len(raters), key.clips, len(key.systems), len(key.aspects)), np.nan)
     doubled: Counter[str] = Counter()
-    for answer in kept:
+    for answer in counted:
         place = raters.index(answer.rater), *key.items[answer.item], key.aspects.index(answer.aspect)
         known = bool(np.isfinite(values[place]))
         doubled[answer.rater] += known
@@ -179,11 +181,11 @@ def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> 
         values[place] = answer.rating
     notes = [f"left out on demand: rater {name}" for name in without]
     notes += [f"rater {name}: {n} answers are there twice and count once" for name, n in doubled.items() if n]
-    asked = len(key.items) * len(key.aspects)
-    for name, own in zip(raters, values, strict=True):
-        given = own[np.isfinite(own)]
-        if len(given) < asked:
-            notes.append(f"rater {name}: {asked - len(given)} of {asked} answers are missing")
+    wanted = len(key.items) * len(key.aspects)
+    for name, given_by in zip(raters, values, strict=True):
+        given = given_by[np.isfinite(given_by)]
+        if len(given) < wanted:
+            notes.append(f"rater {name}: {wanted - len(given)} of {wanted} answers are missing")
         if len(given) >= _CONSTANT and len(np.unique(given)) == 1:
             notes.append(f"rater {name}: gives {given[0]:g} to everything; consider --without {name}")
     return Ratings(key, raters, values, tuple(notes))
@@ -214,7 +216,7 @@ def one_way(groups: Sequence[Array]) -> Anova:
     df = len(groups) - 1, sum(map(len, groups)) - len(groups)
     if min(map(len, groups)) < 2:
         return Anova(math.nan, math.nan, df, math.nan, "a system has fewer than two ratings")
-    within = sum(float(((own - own.mean()) ** 2).sum()) for own in groups)
+    within = sum(float(((group - group.mean()) ** 2).sum()) for group in groups)
     if within == 0:
         return Anova(math.nan, math.nan, df, math.nan, "no system's ratings differ among themselves")
     pooled = np.concatenate(list(groups))
@@ -235,13 +237,13 @@ def rank_counts(values: Array) -> NDArray[np.int64]:
     return np.stack([np.bincount(places[:, k], minlength=systems) for k in range(systems)])
 
 
-def _t_interval(own: Array) -> Interval:
+def _t_interval(ratings: Array) -> Interval:
     """Student's interval of the mean, every rating taken as a draw of its own, as Figure 12's bars seem to be."""
-    middle = mean(own)
-    if len(own) < 2:
-        return Interval.exact(middle, len(own))
-    half = float(stats.t.ppf(0.5 + _SHARE / 2, len(own) - 1) * own.std(ddof=1) / math.sqrt(len(own)))
-    return Interval(middle, middle - half, middle + half, len(own))
+    middle = mean(ratings)
+    if len(ratings) < 2:
+        return Interval.exact(middle, len(ratings))
+    half = float(stats.t.ppf(0.5 + _SHARE / 2, len(ratings) - 1) * ratings.std(ddof=1) / math.sqrt(len(ratings)))
+    return Interval(middle, middle - half, middle + half, len(ratings))
 
 
 # ---------------------------------------------------------------- tables
@@ -254,7 +256,7 @@ def tables(ratings: Ratings, seed: int = 0) -> list[Table]:
              "independent, the bootstrap draws raters and clips anew.")
     for number, aspect in enumerate(key.aspects):
         values = ratings.values[..., number]
-        groups = [own[np.isfinite(own)] for own in np.moveaxis(values, 2, 0)]
+        groups = [of_system[np.isfinite(of_system)] for of_system in np.moveaxis(values, 2, 0)]
         title, means, anova = aspect.replace("_", " "), crossed_means(values, seed), one_way(groups)
         notes = [] if out else [about, *(f"To be looked at: {note}." for note in ratings.notes)]
         out += [_systems(title, key, values, groups, means, [*notes, anova.line()]),
@@ -271,23 +273,23 @@ def _systems(title: str, key: Key, values: Array, groups: Sequence[Array], means
                **{f"place {place + 1}": Column(f"place {place + 1}") for place in range(len(groups))}}
     ranks = rank_counts(values)
     rows: dict[str, dict[str, Cell]] = {name: {
-        "ratings": len(own), "t": _t_interval(own), "bootstrap": limits(mean(own), means[:, k], len(own)),
-        "total": int(own.sum()), **{f"rated {score}": int((own == score).sum()) for score in range(low, high + 1)},
+        "ratings": len(group), "t": _t_interval(group), "bootstrap": limits(mean(group), means[:, k], len(group)),
+        "total": int(group.sum()), **{f"rated {score}": int((group == score).sum()) for score in range(low, high + 1)},
         **{f"place {place + 1}": int(count) for place, count in enumerate(ranks[k])}}
-        for k, (name, own) in enumerate(zip(key.systems, groups, strict=True))}
+        for k, (name, group) in enumerate(zip(key.systems, groups, strict=True))}
     return Table(title, columns, rows, "system", notes)
 
 
 def _pairs(title: str, names: Sequence[str], groups: Sequence[Array], means: Array, raters: int) -> Table:
     """Tukey's test for each pair of systems, and the bootstrap interval of their difference from means [draws, K]."""
     columns = {"tukey": Column("difference, Tukey"), "p": Column("p"), "bootstrap": Column("difference, bootstrap")}
-    told = None if one_way(groups).reason else stats.tukey_hsd(*groups)
+    test = None if one_way(groups).reason else stats.tukey_hsd(*groups)
     rows: dict[str, dict[str, Cell]] = {}
     for a, b in itertools.combinations(range(len(groups)), 2):
         apart = mean(groups[a]) - mean(groups[b])
         tukey, p = Interval.exact(apart, raters), math.nan
-        if told is not None:
-            bounds, p = told.confidence_interval(_SHARE), float(told.pvalue[a, b])
+        if test is not None:
+            bounds, p = test.confidence_interval(_SHARE), float(test.pvalue[a, b])
             tukey = Interval(apart, float(bounds.low[a, b]), float(bounds.high[a, b]), raters)
         rows[f"{names[a]} - {names[b]}"] = {"tukey": tukey, "p": _p(p), "bootstrap": limits(
             apart, means[:, a] - means[:, b], raters)}

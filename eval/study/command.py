@@ -2,10 +2,7 @@
 
     gesticulator study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
                               [--videos mp4|webm]
-    gesticulator study meaning --speech FILE ... --out FOLDER [--gestures NAME ... --takes 1 --seed 0]
     gesticulator study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
-
-`meaning` is another study, of what gestures say (`eval.study.meaning`).
 
 `make` takes folders that hold motion (BVH) and its speech under the same names in each. It writes the page, one file
 that works from a disk without a server (FOLDER/page/index.html), and FOLDER/key.json, which raters must not get. The
@@ -129,18 +126,18 @@ def parse_systems(entries: Sequence[str]) -> dict[str, Path]:
 
 def read_takes(systems: Mapping[str, Path]) -> list[StudyTake]:
     """The recordings that every system has; InputError when there is none, or when the sound of one differs."""
-    found = []
+    folders = []
     for folder in systems.values():
-        found.append({file.stem: (file, heard) for file in sorted(folder.iterdir()) if file.suffix.lower() == ".bvh"
-                      and (heard := find_sound(folder, file.stem))})
-        if not found[-1]:
+        folders.append({file.stem: (file, sound_file) for file in sorted(folder.iterdir())
+                        if file.suffix.lower() == ".bvh" and (sound_file := find_sound(folder, file.stem))})
+        if not folders[-1]:
             raise InputError(folder, "has no BVH file with a sound file of the same name", "put both there")
-    common = sorted(set.intersection(*map(set, found)))
+    common = sorted(set.intersection(*map(set, folders)))
     if not common:
         raise InputError("--systems", "have no recording in common", "use the same file names in each folder")
     takes = []
     for stem in common:
-        (_, first), *others = files = [pairs[stem] for pairs in found]
+        (_, first), *others = files = [pairs[stem] for pairs in folders]
         speech = load_speech(first)
         for _, other in others:
             if not _same_sound(speech, load_speech(other)):
@@ -221,18 +218,19 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     study = _opaque(source, f"study {clips} {seconds:g} {list(aspects)}")
     key = {"study": study, "seed": seed, "seconds": float(seconds), "scale": SCALE, "aspects": list(aspects),
            "systems": list(systems),
-           "clips": [{"recording": takes[own.take].name, "start": own.start, "speech": own.speech} for own in chosen],
+           "clips": [{"recording": takes[clip.take].name, "start": clip.start, "speech": clip.speech}
+                     for clip in chosen],
            "items": {name: {"clip": c, "system": list(systems)[k]} for (c, k), name in ids.items()}}
     # Sorted by hash: neither items nor sounds lie in the page in the order of systems and clips.
     items = sorted(ids, key=lambda pair: ids[pair])
     sounds = sorted(range(clips), key=lambda c: _opaque(source, f"sound {c}"))
     shown = {(c, k): _places(takes[chosen[c].take].motions[k], chosen[c].start, seconds) for c, k in items}
-    heard = {c: _stretch(takes[chosen[c].take].speech, chosen[c].start, seconds) for c in sounds}
+    stretches = {c: _stretch(takes[chosen[c].take].speech, chosen[c].start, seconds) for c in sounds}
     data = {"study": study, "fps": FPS, "seconds": float(seconds), "scale": SCALE,
             "questions": [[name, ASPECTS[name]] for name in aspects]}
     if videos is None:
         data |= {"stepsPerMetre": STEPS_PER_METRE, "points": list(shown[items[0]]), "soundType": sound.MEDIA_TYPE,
-                 "sounds": [base64.b64encode(sound.compress(heard[c])).decode() for c in sounds],
+                 "sounds": [base64.b64encode(sound.compress(stretches[c])).decode() for c in sounds],
                  "items": [{"id": ids[c, k], "sound": sounds.index(c), "motion": encoded_points(shown[c, k])}
                            for c, k in items]}
     else:
@@ -241,7 +239,7 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     (out / "page").mkdir(parents=True, exist_ok=True)
     write_text(out / "key.json", json.dumps(key, indent=1) + "\n")
     if videos is not None:
-        _film({ids[c, k]: (shown[c, k], heard[c]) for c, k in items}, out / "page", f".{videos}")
+        _film({ids[c, k]: (shown[c, k], stretches[c]) for c, k in items}, out / "page", f".{videos}")
     # Videos lie beside the page, on a disk or a server; without them nothing but the page itself is ever read.
     write_text(out / "page" / "index.html", page_of("study.html", data, "blob:" if videos is None else "'self' file:"))
     return out / "page" / "index.html"
@@ -250,8 +248,8 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
 def _film(items: dict[str, tuple[dict[str, NDArray[np.float64]], Speech]], folder: Path, suffix: str) -> None:
     """Each item as `folder`/ID`suffix`, all of one size in bytes, written in the order of their ids."""
     # The page's last place is the end of its last frame; a video's last frame begins one before.
-    films = {name: film.encode({joint: places[:-1] for joint, places in shown.items()}, heard, suffix, fps=FPS)
-             for name, (shown, heard) in items.items()}
+    films = {name: film.encode({joint: places[:-1] for joint, places in shown.items()}, speech, suffix, fps=FPS)
+             for name, (shown, speech) in items.items()}
     size = max(map(len, films.values())) + film.LEAST_FILLING
     for name, data in films.items():
         write_bytes(folder / f"{name}{suffix}", film.filled(data, size, suffix))
@@ -289,7 +287,7 @@ def _stretch(speech: Speech, start: float, seconds: float) -> Speech:
 # ---------------------------------------------------------------- the command
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """What `gesticulator study` takes: make, or analyse."""
+    """Add the options of `gesticulator study make` and `analyse`."""
     commands = parser.add_subparsers(dest="command", required=True)
     m = commands.add_parser("make", help="make the page for raters, and the key that they must not see")
     m.add_argument("--systems", nargs="+", required=True, metavar="NAME=DIR",
@@ -305,19 +303,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                    help="the question to the raters")
     m.add_argument("--videos", choices=[suffix[1:] for suffix in film.FORMATS],
                    help="write each item as a video beside the page, instead of drawing it on the page")
-    n = commands.add_parser("meaning", help="make a page on which raters name the meaning of gestures, without sound")
-    n.add_argument("--speech", nargs="+", type=Path, required=True, metavar="FILE",
-                   help="recordings in which the gestures are made; raters do not hear them")
-    n.add_argument("--out", type=Path, required=True, metavar="FOLDER",
-                   help="output folder for page/index.html and key.json")
-    n.add_argument("--gestures", nargs="+", metavar="NAME",
-                   help="the gestures (default: those that talk often calls for; gesticulator gestures lists them)")
-    n.add_argument("--takes", type=int, default=1, metavar="N", help="clips of each gesture (default 1)")
-    n.add_argument("--seed", type=int, default=0, metavar="K", help="seed of clips, answers and orders (default 0)")
-    n.add_argument("--raters", type=int, default=30, metavar="N", help="number of different orders (default 30)")
-    n.add_argument("--bundle", metavar="NAME|DIR", help="bundle: default, paper, or a folder (default: default)")
-    a = commands.add_parser("analyse", help="compute means, intervals, ANOVA, Tukey HSD and ranks; of a study of "
-                            "meanings, shares and confusions")
+    a = commands.add_parser("analyse", help="compute means, intervals, ANOVA, Tukey HSD and ranks")
     a.add_argument("--key", type=Path, required=True, metavar="FILE.json")
     a.add_argument("ratings", nargs="+", type=Path, metavar="RATINGS", help="the raters' answers, .json or .csv")
     a.add_argument("--without", nargs="+", default=[], metavar="RATER", help="exclude these raters")
@@ -330,28 +316,16 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.command == "analyse":
         publish(_analysed(arguments), arguments.out, Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]])))
         return 0
-    page = _meaning_page(arguments) if arguments.command == "meaning" else _comparison_page(arguments)
+    page = _comparison_page(arguments)
     print(f"{page} is for the raters (1 to {arguments.raters}: page?rater=7 fills in the number); "
           f"keep {arguments.out / 'key.json'} to yourself")
     return 0
 
 
 def _analysed(arguments: argparse.Namespace) -> list[Table]:
-    from eval.study import meaning_answers
-
-    if meaning_answers.is_meaning_key(arguments.key):
-        return meaning_answers.analysed(arguments.key, arguments.ratings, arguments.without, arguments.seed)
     key = anova.read_key(arguments.key)
     ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
     return list(anova.tables(ratings, arguments.seed))
-
-
-def _meaning_page(arguments: argparse.Namespace) -> Path:
-    from eval.study import meaning
-    from gesticulator.pipeline import Gesticulator
-
-    options = meaning.MeaningOptions(arguments.gestures, arguments.takes, arguments.seed, arguments.raters)
-    return meaning.make(Gesticulator.from_pretrained(arguments.bundle), arguments.speech, arguments.out, options)
 
 
 def _comparison_page(arguments: argparse.Namespace) -> Path:

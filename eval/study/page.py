@@ -25,8 +25,8 @@ def encoded_points(points: dict[str, NDArray[np.float64]]) -> str:
 
 def page_of(template: str, data: dict[str, Any], media: str = "blob:") -> str:
     """A page of `eval/assets` with its data, the program that draws the figure, and where its media may come from."""
-    told = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\u002f")
+    text_of_data = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\u002f")
     text, figure = ((resources.files("eval") / "assets" / name).read_text(encoding="utf-8")
                     for name in (template, "figure.js"))
-    parts = {"data": told, "study": data["study"], "media": media, "figure": figure}
+    parts = {"data": text_of_data, "study": data["study"], "media": media, "figure": figure}
     return _SLOT.sub(lambda found: parts[found.group(1)], text)

@@ -29,8 +29,7 @@ from data_module.types import Array, Motion, Skeleton
 from gesticulator.body.clearance import cleared
 from gesticulator.characters.contacts import BelowShoulder, pose_of, soft
 from gesticulator.characters.inverse_kinematics import bend, swing
-from gesticulator.plan.json_lines import Path as Place
-from gesticulator.plan.plan import GesturePlan, PosePin
+from gesticulator.plan.plan import GesturePlan, Place, PosePin
 
 REACH = 0.6
 """Seconds before and after a pin in which the motion differs: a hand half a metre off goes at 1.6 m/s more at most."""

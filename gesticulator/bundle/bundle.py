@@ -177,9 +177,9 @@ class Bundle:
 
     @property
     def rests_by_phrase(self) -> bool:
-        """Whether rest is decided phrase by phrase, with idle motion (silence.rest=life); such a bundle can rest
-        without speech, so that a stream can go on for ever."""
-        return self.system.BLOCKS and self.config.silence.rest == "life"
+        """Whether rest is decided phrase by phrase, with idle motion; such a bundle can rest without speech, so that a
+        stream can go on for ever."""
+        return self.config.rests_by_phrase
 
     @property
     def code_width(self) -> int:

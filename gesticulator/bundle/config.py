@@ -149,8 +149,8 @@ class SilenceConfig:
     lexemes: Annotated[tuple[int, ...], SettingRange(0, 65535)] = ()
     """Silent lexemes given by hand; empty detects them."""
     rest: Annotated[str, SettingChoice(("decay", "life"))] = "decay"
-    """At inference: "decay" uses `rest_decay` and gates block by block; "life" decides rest at the first frame of a
-    pause and phrase by phrase, and adds idle motion (`gesticulator.body.rest`)."""
+    """At inference: "decay" uses `rest_decay` (system paper) and gates block by block; "life" decides rest at the first
+    frame of a pause and phrase by phrase, and adds idle motion (`gesticulator.body.rest`)."""
 
 
 NOT_TRAINED = FitSettings(steps=0, batch=1)
@@ -189,13 +189,10 @@ class Schedules:
     """Stage -> changes to its default schedule, for stages of other packages."""
 
 
-UNTOLD = -1.0
-"""Lexeme guidance that means without lexeme."""
-
-
 @dataclass(frozen=True)
 class SelectionConfig:
-    """Default sampling of lexemes and blocks."""
+    """Sampling of lexemes, for all systems, and of motion, for the system `movement`: its further constants stand in
+    `gesticulator.systems.movement`."""
 
     temperature: NotNegative = 0.0
     """0 takes the best lexeme (as in the paper); otherwise one is sampled from softmax(scores / temperature)."""
@@ -209,89 +206,36 @@ class SelectionConfig:
     val`)."""
     top: Natural = 0
     """Sample among the best `top` only; 0 for all."""
+    activity: Share = 1.0
+    """How readily the gate lets a block gesture: 1 always, 0 never. With rest by phrases, the share of speech time that
+    is gestured."""
     guidance: Annotated[float, SettingRange(0.0, 100.0)] = 5.0
     """Guidance on the style controls: 1 is the conditional prediction, more extrapolates from the unconditional
     prediction through it (the models are trained on both)."""
-    audio_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 1.5
-    """Flow head: guidance on the audio, extrapolating from the prediction without audio; 0 adds none."""
     interpreter_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
     """Guidance g of lexeme scores, s + g (s - s without audio), for interpreters trained with audio dropout
     (`interpreter.audio_dropout`)."""
-    lexeme_guidance: Annotated[float, SettingRange(UNTOLD, 20.0)] = 0.5
-    """Flow head: guidance on the lexeme; -1 (`UNTOLD`) removes the lexeme."""
     words_so_far: bool = False
     """Whether each word is read after those before it alone, without the rest of its sentence: a word that is changed
     then changes nothing before it. Models are trained on whole sentences (RG 4.1.2)."""
-    style: Annotated[float, SettingRange(0.0, 4.0)] = 1.0
-    """Flow head: factor on the style codes heard in the voice; 0 for the speaker's habit."""
-    waxing: Annotated[float, SettingRange(0.0, 4.0)] = 0.0
-    """Flow head: deviation of the style codes' own rise and fall over seconds."""
-    reach: Annotated[float, SettingRange(-2.5, 2.5)] = 0.0
-    """Flow head: added to the style codes' reach, deviations of the training data: above 0 the hands are farther from
+    audio_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.7
+    """Movement: guidance on the audio, extrapolating from the prediction without audio; 0 adds none."""
+    lexeme_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.4
+    """Movement: guidance on the lexeme; 0 adds none."""
+    unit_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.5
+    """Movement: guidance on the planner's decision, for heads that take it (`generator.units`); 0 adds none."""
+    contrast: Annotated[float, SettingRange(0.0, 4.0)] = 2.0
+    """Movement: how much of the style in the voice is taken from the style code of the prediction that `unit_guidance`
+    leads away from: 0 nothing, so that styles are not guided; 1 all of it; 2 gives it the opposite style."""
+    reach: Annotated[float, SettingRange(-2.5, 2.5)] = 1.6
+    """Movement: added to the style codes' reach, deviations of the training data: above 0 the hands are farther from
     the body, and from each other. Style controls take its place."""
-    hold: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
-    """Added to the planner's logit of a hold after a stroke: what is generated holds less than people do."""
-    phrasing: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
-    """Added to the planner's logit of a hold in a pause that goes on."""
-    setting_out: Annotated[float, SettingRange(0.0, 10.0)] = 0.0
-    """Added to the planner's logit of a preparation in a pause after which the voice returns in the next block: people
-    prepare before they speak."""
-    unit_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.0
-    """Flow head: guidance on the planner's decision, for heads that take it (`generator.units`); 0 adds none."""
-    contrast: Annotated[float, SettingRange(0.0, 4.0)] = 0.0
-    """Flow head: how much of the style heard is taken from the style code of the prediction that `unit_guidance` leads
-    away from: 0 nothing, so that styles are not guided; 1 all of it; 2 gives it the opposite style."""
-    history: Share = 1.0
-    """Flow head: weight of past motion, from v without history (0) to v (1), for heads trained with history dropout
-    (`generator.history_dropout`)."""
-    trunk_guidance: Share = 1.0
-    """Share of all guidance applied to torso and head: full guidance makes their large turns larger than people's."""
-    noise: Annotated[float, SettingRange(0.0, 2.0)] = 0.95
-    """Flow head: standard deviation of the initial noise; below 1 is calmer."""
-    trunk_noise: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
-    """Factor on the noise of torso and head."""
-    finger_noise: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
-    """Factor on the noise of the fingers."""
-    lively_noise: Annotated[float, SettingRange(0.0, 1.0)] = 0.0
-    """How much more noise the arms have the livelier the style code is: its natural logarithm, per unit of
-    liveliness."""
-    flow_steps: Annotated[int, SettingRange(1, 100)] = 4
-    """Steps of the Adams method from noise to a block."""
+    noise: Annotated[float, SettingRange(0.0, 2.0)] = 0.76
+    """Movement: standard deviation of the initial noise; below 1 is calmer."""
+    flow_steps: Annotated[int, SettingRange(1, 100)] = 3
+    """Movement: steps of the Adams method from noise to a block."""
     candidates: Annotated[int, SettingRange(1, 64)] = 4
-    """Candidate blocks sampled by the flow head; the best by lexeme, `timing`, `seam`, `clear` and
-    `as_asked` is kept."""
-    same_arms: bool = False
-    """Whether the candidates of a block differ in torso and head alone and share the arms of the first: what is chosen
-    then hardly changes the course of the hands, so that nearly the same sound gives nearly the same take. Where style
-    controls or a handedness are given, the arms differ."""
-    timing: NotNegative = 0.0
-    """Weight of hands that decelerate at audio onsets, relative to the lexeme's; 0 ignores it
-    (`gesticulator.drawing.candidates`)."""
-    retiming: Annotated[float, SettingRange(0.0, 0.3)] = 0.0
-    """Share of a block's length by which its middle may come earlier or later, so that the hands decelerate at audio
-    onsets; its ends stay."""
-    seam: NotNegative = 0.0
-    """Weight, relative to `timing`, of a smooth join to the block before."""
-    clear: NotNegative = 0.0
-    """Weight, relative to `timing`, of wrists and elbows outside the trunk, and of arms that are not folded."""
-    careful: bool = False
-    """Whether candidates with an elbow that is too fast are rejected, too, those with a hand behind the front of the
-    trunk or an elbow behind its back count as inside it (`clear`), and calmer candidates, and with `same_arms` others
-    with other arms, are added where all are too fast or have an arm before the face."""
-    as_asked: NotNegative = 0.0
-    """Weight, relative to `timing`, of following the style controls, in standard deviations of training."""
-    together: NotNegative = 0.0
-    """Weight, relative to `timing`, of a head that turns as fast as goes with the speed of the hands."""
-    pitch: NotNegative = 0.0
-    """Weight, relative to `timing`, of a trunk that turns faster where the voice is high and slower where it is low."""
-    as_styled: NotNegative = 0.0
-    """Weight, relative to `timing`, of hands that are as fast, high and far as the unit's style code says."""
-    fresh: bool = False
-    """Whether each preparation is generated as the first of a performance, so that takes of nearly the same sound come
-    together again (`gesticulator.drawing.rollout`)."""
-    activity: Share = 1.0
-    """How readily the gate lets a block gesture: 1 always, 0 never. With silence.rest=life, the share of speech time
-    that is gestured."""
+    """Movement: candidates sampled for a block, of which the best is kept (`gesticulator.sampling.candidates`)."""
 
 
 @dataclass(frozen=True)
@@ -344,12 +288,17 @@ class Config:
         check(self)
         if not self.lexicon.widths:
             raise InputError("lexicon.widths", "is empty", "give the channels of one convolution at least")
-        if self.silence.rest == "life" and self.motion.representation != "rotations":
+        if self.rests_by_phrase and self.motion.representation != "rotations":
             raise InputError("silence.rest=life", "needs joint rotations",
                              "use motion.representation=rotations, or silence.rest=decay")
         if self.system == "racer" and (self.rhythm.beats.rule != "even" or self.rhythm.frames != FRAMES):
             raise InputError("system=racer", "needs blocks of eight frames at a fixed rate",
                              "start from --preset racer-native, racer-trinity or racer-chinese")
+
+    @property
+    def rests_by_phrase(self) -> bool:
+        """Whether rest is decided phrase by phrase, with idle motion (`gesticulator.body.rest`)."""
+        return self.silence.rest == "life" and self.system != "racer"
 
 
 def section(config: Config, name: str) -> Any:

@@ -1,13 +1,10 @@
-"""`gesticulator plan`: check and convert gesture plans, and list the names that they can use; needs no sound."""
+"""`gesticulator plan`: check gesture plans, and list the names that they can use; needs no sound."""
 
 from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 
-from data_module.errors import InputError
-from data_module.files import write_text
 from gesticulator.cli import Command
 
 _BUNDLE_HELP = "default, paper, or the folder of a bundle (default: default)"
@@ -15,14 +12,11 @@ _BUNDLE_HELP = "default, paper, or the folder of a bundle (default: default)"
 
 def arguments(p: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
-    verbs = p.add_subparsers(dest="what", required=True, metavar="check|names|convert|schema")
-    check = verbs.add_parser("check", help="report the errors of a plan with their lines, or its edits")
-    check.add_argument("plan", metavar="PLAN", help="a plan, .json or .bml")
+    verbs = p.add_subparsers(dest="what", required=True, metavar="check|names|schema")
+    check = verbs.add_parser("check", help="report the first error of a plan, or its edits")
+    check.add_argument("plan", metavar="PLAN.json")
     names = verbs.add_parser("names", help="list the named gestures and the names of the lexemes")
     names.add_argument("--bundle", metavar="NAME|DIR", help=_BUNDLE_HELP)
-    convert = verbs.add_parser("convert", help="convert JSON to BML or back")
-    convert.add_argument("plan", metavar="PLAN", help="a plan, .json or .bml")
-    convert.add_argument("out", type=Path, metavar="OUT", help="the file to write, .json or .bml")
     verbs.add_parser("schema", help="print the JSON Schema of plans")
 
 
@@ -34,18 +28,16 @@ def run(parsed: argparse.Namespace) -> int:
         print(json.dumps(schema(), indent=1))
     elif parsed.what == "names":
         _print_names(parsed.bundle)
-    elif parsed.what == "convert":
-        _convert(parsed.plan, parsed.out)
     else:
         print(_summary(parsed.plan))
     return 0
 
 
 def _summary(path: str) -> str:
-    from gesticulator.plan.bml import read_any_plan
     from gesticulator.plan.plan import edited_blocks
+    from gesticulator.plan.plan_file import read_plan
 
-    plan = read_any_plan(path)
+    plan = read_plan(path)
     edited = sum(edited_blocks(plan))
     locked = sum(block.locked for block in plan.blocks)
     return (f"{path}: {plan.sound.name or 'unnamed sound'}, {plan.duration:.1f} s, {len(plan.blocks)} blocks, of which "
@@ -66,16 +58,6 @@ def _print_names(bundle: str | None) -> None:
         print(f"  {entry.lexeme}: {entry.name}{'  (silent)' if entry.silent else ''}")
 
 
-def _convert(source: str, target: Path) -> None:
-    from gesticulator.plan.bml import bml_of, read_any_plan
-
-    writers = {".json": lambda plan: plan.to_json(), ".bml": bml_of}
-    if target.suffix.lower() not in writers:
-        raise InputError(target, "is neither .json nor .bml", "give a name with one of these suffixes")
-    write_text(target, writers[target.suffix.lower()](read_any_plan(source)))
-    print(f"{target}: written from {source}")
-
-
 COMMAND = Command(
-    "check a gesture plan, list the gesture names, convert it to BML and back", arguments, run,
-    examples=("plan names", "plan check plan.json", "plan convert plan.json plan.bml", "plan schema"))
+    "check a gesture plan, list the gesture names", arguments, run,
+    examples=("plan names", "plan check plan.json", "plan schema"))

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from data_module.controls import FEATURES, LIMITS, UNITS, Controls, Curve
 from data_module.errors import InputError, shown
-from data_module.types import Array, Blocks, Speech, Word
+from data_module.types import Array, Speech, Word
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.features import representation_of
+from gesticulator.bundle.features import SpeechBlock, representation_of
 from gesticulator.bundle.files import lexicon_hash
 from gesticulator.directing.shaping import (
     FADE,
@@ -28,7 +28,6 @@ from gesticulator.directing.shaping import (
     nearest_turn,
     rest_share,
 )
-from gesticulator.drawing.drawer import Direction
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
 from gesticulator.plan.checks import plain_word as plain_word
 from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
@@ -42,6 +41,7 @@ from gesticulator.plan.plan import (
     PlanKnobs,
     edited_blocks,
 )
+from gesticulator.sampling.loop import ControlRows, Request
 
 MeantCues = Callable[[float], Sequence["MeantCue"]]
 """Gives the gestures that begin up to a time."""
@@ -169,18 +169,11 @@ class Director:
         self._cues = [cue for cue in cues_at(options.cues, words, duration, lambda: _names(bundle))
                       if cue.lexeme is not None]
 
-    def direction(self, times: Array, start: float) -> Direction:
-        """Instructions for the block that begins at `start` and has frames at `times` [K], seconds."""
-        end = float(times[-1])
+    def request(self, speech: SpeechBlock, times: Array, control: ControlRows | None) -> Request:
+        """The request for a block with frames at `times` [K], seconds; control: rows [K, 2 F], or None."""
+        start, end = speech.start, float(times[-1])
         lexeme = next((cue.lexeme for cue in self._cues if start < cue.time <= end or cue.time == start == 0.0), None)
-        return Direction(lexeme, still=still_frames(self._knobs, times, start), bias=self._bias)
-
-
-def directions(bundle: Bundle, options: InferenceOptions, speech: Speech, blocks: Blocks) -> list[Direction]:
-    """Instructions for each block of a first generation."""
-    director = Director(bundle, options, speech.words or (), float(blocks.edges[-1]))
-    times = blocks.knot_times.reshape(len(blocks), -1)
-    return [director.direction(knots, float(start)) for knots, start in zip(times, blocks.edges, strict=False)]
+        return Request(speech, control, lexeme, still=still_frames(self._knobs, times, start), bias=self._bias)
 
 
 # -------------------------------------------------------------------------------------------------------- plans

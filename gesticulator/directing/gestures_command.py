@@ -1,11 +1,9 @@
-"""`gesticulator gestures`: list the named gestures, what they mean, and how long they last, or draw takes of them for a
-corpus; needs no sound."""
+"""`gesticulator gestures`: list the named gestures, what they mean, and how long they last; needs no sound."""
 
 from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 from typing import Any
 
 from gesticulator.cli import Command
@@ -15,18 +13,10 @@ def arguments(p: argparse.ArgumentParser) -> None:
     """The arguments of the command."""
     p.add_argument("--json", action="store_true", help="as JSON, with the seconds of the phases")
     p.add_argument("--core", action="store_true", help="only those that talk often calls for")
-    p.add_argument("--takes", type=Path, metavar="DIR",
-                   help="draw takes of them as BVH with marked phases into this folder, for gesticulator build")
-    p.add_argument("--seed", type=int, default=1, help="with --takes: another seed gives other takes (default 1)")
 
 
 def run(parsed: argparse.Namespace) -> int:
     """Run the command."""
-    if parsed.takes is not None:
-        from gesticulator.directing.gesture_takes import write_takes
-
-        print(f"{parsed.takes}: {write_takes(parsed.takes, parsed.seed)} takes, with takes.csv")
-        return 0
     rows = [row for row in gesture_rows() if row["core"] or not parsed.core]
     print(json.dumps(rows, indent=1, ensure_ascii=False) if parsed.json else "\n".join(map(_line, rows)))
     return 0
@@ -56,5 +46,4 @@ def _line(row: dict[str, Any]) -> str:
 
 
 COMMAND = Command("list the gestures that have a name, what they mean and how long they last", arguments, run,
-                  examples=("gestures", "gestures --core", "gestures --json",
-                            "gestures --takes takes"))
+                  examples=("gestures", "gestures --core", "gestures --json"))

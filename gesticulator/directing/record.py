@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from gesticulator.plan.plan import (
     FORMAT,
@@ -16,7 +16,9 @@ from gesticulator.plan.plan import (
     GesturePhase,
     GesturePlan,
     GestureUnit,
+    Hand,
     LexemeName,
+    PhaseKind,
     PlanMeaning,
     PlanSound,
     PlanWord,
@@ -25,8 +27,8 @@ from gesticulator.plan.plan import (
 
 if TYPE_CHECKING:
     from data_module.types import Blocks, Speech
-    from gesticulator.drawing.rollout import BlockMotion
     from gesticulator.options import InferenceOptions
+    from gesticulator.sampling.loop import BlockMotion
 
 _ABOVE = ("seed", "variation", "speaker", "interpreter", "activity")
 """Settings that have fields of their own in a plan."""
@@ -62,15 +64,14 @@ def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: 
 
 
 def rendered_plan(plan: GesturePlan, speech: Speech, blocks: Sequence[BlockMotion], origin: Origin) -> GesturePlan:
-    """A plan after rendering, with the models' choices in its edited blocks. Unchanged parts are the same objects, so
-    that `PlanExchange` need not write them again."""
+    """A plan after rendering, with the models' choices in its edited blocks."""
     # The hash of the sound was compared with the plan's before rendering (`directions.check_plan_of`).
     sound, words = PlanSound("", speech.duration, speech.sample_rate, plan.sound.sha256), words_of(speech)
     units = units_of_blocks(blocks) or plan.units
     return replace(plan, sound=sound, blocks=tuple(_rendered(block, generated) for block, generated
                                                    in zip(plan.blocks, blocks, strict=True)),
                    units=plan.units if units == plan.units else units,
-                   words=plan.words if words == plan.words else words, score_is=origin.score_is, source=None)
+                   words=plan.words if words == plan.words else words, score_is=origin.score_is, source="plan")
 
 
 def _rendered(block: Block, generated: BlockMotion) -> Block:
@@ -146,9 +147,9 @@ def _unit(blocks: Sequence[BlockMotion]) -> GestureUnit:
         if kind == "hold":
             kind = "post-stroke hold" if struck else "pre-stroke hold"
         start = phases.pop().start if phases and phases[-1].kind == kind else block.block.start
-        phases.append(GesturePhase(kind, start, block.block.end))
+        phases.append(GesturePhase(cast(PhaseKind, kind), start, block.block.end))
     hands = [decision.hand for decision in decisions if decision.hand]
-    hand = HANDS[max(set(hands), key=hands.count)] if hands else None
+    hand = cast(Hand, HANDS[max(set(hands), key=hands.count)]) if hands else None
     sizes = [_SIZES[decision.size] for decision in decisions if decision.size]
     size = round(sum(sizes) / len(sizes), 2) if sizes else 1.0
     return GestureUnit(blocks[0].block.start, blocks[-1].block.end, tuple(phases), hand, size)

@@ -13,7 +13,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,18 +24,19 @@ from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.directing.moved_beats import BeatMap
 from gesticulator.directing.moved_sections import moved_knobs, moved_sections
 from gesticulator.directing.retiming_report import MovedItem, RetimingReport, runs_of
-from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.plan.checks import LONGEST, SHORTEST
 from gesticulator.plan.plan import (
     Block,
     BlockDraw,
     DrawnBlocks,
+    Flag,
     GesturePlan,
     PlanSound,
     PlanWord,
     edited_blocks,
     sound_hash,
 )
+from gesticulator.sampling.loop import BlockMotion
 
 __all__ = ["Retimed"]
 
@@ -60,7 +61,7 @@ class _Piece:
 
     start: float
     end: float
-    flag: str
+    flag: Flag
     source: int | None = None
     silent: bool = False
 
@@ -164,7 +165,7 @@ class _Cutter:
             pieces += [replace(new[0], start=self._cursor), *new[1:]]
         self._cursor = drawn[-1].end
 
-    def _moved(self, blocks: Sequence[tuple[int, float, float]], flags: Sequence[str]) -> list[_Piece] | None:
+    def _moved(self, blocks: Sequence[tuple[int, float, float]], flags: Sequence[Flag]) -> list[_Piece] | None:
         """Blocks (index, start, end) in the new sound; None if one of them does not fit."""
         pieces: list[_Piece] = []
         for at, start, end in blocks:
@@ -180,10 +181,11 @@ class _Cutter:
     def _fill(self, end: float) -> None:
         """Add blocks to be decided, from the last block on, cut at the sound's own beats."""
         own, start = self._own, self._cursor
-        inner = [(float(edge), BeatFlag(int(flag)).name.lower())
+        inner = [(float(edge), cast(Flag, BeatFlag(int(flag)).name.lower()))
                  for edge, flag in zip(own.edges[1:-1], own.flags[:-1], strict=True)
                  if start + _CLOSEST <= edge <= end - _CLOSEST]
-        edges = [(start, ""), *inner, (end, "boundary" if end == float(own.edges[-1]) else "even_pseudo")]
+        last_flag: Flag = "boundary" if end == float(own.edges[-1]) else "even_pseudo"
+        edges = [(start, last_flag), *inner, (end, last_flag)]
         for (first, _), (last, flag) in pairwise(edges):
             count = max(int(np.ceil((last - first) / _LONGEST - 1e-6)), 1)
             cuts = [first, *(round(first + (last - first) * part / count, 6) for part in range(1, count)), last]
@@ -216,7 +218,7 @@ def drafted(plan: GesturePlan, speech: Speech, own: SpeechFeatures, words: Seque
     numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
     blocks = tuple(_block(plan, piece, numbers.get(piece.start, 0)) for piece in cut.blocks)
     sections = moved_sections(plan, beats, words, drawn.edges[-1])
-    moved = replace(plan, **sections.parts, drawn=drawn, blocks=blocks, source=None,
+    moved = replace(plan, **sections.parts, drawn=drawn, blocks=blocks, source="plan",
                     sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
                     fingerprint=fingerprint_text(sounds.other))
     return Retimed(moved, replace(_report(plan, cut.blocks), same_speech=round(sounds.speech, 4), moved=sections.items,

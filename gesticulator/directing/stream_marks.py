@@ -12,6 +12,7 @@ from gesticulator.body.motion_path import LONGEST_HISTORY
 from gesticulator.directing.directions import MeantCue, stroke_of_word
 from gesticulator.directing.marks import SOURCE, gestures_of, warn_of_unknown
 from gesticulator.directing.named_gestures import span_of_gesture
+from gesticulator.plan.checks import ALLOWED_CUES, CUES_PER_SECOND
 from gesticulator.plan.plan import GestureCue
 
 LATEST = 0.6
@@ -40,7 +41,7 @@ class StreamMarks:
         """The words as they are spoken, with their marks noted; a mark after the last one waits for the next call.
 
         drawn: seconds of motion that are final, so that a gesture can begin no earlier. `InputError` for a mark where
-        the bundle's poses are no rotations.
+        the bundle's poses are no rotations, and for too many marks.
         """
         parts, late = marked_words([word.text for word in words])
         waiting, self._late = self._late, late
@@ -69,8 +70,17 @@ class StreamMarks:
             time = max(spoken, drawn + before)
             again = any(one.meant.cue.gesture == gesture and one.word == word.start for one in self._planned)
             if time - spoken <= LATEST and not again:
+                self._check_room(drawn)
                 cue = GestureCue(gesture, time=time, source=SOURCE)
                 self._planned.append(_Planned(MeantCue(cue, time), word.start))
+
+    def _check_room(self, drawn: float) -> None:
+        """`InputError` if there are more gestures than a plan of the same length may have, or too many at once: each
+        costs computing time in every block around it, which other streams would wait for."""
+        waiting = sum(planned.meant.time > drawn for planned in self._planned)
+        if waiting >= ALLOWED_CUES or len(self._planned) >= max(ALLOWED_CUES, int(CUES_PER_SECOND * drawn)):
+            raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait or {CUES_PER_SECOND:g} per second came",
+                             "send fewer")
 
     def interrupt(self, at: float) -> None:
         """Forget what begins after `at` seconds, and break off what is being made."""

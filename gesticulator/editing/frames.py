@@ -23,9 +23,9 @@ from gesticulator.directing.directions import MeantCue, Shaping
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.directing.shaping import CALM, LAG
 from gesticulator.directing.strokes import REMEMBERED
-from gesticulator.drawing.driver import GeneratedMotion
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import GesturePlan
+from gesticulator.sampling.loop import GeneratedMotion
 
 _MEMORY = REMEMBERED + LAG + CALM
 """Seconds of strokes on which the size of a pose depends, with what the lift of an arm is averaged over."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from data_module.types import BeatFlag, Samples
 from gesticulator.bundle.features import SpeechBlock
-from gesticulator.drawing.cutter import CUTTER_EVERY, BlockCutter
+from gesticulator.sampling.cutter import CUTTER_EVERY, BlockCutter
 
 Window = tuple[float, float, float, float]
 """Start of the block before, start and end of a block, end of the block after; seconds, the block's own at an end."""

@@ -26,19 +26,19 @@ from data_module.types import Array, BeatFlag, Blocks, Samples
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, SpeechFeatures
 from gesticulator.directing.directions import bias_of, still_frames
-from gesticulator.drawing.cutter import BlockCutter
-from gesticulator.drawing.drawer import Direction, Keys
-from gesticulator.drawing.driver import BlockRequest, Cast, Driver, GeneratedMotion, OnBlock, controls_at
-from gesticulator.drawing.rollout import BlockMotion
 from gesticulator.editing.recut import Recutter, window
 from gesticulator.plan.plan import Block, GenerationKnobs, GesturePlan, edited_themselves
+from gesticulator.sampling import loop
+from gesticulator.sampling.cutter import BlockCutter
+from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, OnBlock, Request, Setup, State, controls_at
+from gesticulator.sampling.noise import Keys
 
 BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""
 LEAST_REMEMBERED, REMEMBERED = 2000, 4
 """Sampled blocks in memory: at least, and for each block of the recording, so that undo finds whole generations."""
 _VARYING = 0.5
-"""The activity with which a driver begins whose blocks are each given their own: between none and all, so that it
+"""The activity with which a generation begins whose blocks are each given their own: between none and all, so that it
 uses the gate. It does not depend on the curve, so what comes before a change of the curve is not sampled again."""
 Rows = NDArray[np.float32]
 
@@ -52,20 +52,22 @@ def flag_numbers(flags: Sequence[str]) -> list[BeatFlag]:
 @dataclass(frozen=True)
 class Generation:
     """A generated recording from which edits start. speech: its features; blocks: its N blocks; states: [N + 1] the
-    driver before each of them, and after the last; cutters: copies of the cutter of its speech (`Recutter`)."""
+    state before each of them, and after the last; cutters: copies of the cutter of its speech (`Recutter`)."""
 
     speech: SpeechFeatures
     blocks: Sequence[BlockMotion]
-    states: Sequence[Driver]
+    states: Sequence[State]
     cutters: Sequence[BlockCutter] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class SampledBlock:
-    """A block and the driver after it; None for a driver from which sampling begins. The same request after the same
-    block gives the same object, so that equal sources can be told by identity."""
+    """A block, and the state after it with its setup. block: None where sampling begins.
 
-    state: Driver
+    The same request after the same block gives the same object, so that equal sources are recognised by identity."""
+
+    setup: Setup
+    state: State
     block: BlockMotion | None = None
 
     @property
@@ -79,13 +81,13 @@ class SampledBlock:
 class PlanRenderer:
     """Renders plans of one first generation; each plan then costs only its edited blocks."""
 
-    def __init__(self, bundle: Bundle, cast: Cast, samples: Samples,
+    def __init__(self, bundle: Bundle, setup: Setup, samples: Samples,
                  encode: Callable[[Blocks, list[BlockCutter]], SpeechFeatures], plan: GesturePlan,
                  generation: Generation | None = None) -> None:
-        """cast: of the first generation; samples: of the speech, at 16 kHz; encode: blocks -> the features of the
+        """setup: of the first generation; samples: of the speech, at 16 kHz; encode: blocks -> the features of the
         speech cut into them, and copies of the cutter (`encode_speech`). plan: any plan of the first generation; its
         edits are ignored here. generation: the first one; it is sampled again where it is missing."""
-        self._bundle, self._cast, self._samples, self._encode = bundle, cast, samples, encode
+        self._bundle, self._setup, self._samples, self._encode = bundle, setup, samples, encode
         self._original, self._manner, self._seed = plan.drawn, plan.drawn_manner, (plan.seed, plan.variation)
         self._bias = cache(partial(bias_of, bundle))
         # By the number of a block in `draw`; another number is a time of its own.
@@ -101,10 +103,11 @@ class PlanRenderer:
         if generation is None:
             cutters = list[BlockCutter]()
             self._speech, self._cutters = encode(self._cut, cutters), cutters
-            self._first = [SampledBlock(self._beginning(self._manner))]
+            self._first = [self._beginning(self._manner)]
         else:
             self._speech, self._cutters = generation.speech, generation.cutters
-            self._first = [SampledBlock(state, block) for state, block in
+            first = self._setup_of(self._manner)
+            self._first = [SampledBlock(first, state, block) for state, block in
                            zip(generation.states, [None, *generation.blocks], strict=True)]
         self._sampled: dict[Hashable, SampledBlock] = {}
         self._recut: dict[Hashable, SpeechBlock] = {}
@@ -131,7 +134,7 @@ class PlanRenderer:
         if not any(edited) and plan.manner == self._manner:
             steps = self._first_steps(on_block)
             blocks = [step.motion for step in steps[1:]]
-            return GeneratedMotion(self.cut(plan), blocks, steps[0].state.motion(blocks))
+            return GeneratedMotion(self.cut(plan), blocks, loop.motion_of(self._bundle, self._setup, blocks))
         return _PlanRun(self, plan, edited, on_block).rendered()
 
     # ------------------------------------------------------------------------------------------ what runs are made of
@@ -141,7 +144,7 @@ class PlanRenderer:
         if manner == self._manner:
             return self._first_steps(on_block)
         begins = "beginning", _begins(manner), manner.handedness
-        steps = [self._remembered(begins, lambda: SampledBlock(self._beginning(manner)))]
+        steps = [self._remembered(begins, lambda: self._beginning(manner))]
         for at in range(len(self._cut)):
             steps.append(self.sampled(steps[-1], ("knobs", at, _activity(manner, float(self._cut.edges[at]))),
                                       partial(self._with_knobs, manner, at), on_block, at + 1))
@@ -149,59 +152,55 @@ class PlanRenderer:
 
     def _first_steps(self, on_block: OnBlock | None) -> list[SampledBlock]:
         for at in range(len(self._first) - 1, len(self._cut)):
-            state = self._first[-1].state.fork()
-            still = still_frames(self._original.knobs, self._times[at], float(self._cut.edges[at]))
-            bias = self._bias(self._original.knobs.handedness)
-            block = state.draw(self._request(at, Direction(self._original.lexemes[at], still=still, bias=bias)))
-            self._first.append(SampledBlock(state, block))
+            request = replace(self._request(at, self._original.knobs.handedness), lexeme=self._original.lexemes[at])
+            self._first.append(self._sample(self._first[-1], request))
             if on_block is not None:
                 on_block(at + 1, len(self._cut))
         return self._first
 
-    def _beginning(self, manner: GenerationKnobs) -> Driver:
-        driver = Driver(self._bundle, replace(self._cast, activity=_begins(manner)))
-        driver.begin(self._speech.text is not None)
-        return driver
+    def _setup_of(self, manner: GenerationKnobs) -> Setup:
+        return replace(self._setup, activity=_begins(manner))
 
-    def _with_knobs(self, manner: GenerationKnobs, at: int) -> BlockRequest:
+    def _beginning(self, manner: GenerationKnobs) -> SampledBlock:
+        setup = self._setup_of(manner)
+        return SampledBlock(setup, loop.begin(self._bundle, setup, self._speech.text is not None, Keys(*self._seed)))
+
+    def _sample(self, before: SampledBlock, request: Request) -> SampledBlock:
+        """The block after another one."""
+        block, after = loop.step(self._bundle, before.setup, before.state, request)
+        return SampledBlock(before.setup, after, block)
+
+    def _with_knobs(self, manner: GenerationKnobs, at: int) -> Request:
         """The request for a block of the recording generated with other knobs."""
-        still = still_frames(self._original.knobs, self._times[at], float(self._cut.edges[at]))
         # Under a curve, as in the first generation, which it is as long as the curve does not matter.
-        keys = None if manner.curves else Keys(*self._seed)
-        return self._request(at, Direction(None, keys, still, self._bias(manner.handedness),
-                                           _activity(manner, float(self._cut.edges[at]))))
+        return replace(self._request(at, manner.handedness), keys=None if manner.curves else Keys(*self._seed),
+                       activity=_activity(manner, float(self._cut.edges[at])))
 
-    def _request(self, at: int, direction: Direction) -> BlockRequest:
+    def _request(self, at: int, hand: str | None) -> Request:
+        """The request for a block of the first generation, whose lexeme is chosen."""
         number = self._original.numbers[at] if self._original.numbers else at
-        return self.request(replace(self._speech.block(at), number=number, key=self._noise_times[number]),
-                            self._times[at], direction)
+        still = still_frames(self._original.knobs, self._times[at], float(self._cut.edges[at]))
+        return Request(replace(self._speech.block(at), number=number, key=self._noise_times[number]),
+                       self.control(self._times[at]), still=still, bias=self._bias(hand))
 
-    def request(self, speech: SpeechBlock, times: Array, direction: Direction) -> BlockRequest:
-        """The request for a block with frames at `times` [K]."""
-        return BlockRequest(speech, controls_at(self._bundle.levels, self._cast.controls, times), direction)
+    def control(self, times: Array) -> loop.ControlRows | None:
+        """[K, 2 F] rows of the hand controls at `times` [K] seconds, or None."""
+        return controls_at(self._bundle.levels, self._setup.controls, times)
 
-    def sampled(self, before: SampledBlock, key: Hashable, request: Callable[[], BlockRequest],
+    def sampled(self, before: SampledBlock, key: Hashable, request: Callable[[], Request],
                 on_block: OnBlock | None, done: int) -> SampledBlock:
         """The block that is sampled after another one. key: everything that the request depends on; done: number of
         finished blocks after it."""
-        def sample() -> SampledBlock:
-            state = before.state.fork()
-            return SampledBlock(state, state.draw(request()))
-
         known = (before, key) in self._sampled
-        block = self._remembered((before, key), sample)
+        block = self._remembered((before, key), lambda: self._sample(before, request()))
         if on_block is not None and not known:  # which may raise an error: the block is remembered by now
             on_block(done, len(self._cut))
         return block
 
     def standing(self, state: SampledBlock, other: SampledBlock) -> SampledBlock:
         """A state in the pose of another one."""
-        def stand() -> SampledBlock:
-            driver = state.state.fork()
-            driver.stand_as(other.state)
-            return SampledBlock(driver)
-
-        return self._remembered(("standing", state, other), stand)
+        return self._remembered(("standing", state, other),
+                                lambda: SampledBlock(state.setup, _standing(state.state, other.state)))
 
     def _remembered(self, key: Hashable, make: Callable[[], SampledBlock]) -> SampledBlock:
         block = self._sampled.pop(key, None) or make()
@@ -358,7 +357,7 @@ class _PlanRun:
         alike = self._anew(blocks[at]) == self._anew(blocks[at - 1])
         return alike or self._renderer.number_at(blocks[at].start) is None
 
-    def _request(self, at: int, times: Array) -> tuple[Hashable, Callable[[], BlockRequest]]:
+    def _request(self, at: int, times: Array) -> tuple[Hashable, Callable[[], Request]]:
         """What is asked for in an edited block, and everything it depends on."""
         plan, block = self._plan, self._plan.blocks[at]
         lexeme, silent = self._decided.get((block.start, block.end), (None, False))
@@ -381,23 +380,24 @@ class _PlanRun:
         key = (place, at + 1 == count, silence, removed, self._flags[at], chosen,
                (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes(), hand, activity)
 
-        def request() -> BlockRequest:
+        def request() -> Request:
             quiet, ahead = spoken.quiet & (not removed[0]), spoken.ahead
-            speech = replace(spoken, number=draw.block, key=self._renderer.noise_time(draw.block), flag=self._flags[at],
-                             silent=silence, quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
-            return self._renderer.request(speech, times, Direction(chosen, Keys(draw.seed, draw.variation), still,
-                                                                   self._renderer.bias(hand), activity))
+            speech = replace(spoken, number=draw.block, key=self._renderer.noise_time(draw.block),
+                             flag=self._flags[at], silent=silence, quiet=quiet,
+                             ahead=None if ahead is None else ahead & (not removed[1]))
+            return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still,
+                           self._renderer.bias(hand), activity)
 
         return key, request
 
 
 def _begins(manner: GenerationKnobs) -> float:
-    """The activity of the driver that generates in a manner."""
+    """The activity with which a generation begins."""
     return _VARYING if manner.curves else manner.share
 
 
 def _activity(manner: GenerationKnobs, start: float) -> float | None:
-    """The activity of a block that begins at `start`, seconds; None where that of its driver stays."""
+    """The activity of a block that begins at `start`, seconds; None where that of the beginning stays."""
     return manner.share_at(start) if manner.curves else None
 
 
@@ -425,3 +425,18 @@ def _faded(motion: Rows, times: Array, fades: Sequence[_Fade]) -> Rows:
         added = (2 * s**3 - 3 * s**2 + 1) * fade.pose + BLEND * (s**3 - 2 * s**2 + s) * fade.velocity
         out[near] = (out[near] + added).astype(np.float32)
     return out
+
+
+def _standing(state: State, other: State) -> State:
+    """A state with the pose and the last block of another one of the same bundle."""
+    shown = other.varied or other
+    rest = state.rest
+    if rest is not None and shown.rest is not None:
+        rest = rest.fork()
+        rest.stand_as(shown.rest)
+    source = other if state.varied is not None else shown
+    varied = None if state.varied is None else _standing(state.varied, shown)
+    if state.varied is not None and rest is not None and source.rest is not None:
+        rest.stand_as(source.rest)
+    return replace(state, past=source.past, lexeme=source.lexeme, quiet=source.quiet, generated=source.generated,
+                   offset=source.offset, rest=rest, varied=varied)

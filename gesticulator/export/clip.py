@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from data_module.errors import InputError, shown
-from data_module.motion.skeletons import LEG_JOINTS
 
 NAME = "gesture"
 """Default name of a clip."""
@@ -15,11 +15,9 @@ MOST_KEYS = 5.0
 """Largest bound, degrees: beyond, gestures lose their shape."""
 CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".parquet", ".usda", ".usdc", ".vrma")
 """Suffixes of formats for which loop, mask, layer, root and sound have a meaning."""
+TOGETHER = (".glb",)
+"""Suffixes of formats that hold several clips."""
 _LONGEST_NAME = 100
-
-
-STEADY = frozenset({"Hips", *LEG_JOINTS})
-"""Our joints whose errors add up at the feet."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +56,18 @@ class ClipLayout:
     def changes_motion(self) -> bool:
         """Whether more than names and keys is other than in the plain motion."""
         return self.loop or self.bare or not self.root
+
+
+def check_clip_outputs(clip: ClipLayout, suffixes: Sequence[str], together: bool) -> None:
+    """`InputError` for a clip that none of the outputs can follow. together: several clips are written to one file."""
+    other = [suffix for suffix in suffixes if suffix not in CLIPS]
+    if clip.additive and [suffix for suffix in other if suffix != ".json"]:
+        raise InputError("--layer additive", f"makes no sense in {other[0]}", f"write {', '.join(CLIPS)}")
+    if clip.sound and not set(suffixes) & set(CLIPS):
+        raise InputError("--sound", "is for formats without sound of their own", f"write {', '.join(CLIPS)}")
+    unfit = [suffix for suffix in suffixes if suffix not in TOGETHER]
+    if together and unfit:
+        raise InputError("--one-file", f"is not for {unfit[0]}", f"write {' or '.join(TOGETHER)}")
 
 
 EVERY_FRAME = ClipLayout(keys=0.0)

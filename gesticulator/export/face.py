@@ -24,8 +24,8 @@ from gesticulator.export.gltf import (
     TRIANGLES,
     VERTICES,
     WEIGHTS,
+    FrameTrack,
     GltfDocument,
-    Numbers,
     as_gltf,
     transform,
 )
@@ -46,7 +46,7 @@ class FaceWarning(UserWarning):
 
 # ------------------------------------------------------------------------------------------------------- characters
 
-def character_tracks(gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion) -> list[tuple[int, str, Numbers]]:
+def character_tracks(gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion) -> list[FrameTrack]:
     """Tracks of the morph weights, eyes and jaw of a character (node of the file, property, values). A `FaceWarning`
     says if it has no mouth to move."""
     return tracks_of(gltf, moved.character, (moved.joints["LeftArm"], moved.joints["RightArm"]), face,
@@ -54,7 +54,7 @@ def character_tracks(gltf: GltfDocument, moved: CharacterMotion, face: FaceMotio
 
 
 def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], face: FaceMotion, name: str
-              ) -> list[tuple[int, str, Numbers]]:
+              ) -> list[FrameTrack]:
     """`character_tracks` of a character by the nodes of its left and right upper arm; name: of the file that was
     given."""
     rig = find_face(character)
@@ -64,7 +64,7 @@ def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], f
     places = character.world_matrices()[:, :3, 3]
     left = places[arms[0]] - places[arms[1]]
     left[1] = 0.0
-    out: list[tuple[int, str, Numbers]] = [(node, WEIGHTS, weights.astype("<f4").reshape(-1))
+    out: list[FrameTrack] = [(node, WEIGHTS, weights.astype("<f4").reshape(-1))
                                            for node, weights in rig.weights(face).items()]
     for node, turns in rig.turns(face, character, left / np.linalg.norm(left)).items():
         entry = gltf.document["nodes"][character.node_ids[node]]
@@ -74,7 +74,7 @@ def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], f
     return out
 
 
-def head_tracks(gltf: GltfDocument, motion: NodeMotion, face: FaceMotion) -> list[tuple[int, str, Numbers]]:
+def head_tracks(gltf: GltfDocument, motion: NodeMotion, face: FaceMotion) -> list[FrameTrack]:
     """Add a head with blend shapes to a document of the default skeleton; the track of its weights (node, property,
     values)."""
     document, mesh = gltf.document, face_mesh()
@@ -96,12 +96,12 @@ def head_tracks(gltf: GltfDocument, motion: NodeMotion, face: FaceMotion) -> lis
     return [(node, WEIGHTS, values.astype("<f4").reshape(-1))]
 
 
-def vrma_tracks(gltf: GltfDocument, extension: dict[str, Any], face: FaceMotion) -> list[tuple[int, str, Numbers]]:
+def vrma_tracks(gltf: GltfDocument, extension: dict[str, Any], face: FaceMotion) -> list[FrameTrack]:
     """Nodes and tracks of the expressions and the gaze of a VRM animation, whose `extension` names them. The weight of
     an expression is the X translation of its node (VRMC_vrm_animation 1.0)."""
     document = gltf.document
     presets: dict[str, Any] = {}
-    out: list[tuple[int, str, Numbers]] = []
+    out: list[FrameTrack] = []
 
     def node(name: str) -> int:
         document["nodes"].append({"name": name})

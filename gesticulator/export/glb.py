@@ -11,8 +11,9 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.files import write_bytes
 from gesticulator.characters.rig import CharacterMotion
-from gesticulator.export.clip import STEADY, ClipLayout
-from gesticulator.export.gltf import VERTICES, GltfDocument, Numbers, node_tree, open_gltf, transform
+from gesticulator.export.clip import ClipLayout
+from gesticulator.export.gltf import VERTICES, FrameTrack, GltfDocument, node_tree, open_gltf, transform
+from gesticulator.export.key_reduction import STEADY
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.own_fbx import write_animated
 from gesticulator.export.stick_figure import figure
@@ -78,7 +79,7 @@ def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face:
     shifts = {} if moved.translations is None else {moved.hips: moved.translations}
     motion = NodeMotion(character.names, character.parents, character.translations, character.rotations,
                         character.scales, moved.rotations, shifts, {}, moved.fps)
-    more: list[tuple[int, str, Numbers]] = []
+    more: list[FrameTrack] = []
     if face is not None:
         from gesticulator.export.face import character_tracks
 
@@ -91,7 +92,7 @@ def skeleton_glb(motion: NodeMotion, clip: ClipLayout, face: FaceMotion | None =
     """An animated skeleton with a figure of spindles: the bytes of a GLB file. With a face, it has a head with blend
     shapes (`gesticulator.export.face_mesh`)."""
     gltf = skeleton_document(motion)
-    more: list[tuple[int, str, Numbers]] = []
+    more: list[FrameTrack] = []
     if face is not None:
         from gesticulator.export.face import head_tracks
 
@@ -101,7 +102,7 @@ def skeleton_glb(motion: NodeMotion, clip: ClipLayout, face: FaceMotion | None =
 
 
 def add_skeleton_clip(gltf: GltfDocument, motion: NodeMotion, clip: ClipLayout,
-                      more: Sequence[tuple[int, str, Numbers]] = ()) -> None:
+                      more: Sequence[FrameTrack] = ()) -> None:
     """Add a motion to a document of `skeleton_document`; more: as for `GltfDocument.animate`."""
     gltf.animate(clip, motion, {node: node for node, name in enumerate(motion.names)
                                 if not (clip.bare and name in STEADY)}, steady_nodes(motion), more)

@@ -21,7 +21,6 @@ from gesticulator.characters.gltf_file import BINARY_CHUNK, JSON_CHUNK, MAGIC, r
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.key_reduction import kept_frames, kept_places, rotation_errors, track_bounds
 from gesticulator.export.nodes import NodeMotion
-from gesticulator.export.number_file import NumberFile
 
 VERSION = 2
 _FLOAT, _UINT8, _UINT16 = 5126, 5121, 5123
@@ -36,10 +35,10 @@ LARGEST = (1 << 32) - 1
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 
 
-Numbers: TypeAlias = "NDArray[Any] | NumberFile"
-"""Numbers [n, ...], in memory or on disk."""
-Track: TypeAlias = "tuple[int, str, Numbers, Numbers]"
+Track: TypeAlias = "tuple[int, str, NDArray[Any], NDArray[Any]]"
 """Node, property, times and values of an animated property."""
+FrameTrack: TypeAlias = "tuple[int, str, NDArray[Any]]"
+"""Node, property and its values at every frame."""
 
 
 class GltfDocument:
@@ -47,7 +46,7 @@ class GltfDocument:
 
     def __init__(self, document: dict[str, Any], binary: bytes = b"") -> None:
         self.document = document
-        self._parts: list[bytes | NumberFile] = [binary]
+        self._parts: list[bytes] = [binary]
         self._size = len(binary)
 
     def accessor(self, values: NDArray[Any], target: int | None = None, bounds: bool = False) -> int:
@@ -66,15 +65,15 @@ class GltfDocument:
     def view(self, data: bytes, target: int | None = None) -> int:
         """Add bytes; returns the buffer view's index."""
         size = len(data)
-        self._append(bytes(-self._size % 4), -self._size % 4)
+        self._append(bytes(-self._size % 4))
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": size}
         if target is not None:
             view["target"] = target
-        self._append(data, size)
+        self._append(data)
         return self._added("bufferViews", view)
 
     def animate(self, clip: ClipLayout, motion: NodeMotion, nodes: Mapping[int, int],
-                steady: frozenset[int] = frozenset(), more: Sequence[tuple[int, str, Numbers]] = ()) -> None:
+                steady: frozenset[int] = frozenset(), more: Sequence[FrameTrack] = ()) -> None:
         """Add one animation, with keys reduced within `clip.keys`. nodes: index in the motion -> index in the document,
         for moved nodes; steady: nodes of the motion whose errors are held tighter (hips and legs). more:
         further tracks with a value at every frame (node, property, values)."""
@@ -102,7 +101,7 @@ class GltfDocument:
         rising, and values, [T, 3], [T, 4] with w last, or [T * targets] weights; all float32. Tracks may share one
         object of times."""
         # The order of first use: times before the values that need them.
-        numbers: dict[int, tuple[Numbers, bool]] = {}
+        numbers: dict[int, tuple[NDArray[Any], bool]] = {}
         for _, _, times, values in tracks:
             numbers.setdefault(id(times), (times, True))
             numbers[id(values)] = values, False
@@ -114,25 +113,20 @@ class GltfDocument:
             channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
         self._added("animations", {"name": name, "samplers": samplers, "channels": channels})
 
-    def _packed(self, parts: Sequence[tuple[Numbers, bool]]) -> list[int]:
+    def _packed(self, parts: Sequence[tuple[NDArray[Any], bool]]) -> list[int]:
         """Accessors of numbers (float32) that share one view; each with whether its bounds are stored."""
-        self._append(bytes(-self._size % 4), -self._size % 4)
+        self._append(bytes(-self._size % 4))
         start, accessors = self._size, []
         view: dict[str, Any] = {"buffer": 0, "byteOffset": start, "byteLength": 0}
         index = self._added("bufferViews", view)
         for numbers, bounds in parts:
-            data = numbers if isinstance(numbers, NumberFile) else np.ascontiguousarray(numbers)
-            shape = data.shape if isinstance(data, NumberFile) else data.shape[1:]
+            data = np.ascontiguousarray(numbers)
             entry: dict[str, Any] = {"bufferView": index, "byteOffset": self._size - start, "componentType": _FLOAT,
-                                     "count": len(data), "type": _KINDS[shape]}
+                                     "count": len(data), "type": _KINDS[data.shape[1:]]}
             if bounds:
-                low, high = ((data.lowest, data.highest) if isinstance(data, NumberFile)
-                             else (data.min(axis=0), data.max(axis=0)))
-                entry["min"], entry["max"] = ([float(v) for v in np.atleast_1d(edge)] for edge in (low, high))
-            if isinstance(data, NumberFile):
-                self._append(data, data.size)
-            else:
-                self._append(data.tobytes(), data.nbytes)
+                entry["min"], entry["max"] = ([float(v) for v in np.atleast_1d(edge(data, axis=0))]
+                                              for edge in (np.min, np.max))
+            self._append(data.tobytes())
             accessors.append(self._added("accessors", entry))
         view["byteLength"] = self._size - start
         return accessors
@@ -144,7 +138,7 @@ class GltfDocument:
 
     def write(self, out: BinaryIO) -> None:
         """Write the file. `InputError` if it exceeds the size limit of GLB."""
-        self._append(bytes(-self._size % 4), -self._size % 4)
+        self._append(bytes(-self._size % 4))
         self.document.setdefault("buffers", [{}])[0]["byteLength"] = self._size
         text = json.dumps(self.document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
@@ -154,14 +148,11 @@ class GltfDocument:
         out.write(struct.pack("<4sII", MAGIC, VERSION, size) + struct.pack("<II", len(text), JSON_CHUNK) + text)
         out.write(struct.pack("<II", self._size, BINARY_CHUNK))
         for part in self._parts:
-            if isinstance(part, NumberFile):
-                part.copy_to(out)
-            else:
-                out.write(part)
+            out.write(part)
 
-    def _append(self, data: bytes | NumberFile, size: int) -> None:
+    def _append(self, data: bytes) -> None:
         self._parts.append(data)
-        self._size += size
+        self._size += len(data)
 
     def _added(self, what: str, entry: dict[str, Any]) -> int:
         entries: list[dict[str, Any]] = self.document.setdefault(what, [])

@@ -5,8 +5,7 @@ left out if what is interpolated there differs by no more than a bound. For ever
 error is greatest until all errors are within the bound (Ramer, Douglas and Peucker), then keys that became superfluous
 are removed; each step is checked against all frames, so the bound is guaranteed, not estimated.
 
-Every `SPAN` frames all tracks have a key, and spans are reduced one by one: a motion that arrives in pieces gets the
-same keys in bounded memory.
+Every `SPAN` frames all tracks have a key, and spans are reduced one by one, in bounded memory.
 """
 
 from __future__ import annotations
@@ -17,8 +16,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.motion.skeletons import LEG_JOINTS
 from data_module.types import Array
 
+STEADY = frozenset({"Hips", *LEG_JOINTS})
+"""Our joints whose errors add up at the feet."""
 SPAN = 512
 """Frames between the keys that all tracks have: 9 s at 60 frames per second."""
 METRES_PER_DEGREE = 0.005

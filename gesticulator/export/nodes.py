@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -85,17 +85,16 @@ class NodeMotion:
         return local
 
 
-def of_motion(motion: Motion, continuous: Callable[[Array], Array] = rotation.continuous) -> NodeMotion:
+def of_motion(motion: Motion) -> NodeMotion:
     """A motion as nodes. The rest pose is a T-pose standing on the floor, even for a seated motion: players of VRM
-    animations scale the root path by the height of the hips at rest. continuous: chooses the signs of the
-    quaternions."""
+    animations scale the root path by the height of the hips at rest."""
     skeleton = motion.skeleton
     rest = skeleton.offsets.copy()
     rest[0] = [0.0, skeletons.HIP_HEIGHT, 0.0]
     identity = np.zeros((len(skeleton), 4))
     identity[:, 0] = 1.0
     return NodeMotion(skeleton.names, skeleton.parents, rest, identity, np.ones((len(skeleton), 3)),
-                      continuous(rotation.normalise(motion.rotations)), {0: motion.root_positions},
+                      rotation.continuous(rotation.normalise(motion.rotations)), {0: motion.root_positions},
                       dict(skeleton.end_sites), motion.fps)
 
 

@@ -14,12 +14,13 @@ from data_module.motion import rotation
 from data_module.types import Array
 from gesticulator.characters.blender import job_in_blender
 from gesticulator.characters.rig import CharacterMotion
-from gesticulator.export.clip import STEADY, ClipLayout
+from gesticulator.export.clip import ClipLayout
+from gesticulator.export.key_reduction import STEADY
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
     from data_module.face import FaceMotion
-    from gesticulator.export.gltf import GltfDocument, Numbers
+    from gesticulator.export.gltf import FrameTrack, GltfDocument
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 _STILL = 1e-5
@@ -61,7 +62,7 @@ def _source(file: Path) -> str:
 
 
 def _face_tracks(file: Path, gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion
-                 ) -> list[tuple[int, str, Numbers]]:
+                 ) -> list[FrameTrack]:
     """Tracks of the face in a GLB that Blender wrote of the character, as `gesticulator.export.face` makes them."""
     from gesticulator.characters.gltf_rig import read_gltf_character
     from gesticulator.export.face import FaceWarning, tracks_of

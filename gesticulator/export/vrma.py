@@ -17,7 +17,7 @@ from data_module.motion.kinematics import copied_rotations
 from data_module.motion.skeletons import FINGERS, LEG_JOINTS
 from data_module.types import Array, Motion
 from gesticulator.export.clip import ClipLayout
-from gesticulator.export.gltf import GltfDocument, Numbers, node_tree
+from gesticulator.export.gltf import FrameTrack, GltfDocument, node_tree
 from gesticulator.export.nodes import NodeMotion, of_motion
 from gesticulator.export.writers import Scene
 
@@ -83,7 +83,7 @@ def vrm_animation(motion: Motion, clip: ClipLayout, face: FaceMotion | None = No
         "scenes": [{"nodes": [0]}],
         "nodes": node_tree(nodes),
     })
-    more: list[tuple[int, str, Numbers]] = []
+    more: list[FrameTrack] = []
     if face is not None:
         from gesticulator.export.face import vrma_tracks
 

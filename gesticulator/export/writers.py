@@ -27,8 +27,6 @@ _VIDEO = Requirement("av", "PyAV", "video")
 _USD = Requirement("pxr", "usd-core", "usd")
 
 WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be written", {
-    ".bml": RegistryEntry("gestures with their times in Behavior Markup Language",
-                          "gesticulator.export.plan_file:write_bml"),
     ".bvh": RegistryEntry("motion in centimetres and degrees", "gesticulator.export.writers:write_bvh_file"),
     ".csv": RegistryEntry("positions and rotations, a row per joint and frame", "gesticulator.export.table:write_csv"),
     ".face.csv": RegistryEntry("the face in ARKit's names, as Live Link Face records it",
@@ -41,7 +39,7 @@ WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be wri
     ".glb": RegistryEntry("motion, or your own character, as binary glTF", "gesticulator.export.glb:write_glb"),
     ".html": RegistryEntry("a page that plays and edits the performance", "gesticulator.export.html:write_preview"),
     ".json": RegistryEntry("the gesture plan: the choice for each block and its reasons",
-                           "gesticulator.export.plan_file:write_plan"),
+                           "gesticulator.export.writers:write_plan"),
     ".mp4": RegistryEntry("an animated figure with audio", "gesticulator.export.film:write_film", needs=_VIDEO),
     ".npz": RegistryEntry("SMPL-X poses in the format of BEAT2", "gesticulator.export.smplx:write_smplx"),
     ".parquet": RegistryEntry("the table of .csv as Parquet", "gesticulator.export.table:write_parquet",
@@ -158,6 +156,13 @@ def write(path: str | os.PathLike[str], scene: Scene, *, unit: str = "cm") -> Pa
     check_output(path, unit)
     writer = writer_for(path)
     return (writer if unit == "cm" else partial(writer, unit=unit))(Path(path), scene)
+
+
+def write_plan(path: Path, scene: Scene) -> Path:
+    """`.json`: write the gesture plan. Returns `path`."""
+    from gesticulator.plan.plan_file import write_plan_file
+
+    return write_plan_file(path, scene.plan)
 
 
 def write_bvh_file(path: Path, scene: Scene, unit: str = "cm") -> Path:

@@ -8,21 +8,22 @@ import json
 import tempfile
 import webbrowser
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
 from gesticulator.arguments import (
+    RunSettings,
     check_choices,
-    controls_from_args,
-    options_from_args,
     performance_arguments,
     print_list,
+    run_settings_of,
+    settings_of,
 )
-from gesticulator.batch.jobs import STDIN, Job, load, performed, retargeter_for
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
+from gesticulator.jobs import STDIN, Job, load, performed, retargeter_for
 from gesticulator.page.export import exported, formats
 from gesticulator.page.saved_edits import SavedEdits, place_of, put_aside, read_saved
 from interpreters import INTERPRETERS
@@ -54,24 +55,37 @@ def run(args: argparse.Namespace) -> int:
     from gesticulator.page.page_place import served_again
     from gesticulator.page.server import PageServer
 
-    if args.list:
+    settings = run_settings_of(args)
+    if settings.listing:
         from gesticulator.pipeline import Gesticulator
 
-        with limited_threads(int(args.threads)):
-            print_list(Gesticulator.from_pretrained(args.bundle), args.list)
+        with limited_threads(settings.threads):
+            print_list(Gesticulator.from_pretrained(settings.bundle), settings.listing)
         return 0
     job = _job(args)
-    check_choices(args)
+    check_choices(job.options, settings.bundle)
     assert job.source is not None
     name: str | None = None
-    if args.plan is not None or args.beside is not None:  # a page with edits of its own
+    if job.options.plan is not None or args.beside is not None:  # a page with edits that are not saved
         server = PageServer(args.port)
     else:
         server, name = served_again(args.port, job.source, args.anew)
-    with server, our_warnings(), limited_threads(int(args.threads)):
-        _prepare(server, job, args, name)
-        _serve(server, args)
+    page = PageRequest(args.beside, args.anew, args.no_browser, name)
+    with server, our_warnings(), limited_threads(settings.threads):
+        _prepare(server, job, settings, page)
+        _serve(server, page)
     return 0
+
+
+@dataclass(frozen=True)
+class PageRequest:
+    """beside: the interpreter of a second take; None for one take. anew: begin without the saved edits. no_browser:
+    open no window. place: where browsers keep the edits; None: nowhere."""
+
+    beside: str | None = None
+    anew: bool = False
+    no_browser: bool = False
+    place: str | None = None
 
 
 def _job(args: argparse.Namespace) -> Job:
@@ -88,33 +102,35 @@ def _job(args: argparse.Namespace) -> Job:
     if args.character is not None and Path(args.character).suffix.lower() not in SHOWN:
         raise InputError(args.character, "cannot be shown by the page", f"give one of {', '.join(SHOWN)}")
     check_file(Path(args.speech[0]), args.any_length)
-    return Job(Path(args.speech[0]), text=None if args.text is None else Path(args.text))
+    return replace(settings_of(args), source=Path(args.speech[0]), text=None if args.text is None else Path(args.text))
 
 
-def _prepare(server: PageServer, job: Job, args: argparse.Namespace, name: str | None = None) -> None:
-    """Generate one or two performances, and give the server its page and the renderer of edited plans. name: of the
-    place where browsers keep the edits."""
+def _prepare(server: PageServer, job: Job, settings: RunSettings, request: PageRequest) -> None:
+    """Generate one or two performances, and give the server its page and the renderer of edited plans."""
     from gesticulator.export import html
     from gesticulator.page.session import EditSession, directions_of, levels_of
     from gesticulator.pipeline import Gesticulator
 
-    chosen, stands = _character(args)
-    system = Gesticulator.from_pretrained(args.bundle)
+    chosen, stands = _character(job)
+    system = Gesticulator.from_pretrained(settings.bundle)
     system.keeps_generations = True
-    since = _go_on(system, job, args)
-    takes = _takes(system, job, args, args.legs or stands)
+    job, since = _with_saved_edits(system, job, request)
+    job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
+    takes = _takes(system, job, request.beside, settings.quiet)
     session = EditSession(system, *takes.values())
     scenes = {name: take.scene() for name, take in takes.items()}
     numbers = [session.opened(take) for take in takes.values()]
     assert job.source is not None
     live = {"token": server.token, "renderings": numbers, "formats": formats(), "levels": levels_of(system.bundle),
-            "directions": directions_of(system), "since": since, **({} if name is None else {"place": name})}
+            "directions": directions_of(system), "since": since}
+    if request.place is not None:
+        live["place"] = request.place
     character = {} if chosen is None else html.character_data(*chosen, next(iter(scenes.values())).face)
     moved = next(iter(takes.values())).retiming
     report = {} if moved is None else {"notice": "The edits were moved onto the new sound. " + " ".join(moved.lines())}
     more = {"live": live, **report, **character}
     server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1, more=more).encode()
-    if args.beside is None:
+    if request.beside is None:
         saved = server.saved = SavedEdits(place_of(job.source))
         # What is only tried is not saved.
         session.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(lambda: plan)
@@ -123,7 +139,8 @@ def _prepare(server: PageServer, job: Job, args: argparse.Namespace, name: str |
     # second now and then.
     gc.collect()
     gc.freeze()
-    server.export = partial(exported, rendered=session.exported, retargeter=retargeter_for(args))
+    retargeter = retargeter_for(job.character, settings.quiet)
+    server.export = partial(exported, rendered=session.exported, retargeter=retargeter)
     server.figures = cache(partial(_figures, system, takes))
 
 
@@ -135,68 +152,66 @@ def _figures(system: Gesticulator, takes: dict[str, Performance]) -> bytes:
     return json.dumps(moving_figures(system.bundle, speaker)).encode()
 
 
-def _character(args: argparse.Namespace) -> tuple[tuple[Character, dict[str, int]] | None, bool]:
+def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]:
     """The requested character with our joint -> its node in the file, if any, and whether it stands on its legs."""
-    if args.character is None:
+    if job.character is None:
         return None, False
     from gesticulator.characters.frames import measure
     from gesticulator.characters.reading import choose
 
-    character, mapping = choose(args.character, args.mapping, args.save_mapping)
+    character, mapping = choose(job.character.file, job.character.mapping, job.character.save_mapping)
     joints = {joint: character.node_ids[node] for joint, node in mapping.named().items()}
-    sits = args.seated or (not args.legs and measure(character, mapping).sits)
+    sits = job.options.seated or (not job.options.legs and measure(character, mapping).sits)
     return (character, joints), mapping.legs and not sits
 
 
-def _go_on(system: Gesticulator, job: Job, args: argparse.Namespace) -> float:
-    """Let the arguments go on with the edits that were saved beside the sound, if there are any; if the sound was
-    exported again since, with those that have a place in it. When they were saved, milliseconds since 1970, or 0."""
+def _with_saved_edits(system: Gesticulator, job: Job, request: PageRequest) -> tuple[Job, float]:
+    """The job, going on with the edits that were saved beside the sound, if there are any; if the sound was exported
+    again since, with those that have a place in it. And when they were saved, milliseconds since 1970, or 0."""
     from data_module.speech.audio import SAMPLE_RATE, amplified, resample
     from gesticulator.directing.directions import check_bundle_of, planned
-    from gesticulator.options import InferenceOptions
     from gesticulator.plan.plan import sound_hash
 
-    if args.anew or args.plan is not None or args.beside is not None or job.source is None:
-        return 0.0
+    if request.anew or job.options.plan is not None or request.beside is not None or job.source is None:
+        return job, 0.0
     plan = read_saved(job.source)
     if plan is None:
-        return 0.0
+        return job, 0.0
+    place = place_of(job.source)
     try:
         check_bundle_of(system.bundle, plan)
-        given = options_from_args(args, controls_from_args(system, args), args.legs)
-        planned(InferenceOptions.of({**given, "plan": plan}))
+        options = replace(job.options, plan=plan)
+        planned(options)
     except InputError as error:
         put_aside(job.source, str(error))
-        return 0.0
-    args.plan = str(place_of(job.source))
-    speech = resample(amplified(load(job, args), float(plan.made_by.get("settings", {}).get("gain", 0.0))), SAMPLE_RATE)
-    args.retime = sound_hash(speech) != plan.sound.sha256
-    how = "moved onto the new sound" if args.retime else "opened"
-    print(f"{args.plan}: the saved edits are {how}; --anew begins without them", flush=True)
-    return place_of(job.source).stat().st_mtime * 1000.0
+        return job, 0.0
+    speech = resample(amplified(load(job), float(plan.made_by.get("settings", {}).get("gain", 0.0))), SAMPLE_RATE)
+    moved = sound_hash(speech) != plan.sound.sha256
+    how = "moved onto the new sound" if moved else "opened"
+    print(f"{place}: the saved edits are {how}; --anew begins without them", flush=True)
+    return replace(job, options=replace(options, retime=moved)), place.stat().st_mtime * 1000.0
 
 
-def _takes(system: Gesticulator, job: Job, args: argparse.Namespace, legs: bool) -> dict[str, Performance]:
-    """Name -> performance of each take."""
-    controls, speech = controls_from_args(system, args), load(job, args)
-    first = performed(job, speech, system, args, controls, legs)
-    first = first.labelled(job.name, first.notes)
+def _takes(system: Gesticulator, job: Job, beside: str | None, quiet: bool) -> dict[str, Performance]:
+    """Name -> performance of each take. beside: the interpreter of the second one."""
+    speech = load(job)
+    first = performed(job, speech, system, quiet=quiet)
     if first.retiming is not None:
         print("\n".join(f"  {line}" for line in first.retiming.lines()), flush=True)
     name = first.decided.interpreter
-    if args.beside is None:
+    if beside is None:
         return {name: first}
     # Word times are aligned once and reused.
     speech, job = replace(speech, words=first.speech.words), replace(job, text=None)
-    other = argparse.Namespace(**{**vars(args), "interpreter": args.beside})
-    second = performed(job, speech, system, other, controls, legs).labelled(job.name, first.notes)
-    return {name: first, args.beside if args.beside != name else f"{name} again": second}
+    job = replace(job, options=replace(job.options, interpreter=beside))
+    second = performed(job, speech, system, quiet=quiet).labelled(job.name, first.notes)
+    return {name: first, beside if beside != name else f"{name} again": second}
 
 
-def _serve(server: PageServer, args: argparse.Namespace) -> None:
+def _serve(server: PageServer, request: PageRequest) -> None:
     print(f"{server.url}  (Ctrl C ends it)", flush=True)
     with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:
-        if not args.no_browser:
+        if not request.no_browser:
             webbrowser.open(_way_in(Path(folder), server.url))
         with suppress(KeyboardInterrupt):
             server.serve_forever()

@@ -24,18 +24,18 @@ from gesticulator.directing.record import fingerprinted, named, rendered_plan
 from gesticulator.editing.frames import EditedFrames, FrameRenderer
 from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps, root_path
 from gesticulator.options import InferenceOptions
-from gesticulator.page.plan_reader import PlanReader
 from gesticulator.page.server import AbandonedError, message
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import Block, GesturePlan, sound_hash
+from gesticulator.plan.plan_file import plan_from
 
 if TYPE_CHECKING:
     from data_module.types import Motion
     from gesticulator.bundle.bundle import Bundle
     from gesticulator.directing.directions import Shaping
-    from gesticulator.drawing.driver import GeneratedMotion
     from gesticulator.editing.render import Generation, PlanRenderer
     from gesticulator.pipeline import Gesticulator
+    from gesticulator.sampling.loop import GeneratedMotion
 
 MOST_GENERATIONS = 4
 """First generations in memory: for the takes of a page, and for plans that were opened from files since."""
@@ -74,7 +74,6 @@ class EditSession:
         self._renderers: OrderedDict[str, PlanRenderer] = OrderedDict()
         self._renderings: OrderedDict[int, Rendering] = OrderedDict()
         self._frames: OrderedDict[int, tuple[Hashable, EditedFrames]] = OrderedDict()
-        self._reader = PlanReader()
         self._count = 0
         self.on_edit: Callable[[Mapping[str, Any], GesturePlan], None] = lambda request, plan: None
         """Called with the request and the rendered plan before each answer."""
@@ -92,11 +91,11 @@ class EditSession:
 
     def exported(self, plain: Mapping[str, Any]) -> Performance:
         """The performance of a plan in plain values; `InputError` as in `perform`."""
-        return self.perform(self._reader.read(dict(plain)))
+        return self.perform(plan_from(plain))
 
     def opened(self, performance: Performance) -> int:
         """The number of the rendering that a page begins with."""
-        rendering = self._whole(performance, self._reader.read(performance.plan().to_dict()))
+        rendering = self._whole(performance, plan_from(performance.plan().to_dict()))
         options = planned(InferenceOptions(plan=rendering.sent))
         if self._renders_parts and options.plan is not None and not options.plan.pins:
             generated = self._renderer(options).render(options.plan)
@@ -120,7 +119,7 @@ class EditSession:
             if done % REPORTS == 0 and done < total:
                 report(message({"kind": "progress", "share": round(done / total, 3)}))
 
-        rendering = self.render(self._reader.read(request["plan"]), have, on_block)
+        rendering = self.render(plan_from(request["plan"]), have, on_block)
         self.on_edit(request, rendering.plan)
         return _answer(rendering, have)
 

@@ -9,11 +9,11 @@ from itertools import pairwise
 
 from data_module.errors import InputError, shown
 from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
-from gesticulator.plan.json_lines import Path as Place
-from gesticulator.plan.plan import GesturePlan, GestureUnit, PlanMeaning, PosePin
+from gesticulator.plan.plan import GesturePlan, GestureUnit, Place, PlanMeaning, PosePin
 
 SHORTEST, LONGEST = 0.1, 1.0
 """Allowed length of an edited block, seconds (detected blocks last 0.2 to 0.5)."""
+LARGEST_SEED = 2**64 - 1
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
 CUES_PER_SECOND, ALLOWED_CUES = 4.0, 100
 """Most cues per second of sound; so many are allowed in any case. A gesture takes a second, so more cannot be seen."""
@@ -36,6 +36,8 @@ def plain_word(text: str) -> str:
 
 def check_plan(plan: GesturePlan) -> None:
     """`InputError` if the parts of a plan are inconsistent."""
+    if plan.seed > LARGEST_SEED:
+        raise plan.error(("seed",), f"is {plan.seed}", f"give 0 to {LARGEST_SEED}")
     _check_drawn(plan)
     _check_blocks(plan)
     for at, (start, end) in enumerate(plan.knobs.hold_still):
@@ -125,6 +127,8 @@ def _check_blocks(plan: GesturePlan) -> None:
     pairs = set(pairwise(edges))
     for at, block in enumerate(plan.blocks):
         place: Place = ("blocks", at)
+        if block.draw.seed > LARGEST_SEED:
+            raise plan.error((*place, "draw", "seed"), f"is {block.draw.seed}", f"give 0 to {LARGEST_SEED}")
         if abs(block.start - at_edge) > _EPS:
             raise plan.error((*place, "start"), f"is {block.start:g}", f"give {at_edge:g}, where the block before ends")
         if (block.start, block.end) not in pairs and not SHORTEST - _EPS <= block.end - block.start <= LONGEST + _EPS:

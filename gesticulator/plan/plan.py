@@ -4,7 +4,8 @@ A plan holds the sound's name and hash, the seed, the words, the possible choice
 of the first generation (`drawn`), and the blocks to play (`blocks`), which can be edited. Blocks that differ from
 `drawn` are generated again, all others are replayed (`gesticulator.directing.editing`).
 
-Plain data: nothing here imports numpy or a model. `docs/schema/plan.schema.json` is generated from these classes.
+Plain data: nothing here imports numpy or a model. The types of the fields carry their ranges, by which
+`gesticulator.plan.plan_file` reads a file; `docs/schema/plan.schema.json` is generated from these classes.
 """
 
 from __future__ import annotations
@@ -13,46 +14,58 @@ import hashlib
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
 
-from data_module.settings import PRIVATE, SettingChoice, SettingRange
+from msgspec import Meta
+
+from data_module.errors import InputError, shown
+from gesticulator.plan.plain import in_lines, to_plain
 
 if TYPE_CHECKING:
-    from data_module.errors import InputError
     from data_module.types import Speech
-    from gesticulator.plan.json_lines import Path as Place
 
 __all__ = ["Block", "BlockDraw", "GestureCue", "GesturePlan", "GestureUnit", "LexemeChoice", "PlanKnobs",
            "PlanSound", "PlanWord", "edited_blocks"]
 
-FORMAT, VERSION = "gesticulator-plan", 2
+FORMAT: Final = "gesticulator-plan"
+VERSION: Final = 2
 
+Place: TypeAlias = tuple[str | int, ...]
+"""The path to a value of a plan: names of members and indices in lists."""
+
+Energy = Literal["calm", "neutral", "lively"]
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
 """Energy -> factors on intensity and activity. Calm: smaller gestures, in six tenths of the phrases."""
 ENERGY_SIZES, ENERGY_SHARES = zip(*ENERGIES.values(), strict=True)
 """Factors on intensity and on activity of the energies, in order: of 0, 1 and 2 of a curve, which is linear between."""
 
-HANDS = ("left", "right", "both")
+Hand = Literal["left", "right", "both"]
+HANDS: tuple[Hand, ...] = get_args(Hand)
 """Values of handedness, and hands of a gesture unit."""
 
-FLAGS = ("boundary", "onset", "loud_pseudo", "even_pseudo", "edited")
+Flag = Literal["boundary", "onset", "loud_pseudo", "even_pseudo", "edited"]
+FLAGS: tuple[Flag, ...] = get_args(Flag)
 """Kinds of beats at which a block ends: the names of `BeatFlag`, and a beat that a user moved or added."""
 
 SETTLES = 0.42
 """Seconds before a range of stillness in which the hands come to rest: the longest duration of a stop."""
 
-PHASES = ("preparation", "pre-stroke hold", "stroke", "post-stroke hold", "retraction")
+PhaseKind = Literal["preparation", "pre-stroke hold", "stroke", "post-stroke hold", "retraction"]
+PHASES: tuple[PhaseKind, ...] = get_args(PhaseKind)
 """Phases of a gesture unit (Kendon; Kita et al.), in their order."""
-CURVES = ("intensity", "activity", "energy", "height", "speed", "radius")
+CurveKnob = Literal["intensity", "activity", "energy", "height", "speed", "radius"]
+CURVES: tuple[CurveKnob, ...] = get_args(CurveKnob)
 """Knobs that a curve can vary: intensity, activity, energy (0 calm, 1 neutral, 2 lively), and the three hand controls
 (metres, metres per second, metres)."""
 
-Seconds = Annotated[float, SettingRange(0.0)]
-Intensity = Annotated[float, SettingRange(0.0, 2.0)]
-Seed = Annotated[int, SettingRange(0, 2**64 - 1)]
-Variation = Annotated[int, SettingRange(0, 2**32 - 1)]
-Lexeme = Annotated[int, SettingRange(0, 2**16)]
-Index = Annotated[int, SettingRange(0, 10**7)]
+Seconds = Annotated[float, Meta(ge=0.0)]
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Intensity = Annotated[float, Meta(ge=0.0, le=2.0)]
+# Less than 2^64, which is above what msgspec can state as a bound (see `gesticulator.plan.checks`).
+Seed = Annotated[int, Meta(ge=0)]
+Variation = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+Lexeme = Annotated[int, Meta(ge=0, le=2**16)]
+Index = Annotated[int, Meta(ge=0, le=10**7)]
 
 
 @dataclass(frozen=True)
@@ -61,9 +74,9 @@ class PlanSound:
 
     name: str
     """The name of its file, for information; the sound is identified by its hash."""
-    duration: Annotated[float, SettingRange(0.0, above=True)]
+    duration: Annotated[float, Meta(gt=0.0)]
     """Seconds."""
-    sample_rate: Annotated[int, SettingRange(1, 10**6)]
+    sample_rate: Annotated[int, Meta(ge=1, le=10**6)]
     """Hertz, of the samples that were hashed."""
     sha256: str
     """SHA-256 of the samples: mono float32, little-endian, at this rate, after amplification."""
@@ -146,7 +159,7 @@ class Block:
     """True brings the hands to rest in the block."""
     draw: BlockDraw
     """The keys of its random numbers. With another variation the block is generated again."""
-    flag: Annotated[str, SettingChoice(FLAGS)] = "edited"
+    flag: Flag = "edited"
     """The kind of beat at its end."""
     name: str | None = None
     """The name of its lexeme, for information; `lexeme` determines the motion."""
@@ -162,11 +175,11 @@ class Block:
     """The best lexemes, best first, to choose from."""
     score: float | None = None
     """The score of its lexeme, as those of `alternatives`; null without scores."""
-    rank: Annotated[int, SettingRange(1, 2**16)] | None = None
+    rank: Annotated[int, Meta(ge=1, le=2**16)] | None = None
     """How many lexemes have a score as high as its lexeme, with itself; null without scores."""
     chosen: dict[str, float] | None = None
     """Of the interpreter "advantage": prior and advantage of the lexeme that was played."""
-    runner_up: dict[str, float] | None = None
+    runner_up: dict[str, int | float] | None = None
     """Of the interpreter "advantage": the best other lexeme (id), and by how much its advantage is higher
     (worth_more)."""
 
@@ -177,15 +190,15 @@ class DrawnBlocks:
 
     edges: tuple[Seconds, ...]
     """[N + 1] beats, seconds."""
-    flags: Annotated[tuple[str, ...], SettingChoice(FLAGS)]
+    flags: tuple[Flag, ...]
     """[N] the kind of beat at the end of each block."""
     silent: tuple[bool, ...]
     """[N] true for a block in a pause of the speech."""
-    lexemes: Annotated[tuple[int, ...], SettingRange(0, 2**16)]
+    lexemes: tuple[Lexeme, ...]
     """[N] the lexeme of each block."""
     knobs: PlanKnobs
     """The knobs of the first generation."""
-    numbers: Annotated[tuple[int, ...], SettingRange(0, 10**7)] = ()
+    numbers: tuple[Index, ...] = ()
     """[N] the number of each block in `draw`, of a plan that was re-timed; left out for 0 to N - 1."""
     keyed_at: tuple[Seconds, ...] = ()
     """[N] the time by which the random numbers of each block are keyed, of a plan that was re-timed: where it began in
@@ -200,11 +213,11 @@ class PlanKnobs:
     """Size of the gestures: at 0 the hands hang, 1 is as generated, 2 is largest."""
     mirror: bool = False
     """True exchanges left and right."""
-    energy: Annotated[str, SettingChoice(tuple(ENERGIES))] = "neutral"
+    energy: Energy = "neutral"
     """A named pair of factors on intensity and activity."""
-    activity: Annotated[float, SettingRange(0.0, 1.0)] = 1.0
+    activity: Share = 1.0
     """Share of the speaking time with gestures."""
-    handedness: Annotated[str, SettingChoice(HANDS)] | None = None
+    handedness: Hand | None = None
     """The hand whose lexemes are preferred; null for no preference."""
     hold_still: tuple[tuple[Seconds, Seconds], ...] = ()
     """Ranges (from, to) in which the hands rest, seconds."""
@@ -233,7 +246,7 @@ class GestureCue:
     """A name of `gestures` (blended over the motion) or of `lexicon` (played in the block at that time)."""
     word: str | None = None
     """The word at which the gesture is made; alternative to `time`."""
-    occurrence: Annotated[int, SettingRange(1, 10**6)] = 1
+    occurrence: Annotated[int, Meta(ge=1, le=10**6)] = 1
     """The number of the word among equal ones, from 1."""
     time: Seconds | None = None
     """Time of its stroke, seconds; alternative to `word`."""
@@ -249,7 +262,7 @@ class GestureCue:
 class GesturePhase:
     """A phase of a gesture unit."""
 
-    kind: Annotated[str, SettingChoice(PHASES)]
+    kind: PhaseKind
     """The kind of phase."""
     start: Seconds
     """Seconds."""
@@ -267,9 +280,9 @@ class GestureUnit:
     """Seconds."""
     phases: tuple[GesturePhase, ...] = ()
     """Its phases, in order and without overlap; there may be gaps, and several strokes."""
-    hand: Annotated[str, SettingChoice(HANDS)] | None = None
+    hand: Hand | None = None
     """The hand that makes it; null if undecided."""
-    size: Annotated[float, SettingRange(0.0, 2.0)] = 1.0
+    size: Intensity = 1.0
     """Size of its gestures, as the intensity of a block."""
 
 
@@ -285,7 +298,7 @@ class PlanMeaning:
     """The kind of meaning, such as "negation", "pointing" or "size"."""
     about: str = ""
     """The meaning in words."""
-    certainty: Annotated[float, SettingRange(0.0, 1.0)] | None = None
+    certainty: Share | None = None
     """Probability that the meaning is right, or the score of the words that tell it."""
     source: str = ""
     """Where the meaning comes from: "words" if it was found in the spoken words."""
@@ -321,7 +334,7 @@ class PosePin:
 class KnobCurve:
     """A knob that changes over time: linear between its points, constant before and after them."""
 
-    knob: Annotated[str, SettingChoice(CURVES)]
+    knob: CurveKnob
     """The name of the knob."""
     times: tuple[Seconds, ...]
     """[M] seconds, rising."""
@@ -367,7 +380,7 @@ class SoundAlignment:
 
     sha256: str
     """SHA-256 of the samples of the other sound, as for `sound`."""
-    duration: Annotated[float, SettingRange(0.0, above=True)]
+    duration: Annotated[float, Meta(gt=0.0)]
     """Seconds of the other sound."""
     times: tuple[Seconds, ...]
     """[M] seconds of this plan, rising."""
@@ -379,9 +392,9 @@ class SoundAlignment:
 class GesturePlan:
     """The decisions for one recording, and their edits."""
 
-    format: Annotated[str, SettingChoice((FORMAT,))]
+    format: Literal["gesticulator-plan"]
     """The name of the file format."""
-    version: Annotated[int, SettingChoice((VERSION,))]
+    version: Literal[2]
     """The version of the format."""
     made_by: dict[str, Any]
     """The origin of the plan: `gesticulator` (its version), `bundle` (preset, hash of the lexicon) and `settings`,
@@ -426,8 +439,8 @@ class GesturePlan:
     """The map of the plan onto another export of its sound."""
     fingerprint: str | None = None
     """The fingerprint of the sound, by which the plan is moved onto another export of it (`--retime`)."""
-    source: Any = field(default=None, metadata=PRIVATE, compare=False, repr=False)
-    """The `LinedJson` that the plan was read from, for error messages; None if it was not read."""
+    source: str = field(default="plan", compare=False, repr=False)
+    """The name of the file that the plan was read from, for error messages; not a member of the file."""
 
     @property
     def duration(self) -> float:
@@ -457,24 +470,23 @@ class GesturePlan:
         return GenerationKnobs(self.drawn.knobs.share, self.drawn.knobs.handedness)
 
     def error(self, place: Place, wrong: str, advice: str) -> InputError:
-        """An error about a part of the plan, with the line if the plan was read from a file."""
-        from gesticulator.plan.json_lines import LinedJson
-
-        error: InputError = (self.source or LinedJson("plan", None, {})).error(place, wrong, advice)
-        return error
+        """An error about a part of the plan, which names the file and the path of the part."""
+        return InputError(self.source, f"{place_of(place)} {wrong}", advice)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""
-        from gesticulator.plan.schema import to_plain
-
         plain: dict[str, Any] = to_plain(self)
         return plain
 
     def to_json(self) -> str:
         """The text of the file: one line per block, word and lexeme; the same plan gives the same text."""
-        from gesticulator.plan.json_lines import in_lines
-
         return in_lines(self.to_dict()) + "\n"
+
+
+def place_of(path: Place) -> str:
+    """A path as text, such as blocks[3].lexeme; "the file" for the root."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).lstrip(".")
+    return shown(text, 80) or "the file"
 
 
 def sound_hash(speech: Speech) -> str:

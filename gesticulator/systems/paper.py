@@ -1,18 +1,50 @@
 """Rhythmic Gesticulator (RG), in the order of the paper.
 
-Speech is cut at its beats into blocks of K frames (RG 4.2, `gesticulator.sampling.cutter`). A VQ-VAE over blocks makes
-the lexicon of gesture lexemes (RG 5.1), a generator with learned style codes turns lexemes into motion (RG 5.2, 5.3),
-and two interpreters predict lexemes and style codes from speech (RG 6).
+    RG 4     speech is cut at its beats into blocks of K frames and encoded     `sampling.cutter`, `data_module.speech`
+    RG 5.1   a VQ-VAE over blocks of motion makes the lexicon                   `lexicon`, below
+    RG 5.2   a generator turns lexemes, audio and style codes into motion       `generator`, below
+    RG 5.3   the style code of each block is learned with the generator         `generator.model.StyleCodes`
+    RG 6.1   an interpreter predicts lexemes from speech                        `interpreters.lstm`
+    RG 6.2   another predicts style codes                                       `style`, below
+    RG 6.4   silence                                                            `step`, below
+    Eq. 15   blocks are generated one after the other                           `step`, below
+
+What the paper does not have is marked as an addition: the gate and rest by phrases of the preset `regression`, and the
+style control of RG 7.2.1 at inference.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
 from gesticulator.bundle.features import CONTROL_WIDTH
+from gesticulator.sampling.loop import (
+    BlockMotion,
+    Request,
+    Setup,
+    State,
+    at_rest,
+    choose,
+    decided,
+    features_of,
+    resting,
+    scores_of,
+    shown,
+    tensor,
+)
+from gesticulator.sampling.noise import Keys
+from interpreters.base import BlockFeatures
 
 if TYPE_CHECKING:
     from generator.model import Generator
+    from gesticulator.bundle.bundle import Bundle
     from gesticulator.bundle.config import Config
     from gesticulator.bundle.features import Sizes
     from interpreters.lstm import StyleInterpreter
@@ -23,8 +55,28 @@ PARTS = ("generator", "interpreter")
 CODEBOOK = "quantizer.vectors"
 BLOCKS = SILENCE = True
 IN_CONTEXT = VARIES = False
-STAGES = ("speech", "contrast", "lexicon", "interpreter", "interpreter_text", "gate", "planner", "reward",
-          "reward_judge", "q_network", "q_network_literal", "advantage", "generator", "style", "style_text")
+
+# ------------------------------------------------------------------------------------------------------------ training
+
+STAGES = (
+    "speech",             # RG 4.1.1: vq-wav2vec by predictive coding
+    "contrast",           # RG 4.1.3, Eq. 1: audio and text side by side
+    "lexicon",            # RG 5.1, Eq. 3: the gesture lexicon
+    "interpreter",        # RG 6.3: lexemes from audio alone
+    "interpreter_text",   # RG 6.1, Eq. 16 to 18: lexemes from audio and text
+    "gate",               # addition: whether a block is gestured at all
+    "reward",             # RACER 4.2 over the same lexicon (`systems.racer`), and the judge that evaluates it
+    "reward_judge",
+    "q_network",          # RACER 4.3, improved, and as published
+    "q_network_literal",
+    "advantage",          # addition: a learned value on top of the interpreter
+    "generator",          # RG 5.2 and 5.3, Eq. 5 to 14: generator and style codes
+    "style",              # RG 6.3, Table 3: style codes from audio alone
+    "style_text",         # RG 6.2, Eq. 19: style codes from audio and text
+)
+"""In order (RG 7.1.2)."""
+
+# ------------------------------------------------------------------------------------------------- models, RG 5 and 6.2
 
 
 def codebook_shape(config: Config) -> tuple[int, int]:
@@ -55,3 +107,108 @@ def style(sizes: Sizes, reads: bool) -> StyleInterpreter:
     settings = sizes.config.style
     return StyleInterpreter(settings if reads else settings.without_text(), sizes.frames, sizes.low, sizes.lexemes,
                             sizes.config.generator.style_width, sizes.speakers, sizes.text)
+
+
+# ------------------------------------------------------------------------------------------- one block, RG 6 and Eq. 15
+
+BLOCKS_BEFORE_REST = 2
+"""Quiet blocks that are shown as generated, before rest decay begins: the arms come down in them."""
+
+
+class GeneratorState(NamedTuple):
+    """decoder: of the LSTM decoder; unguided: the same without the style control; style: of the style interpreter."""
+
+    decoder: tuple[Tensor, Tensor]
+    unguided: tuple[Tensor, Tensor]
+    style: Any
+
+
+def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
+    """The state before the first block: the resting pose and the silent lexeme nearest to it (a_0 and s_0)."""
+    state = at_rest(bundle, setup, text, keys)
+    rest = bundle.rest_feature(setup.speaker)
+    decoder = cast("Generator", bundle.generator).first_state(rest[None], bundle.vectors[[state.lexeme]])
+    interpreter = style_interpreter(bundle, text)
+    style_state = None if interpreter is None else interpreter.start(setup.speaker)
+    return replace(state, generator=GeneratorState(decoder, decoder, style_state))
+
+
+def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
+    """The next block, and the state after it (RG Eq. 15)."""
+    settings, speech = bundle.config.silence, request.speech
+    features = features_of(bundle, request, state.past[0])
+
+    # The lexeme s_i from speech, speaker and the lexemes before (Eq. 16 to 18).
+    rested = resting(bundle, setup, state, request, features, request.still)  # addition
+    scores, interpreter, unguided = scores_of(bundle, setup, state, features)
+    # In silence only silent lexemes may follow (6.4.1).
+    quiet = rested.closed or (features.silent and settings.mask)
+    lexeme = choose(setup, request, scores, bundle.silent if quiet else None)
+
+    # The style code z_i (Eq. 19) and the motion of the block (Eq. 15).
+    features = as_silence(bundle, features) if rested.closed and rested.rest is None else features
+    code, style_state = style_code(bundle, state, features, lexeme)
+    block, generator = generate(bundle, state, features, lexeme, code)
+
+    # In a long silence the body comes to rest.
+    in_a_row = state.quiet + 1 if quiet else 0
+    if rested.rest is None and in_a_row > BLOCKS_BEFORE_REST and settings.rest_decay > 0:
+        block = approach_rest(state.past[:, -1:], block, settings.rest_decay)
+    past, motion = shown(bundle, rested.rest, block)
+
+    record = decided(speech, lexeme, scores, setup.interpreter.explain(interpreter), request.keys or state.keys,
+                     rested.probability)
+    after = replace(state, lexeme=lexeme, past=past, generated=past, interpreter=interpreter, unguided=unguided,
+                    generator=generator._replace(style=style_state), gate=rested.gate, rest=rested.rest,
+                    quiet=in_a_row, until=speech.end)
+    return BlockMotion(record, lexeme, motion, code[0].cpu().numpy()), after
+
+
+def style_interpreter(bundle: Bundle, text: bool) -> StyleInterpreter | None:
+    """The one that reads the words, if there are any, or the audio-only one; None without style codes."""
+    return (bundle.style_text if text else None) or cast("StyleInterpreter | None", bundle.style)
+
+
+def style_code(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int) -> tuple[Tensor, Any]:
+    """z_i [1, d_z] of a block (Eq. 19), and the state after it; zeros without a style interpreter."""
+    interpreter = style_interpreter(bundle, state.text)
+    if interpreter is None:
+        return state.past.new_zeros(1, bundle.config.generator.style_width), None
+    return interpreter.step(state.generator.style, features, lexeme)
+
+
+def generate(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int, code: Tensor
+             ) -> tuple[Tensor, GeneratorState]:
+    """M_i [1, K, D_m] = G(M_{i-1}, A_i, s_i, z_i) (Eq. 15), and the decoder's state."""
+    model, before = cast("Generator", bundle.generator), state.generator
+    audio, vector = model.encode_audio(features.low[None]), bundle.vectors[[lexeme]]
+    control = None if features.control is None else features.control[None]
+    block, decoder, _ = model.step(state.past, audio, vector, code, before.decoder, control=control)
+    unguided = before.unguided
+    if control is not None:
+        # Style editing (RG 7.2.1), with classifier-free guidance: extrapolate from the block without control.
+        free, unguided, _ = model.step(state.past, audio, vector, code, unguided)
+        block = free + bundle.config.selection.guidance * (block - free)
+    return block, GeneratorState(decoder, unguided, before.style)
+
+
+def as_silence(bundle: Bundle, features: BlockFeatures) -> BlockFeatures:
+    """A block without gesture, for the generator: it gets the sound of silence."""
+    quiet = bundle.statistics.quiet_low
+    return features if quiet is None else replace(features, low=tensor(bundle, quiet), silent=True)
+
+
+def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
+    """A block of rest [B, K, D_m]: a straight line from the last pose [B, 1, D_m], `share` of the way to the block's
+    mean pose.
+
+    Each block shortens the distance to rest by `share`, so the body becomes still in a long rest.
+    """
+    frames = block.shape[1]
+    steps = torch.arange(1, frames + 1, dtype=block.dtype, device=block.device)[:, None] / frames
+    return last + share * steps * (block.mean(dim=1, keepdim=True) - last)
+
+
+def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
+    """[N, K, D_m] motion of all blocks of a performance."""
+    return np.stack([block.motion for block in blocks])

@@ -1,13 +1,40 @@
-"""RACER, in the order of the paper: a codec at a fixed rate (RACER 4.1), a reward of motion and speech (4.2), and a
-Q-network that chooses the codes (4.3). The codes are decoded together; there is no generator (RACER 5.2)."""
+"""RACER, in the order of the paper.
+
+    RACER 4.1   a codec turns motion at a fixed rate into codes                       `lexicon`, below (Eq. 4 and 5)
+    RACER 4.2   a reward says how well motion fits speech                             `interpreters.reward` (Eq. 6 to 8)
+    RACER 4.3   a Q-network learns offline which code to take                         `interpreters.cql` (Eq. 9 to 12)
+    RACER 4.3   at inference the code of the largest Q value is taken, one by one     `step`, below
+    RACER 5.2   the codec decodes all codes together                                  `motion_of`, below
+
+Blocks are eight frames at a fixed rate. There is no generator, no style, no gate and no silence. The same reward and
+Q-network are trained over the lexicons of the other two systems, too (`--interpreter cql`).
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NoReturn
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, NoReturn, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from gesticulator.sampling.loop import (
+    BlockMotion,
+    Request,
+    Setup,
+    State,
+    choose,
+    decided,
+    features_of,
+    scores_of,
+)
+from gesticulator.sampling.noise import Keys
 
 if TYPE_CHECKING:
+    from gesticulator.bundle.bundle import Bundle
     from gesticulator.bundle.config import Config
     from gesticulator.bundle.features import Sizes
     from lexicon.racer import RacerCodec
@@ -16,7 +43,21 @@ NAME = "racer"
 PARTS = ("q_network",)
 CODEBOOK = "quantizer.vectors"
 BLOCKS = IN_CONTEXT = SILENCE = VARIES = False
-STAGES = ("speech", "contrast", "codec", "reward", "reward_judge", "q_network", "q_network_literal")
+
+# ------------------------------------------------------------------------------------------------------------ training
+
+STAGES = (
+    "speech",             # the audio front end; the presets use mel bands
+    "contrast",
+    "codec",              # RACER 4.1, Eq. 4 and 5
+    "reward",             # RACER 4.2, Eq. 6 to 8
+    "reward_judge",       # another reward, which evaluates the policy
+    "q_network",          # RACER 4.3, Eq. 9 to 12
+    "q_network_literal",  # the same on recorded codes only
+)
+"""In order (RACER 5.2)."""
+
+# --------------------------------------------------------------------------------------------------- models, RACER 4.1
 
 
 def codebook_shape(config: Config) -> tuple[int, int]:
@@ -39,3 +80,33 @@ def generator(sizes: Sizes) -> NoReturn:
 def style(sizes: Sizes, reads: bool) -> NoReturn:
     """InputError: there are no style codes."""
     raise InputError("system=racer", "has no style codes", "use system=paper or system=movement")
+
+
+# ---------------------------------------------------------------------------------------------- one code, RACER 4.3
+
+def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
+    """The state before the first code, a_0: the code nearest to standing still in the resting pose."""
+    code = bundle.rest_lexeme(setup.speaker)
+    interpreter = setup.interpreter.start(setup.speaker, code)
+    past = bundle.rest_feature(setup.speaker).expand(1, bundle.frames, -1)
+    return State(keys, text, code, past, past, interpreter, interpreter)
+
+
+def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
+    """The next code, without motion, and the state after it; activity 0 holds the resting code."""
+    scores, interpreter, unguided = scores_of(bundle, setup, state, features_of(bundle, request))
+    code = choose(setup, request, scores)
+    if setup.activity == 0:
+        code = bundle.rest_lexeme(setup.speaker)
+    record = decided(request.speech, code, scores, setup.interpreter.explain(interpreter), state.keys)
+    after = replace(state, lexeme=code, interpreter=interpreter, unguided=unguided, until=request.speech.end)
+    return BlockMotion(record, code, np.empty((0, 0), np.float32), np.empty(0, np.float32)), after
+
+
+@torch.inference_mode()
+def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
+    """[N, K, D_m] all codes decoded together, after a resting code, so that the motion begins at rest (RACER 5.2)."""
+    codes = [bundle.rest_lexeme(setup.speaker), *(block.lexeme for block in blocks)]
+    codec = cast("RacerCodec", bundle.lexicon)
+    decoded = codec.decode_tokens(torch.tensor(codes, device=bundle.vectors.device)[None])
+    return np.asarray(decoded[0, 1:].cpu().numpy())

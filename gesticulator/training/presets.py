@@ -253,16 +253,11 @@ def default() -> Config:
         silence=SilenceConfig(rest="life", augmentation=0.0, mask=False, hint=False),
         # Chosen on the validation split, together with the speaker: nearest to the corpus by the distance of motion
         # windows and hand speeds, then by timing and smooth joins; the Q-network's temperature by how varied its
-        # lexemes are (`benchmarks/cql.py`). Of noise, contrast, reach, hold, phrasing and setting_out, what they do on
+        # lexemes are. Of noise, contrast, reach, hold, phrasing and setting_out, what they do on
         # the acceptance's real voice and to the sounds of stability was looked at, too; of contrast, what the styles
-        # explain on the test split (`benchmarks/unit_style.py`).
-        selection=SelectionConfig(temperature=1.5, q_temperature=0.5, guidance=4.0, audio_guidance=0.7,
-                                  lexeme_guidance=0.4, noise=0.76, unit_guidance=0.5, contrast=2.0, flow_steps=3,
-                                  trunk_guidance=0.3, trunk_noise=0.94, finger_noise=1.75, lively_noise=0.08,
-                                  interpreter_guidance=1.0, words_so_far=True, candidates=4, same_arms=True,
-                                  retiming=0.08, careful=True, timing=1.0, seam=0.25,
-                                  clear=16.0, fresh=True, as_asked=2.0, reach=1.6, hold=1.2, phrasing=0.5,
-                                  setting_out=4.0, waxing=0.8, together=1.0, pitch=1.5))
+        # explain on the test split. What the system `movement` alone uses are its defaults.
+        selection=SelectionConfig(temperature=1.5, q_temperature=0.5, guidance=4.0, interpreter_guidance=1.0,
+                                  words_so_far=True))
 
 
 def tiny() -> Config:

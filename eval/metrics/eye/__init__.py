@@ -89,7 +89,7 @@ def of_body(body: CommonBody, heard: VoiceActivity | None = None, edges: Array |
 
 
 def within(name: str, value: float) -> bool | None:
-    """Whether a figure lies in the range of real people; None where it has none, or no value."""
+    """True if a figure lies in the range of real people; None without a range or a value."""
     if name not in RANGES or not np.isfinite(value):
         return None
     low, high = RANGES[name]

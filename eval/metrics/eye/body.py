@@ -86,8 +86,8 @@ def common_body(motion: Motion) -> CommonBody:
     skeleton = motion.skeleton
     joints = dict(find_table(skeleton.names))
     joints["Chest"] = _chest(skeleton.parents, skeleton.names, joints)
-    own = kinematics.resample(motion, HZ)
-    world, places = kinematics.global_rotations(skeleton, own.rotations), kinematics.positions_of(own)
+    resampled = kinematics.resample(motion, HZ)
+    world, places = kinematics.global_rotations(skeleton, resampled.rotations), kinematics.positions_of(resampled)
     change = _axes(skeleton, joints)
     world = rotation.multiply(rotation.multiply(change, world), rotation.conjugate(change))
     places = rotation.rotate(change, places - places[:, joints["Hips"], None])
@@ -96,9 +96,9 @@ def common_body(motion: Motion) -> CommonBody:
     points = _trunk(motion, joints, world)
     for side, sign in zip(SIDES, (-1.0, 1.0), strict=True):
         _arm(points, side, sign, joints, skeleton.parents, world, places)
-    wrists, bends = _hand_angles(own, joints, places)
+    wrists, bends = _hand_angles(resampled, joints, places)
     return CommonBody(points, world[:, joints["Chest"]], world[:, joints["Head"]],
-                      _finger_speed(own, [joints[side + "Hand"] for side in SIDES]), wrists, bends)
+                      _finger_speed(resampled, [joints[side + "Hand"] for side in SIDES]), wrists, bends)
 
 
 def _ancestors(parents: Sequence[int], joint: int) -> list[int]:
@@ -181,9 +181,9 @@ def _trunk(motion: Motion, joints: dict[str, int], world: Array) -> dict[str, Ar
 
 def _along(chain: Sequence[int], start: Array, lengths: Array, world: Array, total: float, part: float = 1.0) -> Array:
     """[T, 3] the place `part` of the way along a chain that is `total` metres long and upright at rest."""
-    own = np.array([lengths[joint] for joint in chain[1:]])
+    bones = np.array([lengths[joint] for joint in chain[1:]])
     place, left = start, part * total
-    for joint, length in zip(chain[:-1], own * total / max(float(own.sum()), _EPS), strict=True):
+    for joint, length in zip(chain[:-1], bones * total / max(float(bones.sum()), _EPS), strict=True):
         place = place + rotation.rotate(world[:, joint], np.array([0.0, min(float(length), left), 0.0]))
         left = max(left - float(length), 0.0)
     return place

@@ -54,13 +54,13 @@ _FEWEST = 3
 def windows(body: CommonBody) -> Array:
     """[n, 40] descriptors of a motion's windows; n is 0 where it lasts less than 2 s."""
     places = (np.stack([body.points[name] for name in POINTS], axis=1) - body.points["Waist"][:, None])[::_THIN]
-    told = []
+    descriptors = []
     for start in range(0, len(places) - _WINDOW, _STEP):
         piece = places[start:start + _WINDOW]
         speed = np.linalg.norm(np.diff(piece, axis=0), axis=-1) * 15.0
-        told.append(np.concatenate([piece.mean(0).ravel(), np.log(piece.std(0).ravel() + _LEAST_SPREAD),
+        descriptors.append(np.concatenate([piece.mean(0).ravel(), np.log(piece.std(0).ravel() + _LEAST_SPREAD),
                                     np.log(speed.mean(0) + _LEAST_SPEED), np.log(speed.max(0) + _LEAST_SPEED)]))
-    return np.array(told, dtype=np.float64).reshape(-1, WIDTH)
+    return np.array(descriptors, dtype=np.float64).reshape(-1, WIDTH)
 
 
 @dataclass(frozen=True)
@@ -103,18 +103,18 @@ class ReferenceSpace:
     def load(cls, path: str | os.PathLike[str]) -> ReferenceSpace:
         """Read a file of statistics (.npz: mean, sd, axes, own_mean, own_root); InputError where it is none."""
         wanted = ("mean", "sd", "axes", "own_mean", "own_root")
-        mean, sd, axes, own, root = read_numbers(path, wanted, f"give {REFERENCE}")
+        mean, sd, axes, center, root = read_numbers(path, wanted, f"give {REFERENCE}")
         k = len(axes) if axes.ndim else 0
-        if (mean.shape, sd.shape, axes.shape, own.shape, root.shape) != ((WIDTH,), (WIDTH,), (k, WIDTH), (k,), (k, k)) \
-                or (sd <= 0).any():
+        shapes = (mean.shape, sd.shape, axes.shape, center.shape, root.shape)
+        if shapes != ((WIDTH,), (WIDTH,), (k, WIDTH), (k,), (k, k)) or (sd <= 0).any():
             raise InputError(path, "holds statistics of another shape", f"give {REFERENCE}")
-        return cls(mean, sd, axes, Moments(own, root @ root.T))
+        return cls(mean, sd, axes, Moments(center, root @ root.T))
 
     @classmethod
     def found(cls) -> ReferenceSpace | None:
         """The one in GESTICULATOR_DATA; None where there is none."""
-        told = os.environ.get("GESTICULATOR_DATA")
-        file = Path(told).expanduser() / REFERENCE if told else None
+        place = os.environ.get("GESTICULATOR_DATA")
+        file = Path(place).expanduser() / REFERENCE if place else None
         return cls.load(file) if file is not None and file.is_file() else None
 
     def see(self, descriptors: Array) -> Array:
@@ -127,5 +127,5 @@ class ReferenceSpace:
 
     def distance(self, descriptors: Array, other: Moments | None = None) -> float:
         """Of windows [n, 40] from the real takes, or from other moments in this space; NaN for fewer than three."""
-        own = self.moments(descriptors)
-        return math.nan if own is None else frechet(own, self.real if other is None else other)
+        moments_here = self.moments(descriptors)
+        return math.nan if moments_here is None else frechet(moments_here, self.real if other is None else other)

@@ -108,9 +108,9 @@ def _best(by_lag: Array) -> float:
 def coupling(pitches: Sequence[Array], speeds: Sequence[Array], draws: int = 200, seed: int = 1) -> Coupling:
     """Of recordings with their pitch and trunk speed. With one recording there is no exchange, and no chance."""
     pairs = np.array([[lagged(pitch, speed) for speed in speeds] for pitch in pitches])
-    own = np.nanmean(pairs[np.arange(len(speeds)), np.arange(len(speeds))], axis=0)
+    matched = np.nanmean(pairs[np.arange(len(speeds)), np.arange(len(speeds))], axis=0)
     rng, chance = np.random.default_rng(seed), []
     for _ in range(draws if len(speeds) > 1 else 0):
         order = rng.permutation(len(speeds))
         chance.append(_best(np.nanmean(pairs[order, np.arange(len(speeds))], axis=0)))
-    return Coupling(own, np.array(chance))
+    return Coupling(matched, np.array(chance))

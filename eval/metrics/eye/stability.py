@@ -76,24 +76,24 @@ def healed(apart: NDArray[np.bool_], within: float, hz: float = HZ) -> float:
     return 100.0 * good / counted if counted else math.nan
 
 
-def difference(one: CommonBody, two: CommonBody, within: float = UNIT) -> Difference:
+def difference(first: CommonBody, second: CommonBody, within: float = UNIT) -> Difference:
     """Of two takes; within: seconds in which they should come together again."""
-    frames = min(len(one), len(two))
-    one, two = one.crop(0, frames), two.crop(0, frames)
-    away = np.stack([np.linalg.norm(one.points[joint] - two.points[joint], axis=1) for joint in _JOINTS], axis=1)
+    frames = min(len(first), len(second))
+    first, second = first.crop(0, frames), second.crop(0, frames)
+    away = np.stack([np.linalg.norm(first.points[joint] - second.points[joint], axis=1) for joint in _JOINTS], axis=1)
     apart = away[:, -2:].max(axis=1) > ALIKE
     near = [stop for begin, stop in runs(~apart).tolist() if stop - begin >= round(TOGETHER * HZ)]
-    first = float(np.argmax(apart)) / HZ if apart.any() else math.nan
+    parting = float(np.argmax(apart)) / HZ if apart.any() else math.nan
     for_good = math.nan if not apart.any() or (near and near[-1] == frames) else near[-1] / HZ if near else 0.0
-    speeds = np.stack([hand_speeds(body).mean(axis=1) for body in (one, two)], axis=1)
+    speeds = np.stack([hand_speeds(body).mean(axis=1) for body in (first, second)], axis=1)
     return Difference(frames / HZ, 100.0 * float(away.mean()), 100.0 * float(away[:, -2:].mean()),
-                      100.0 * float(apart.mean()), first, for_good, healed(apart, within), correlation(speeds))
+                      100.0 * float(apart.mean()), parting, for_good, healed(apart, within), correlation(speeds))
 
 
-def other_lexemes(one: Blocks, two: Blocks) -> float:
+def other_lexemes(first: Blocks, second: Blocks) -> float:
     """Percentage of the time in common in which two plans have another lexeme; NaN without any."""
-    edges = np.union1d(one[0], two[0])
-    edges = edges[(edges >= max(one[0][0], two[0][0])) & (edges <= min(one[0][-1], two[0][-1]))]
+    edges = np.union1d(first[0], second[0])
+    edges = edges[(edges >= max(first[0][0], second[0][0])) & (edges <= min(first[0][-1], second[0][-1]))]
     lengths, middles = np.diff(edges), edges[:-1] + np.diff(edges) / 2.0
-    first, second = (lexemes[np.searchsorted(times, middles) - 1] for times, lexemes in (one, two))
-    return 100.0 * float(lengths[first != second].sum() / lengths.sum()) if len(lengths) else math.nan
+    before, after = (lexemes[np.searchsorted(times, middles) - 1] for times, lexemes in (first, second))
+    return 100.0 * float(lengths[before != after].sum() / lengths.sum()) if len(lengths) else math.nan

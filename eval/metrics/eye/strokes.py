@@ -56,9 +56,9 @@ def strokes(path: Array) -> Array:
     """[n, 2] seconds and metres of each stroke of one wrist's path [T, 3] at 60 Hz."""
     speed = smoothed_speed(path[:, None])[:, 0]
     minima = np.concatenate([[0], find_peaks(-speed, prominence=_PROMINENCE)[0], [len(path) - 1]])
-    found = [((end - start) / HZ, float(np.linalg.norm(path[end] - path[start])))
+    pairs = [((end - start) / HZ, float(np.linalg.norm(path[end] - path[start])))
              for start, end in zip(minima[:-1], minima[1:], strict=True) if speed[start:end].max(initial=0.0) > MOVES]
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
+    return np.array(pairs, dtype=np.float64).reshape(-1, 2)
 
 
 def attack(path: Array) -> Array:
@@ -111,11 +111,11 @@ def repetition(hands: Array) -> float:
 def figures(body: CommonBody, edges: Array | None = None) -> dict[str, float]:
     """Every figure of this chapter; edges: [N + 1] of the motion's own blocks, seconds."""
     hands = body.hands - body.points["Chest"][:, None]
-    found = np.concatenate([strokes(hands[:, k]) for k in (0, 1)])
+    every = np.concatenate([strokes(hands[:, k]) for k in (0, 1)])
     out = {}
     for k, (name, scale) in enumerate((("duration", 1.0), ("amplitude", 100.0))):
         for suffix, percent in (("", 50), ("_90", 90)):
-            out[f"eye_stroke_{name}{suffix}"] = (scale * float(np.percentile(found[:, k], percent)) if len(found)
+            out[f"eye_stroke_{name}{suffix}"] = (scale * float(np.percentile(every[:, k], percent)) if len(every)
                                                  else math.nan)
     begun = np.concatenate([attack(hands[:, k]) for k in (0, 1)])
     out["eye_attack"] = 100.0 * float(begun.mean()) if len(begun) else math.nan

@@ -68,7 +68,7 @@ class VoiceActivity:
 
 
 def hear(speech: Speech) -> VoiceActivity:
-    """What the figures need of a recording."""
+    """The voice activity of a recording, for the figures of this chapter."""
     samples = resample(speech, SAMPLE_RATE).samples.astype(np.float64)
     frequencies, times, spectrum = stft(samples, SAMPLE_RATE, nperseg=512, noverlap=352)
     power = np.abs(spectrum) ** 2
@@ -91,8 +91,8 @@ def _flux_onsets(frequencies: Array, times: Array, power: Array) -> Array:
     flux = gaussian_filter1d(np.maximum(logs[:, 2:] - logs[:, :-2], 0.0).sum(axis=0), 1.5)
     limit = median_filter(flux, 101) + 0.35 * flux.std()
     peaks = find_peaks(flux, distance=_SHORTEST)[0]
-    found: Array = times[1:-1][peaks[flux[peaks] > limit[peaks]]]
-    return found
+    onsets: Array = times[1:-1][peaks[flux[peaks] > limit[peaks]]]
+    return onsets
 
 
 def _rise_onsets(frequencies: Array, times: Array, power: Array) -> Array:
@@ -119,17 +119,17 @@ def _silent(level: Array) -> NDArray[np.bool_]:
 
 def hand_beats(hands: Array) -> Array:
     """First detector: seconds at which a hand of [T, 2, 3] brakes hard; beats within 0.1 s are one."""
-    found: list[float] = []
+    brakes: list[float] = []
     for k in range(hands.shape[1]):
         speed = np.linalg.norm(np.gradient(gaussian_filter1d(hands[:, k], 1.6, axis=0), 1.0 / HZ, axis=0), axis=1)
         braking = -np.gradient(gaussian_filter1d(speed, 2), 1.0 / HZ)
-        found += [peak / HZ for peak in find_peaks(braking, height=2.0, distance=9)[0]
+        brakes += [peak / HZ for peak in find_peaks(braking, height=2.0, distance=9)[0]
                   if speed[max(0, peak - 24):peak + 1].max() > 0.25]
-    kept: list[float] = []
-    for time in sorted(found):
-        if not kept or time - kept[-1] >= 0.1:
-            kept.append(time)
-    return np.array(kept, dtype=np.float64)
+    beats: list[float] = []
+    for time in sorted(brakes):
+        if not beats or time - beats[-1] >= 0.1:
+            beats.append(time)
+    return np.array(beats, dtype=np.float64)
 
 
 def summed_beats(hands: Array) -> Array:
@@ -168,8 +168,8 @@ def figures(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
     """Every figure of this chapter."""
     speed = body.hand_speed
     at = (np.arange(len(speed)) / HZ * TRACK_HZ).astype(int)
-    heard = at < len(voice.silent)
-    quiet, moved = voice.silent[at[heard]], speed[heard]
+    inside = at < len(voice.silent)
+    quiet, moved = voice.silent[at[inside]], speed[inside]
     talking = float(moved[~quiet].mean()) if (~quiet).any() else math.nan
     silence = float(moved[quiet].mean()) if quiet.sum() > _FEW_SILENT else math.nan
     duration = min(voice.duration, body.duration)

@@ -63,7 +63,7 @@ def resting(poses: Array, config: Config) -> Array:
     """[D_m] the resting pose from the poses at the ends of silences [n, D_m]: their mean; or, with idle motion
     (`silence.rest`), the arms of the median pose among those with the lowest hands (a mean of lowered and raised hands
     would be half way up), and the mean of these poses for trunk and head (a single pose may look aside)."""
-    if config.silence.rest != "life":
+    if not config.rests_by_phrase:
         return np.asarray(poses.mean(axis=0))
     places = positions_of(representation_of(config).motion(poses, config.rhythm.fps))
     height = places[:, [CHARACTER.index("LeftHand"), CHARACTER.index("RightHand")], 1].mean(axis=1) - places[:, 0, 1]

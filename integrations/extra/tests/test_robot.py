@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Array, Motion
-from gesticulator import infer
+from gesticulator.arguments import infer_arguments, jobs_of
 from gesticulator.export.writers import suffix_of
 from gesticulator.performance import Performance
 
@@ -250,9 +250,9 @@ def test_the_suffix_of_two_parts_is_known_and_csv_stays_as_it_is(path: str, suff
 def test_the_command_names_the_file(tmp_path: Path, output: str, told: str | None, target: str) -> None:
     (tmp_path / "speech.wav").write_bytes(b"")
     parser = argparse.ArgumentParser()
-    infer.arguments(parser)
+    infer_arguments(parser)
     line = [str(tmp_path / "speech.wav"), "-o", f"{tmp_path}/{output}", *(("--format", told) if told else ())]
-    assert infer._plan(parser.parse_args(line))[0].targets == (tmp_path / target,)
+    assert jobs_of(parser.parse_args(line))[0].targets == (tmp_path / target,)
 
 
 def test_a_motion_of_another_skeleton_is_refused() -> None:

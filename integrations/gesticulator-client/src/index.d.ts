@@ -1,5 +1,5 @@
 export interface Joint { name: string; parent: number; offset: [number, number, number]; tip?: [number, number, number] }
-export interface Welcome { type: "hello"; stream: string; fps: number; look_ahead: number; joints: Joint[]; limits: Record<string, number>; session?: string; resumed?: boolean }
+export interface Welcome { type: "hello"; stream: string; fps: number; look_ahead: number; joints: Joint[]; limits: Record<string, number> }
 /** turns: 4 numbers a joint (w, x, y, z), local to the parent; root: metres; face: 20 numbers, of a stream with the option `face`. */
 export interface Pose { turns: Float32Array; root: ArrayLike<number>; face?: Float32Array }
 export interface Frame extends Pose { source: number }
@@ -14,7 +14,7 @@ export type GestureEvent =
   | { type: "done"; frames: number }
   | { type: "error"; code: number; message: string; retry_after?: number }
   | { type: "lost"; code: number; reason: string }
-  | { type: "back"; resumed: boolean }
+  | { type: "back" }
   | { type: "closed"; code: number; reason: string };
 export interface StreamSettings {
   /** Hertz of the sound that will be sent. */
@@ -80,6 +80,7 @@ export function feedMicrophone(stream: GestureStream, context: AudioContext, cap
 export const BONES: Record<string, [string | null, string]>;
 /** What a face needs of a VRM of @pixiv/three-vrm. */
 export interface VrmFace {
+  meta?: { metaVersion?: string };
   expressionManager?: { setValue(name: string, weight: number): void };
   lookAt?: { yaw: number; pitch: number } | null;
 }

@@ -21,14 +21,11 @@ export class GestureStream {
     this.total = 0;
     this.time = 0; // media time of what was sent, seconds
     this.welcome = null;
-    this.source = 0; // sessions before this one
-    this.offset = 0; // frames before this session's first one
-    this.anewNext = false; // whether the next connection begins a new session, though there is one that could be resumed
-    this.journal = [];
-    this.numbered = 0; // messages that this session sent, or will
-    this.got = 0; // messages of the server in this session
-    this.session = null;
-    this.heard = false;
+    this.source = 0; // connections before this one
+    this.offset = 0; // frames before this connection's first one
+    this.replayAgain = false; // whether an interruption reached back before the first frame of this connection
+    this.journal = []; // what was sent, for a replay
+    this.otherVoice = false;
     this.ended = false;
     this.ready = new Promise((resolve, reject) => { this.settle = { resolve, reject }; });
     this.ready.catch(() => {}); // it is also told as "closed"
@@ -41,7 +38,7 @@ export class GestureStream {
   /** Send a command of the protocol. */
   say(message) {
     const seconds = (message.type === "idle" || message.type === "think") && message.seconds ? message.seconds : 0;
-    if (message.type === "listen" || message.type === "speak") this.heard = message.type === "listen";
+    if (message.type === "listen" || message.type === "speak") this.otherVoice = message.type === "listen";
     this.record(message, seconds);
   }
 
@@ -63,21 +60,20 @@ export class GestureStream {
     for (const k of this.frames.keys()) if (k >= this.end) this.frames.delete(k);
     this.journal = this.journal.map((sent) => cutEnd(sent, at, this.sampleRate));
     this.time = at;
-    if (this.end < this.offset) this.leaveSession(); // which knows nothing of what was before it
+    if (this.end < this.offset) this.leaveConnection(); // it knows nothing of what was before it
     this.record({ type: "interrupt", time: at }, 0);
   }
 
-  /** Go on with a new session, at the first frame that did not come or was taken back. */
-  leaveSession() {
-    this.anewNext = true;
+  /** Go on with another connection, at the first frame that did not come or was taken back. */
+  leaveConnection() {
+    this.replayAgain = true;
     if (this.live) this.drop();
   }
 
-  /** End the connection of a session that was left. */
   drop() {
     this.socket.onclose = this.socket.onmessage = null;
     this.socket.close(1000);
-    this.lost(1001, "an interruption reached back before the session");
+    this.lost(1001, "an interruption reached back before the connection");
   }
 
   /** Let go of the server. */
@@ -111,13 +107,12 @@ export class GestureStream {
   }
 
   record(message, seconds) {
-    const said = { message, start: this.time, seconds, heard: this.heard };
+    const whole = { message, start: this.time, seconds, otherVoice: this.otherVoice };
     this.time += seconds;
-    // A session begins at a frame, which may lie after an interruption.
-    const sent = seconds && !this.anewNext ? cutStart(said, this.offset / this.fps, this.sampleRate, this.fps) : said;
+    // A connection begins at a frame, which may lie after an interruption.
+    const sent = seconds && !this.replayAgain ? cutStart(whole, this.offset / this.fps, this.sampleRate, this.fps) : whole;
     if (!sent) return;
     this.journal.push(sent);
-    this.numbered++;
     while (this.journal.length && this.journal[0].start + this.journal[0].seconds < this.time - JOURNAL_SECONDS) this.journal.shift();
     if (this.live) this.transmit(sent.message);
   }
@@ -127,7 +122,7 @@ export class GestureStream {
     this.socket.send(ArrayBuffer.isView(message) ? message : JSON.stringify(this.shifted(message)));
   }
 
-  /** A command with its times in this session's media time. */
+  /** A command with its times in this connection's media time. */
   shifted(message) {
     const back = this.offset / this.fps, moved = { ...message };
     if (moved.time !== undefined) moved.time = Math.max(0, moved.time - back);
@@ -144,20 +139,19 @@ export class GestureStream {
     const socket = this.socket = new this.Socket(this.url, "gesticulator.v1");
     socket.binaryType = "arraybuffer";
     socket.onopen = () => socket.send(JSON.stringify({
-      type: "hello", protocol: 1, sample_rate: this.sampleRate, format: "float32", fps: this.fps, seed: this.seed, options: this.options, resumable: true,
-      ...(this.token ? { token: this.token } : {}), ...(this.session && !this.anewNext ? { resume: { session: this.session, messages: this.got } } : {}),
+      type: "hello", protocol: 1, sample_rate: this.sampleRate, format: "float32", fps: this.fps, seed: this.seed, options: this.options,
+      ...(this.token ? { token: this.token } : {}),
     }));
     socket.onmessage = ({ data }) => {
       if (socket !== this.socket) return;
-      if (typeof data !== "string") { this.got++; this.take(data); } else this.hear(JSON.parse(data));
+      if (typeof data !== "string") this.take(data); else this.receive(JSON.parse(data));
     };
     socket.onclose = ({ code, reason }) => { if (socket === this.socket) this.lost(code, reason); };
   }
 
-  hear(message) {
+  receive(message) {
     if (message.type === "hello") { this.begin(message); return; }
     if (message.type === "error") this.refused = message;
-    else this.got++;
     const back = this.offset / this.fps;
     for (const name of ["time", "start", "end"]) if (name in message) message[name] += back;
     if (message.type === "done") this.ended = true;
@@ -165,30 +159,25 @@ export class GestureStream {
   }
 
   begin(welcome) {
-    if (welcome.resumed && this.anewNext) { this.drop(); return; } // it was left while it was opened
-    const again = this.session !== null;
+    const again = this.welcome !== null;
     this.welcome = welcome;
-    if (!welcome.resumed) this.anew(welcome.session ?? "", again);
-    for (let sent = welcome.resumed ? welcome.messages : 0; sent < this.numbered; sent++) this.transmit(this.journal[this.journal.length + sent - this.numbered].message);
+    this.replayAgain = false;
+    if (again) this.replay();
+    for (const { message } of this.journal) this.transmit(message);
     this.live = true;
     this.opened = Date.now();
     this.settle.resolve(this);
-    this.onEvent(again ? { type: "back", resumed: welcome.resumed } : welcome);
+    this.onEvent(again ? { type: "back" } : welcome);
   }
 
-  /** A new session from the first frame that did not come. */
-  anew(session, again) {
-    this.session = session;
-    this.got = 0;
-    this.anewNext = false;
-    if (!again) return;
+  /** Go on from the first frame that did not come; the journal is what is to be sent for it. */
+  replay() {
     this.offset = this.end;
     this.cut = Infinity;
     this.source++;
     const begin = this.offset / this.fps;
     this.journal = this.journal.map((sent) => cutStart(sent, begin, this.sampleRate, this.fps)).filter(Boolean);
-    if (this.journal[0]?.heard) this.journal.unshift({ message: { type: "listen" }, start: begin, seconds: 0, heard: true });
-    this.numbered = this.journal.length;
+    if (this.journal[0]?.otherVoice) this.journal.unshift({ message: { type: "listen" }, start: begin, seconds: 0, otherVoice: true });
   }
 
   lost(code, reason) {
@@ -245,7 +234,7 @@ function cutStart(sent, begin, rate, fps) {
     const left = Math.min(seconds, end - begin);
     return left <= 0 ? null : { ...sent, message: { ...message, seconds: left }, start: Math.max(start, begin), seconds: left };
   }
-  // What was said after an interruption may lie in the frame before the one at which the session begins.
+  // What was said after an interruption may lie in the frame before the one at which the connection begins.
   return start > begin - 1 / fps || message.type === "words" || (message.type === "idle" && !("seconds" in message)) ? sent : null;
 }
 

@@ -1,4 +1,4 @@
-// Poses on a VRM character of @pixiv/three-vrm. Both rest in a T-pose, facing +Z.
+// Poses on a VRM character of @pixiv/three-vrm. Both rest in a T-pose; the stream and a VRM 1.0 face +Z, a VRM 0.x faces -Z.
 
 import { showFace } from "./face.js";
 
@@ -24,11 +24,14 @@ export class VrmDriver {
   constructor(joints, vrm, { lipsOnly = false } = {}) {
     this.vrm = vrm;
     this.lipsOnly = lipsOnly;
+    this.faces = vrm.meta?.metaVersion === "0" ? -1 : 1;
     this.parents = joints.map(({ parent }) => parent);
     this.world = joints.map(() => [1, 0, 0, 0]);
     const names = new Map(joints.map(({ name }, number) => [name, number])), found = new Map();
     this.rows = [];
-    for (const [bone, [parent, joint]] of Object.entries(BONES)) {
+    for (const [bone, [parent, usual]] of Object.entries(BONES)) {
+      // A VRM without a chest bends at the spine as the chest would.
+      const joint = bone === "spine" && !vrm.humanoid.getNormalizedBoneNode("chest") ? "Spine3" : usual;
       const node = vrm.humanoid.getNormalizedBoneNode(bone);
       if (!node || !names.has(joint)) continue;
       let above = parent;
@@ -50,12 +53,12 @@ export class VrmDriver {
     }
     for (const { node, joint, above } of this.rows) {
       const [w, x, y, z] = above < 0 ? this.world[joint] : multiply(inverse(this.world[above]), this.world[joint]);
-      node.quaternion.set(x, y, z, w);
+      node.quaternion.set(this.faces * x, y, this.faces * z, w);
     }
     this.stands ??= root[1];
     if (this.hips && this.stands > 0) {
       const scale = this.height / this.stands;
-      this.hips.position.set(root[0] * scale, root[1] * scale, root[2] * scale);
+      this.hips.position.set(this.faces * root[0] * scale, root[1] * scale, this.faces * root[2] * scale);
     }
   }
 }

@@ -90,7 +90,7 @@ class Poses:
     first: number of the first frame. rotations: [count, J, 4] quaternions, w first, local to the parent; for SMPL-X
     [count, 55, 3], axis times angle in radians. root_positions: [count, 3] metres. state: "idle", "speaking",
     "listening" or "thinking". received: seconds of sound that the server had taken in when it made them. face: [count,
-    20] with the option "face" (the schema lists the values). source: number of the session that they are of, in a
+    20] with the option "face" (the schema lists the values). source: number of the connection that they are of, in a
     `ResumingStream`: where it changes, poses do not join.
     """
 

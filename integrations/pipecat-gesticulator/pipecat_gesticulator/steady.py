@@ -25,8 +25,8 @@ class SteadyPlayer:
     """As `PosePlayer`, for a stream whose poses may be late or lost.
 
     Where there is no pose for a moment, the character comes to rest and breathes. Where the source changes (stream to
-    idling and back, or to another session of a `ResumingStream`), the difference in pose and in speed is carried over
-    and decays as a critically damped spring, so that nothing jumps.
+    idling and back, or to another connection of a `ResumingStream`), the difference in pose and in speed is carried
+    over and decays as a critically damped spring, so that nothing jumps.
     """
 
     def __init__(self, welcome: Welcome) -> None:

@@ -1,0 +1,201 @@
+"""What `gesticulator ablate` runs and compares: the rows of rows.toml, the tables and claims of papers.toml, as types.
+
+Both files say at their head what each key means. A row is a change of settings, as one would type it after --set, so
+which of its stages are trained again follows from the hashes of its settings. The presets are of the papers' system
+(poses, regression); what the preset `default` has in its place is the row `flow`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from eval.table import Column
+from gesticulator.bundle import config as configs
+from gesticulator.bundle.config import Config
+from gesticulator.training import presets
+
+OURS, PERFORMER, REAL_TAKE, FLOOR = "ours", "performer", "real-take", "halves"
+RACER_OURS, RACER_SUPERVISED = "racer-cql", "racer-supervised"
+REFERENCES = {PERFORMER: "the motion that the store was made with", REAL_TAKE: "a person speaking (BEAT), one take"}
+CONTROLS = {"shuffled": "the performer's motion for another speech", "reversed": "the performer's motion, backwards",
+            "jitter": "the performer's motion, each joint 2 cm off, anew in each frame",
+            "still": "the performer's mean pose, held", FLOOR: "one half of the performer's clips against the other"}
+"""References and controls stand in every table; nothing is trained for them."""
+SYSTEMS = {"SG": "Style Gestures", "Ges": "Gesticulator", "GTC": "Trimodal Context", "S2AG": "Speech2AffectiveGestures",
+           "Bailando": "Bailando"}
+"""The papers' baselines, by the names under which `--system NAME=DIR` fills their lines."""
+DECIDED = 3
+"""Seeds; fewer decide nothing."""
+SIGNS = {"<": "lower than", ">": "higher than", "=": "about that of"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A variant of a system; the fields are the keys of rows.toml."""
+
+    ask: str
+    set: tuple[str, ...] = ()
+    play: str = "lstm"
+    style: str = "interpreted"
+    split: str = "test"
+    train: str = "stages"
+    scale: float = 1.0
+    matched: bool = False
+    network: str = ""
+    """Of a matched row: the row whose network it samples."""
+
+
+@dataclass(frozen=True)
+class FigureColumn(Column):
+    """A column of the rows' tables; the fields are the keys of papers.toml."""
+
+    metric: str = ""
+    paper: str = ""
+    valid: str = ""
+    margin: str = "as it stands"
+    beaten: str = ""
+
+
+@dataclass(frozen=True)
+class TableLine:
+    """A line of a table: the paper's name for it, our row, and the paper's figures by column, one for each data set."""
+
+    label: str
+    row: str
+    paper: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """`first`'s figure by a column is lower (<) or higher (>) than `second`'s, or about the same (=)."""
+
+    where: str
+    metric: str
+    first: str
+    sign: str
+    second: str
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """A table or figure of a paper. places: what the paper's figures are of; references: whether the performer and the
+    controls stand below."""
+
+    title: str
+    columns: tuple[str, ...]
+    lines: tuple[TableLine, ...]
+    claims: tuple[Claim, ...] = ()
+    split: str = "test"
+    places: tuple[str, ...] = ("Trinity", "TED")
+    references: bool = True
+
+    def printed(self, row: str, column: str) -> tuple[float, ...]:
+        """The paper's figures of a row by a column, NaN for a data set that it has none of; empty without any."""
+        line = next((line for line in self.lines if line.row == row), None)
+        return () if line is None else tuple(line.paper.get(COLUMNS[column].paper, ()))
+
+    def both(self, claim: Claim) -> list[tuple[str, float, float]]:
+        """Place and the two figures of a claim's rows, on each data set on which the paper prints both."""
+        pair = [self.printed(row, claim.metric) for row in (claim.first, claim.second)]
+        return [(place, one, other) for place, one, other in zip(self.places, *pair, strict=False)
+                if math.isfinite(one + other)]
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """A claim that no table carries; the fields are the keys of papers.toml."""
+
+    where: str
+    says: str
+    needs: str = ""
+    lowest: tuple[float, ...] = ()
+    intervals: int = 1
+    source: str = ""
+
+
+# ------------------------------------------------------------------------------------------------------------- reading
+
+def _held(name: str) -> dict[str, Any]:
+    return tomllib.loads((Path(__file__).parent / name).read_text(encoding="utf-8"))
+
+
+@cache
+def read_rows() -> dict[str, Row]:
+    """The rows by name, each with the settings of the row that it is `from` before its own."""
+    rows: dict[str, Row] = {}
+    for name, told in _held("rows.toml").items():
+        base = rows.get(told.pop("from", ""))
+        settings = (*(base.set if base else ()), *told.pop("set", ()))
+        if told.get("matched"):
+            assert base is not None, f"{name} is matched, so it needs `from`"
+            source = next(other for other, row in rows.items() if row is base)
+            rows[name] = dataclasses.replace(base, ask=told["ask"], matched=True, network=source)
+        else:
+            rows[name] = Row(set=settings, **told)
+    return rows
+
+
+def _claims(title: str, sentences: list[str]) -> Iterator[Claim]:
+    for sentence in sentences:
+        metrics, _, comparison = sentence.partition(": ")
+        first, sign, *others = comparison.split()
+        for metric in metrics.split():
+            for second in others:
+                yield Claim(title, metric, first, sign, second)
+
+
+def _table(told: dict[str, Any]) -> PaperTable:
+    lines = tuple(TableLine(label, row, {key: tuple(map(float, values)) for part in paper
+                                         for key, values in part.items()})
+                  for label, row, *paper in told.pop("lines"))
+    return PaperTable(columns=tuple(told.pop("columns")), lines=lines,
+                      claims=tuple(_claims(told["title"], told.pop("claims", []))),
+                      places=tuple(told.pop("places", PaperTable.places)), **told)
+
+
+_PAPERS = _held("papers.toml")
+ROWS: dict[str, Row] = read_rows()
+COLUMNS: dict[str, FigureColumn] = {key: FigureColumn(**told) for key, told in _PAPERS["columns"].items()}
+TABLES: dict[str, PaperTable] = {told["title"]: _table(told) for told in _PAPERS["table"]}
+ELSEWHERE: list[Elsewhere] = [Elsewhere(**{**told, "lowest": tuple(told.get("lowest", ()))})
+                              for told in _PAPERS["elsewhere"]]
+
+
+# ------------------------------------------------------------------------------------------------------------- presets
+
+def ablation() -> Config:
+    """The preset `paper-quick`, for a row and seed in at most five minutes of one core."""
+    return dataclasses.replace(presets.paper_quick(), name="ablation")
+
+
+def tiny() -> Config:
+    """The `tiny` preset at half its steps, without what no row of the papers has: gate, style editing, Q-network."""
+    base = presets.tiny()
+    halved = {name: dataclasses.replace(schedule, steps=schedule.steps // 2)
+              for name in ("speech", "contrast", "lexicon", "generator", "interpreter", "style")
+              for schedule in [getattr(base.schedules, name)]}
+    return configs.with_settings(
+        dataclasses.replace(base, schedules=dataclasses.replace(base.schedules, **halved)),
+        ["schedules.gate.steps=0", "schedules.planner.steps=0", "schedules.reward.steps=0", "schedules.cql.steps=0",
+         "generator.use_control=false", "interpreter.use_control=false", "style.text_features=0"])
+
+
+PRESETS = {"ablation": ablation, "tiny": tiny}
+RACER_PRESETS = {
+    "ablation": ("cql.width=64", "cql.layers=4", "cql.heads=4", "schedules.cql.steps=400", "schedules.cql.batch=32",
+                 "cql.warm_up=0", "cql.copy_every=8"),
+    "tiny": ("cql.width=16", "cql.layers=4", "cql.heads=2", "schedules.cql.steps=10", "schedules.cql.batch=8")}
+"""What RACER's rows share on top of the bundle's settings. Targets are copied far more often than 1 / (1 - gamma), so
+that temporal differences are learned all along; a run takes 45 s to 3 min of one core."""
+
+
+def is_racer(row: str) -> bool:
+    """Whether a row is one of RACER's, which stand on a bundle of their own and are compared with each other."""
+    return row.startswith("racer-")

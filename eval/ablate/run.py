@@ -1,0 +1,446 @@
+"""The rows of Rhythmic Gesticulator's tables: trained, played on the test speech and scored, one seed at a time.
+
+A row plays the performer's speech in the performer's habits. It is measured by `gesticulator score`, by the same
+functions that a user calls, with the lexicon of the row `ours` for all rows, so that rows without a lexicon, or with
+another, can be compared. Beside the rows stand cells without a seed, measured alike: the performer (whose motion is
+the truth), a real take, motion that is known to be wrong (`eval.baselines`), and what other systems made of the same
+speech. The first seed's motion stays in the work folder, a BVH of each clip in played/ROW, for the figures.
+
+Figures of a set (FGD, diversity, motion variance) have no value for a clip; each clip gets the jackknife's: n times the
+figure of all less n - 1 times the figure without it. So one paired test serves all (`eval.ablate.verdicts`), and small
+sets are freed of the greater part of their bias.
+
+All rows of all seeds use the same speech encoder, and rows with the same lexicon settings have the same lexicon; seeds
+differ in what is trained on top. Every stage is kept in the work folder under the hash of its settings, so a row trains
+what its settings change and nothing else, and a work folder of the training command serves its finished stages.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from torch import nn
+from tqdm import tqdm
+
+from data_module.errors import InputError
+from data_module.files import lock
+from data_module.motion.bvh import read_bvh, write_bvh
+from data_module.motion.kinematics import resample
+from data_module.motion.skeletons import to_character
+from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.audio import resample as resample_speech
+from data_module.store import Recording
+from data_module.types import Array, Motion
+from eval import stats
+from eval.ablate.cells import Cell, Cells, CellStore
+from eval.ablate.policy import Decisions, accuracy
+from eval.ablate.rows import COLUMNS, CONTROLS, FLOOR, OURS, PERFORMER, REAL_TAKE, REFERENCES, ROWS, is_racer
+from eval.baselines.controls import split_halves
+from eval.baselines.interpreters import RandomStyle
+from eval.clip.clip_set import TRUTH, ClipSet
+from eval.clip.foreign import find_motions, read_folder
+from eval.clip.measure import real_take
+from eval.context import EvalContext
+from eval.metrics import fgd, pmb
+from eval.metrics.gesture_features import pooled
+from eval.score.command import ScoredClips, ScoreRow, control_rows
+from gesticulator.bundle import config as configs
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import SpeechFeatures
+from gesticulator.options import FPS
+from gesticulator.pipeline import Gesticulator
+from gesticulator.training.fit import late_gain
+from gesticulator.training.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Node, Run, Stage, assemble, wanted
+from gesticulator.training.stages.q_network import takes_of
+
+VERSION = 3
+"""Raised when the same settings would no longer give the same figures."""
+SHORTEST = 20.0
+"""Seconds; a shorter clip has too few beats for a figure of its own."""
+SHOWN_SEED = 1
+"""The seed whose motion is kept as BVH and drawn, and whose lexicon reads all motion."""
+FLOOR_DRAWS = 20
+"""Ways to halve the performer's clips."""
+
+T = TypeVar("T")
+
+
+# ------------------------------------------------------------------------------------------------------------ training
+
+def configured(base: Config, row: str) -> Config:
+    """The settings of a row; InputError where a preset lacks one of them."""
+    return configs.with_settings(base, ROWS[row].set)
+
+
+@dataclass
+class RowRun(Run):
+    """The run of a row. taken: nodes that another run makes, by name, whose keys then shape this run's stages."""
+
+    taken: Mapping[str, Run] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    """What each stage took; 0 where it was there."""
+    late_gains: dict[str, float] = field(default_factory=dict)
+    """By how much each stage's validation still became better in the last quarter of its training, as a share."""
+
+    def get(self, node: Node[T]) -> T:
+        """See `Run.get`; what another process is making is waited for."""
+        if node.name in self.taken:
+            return self.taken[node.name].get(node)
+        if node.name in self._values or node.name not in (BLOCKS.name, CORPUS.name):
+            return super().get(node)
+        with lock(self.work / node.name, f"a row that makes {node.name}", beside=True, wait=True):
+            return super().get(node)
+
+    def key(self, node: Node[Any]) -> str:
+        """See `Run.key`."""
+        return self.taken[node.name].key(node) if node.name in self.taken else super().key(node)
+
+    def train_stage(self, stage: Stage[Any], model: nn.Module) -> dict[str, float]:
+        """See `Run.train_stage`; the seconds are noted."""
+        with lock(self.folder(stage), f"a row that trains {stage.name}", beside=True, wait=True):
+            began, there = time.monotonic(), self.finished(stage)
+            figures = super().train_stage(stage, model)
+        self.seconds[stage.name] = 0.0 if there else round(time.monotonic() - began, 1)
+        log = self.folder(stage) / f"{stage.name}.jsonl"
+        if log.is_file():
+            self.late_gains[stage.name] = late_gain(log)
+        return figures
+
+
+# ------------------------------------------------------------------------------------------------------------ the rows
+
+@dataclass
+class RgRows:
+    """The rows over the preset whose run the context holds; what they share is made at its first use."""
+
+    context: EvalContext
+    _corpora: dict[str, Run] = field(default_factory=dict, init=False)
+    _encoded: dict[str, dict[str, SpeechFeatures]] = field(default_factory=dict, init=False)
+    _scored: dict[tuple[Any, ...], ScoredClips] = field(default_factory=dict, init=False)
+    _real: dict[tuple[Any, ...], list[Array]] = field(default_factory=dict, init=False)
+
+    @property
+    def first(self) -> Run:
+        """The run of the preset as it is."""
+        return self.context.run
+
+    @cached_property
+    def shared(self) -> str:
+        """Hash of what the rows share; figures that are compared must agree in it."""
+        networks = [[one.sha256, one.name, one.frames] for one in self.context.networks.values()]
+        return configs.digest(VERSION, self.first.store.fingerprint, self.first.config, self.first.key(LEXICON),
+                              self.first.key(CORPUS), networks, self.context.limit)
+
+    def runs(self, name: str, seed: int) -> tuple[RowRun, RowRun]:
+        """The run that makes a row's lexicon, at the preset's seed, and the one that does the rest."""
+        first, config = self.first, configured(self.first.config, name)
+        about = (first.store, first.work, first.device, first.progress, first.speech, first.workers)
+        corpora = self._corpus_run(config)
+        before = RowRun(config, *about, taken={ENCODER.name: first, BLOCKS.name: corpora, CORPUS.name: corpora})
+        return before, RowRun(replace(config, seed=seed), *about, taken={**before.taken, LEXICON.name: before})
+
+    def _corpus_run(self, config: Config) -> Run:
+        """The run that cuts the store by these settings; that of the preset and the last other one stay in memory."""
+        first = self.first
+        key, preset = (configs.digest(one.rhythm, one.motion, one.control, one.text, one.front_end)
+                       for one in (config, first.config))
+        return first if key == preset else _latest(self._corpora, key, 1, lambda: RowRun(
+            config, first.store, first.work, first.device, first.progress, first.speech, first.workers,
+            taken={ENCODER.name: first}))
+
+    def trained(self, name: str, seed: int) -> tuple[Bundle, RowRun]:
+        """What a row plays with, and its run; what is not in the work folder is trained."""
+        before, run = self.runs(name, seed)
+        bundle = assemble(run)
+        run.seconds["lexicon"] = before.seconds.get("lexicon", 0.0)
+        return bundle, run
+
+    def cell_key(self, name: str, seed: int) -> str:
+        """Hash of everything that shapes a row's cell."""
+        row, (_, run) = ROWS[name], self.runs(name, seed)
+        config = run.config
+        return configs.digest(self.shared, run.key(LEXICON), [run.key(stage) for stage in wanted(config)], row.play,
+                              row.style, config.selection, config.silence, config.statistical, config.motion,
+                              self.names(row.split))
+
+    # ------------------------------------------------------------------------------------------------------ recordings
+
+    def names(self, split: str) -> list[str]:
+        """Recordings of a split that are long enough for shares and speeds (all, where none is), `limit` at most."""
+        every = [info for info in self.first.store.recordings if info.split == split]
+        found = [info.name for info in every if info.seconds >= SHORTEST] or [info.name for info in every]
+        if not found:
+            raise InputError(self.first.store.path, f"has no recording in its {split} split", "build the store again")
+        return found[:self.context.limit]
+
+    def recording(self, name: str) -> Recording:
+        """One with its sound and motion."""
+        return self.context.loaded(self.context.corpus.names.index(name))
+
+    def groups(self, split: str) -> list[str]:
+        """For each recording of a split which others share its sound or text."""
+        known = {info.name: info.group or info.name for info in self.first.store.recordings}
+        return [known[name] for name in self.names(split)]
+
+    def encoded(self, system: Gesticulator, recording: Recording) -> SpeechFeatures:
+        """A recording's speech as a system encodes it; kept for the preset's own way and for the last other one."""
+        config = system.bundle.config
+        key = configs.digest(config.rhythm, config.text, config.front_end, system.reads_text)
+        known = _latest(self._encoded, key, 2, dict)
+        if recording.info.name not in known:
+            known[recording.info.name] = system.encode_speech(resample_speech(recording.speech, SAMPLE_RATE))
+        return known[recording.info.name]
+
+    # ------------------------------------------------------------------------------------------------ what is measured
+
+    @cached_property
+    def judge(self) -> Bundle:
+        """The bundle whose lexicon reads the motion of all rows."""
+        return self.trained(OURS, SHOWN_SEED)[0]
+
+    def scored(self, names: Sequence[str], lexicon: bool = True) -> ScoredClips:
+        """The recordings of these names as `gesticulator score` reads its truth; lexicon: with figures of lexemes."""
+        def made() -> ScoredClips:
+            recordings = [self.recording(name) for name in names]
+            groups = {info.name: info.group or info.name for info in self.first.store.recordings}
+            speeches = [replace(one.speech, speaker=one.info.speaker) for one in recordings]
+            clips = ClipSet(list(names), [groups[name] for name in names], [*speeches],
+                            {TRUTH: [one.motion for one in recordings]}, recordings[0].motion.fps)
+            return self._read(clips, lexicon)
+
+        return _latest(self._scored, (*names, lexicon), 2, made)
+
+    def _read(self, clips: ClipSet, lexicon: bool = True) -> ScoredClips:
+        return ScoredClips.of(replace(self.context, models=self.judge if lexicon else None), clips)
+
+    def summary(self, scored: ScoredClips, motions: Sequence[Motion]) -> dict[str, Any]:
+        """"clips" and "sets" of a cell: the values of each clip, those of the whole set by the jackknife."""
+        truth = scored.clips.motions[TRUTH]
+        fitting = [resample(to_character(motion), own.fps).crop(0, len(own))
+                   for motion, own in zip(motions, truth, strict=True)]
+        row = scored.row("", "system", fitting)
+        values = {key: row.values[column.metric] for key, column in COLUMNS.items() if column.metric in row.values}
+        values |= {key: stats.jackknife(lambda chosen, of=row.sets[column.metric]: of(np.array(chosen)), len(truth))
+                   for key, column in COLUMNS.items() if column.metric in row.sets}
+        values["fgd"] = self._distances(row, truth)
+        percent = [pmb.delta_curve(beats.modes["A"], track.onsets).percent
+                   for beats, track in zip(row.beats, scored.tracks, strict=True) if track is not None]
+        return {"clips": [{"name": name, **{key: float(value[k]) for key, value in values.items()}}
+                          for k, name in enumerate(scored.clips.names)],
+                "sets": {"pmb_curve": {"deltas": list(pmb.DELTAS), "percent": np.mean(percent, axis=0).tolist()}}}
+
+    def _distances(self, row: ScoreRow, truth: Sequence[Motion]) -> Array:
+        """[clips] FGD in the first network by the jackknife; NaN without a network, and of fewer than two windows."""
+        if not row.features:
+            return np.full(len(truth), np.nan)
+        network = next(iter(row.features))
+        real = self._features(truth, network)
+
+        def distance(chosen: list[int]) -> float:
+            sides = ([part[k] for k in chosen if len(part[k])] for part in (row.features[network], real))
+            ours, theirs = (np.concatenate(side) if side else np.zeros((0, 1)) for side in sides)
+            return fgd.distance(ours, theirs) if min(len(ours), len(theirs)) > 1 else float("nan")
+
+        return stats.jackknife(distance, len(truth))
+
+    def _features(self, motions: Sequence[Motion], network: str) -> list[Array]:
+        """[n, E] of each motion by a network; those of the performer are computed once."""
+        key = (network, *(id(motion) for motion in motions))
+        return _latest(self._real, key, 2, lambda: pooled(list(motions), self.context.networks[network]))
+
+    def measured(self, name: str, seed: int) -> dict[str, Any]:
+        """"clips", "sets" and "seconds" of a row's cell."""
+        began, row = time.monotonic(), ROWS[name]
+        bundle, run = self.trained(name, seed)
+        recordings = [self.recording(clip) for clip in self.names(row.split)]
+        if row.style == "random":
+            style = RandomStyle(bundle.config.generator.style_width, seed)
+            bundle = bundle.with_parts(style=cast(Any, style), style_text=None)
+        system = Gesticulator(bundle)
+        motions = []
+        for recording in tqdm(recordings, desc=f"{name}, seed {seed}", disable=not self.context.progress):
+            made = system(recording.speech, speaker=recording.info.speaker, interpreter=row.play, seed=seed,
+                          encoded=self.encoded(system, recording),
+                          temperature=1.0 if row.play == "statistical" else None)
+            motions.append(made.motion)
+        if seed == SHOWN_SEED:
+            self.keep(name, motions)
+        found = self.summary(self.scored(self.names(row.split)), motions)
+        if self.runs(name, seed)[0].key(LEXICON) == self.first.key(LEXICON):
+            for clip in found["clips"]:
+                clip |= self.accuracies(system, row.play, clip["name"])
+        trained = sum(seconds for stage, seconds in run.seconds.items() if stage != "lexicon")
+        return {"stages": run.seconds, "late_gains": run.late_gains,
+                "seconds": {"training": round(trained, 1), "in_all": round(time.monotonic() - began, 1)}, **found}
+
+    def accuracies(self, system: Gesticulator, interpreter: str, name: str) -> dict[str, float]:
+        """Free-running and teacher-forced (RG Table 6), of a recording and a row over the lexicon of `ours`."""
+        corpus, labelled = self.context.corpus, self.first.get(LABELS)
+        number = corpus.names.index(name)
+        takes = [take for take in takes_of(corpus, labelled.hinted, corpus.splits[number]) if take.recording == number]
+        decisions = Decisions(corpus, takes, labelled.silent, system.bundle.config.silence.mask,
+                              len(self.judge.lexicon.vectors))
+        chooser = system.interpreter(interpreter, bool(corpus.has_text[number]))
+        return {column: accuracy(chooser, decisions, takes[0], teacher)
+                for column, teacher in (("accuracy", False), ("teacher_forced", True))}
+
+    # ------------------------------------------------------------------------------------------------- motion, as shown
+
+    def folder(self, name: str) -> Path:
+        """Where the motion of a row's first seed is."""
+        return self.first.work / "played" / f"{name}-{self.cell_key(name, SHOWN_SEED)[:12]}"
+
+    def keep(self, name: str, motions: Sequence[Motion]) -> None:
+        """A row's motion, for the figures."""
+        self.folder(name).mkdir(parents=True, exist_ok=True)
+        for clip, motion in zip(self.names(ROWS[name].split), motions, strict=True):
+            write_bvh(self.folder(name) / f"{clip}.bvh", motion)
+
+    def motions(self, name: str) -> list[Motion]:
+        """The motion of a row's first seed, or of the performer, for the test speech; InputError where it is gone."""
+        if name == PERFORMER:
+            return [self.recording(clip).motion for clip in self.names("test")]
+        files = [self.folder(name) / f"{clip}.bvh" for clip in self.names(ROWS[name].split)]
+        if not all(file.is_file() for file in files):
+            raise InputError(self.folder(name), "does not hold the motion of this row", "remove its cell and run it")
+        return [read_bvh(file) for file in files]
+
+    # -------------------------------------------------------------------------------------------- cells without a seed
+
+    def reference(self, name: str, split: str) -> dict[str, Any] | None:
+        """What is measured of a reference or a control; None where it cannot be made (no real take, too few
+        recordings)."""
+        if name == REAL_TAKE:
+            return self._real_take()
+        scored = self.scored(self.names(split))
+        if name == FLOOR:
+            return self._floor(scored)
+        truth = scored.clips.motions[TRUTH]
+        motions = truth if name == PERFORMER else control_rows(scored.clips, 0)[0].get(name)
+        return motions and self.summary(scored, motions)
+
+    def _real_take(self) -> dict[str, Any] | None:
+        """A real person's take, beside nothing: it has no distance from the performer. None where it is not there."""
+        take = real_take(FPS)
+        if take is None:
+            return None
+        clips = ClipSet(["take"], ["take"], [take[1]], {TRUTH: [take[0]]}, take[0].fps)
+        found = self.summary(self._read(clips), [take[0]])
+        found["clips"][0] |= dict.fromkeys(("maje", "mad", "fgd"), float("nan"))
+        return found
+
+    def _floor(self, scored: ScoredClips) -> dict[str, Any] | None:
+        """FGD between halves of the performer's clips, halved in several ways: no skill gets below it."""
+        truth = scored.clips.motions[TRUTH]
+        place = {id(motion): k for k, motion in enumerate(truth)}
+        clips = []
+        for seed in range(FLOOR_DRAWS if self.context.networks else 0):
+            try:
+                halves = split_halves(truth, seed, scored.clips.groups)
+            except ValueError:
+                return None
+            real = self._features(truth, next(iter(self.context.networks)))
+            one, other = (np.concatenate([real[place[id(motion)]] for motion in half]) for half in halves)
+            if min(len(one), len(other)) > 1:
+                clips.append({"name": f"halving {seed}", "fgd": fgd.distance(one, other)})
+        return {"clips": clips, "sets": {}} if clips else None
+
+    def foreign(self, name: str, folder: Path) -> tuple[str, list[str]]:
+        """The key of another system's motion, a file named as each recording is, and the recordings that it has.
+
+        InputError when it has none.
+        """
+        files, _ = find_motions(folder)
+        there = [clip for clip in self.names("test") if clip in files]
+        if not there:
+            raise InputError(folder, "holds no motion for a test recording",
+                             f"name files {self.names('test')[0]}.bvh and so on, one for each")
+        sums = [[clip, hashlib.sha256(files[clip].read_bytes()).hexdigest()] for clip in there]
+        return configs.digest(self.shared, name, sums), there
+
+    def foreign_measured(self, folder: Path, names: Sequence[str]) -> dict[str, Any]:
+        """"clips" and "sets" of another system's cell: each clip as far as both motions last."""
+        clips, _ = read_folder(folder, only=list(names))
+        truth = self.scored(names).clips
+        motions = [resample(clips[name].motion, own.fps)
+                   for name, own in zip(names, truth.motions[TRUTH], strict=True)]
+        shorter = [own.crop(0, min(len(own), len(motion)))
+                   for own, motion in zip(truth.motions[TRUTH], motions, strict=True)]
+        return self.summary(self._read(replace(truth, motions={TRUTH: shorter})), motions)
+
+
+def _latest(known: dict[Any, T], key: Any, most: int, make: Callable[[], T]) -> T:
+    """What is known by a key, made where it is not; of `most` others the last one goes."""
+    if key not in known:
+        while len(known) >= most:
+            known.popitem()
+        known[key] = make()
+    return known[key]
+
+
+# ----------------------------------------------------------------------------------------------------------- the cells
+
+@dataclass
+class Ablation:
+    """Both papers' rows and where their cells are kept. bundle: what RACER's rows stand on; None for the row
+    "q-network", trained here."""
+
+    rg: RgRows
+    cells: CellStore
+    bundle: str | None = None
+
+    @cached_property
+    def racer(self) -> Any:
+        """RACER's rows (`eval.ablate.racer.RacerRows`)."""
+        from eval.ablate.racer import RacerRows
+
+        return RacerRows.over(self.rg, self.bundle)
+
+    def cell(self, name: str, seed: int) -> Cell:
+        """One row at one seed: read if it was finished under the same key, else trained, played, measured and kept."""
+        row, rows = ROWS[name], self.rg if ROWS[name].train == "stages" else self.racer
+        found = self._kept(name, seed, rows.cell_key(name, seed), rows.shared, lambda: rows.measured(name, seed),
+                           kind="row", question=row.ask, settings=list(row.set), split=row.split)
+        assert found is not None
+        return found
+
+    def reference(self, name: str, split: str) -> Cell | None:
+        """The cell of a reference or a control; None where it cannot be made."""
+        shown = name if split == "test" else f"{name}-{split}"
+        key = configs.digest(self.rg.shared, name, split, self.rg.names(split))
+        return self._kept(shown, 0, key, self.rg.shared, lambda: self.rg.reference(name, split),
+                          kind="reference" if name in REFERENCES else "control",
+                          question={**REFERENCES, **CONTROLS}[name], settings=[], split=split)
+
+    def system(self, name: str, folder: Path) -> Cell | None:
+        """The cell of another system; InputError where it has no motion for a test recording."""
+        key, clips = self.rg.foreign(name, folder)
+        return self._kept(name, 0, key, self.rg.shared, lambda: self.rg.foreign_measured(folder, clips), kind="system",
+                          settings=[], split="test", question=f"another system's motion, {len(clips)} clips")
+
+    def current(self, shared: Mapping[bool, str]) -> Cells:
+        """All cells but those of rows whose settings have changed since."""
+        cells = self.cells.read(shared)
+        for name in [name for name in cells if name in ROWS and not is_racer(name)]:
+            cells[name] = {seed: cell for seed, cell in cells[name].items()
+                           if cell["key"] == self.rg.cell_key(name, seed)}
+        return {name: by_seed for name, by_seed in cells.items() if by_seed}
+
+    def _kept(self, name: str, seed: int, key: str, shared: str, make: Callable[[], Mapping[str, Any] | None],
+              **about: Any) -> Cell | None:
+        """The cell of a row, a seed and a key, made and written where it is not there; None where none can be made."""
+        known = self.cells.finished(name, seed, key)
+        found = None if known is not None else make()
+        if not found:
+            return known
+        made = {**found, "row": name, "seed": seed, "key": key, "shared": shared, **about}
+        self.cells.add(made)
+        return made

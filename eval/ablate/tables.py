@@ -1,0 +1,220 @@
+"""The rows' figures put into the papers' tables, and the files that hold them.
+
+Nothing is trained or measured here: what the cells hold is averaged over seeds and clips, with 95 % intervals over both
+(`eval.crossed`), and shown beside the papers' figures. Under each table stand the references and the controls. A column
+in which a control does as well as `ours` or better bears (!), and is named below: it cannot tell good motion from bad
+in that respect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_module.errors import InputError
+from eval.ablate.cells import Cells, CellStore, difference, summaries
+from eval.ablate.rows import (
+    COLUMNS,
+    CONTROLS,
+    DECIDED,
+    FLOOR,
+    OURS,
+    PERFORMER,
+    RACER_OURS,
+    REFERENCES,
+    ROWS,
+    SYSTEMS,
+    TABLES,
+    PaperTable,
+    TableLine,
+    is_racer,
+)
+from eval.ablate.verdicts import claims_table
+from eval.metrics import pmb
+from eval.table import Cell, Column, Provenance, Table, load_with_provenance, save
+
+COMMAND = "gesticulator ablate --tables"
+SETTLED = 0.01
+"""Share of its validation figure that a stage gains in the last quarter of its training where it is as good as done."""
+Rows = Mapping[str, Mapping[str, Any]]
+"""`eval.ablate.cells.summaries`."""
+
+
+def mean_of(rows: Rows, name: str, key: str) -> float:
+    """A row's mean by a column; NaN where it was not run."""
+    return float(rows[name]["figures"][key].mean) if name in rows else math.nan
+
+
+def beaten(rows: Rows, key: str, suffix: str = "") -> dict[str, float]:
+    """The controls that do as well as `ours` or better by a column, with their values; of another split by suffix."""
+    good, ours = COLUMNS[key].good, mean_of(rows, OURS, key)
+    aim = mean_of(rows, PERFORMER + suffix, key) if good == "near" else 0.0
+    if not good or not np.isfinite(ours + aim):
+        return {}
+
+    def badness(value: float) -> float:
+        return -value if good == "high" else abs(value - aim)
+
+    found = {name: mean_of(rows, name + suffix, key) for name in CONTROLS if name != FLOOR}
+    return {name: value for name, value in found.items() if np.isfinite(value) and badness(value) <= badness(ours)}
+
+
+def _plain(key: str) -> Column:
+    column = COLUMNS[key]
+    return Column(column.title, column.unit, column.digits, column.good)
+
+
+# -------------------------------------------------------------------------------------------------------- the papers'
+
+def _lines(table: PaperTable, rows: Rows, suffix: str) -> list[TableLine]:
+    """What stands in a table, in order, by the names of the rows on its split."""
+    beside = {**REFERENCES, **CONTROLS}
+    lines = [replace(line, row=line.row + suffix) if line.row in beside else line for line in table.lines]
+    if not table.references:
+        return [line for line in lines if line.row in rows]
+    there = {line.row for line in lines}
+    more = [(name, name) for name, row in rows.items() if row["kind"] == "system" and table.split == "test"]
+    more += [(f"{name}: {about}", name + suffix) for name, about in beside.items() if name + suffix in rows]
+    return [*lines, *(TableLine(label, name) for label, name in more if name not in there)]
+
+
+def _label(line: TableLine, rows: Rows) -> str:
+    row = rows.get(line.row)
+    if row is None:
+        return f"{line.label} ({'no motion given' if line.row in SYSTEMS else 'not run'})"
+    return line.label + ("" if row["decided"] else f" (undecided: {len(row['seeds'])} of {DECIDED} seeds)")
+
+
+def paper_table(title: str, rows: Rows) -> Table:
+    """One table of the paper: our figure, and the paper's in a column beside it where it has one."""
+    table = TABLES[title]
+    suffix = "" if table.split == "test" else f"-{table.split}"
+    lines = _lines(table, rows, suffix)
+    papers = {key for line in lines for key in line.paper}
+    fooled = {key: beaten(rows, key, suffix) if table.references else {} for key in table.columns}
+    columns: dict[str, Column] = {}
+    for key in table.columns:
+        columns[key] = replace(_plain(key), title=COLUMNS[key].title + (" (!)" if fooled[key] else ""))
+        if COLUMNS[key].paper in papers:
+            columns[f"{key}, paper"] = Column(f"the paper's, {' / '.join(table.places)}")
+    body: dict[str, dict[str, Cell]] = {}
+    for line in lines:
+        cells: dict[str, Cell] = dict(rows[line.row]["figures"]) if line.row in rows else {}
+        cells |= {f"{key}, paper": " / ".join(f"{value:g}" if math.isfinite(value) else "-" for value in
+                                              line.paper.get(COLUMNS[key].paper, ())) for key in table.columns}
+        body[_label(line, rows)] = {key: cells.get(key) for key in columns}
+    notes = [f"(!) {COLUMNS[key].heading}, {mean_of(rows, OURS, key):.{COLUMNS[key].digits}f}: no worse are "
+             + ", ".join(f"{name} ({value:.{COLUMNS[key].digits}f})" for name, value in found.items()) + "."
+             for key, found in fooled.items() if found]
+    return Table(f"{title} ({table.split})", columns, body, "row", notes)
+
+
+def curve_table(rows: Rows) -> Table:
+    """RG Fig. 11 in numbers."""
+    columns = {f"{delta:g}": Column(f"{delta:g} s", digits=1) for delta in pmb.DELTAS}
+    return Table("PMB, %, by delta (RG Fig. 11)", columns, {
+        name: dict(zip(columns, row["pmb_curve"], strict=True)) for name, row in rows.items() if row["pmb_curve"]},
+        "row")
+
+
+def training_table(rows: Rows) -> Table:
+    """What each row changes, what its training took, and how far it was from done."""
+    columns = {"settings": Column("settings"), "seconds": Column("training by seed", "s"),
+               "late": Column("most that a stage's validation gained in its last quarter", "%", 1, "low")}
+    return Table("What rows change", columns, {
+        name: {"settings": " ".join(row["settings"]), "seconds": ", ".join(f"{s:.0f}" for s in row["seconds"]),
+               "late": 100.0 * max(row["late_gains"].values()) if row.get("late_gains") else None}
+        for name, row in rows.items() if row["kind"] == "row"}, "row", [
+            f"A training is done where that is at most {100 * SETTLED:g} %."])
+
+
+# -------------------------------------------------------------------------------------------------------- differences
+
+def difference_table(cells: Cells) -> Table:
+    """What `ours` is less each other row of the papers' tables, beside the papers' own (on Trinity)."""
+    lines = [line for title in ("RG Table 1", "RG Table 2", "RG Table 4", "RG Table 6", "RG Table 7")
+             for line in TABLES[title].lines]
+    papers: dict[str, dict[str, float]] = {}
+    for line in lines:
+        known = {key: values[0] for key, values in line.paper.items() if math.isfinite(values[0])}
+        papers.setdefault(line.row, {}).update(known)
+    keys = ("pmb_above_chance", "fgd", "diversity")
+    columns = {key: _plain(key) for key in keys} | {
+        f"{key}, paper": Column(f"the paper's {COLUMNS[key].heading}", digits=1) for key in ("pmb", "fgd")}
+    body: dict[str, dict[str, Cell]] = {}
+    for row in dict.fromkeys(line.row for line in lines if line.row in ROWS and line.row != OURS):
+        if row in cells and OURS in cells:
+            body[row] = {key: difference(cells, OURS, row, key) for key in keys}
+            body[row] |= {f"{key}, paper": papers[OURS][key] - papers[row][key] for key in ("pmb", "fgd")
+                          if key in papers[row]}
+    return Table("Ours less each row", columns, body, "row")
+
+
+def racer_differences(cells: Cells) -> Table:
+    """RACER's own row less each other that has its seeds; matched rows are compared with its matched row."""
+    columns = TABLES["RACER Table 2"].columns
+    body: dict[str, dict[str, Cell]] = {}
+    for name in filter(is_racer, ROWS):
+        ours = f"{RACER_OURS}-matched" if ROWS[name].matched else RACER_OURS
+        if name != ours and set(cells.get(name, {})) & set(cells.get(ours, {})):
+            body[f"{ours} - {name}"] = {key: difference(cells, ours, name, key) for key in columns}
+    return Table("RACER Table 2, differences", {key: _plain(key) for key in columns}, body, "row")
+
+
+# ---------------------------------------------------------------------------------------------------------- all of it
+
+def corpus_table(facts: Mapping[str, Any]) -> Table:
+    """What the figures are of, which a reader has to know before any of them."""
+    store = facts["store"]
+    title = ("The corpus is synthetic, made by rule" if store.get("name") == PERFORMER
+             else f"The corpus is {store.get('name', 'not recorded')}")
+    planted = "Links between speech and motion are planted in it. " if store.get("name") == PERFORMER else ""
+    return Table(title, {}, {}, notes=[
+        f"{planted}Fingerprint {str(store.get('fingerprint', '-'))[:12]}, {store['test_recordings']} test recordings. "
+        f"Every row is trained on it from the preset {facts['preset']}; no shipped bundle is measured."])
+
+
+def about_table(facts: Mapping[str, Any]) -> Table:
+    """What the tables are of; its facts are the rows' figures by every column."""
+    plain = {name: {**row, "figures": {key: value.to_dict() for key, value in row["figures"].items()}}
+             for name, row in facts["rows"].items()}
+    return Table("Ablation", {}, {}, notes=[
+        "Means over seeds and clips with 95 % intervals by variance components. The "
+        "paper's figures are of other data, another skeleton and another network for FGD: compare the order, not the "
+        "values. FGD, diversity and motion variance are means of the jackknife's values, so less biased than the "
+        "figures of the sets. (!): a control, motion that is known to be wrong, does as well as `ours` or better.",
+        *facts.get("notes", ()), *(f"Not run: {name}: {why}." for name, why in facts["refused"].items())],
+        facts={**facts, "rows": plain})
+
+
+def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance,
+          decided: Provenance | None = None) -> None:
+    """OUT/table.json and claims.json beside OUT, each with its Markdown.
+
+    facts: "preset", "store", "refused" and "rows", the summaries of the cells. about: where the cells come from;
+    decided: where the verdicts do, if they are of another commit.
+    """
+    rows: Rows = facts["rows"]
+    racer = [paper_table("RACER Table 2", rows), racer_differences(cells)] if any(map(is_racer, rows)) else []
+    papers = [paper_table(title, rows) for title in TABLES if title != "RACER Table 2"]
+    save([corpus_table(facts), about_table(facts), *papers, curve_table(rows), difference_table(cells), *racer,
+          training_table(rows)], out / "table.json", about)
+    save([corpus_table(facts), claims_table(cells)], out.parent / "claims.json", decided or about)
+
+
+def redraw(out: Path) -> None:
+    """The tables and claims from the cells that are there; what they are of is read from table.json.
+
+    InputError without either.
+    """
+    cells = CellStore(out).read()
+    if not cells:
+        raise InputError(out, "holds no cells", "run the rows first")
+    tables, about = load_with_provenance(out / "table.json")
+    facts = next(table.facts for table in tables if "store" in table.facts)
+    write(cells, {**facts, "rows": summaries(cells)}, out, about, Provenance.now(COMMAND))

@@ -1,0 +1,283 @@
+"""How a claim of a paper is decided: one rule, two readings (docs/verdicts.md).
+
+A claim is that one row's figure is lower than another's, higher, or about the same. Known before the run are the
+paper's two figures and the margin, half of the effect that the paper prints. Measured is the paired difference on the
+same clips and seeds (one seed is one training, one rendering of each clip), with its intervals of 95 and of 90 % by
+variance components (`eval.crossed`); where one clip has three fifths of the squares, that of the middle clips.
+
+- *holds*: the 95 % interval lies on the claim's side of zero, and not within the margin.
+- *reversed*: it lies on the other side; of rows that are called alike: wholly outside the margin.
+- *no effect*: the 90 % interval lies within the margin on both sides of zero, which is two one-sided tests at 5 %
+  (TOST, Schuirmann 1987). A significant difference that is smaller than the margin counts as none: the order is then
+  the paper's, and the effect is not.
+- *undecided*: none of these, or fewer than three seeds. `needed` says how many seeds and clips would tell no effect
+  from the paper's at 80 % power, if seeds and clips differ as they did here.
+
+Both readings are by this rule. *As published* is by the paper's own column; where the paper prints no figure, by the
+sign alone. *Valid* is by a column that its controls cannot beat: PMB gives way to PMB above chance; a column that a
+control beats, and a claim without a printed effect, which nothing could refute, have *no valid test*.
+
+What a control must show depends on the column. Quality (less or more is better): the performer's motion for another
+speech, backwards, with jitter, or held still is worse than ours, the whole 95 % interval of the paired difference.
+Amounts (near the performer's is better): a still body has less than ours, and jitter has no more than the performer; a
+shuffled clip has as much. Accuracy counts decisions and has no control of motion.
+
+What fools it: no correction is made for the number of claims. The power is of variances that three seeds tell badly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import t
+
+from eval.ablate.cells import Cells, difference, pairs, values_of
+from eval.ablate.rows import (
+    COLUMNS,
+    CONTROLS,
+    DECIDED,
+    ELSEWHERE,
+    FLOOR,
+    OURS,
+    PERFORMER,
+    SIGNS,
+    TABLES,
+    Claim,
+    Elsewhere,
+    PaperTable,
+)
+from eval.crossed import Components, robust, satterthwaite, trimmed
+from eval.stats import Interval
+from eval.table import Column, Table
+
+HOLDS, REVERSED, NO_EFFECT, UNDECIDED, NO_TEST = "holds", "reversed", "no effect", "undecided", "no valid test"
+WORDS = (HOLDS, REVERSED, NO_EFFECT, NO_TEST, UNDECIDED)
+ALIKE = 5.0
+"""How far apart two shares of PMB, in percent, may lie and still be called alike."""
+POWER = 0.8
+CLIPS = 60
+"""Clips of a whole test split: with as many, `needed` gives the least number of seeds."""
+LEAST_CLIPS = 3
+"""An interval over fewer decides nothing."""
+_SEEDS, _CLIPS = (np.unique(np.geomspace(least, 20_000, 400).round()) for least in (DECIDED, 4))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What became of a claim: one of `WORDS`; why; the difference; the margin (NaN: none); seeds and clips, as many as
+    there were and as would decide it (empty: not known)."""
+
+    word: str
+    reason: str = ""
+    value: Interval = field(default_factory=Interval.undefined)
+    margin: float = math.nan
+    over: tuple[int, ...] = ()
+    needed: tuple[int, ...] = ()
+
+
+# ---------------------------------------------------------------------------------------------------------- the rule
+
+def decide(found: Components, sign: str, margin: float) -> Decision:
+    """The verdict on a difference. sign: "<", ">" or "="; margin: positive, in the difference's unit, NaN for none."""
+    value, over = found.interval(), (found.seeds, found.clips)
+    remark = "of the middle clips, as one has most of the spread" if found.trimmed else ""
+    if found.seeds < DECIDED:
+        return Decision(UNDECIDED, f"{found.seeds} of {DECIDED} seeds", value, margin, over)
+    narrow = found.interval(0.9)
+    equivalent = -margin < narrow.low and narrow.high < margin
+    word, reason = alike(value, equivalent, margin) if sign == "=" else one_sided(value, equivalent, sign)
+    needed = needed_for(found, margin, sign) if word == UNDECIDED and math.isfinite(margin) else ()
+    return Decision(word, "; ".join(filter(None, (reason, remark))), value, margin, over, needed)
+
+
+def one_sided(value: Interval, equivalent: bool, sign: str) -> tuple[str, str]:
+    """Verdict and reason for a claim of more or of less."""
+    right, wrong = (value.above(), value.below()) if sign == ">" else (value.below(), value.above())
+    if equivalent:
+        return NO_EFFECT, "less than half of the paper's effect" if right else ""
+    if wrong:
+        return REVERSED, ""
+    return (HOLDS, "") if right else (UNDECIDED, "")
+
+
+def alike(value: Interval, equivalent: bool, margin: float) -> tuple[str, str]:
+    """Verdict and reason for a claim that two rows are alike."""
+    if equivalent:
+        return HOLDS, ""
+    apart = value.above(margin) or value.below(-margin)
+    return (REVERSED, "further apart than the margin") if apart else (UNDECIDED, "")
+
+
+def present(claim: Elsewhere) -> Decision:
+    """The verdict on a claim that something is there at all: the lowest of its intervals must lie above zero."""
+    if not claim.lowest:
+        return Decision(UNDECIDED, claim.needs)
+    mean, low, high, clips = claim.lowest
+    worst = Interval(mean, low, high, int(clips))
+    reason = f"the lowest of {claim.intervals} intervals" if claim.intervals > 1 else ""
+    if worst.below():
+        return Decision(REVERSED, reason, worst, over=(1, worst.n))
+    if worst.above() and worst.n >= LEAST_CLIPS:
+        return Decision(HOLDS, reason, worst, over=(1, worst.n))
+    # Clips at which a mean as large as this one would lie above zero four times in five, by a normal estimate: the
+    # interval is 3.92 standard errors wide, and 2.8 of them are 1.96 for 95 % and 0.84 for the power.
+    error, size = (worst.high - worst.low) / 3.92, abs(worst.mean)
+    needed = max(LEAST_CLIPS, math.ceil(worst.n * (2.8 * error / size) ** 2)) if size > 0 else 0
+    return Decision(UNDECIDED, reason, worst, over=(1, worst.n), needed=(1, needed))
+
+
+def needed_for(found: Components, margin: float, sign: str = ">") -> tuple[int, ...]:
+    """Seeds and clips that would decide between no effect and twice the margin, each four times in five at least.
+
+    As many seeds as `CLIPS` clips need; where no number does, the pair with the smallest product; empty where there is
+    none.
+    """
+    seeds, clips = np.meshgrid(_SEEDS, np.append(_CLIPS[_CLIPS != CLIPS], CLIPS), indexing="ij")
+    error, freedom = satterthwaite(found.seed, found.clip, found.rest, seeds, clips)
+    with np.errstate(divide="ignore"):
+        decided = 2 * t.cdf(margin / error - t.ppf(0.95, freedom), freedom) - 1 >= POWER
+        if sign != "=":
+            decided &= t.cdf(2 * margin / error - t.ppf(0.975, freedom), freedom) >= POWER
+    whole = decided & (clips == CLIPS)
+    pick = whole if whole.any() else decided
+    if not pick.any():
+        return ()
+    place = np.unravel_index(np.argmin(np.where(pick, seeds * clips, np.inf)), seeds.shape)
+    return int(seeds[place]), int(clips[place])
+
+
+# ------------------------------------------------------------------------------------------------ margins and controls
+
+def margin_of(claim: Claim, cells: Cells, column: str, of_the_middle: bool = False) -> float:
+    """Half of the effect that the paper prints, positive, in the unit of `column` here; NaN where it prints none.
+
+    On the first data set for which the paper prints both figures. Distances, variances and returns are other numbers
+    on other data, so theirs is a share of `second`'s figure here (of_the_middle: of the middle clips); shares of PMB,
+    points of accuracy and nats are taken as they stand. Rows that are called alike have the margin `ALIKE`.
+    """
+    printed = TABLES[claim.where].both(claim)
+    if not printed:
+        return math.nan
+    if claim.sign == "=":
+        return ALIKE
+    _, first, second = printed[0]
+    if COLUMNS[claim.metric].margin != "share":
+        return abs(first - second) / 2
+    here = values_of(list(cells[claim.second].values()), column)
+    here = here[:, np.isfinite(here).any(axis=0)]
+    base = math.nan if not here.size else trimmed(here).mean if of_the_middle else float(np.nanmean(here))
+    return abs(first - second) / second / 2 * base if base > 0 else math.nan
+
+
+def beaten_by(column: str, cells: Cells, split: str = "test", ours: str = OURS) -> str:
+    """The controls that a column cannot tell from good motion, for a reader; empty where it passes all of them.
+
+    ours: the row that the controls of the split stand beside.
+    """
+    suffix, good = "" if split == "test" else f"-{split}", COLUMNS[column].good
+    if COLUMNS[column].beaten or not good:
+        return COLUMNS[column].beaten
+    wrong = ("still",) if good == "near" else tuple(name for name in CONTROLS if name != FLOOR)
+    apart = {name: difference(cells, name + suffix, ours, column) for name in wrong}
+    if not any(value.n for value in apart.values()):
+        return "controls that were not run"
+    fooled = [name for name, value in apart.items()
+              if value.n and not (value.above() if good == "low" else value.below())]
+    noise = difference(cells, f"jitter{suffix}", PERFORMER + suffix, column)
+    return ", ".join([*fooled, *(["jitter"] if good == "near" and noise.above() else [])])
+
+
+# ----------------------------------------------------------------------------------------------------------- readings
+
+def reading(claim: Claim, cells: Cells, column: str) -> Decision:
+    """The verdict on a claim by a column of these cells, whatever its controls say."""
+    lacking = [name for name in (claim.first, claim.second) if not cells.get(name)]
+    if lacking:
+        return Decision(UNDECIDED, f"not run: {', '.join(lacking)}")
+    _, apart = pairs(cells[claim.first], cells[claim.second], column)
+    apart = apart[np.isfinite(apart).any(axis=1)] if apart.size else apart
+    if not apart.size:
+        return Decision(UNDECIDED, f"{COLUMNS[column].heading} was not measured of both")
+    found = robust(apart)
+    return decide(found, claim.sign, margin_of(claim, cells, column, found.trimmed))
+
+
+def readings(claim: Claim, cells: Cells) -> tuple[Decision, Decision, str]:
+    """The verdicts as published and valid, and the controls that beat the column of the latter."""
+    table, published = TABLES[claim.where], COLUMNS[claim.metric].valid or claim.metric
+    ours = OURS if table.split == "test" else claim.first
+    fooled = beaten_by(published, cells, table.split, ours)
+    plain = reading(claim, cells, claim.metric)
+    valid = plain if published == claim.metric else reading(claim, cells, published)
+    if math.isfinite(valid.value.mean) and (fooled or not math.isfinite(valid.margin)):
+        none = "" if table.both(claim) else "the paper prints no effect"
+        valid = replace(valid, word=NO_TEST, needed=(), reason="; ".join(filter(None, (
+            none, f"no worse by this figure: {fooled}" if fooled else ""))))
+    return plain, valid, fooled
+
+
+# -------------------------------------------------------------------------------------------------------------- table
+
+_COLUMNS = {key: Column(title) for key, title in (
+    ("where", "where"), ("claim", "claim"), ("paper", "the paper's figures"),
+    ("difference", "difference here (margin)"), ("published", "as published"),
+    ("controls", "controls that do as well"), ("valid", "valid"))}
+
+
+def _shown(found: Decision, digits: int) -> str | None:
+    """The difference with its interval, and the margin where there is one."""
+    if not math.isfinite(found.value.mean):
+        return None
+    return found.value.text(digits) + (f" ({found.margin:.{digits}f})" if math.isfinite(found.margin) else "")
+
+
+def _worded(found: Decision) -> str:
+    """The verdict, why, and what would decide it."""
+    seeds, clips = found.needed or (0, 0)
+    needs = f"{seeds} seeds of {clips} clips would decide" if found.needed else ""
+    reason = "; ".join(filter(None, (found.reason, needs)))
+    return found.word + (f" ({reason})" if reason else "")
+
+
+def _row(claim: Claim, table: PaperTable, cells: Cells) -> tuple[dict[str, str | None], dict[str, Any]]:
+    """A claim's line and its facts."""
+    plain, valid, fooled = readings(claim, cells)
+    column = COLUMNS[claim.metric]
+    sentence = f"{column.heading}: {claim.first} {SIGNS[claim.sign]} {claim.second}"
+    printed = "; ".join(f"{place} {one:g} and {other:g}" for place, one, other in table.both(claim))
+    by = f"{COLUMNS[column.valid].heading}, {_shown(valid, column.digits) or '-'}: " if column.valid else ""
+    return {"where": claim.where, "claim": sentence, "paper": printed, "difference": _shown(plain, column.digits),
+            "published": _worded(plain), "controls": fooled or None, "valid": by + _worded(valid)}, {
+        **asdict(claim), "sentence": sentence, "paper": printed, "controls": fooled, "published": _facts(plain),
+        "valid": _facts(valid)}
+
+
+def _facts(decision: Decision) -> dict[str, Any]:
+    return {"verdict": decision.word, "reason": decision.reason, "difference": decision.value.to_dict(),
+            "margin": decision.margin, "pairs": list(decision.over), "needed": list(decision.needed)}
+
+
+def _row_elsewhere(claim: Elsewhere) -> tuple[dict[str, str | None], dict[str, Any]]:
+    found = present(claim)
+    word = _worded(found)
+    return {"where": claim.where, "claim": claim.says, "difference": _shown(found, 2), "published": word,
+            "valid": word}, {**asdict(claim), "published": _facts(found), "valid": _facts(found)}
+
+
+def claims_table(cells: Cells) -> Table:
+    """Every claim of both papers and its two verdicts."""
+    both = [_row(claim, table, cells) for table in TABLES.values() for claim in table.claims]
+    both += [_row_elsewhere(claim) for claim in ELSEWHERE]
+    count = {reading: {word: Counter(facts[reading]["verdict"] for _, facts in both)[word] for word in WORDS}
+             for reading in ("published", "valid")}
+    told = {reading: ", ".join(f"{number} {word}" for word, number in words.items() if number)
+            for reading, words in count.items()}
+    return Table("Claims", _COLUMNS, {str(number): row for number, (row, _) in enumerate(both, 1)}, "", [
+        f"As published: {told['published']}. Valid: {told['valid']}. Differences are paired, with 95 % "
+        "intervals over seeds and clips; the margin is half of the paper's effect; seeds and clips that would decide "
+        "are for 80 % power. The papers' figures are of other data: compare the order."],
+        {"claims": [facts for _, facts in both], "count": count})

@@ -1,1 +1,0 @@
-"""Acceptance of a corpus of gestures."""

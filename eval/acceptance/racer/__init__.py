@@ -1,1 +1,0 @@
-"""Acceptance of RACER: does offline reinforcement learning pay here?"""

@@ -1,1 +1,0 @@
-"""Many recordings: jobs, long recordings in pieces, shards, Ray, manifests."""

@@ -1,0 +1,400 @@
+"""The recordings to process and the files to write for each (`jobs_for`), and how one is processed (`perform`): read,
+generate, write.
+
+Names, suffixes, folders and permissions are checked before any work. An error of the command is an `InputError`; an
+error of one recording is stored in its `Job`.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from data_module.errors import InputError, complain, printable
+from data_module.files import write_text
+from gesticulator.cli import PROGRAM
+from gesticulator.export.clip import NAME, ClipLayout
+from gesticulator.export.writers import suffix_of
+from gesticulator.options import InferenceOptions
+
+if TYPE_CHECKING:
+    from data_module.types import Speech
+    from gesticulator.characters.retarget import Retargeter
+    from gesticulator.performance import Performance
+    from gesticulator.pipeline import Gesticulator
+
+STDIN = "-"
+"""The name of standard input on the command line."""
+TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
+"""File suffixes that a folder of transcripts is searched for, in this order."""
+
+
+@dataclass(frozen=True)
+class CharacterRequest:
+    """The character to animate.
+
+    file: its path, or FILE#NAME for one of several in a file. mapping: a file that says which nodes are which joints;
+    save_mapping: where to write it. contacts: whether the hands are kept outside the trunk. legs: whether its legs
+    move; None: unless it is seated in its file.
+    """
+
+    file: str
+    mapping: str | None = None
+    save_mapping: str | None = None
+    contacts: bool = True
+    legs: bool | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording and everything that decides what is written for it.
+
+    source: its file; None is standard input. targets: the output files. text: its transcript, if any. options: of the
+    performance. clip: how files for animation tools are laid out; None: by default. character: None for the default
+    skeleton. unit: of length in BVH files. any_length: whether it may last longer than an hour. retime_report: where to
+    write what became of a plan that was moved onto this sound. fault: why it cannot be processed, if that is already
+    known.
+    """
+
+    source: Path | None
+    targets: tuple[Path, ...] = ()
+    text: Path | None = None
+    options: InferenceOptions = field(default_factory=InferenceOptions)
+    clip: ClipLayout | None = None
+    character: CharacterRequest | None = None
+    unit: str = "cm"
+    any_length: bool = False
+    retime_report: Path | None = None
+    fault: InputError | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the recording in messages."""
+        return "standard input" if self.source is None else printable(self.source.name)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what decides the bytes of the output, but for the recording itself and the names of the files. A
+        file that a setting names counts by its content, so that a moved folder changes nothing."""
+        parts = [(one.name, _content(getattr(self, one.name))) for one in fields(self)
+                 if one.name not in ("source", "targets", "any_length", "retime_report", "fault")]
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class BatchRequest:
+    """How many recordings are to be processed together. manifest: its file; None: the default beside the outputs.
+    shard: such as 2/8; None: all. ray: where a Ray cluster is; None: process in this process."""
+
+    manifest: str | None = None
+    shard: str | None = None
+    ray: str | None = None
+
+
+def _content(value: Any) -> object:
+    """A value of a setting; of the path of a file the SHA-256 of its bytes, also inside dataclasses."""
+    if isinstance(value, InferenceOptions | CharacterRequest):
+        return [(one.name, _content(getattr(value, one.name))) for one in fields(value)]
+    if isinstance(value, str | os.PathLike) and Path(value).is_file():
+        found = Path(value).stat()
+        return _file_hash(Path(value), found.st_mtime_ns, found.st_size)
+    return value
+
+
+@lru_cache(maxsize=64)
+def _file_hash(path: Path, _modified: int, _size: int) -> str:
+    """SHA-256 of a file. A character of many megabytes is read once for all recordings, unless it changes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was made of a recording.
+
+    name: of the recording. seconds: of sound; beats: their number; used: different lexemes, of `lexicon`; factor:
+    computing time over duration (real-time factor). written: the files. notes: remarks for the user, a line each.
+    """
+
+    name: str
+    seconds: float
+    beats: int
+    used: int
+    lexicon: int
+    factor: float
+    written: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """The summary that is printed."""
+        pages = [f"  open {page} in a browser to watch it" for page in self.written if page.suffix.lower() == ".html"]
+        line = (f"{self.name}: {self.seconds:.1f} s, {self.beats} beats, {self.used} of {self.lexicon} lexemes, "
+                f"real-time factor {self.factor:.3f} -> {printable(', '.join(map(str, self.written)))}")
+        return "\n".join([line, *(f"  {note}" for note in self.notes), *pages])
+
+
+def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None, together: bool = False
+             ) -> list[Job]:
+    """The jobs of a command. names: files, folders, patterns, or "-". outputs: suffix (".bvh") -> the file or folder
+    to write to. text: a transcript, or a folder of transcripts named like the recordings. together: one file holds all
+    recordings.
+
+    A path that ends in a slash, or that is a folder, means a folder; anything else is a file. `InputError` for an
+    output with the wrong suffix, one file for several recordings, two recordings of one name, or a place that cannot be
+    written.
+    """
+    sources = _sources(names)
+    if not outputs:
+        raise InputError("output", "is missing", "name a file or a folder with -o")
+    for suffix, given in outputs.items():
+        if together and is_folder(given):
+            raise InputError(given, "is a folder, and --one-file writes one file", f"name a file that ends in {suffix}")
+        _check_output(given, suffix, 1 if together else len(sources))
+    if text is not None:
+        _check_text(text, len(sources))
+    written_by: dict[Path, Path | None] = {}
+    jobs = []
+    for source in sources:
+        stem = "stdin" if source is None else source.stem
+        targets = tuple(Path(given) / f"{stem}{suffix}" if is_folder(given) else Path(given)
+                        for suffix, given in outputs.items())
+        for target in targets:
+            if target in written_by and not together:
+                raise InputError(source or STDIN, f"would be written to {target}, like {written_by[target] or STDIN}",
+                                 "rename one of them, or give them folders of their own")
+            written_by[target] = source
+        try:
+            for target in targets:
+                _check_place(target)
+            jobs.append(Job(source, targets, _transcript(text, stem)))
+        except InputError as fault:
+            jobs.append(Job(source, targets, fault=fault))
+    return jobs
+
+
+def is_folder(given: str) -> bool:
+    """Whether a path denotes a folder: it ends in a slash or is an existing folder."""
+    return given.endswith(("/", os.sep)) or Path(given).is_dir()
+
+
+def _sources(names: Sequence[str]) -> list[Path | None]:
+    """All named recordings without repeats, in the order of the command; contents of folders and patterns are
+    sorted."""
+    from data_module.speech.audio import SOUNDS
+
+    unique: dict[Path | None, Path | None] = {}
+    for name in names:
+        if name == STDIN:
+            unique[None] = None
+            continue
+        path = Path(name)
+        if path.is_dir():
+            inside = sorted(file for file in path.iterdir()
+                            if file.suffix.lower() in SOUNDS and not file.name.startswith(".") and file.is_file())
+            if not inside:
+                raise InputError(path, "is a folder without sound files", f"give one with {', '.join(SOUNDS)}")
+        elif set(name) & set("*?[") and not os.path.lexists(name):
+            # A shell passes a quoted pattern on unexpanded, and Windows never expands patterns.
+            matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
+            inside = sorted(Path(match) for match in matches if Path(match).is_file())
+            if not inside:
+                raise InputError(name, "matches no file", "check the pattern")
+        else:
+            inside = [path]
+        unique.update({file.resolve(): file for file in inside if file.resolve() not in unique})
+    return list(unique.values())
+
+
+def _check_output(given: str, suffix: str, count: int) -> None:
+    if is_folder(given):
+        return
+    ending = suffix_of(given)
+    stem = given[:-len(ending)] if ending else given
+    if count > 1:
+        raise InputError(given, f"is one file for {count} recordings", f"name a folder: {stem}/")
+    if ending != suffix:
+        raise InputError(given, f"does not end in {suffix}", f"name it {stem or 'gesture'}{suffix}, or {given}/ for a "
+                         "folder")
+
+
+def _check_text(given: str, count: int) -> None:
+    if not os.path.lexists(given):
+        raise InputError(given, "does not exist", "check --text")
+    if count > 1 and not Path(given).is_dir():
+        raise InputError(given, "is one transcript for several recordings",
+                         "name a folder of transcripts named like the recordings")
+
+
+def _transcript(given: str | None, stem: str) -> Path | None:
+    if given is None or not Path(given).is_dir():
+        return None if given is None else Path(given)
+    for suffix in TRANSCRIPTS:
+        if (Path(given) / f"{stem}{suffix}").is_file():
+            return Path(given) / f"{stem}{suffix}"
+    raise InputError(given, f"holds no transcript of {stem}",
+                     f"name it {stem}{' or '.join(TRANSCRIPTS)}, or leave --text out")
+
+
+def _check_place(target: Path) -> None:
+    """`InputError` if the target cannot be written; missing folders are created later, when it is written."""
+    if target.is_dir():
+        raise InputError(target, "is a folder", "choose another output")
+    folder = target.parent
+    while not os.path.lexists(folder) and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InputError(folder, "is not a folder", "choose another output")
+    if not os.access(folder, os.W_OK) or (target.exists() and not os.access(target, os.W_OK)):
+        raise InputError(target, "cannot be written", "choose another output or change its rights")
+
+
+def check_job(job: Job) -> None:
+    """`InputError` if the recording cannot be processed, as far as can be known without reading it."""
+    from data_module.speech.audio import check_file
+
+    if job.fault is not None:
+        raise job.fault
+    if job.source is not None:
+        check_file(job.source, job.any_length)
+    elif sys.stdin is None or sys.stdin.isatty():
+        raise InputError("standard input", "is closed" if sys.stdin is None else "is a terminal",
+                         f"pipe a recording into {PROGRAM}, or name a file")
+
+
+def prepare_blender(jobs: Sequence[Job]) -> None:
+    """If the jobs need Blender, start it, and let it read the character, while this process loads its libraries."""
+    character = jobs[0].character if jobs else None
+    if character is not None and character.file.lower().endswith(".fbx"):
+        from gesticulator.characters.fbx_rig import read_ahead
+
+        read_ahead(character.file)
+    elif any(target.suffix.lower() == ".fbx" for job in jobs for target in job.targets):
+        from gesticulator.characters.blender import start_blender
+
+        with suppress(InputError):  # reported when it is needed
+            start_blender(jobs[0].targets[0])
+    else:
+        return
+    import gesticulator.pipeline  # noqa: F401 - torch takes as long to load as Blender
+
+
+def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> Retargeter | None:
+    """The retargeter for the requested character; None for the default skeleton. quiet: print no remarks about it.
+
+    The mapping is saved before it is checked, so that an unusable one can be corrected.
+    """
+    if character is None:
+        return None
+    from gesticulator.characters.reading import choose
+    from gesticulator.characters.retarget import Retargeter
+    from gesticulator.characters.several import note_of
+
+    rig, mapping = choose(character.file, character.mapping, character.save_mapping)
+    note = note_of(rig, mapping.joints["Hips"])
+    retargeter = Retargeter(rig, mapping, contacts=character.contacts, legs=character.legs)
+    remarks = [note] if note else []
+    remarks += [f"{doubt}; look at the result" for doubt in retargeter.doubts]
+    if character.legs is None and not retargeter.legs:
+        remarks.append("is seated, so hips and legs stay as they are; --legs makes it stand")
+    for remark in () if quiet else remarks:
+        complain(f"{PROGRAM}: {character.file}: {remark}")
+    return retargeter
+
+
+def perform(job: Job, gesticulator: Gesticulator, retargeter: Retargeter | None = None, quiet: bool = False) -> Outcome:
+    """Process one recording: read it, generate its gestures and write the files. quiet: show no progress bar."""
+    speech = load(job)
+    begin = time.perf_counter()
+    performance = laid_out(job, performed(job, speech, gesticulator, retargeter, quiet), retargeter)
+    spent = time.perf_counter() - begin
+    written = tuple(performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
+                    for target in job.targets)
+    notes, retiming = performance.notes, performance.retiming
+    if retiming is not None:
+        notes += tuple(retiming.lines()[1:])
+        if job.retime_report is not None:
+            write_text(job.retime_report, json.dumps(retiming.to_dict(), indent=1) + "\n")
+    lexemes = performance.lexemes.tolist()
+    return Outcome(job.name, speech.duration, len(lexemes) - 1, len(set(lexemes)), len(gesticulator.bundle.vectors),
+                   spent / speech.duration, written, notes)
+
+
+def perform_together(jobs: Sequence[Job], gesticulator: Gesticulator, retargeter: Retargeter | None = None,
+                     quiet: bool = False) -> str:
+    """Process recordings and write them as clips of one file each target; returns the summary. An error of one is an
+    error of all, and nothing is written."""
+    from gesticulator.export.glb import write_clips
+
+    clips: list[Performance] = []
+    for job, name in zip(jobs, clip_names(jobs), strict=True):
+        check_job(job)
+        named = replace(job, clip=replace(job.clip or ClipLayout(), name=name))
+        clips.append(laid_out(named, performed(named, load(named), gesticulator, retargeter, quiet), retargeter))
+    seconds = sum(clip.duration for clip in clips)
+    names = ", ".join(clip_names(jobs))
+    for target in jobs[0].targets:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_clips(target, [clip.scene() for clip in clips])
+    return "\n".join(f"{len(jobs)} recordings, {seconds:.1f} s -> {target}: {names}" for target in jobs[0].targets)
+
+
+def clip_names(jobs: Sequence[Job]) -> list[str]:
+    """The names of recordings without suffix, with a number appended to repeated ones."""
+    names: list[str] = []
+    for job in jobs:
+        stem = "stdin" if job.source is None else Path(job.name).stem[:90] or NAME
+        names.append(stem if stem not in names else f"{stem} {len(names) + 1}")
+    return names
+
+
+def load(job: Job) -> Speech:
+    """The recording; warns if it is too quiet even after the requested gain."""
+    from data_module.speech.audio import amplified, level_note, speech_pieces
+
+    with speech_pieces(job.source or sys.stdin.buffer, job.any_length) as sound:
+        speech = sound.whole()
+    note = level_note(amplified(speech, job.options.gain))
+    if note is not None:
+        complain(f"{PROGRAM}: warning: {job.name}: {note}")
+    return speech
+
+
+def performed(job: Job, speech: Speech, gesticulator: Gesticulator, retargeter: Retargeter | None = None,
+              quiet: bool = False) -> Performance:
+    """The performance of a recording, with a progress bar on the terminal; with legs, too, where the character of the
+    retargeter stands."""
+    from tqdm import tqdm
+
+    stands = retargeter is not None and retargeter.mapping.legs and retargeter.legs
+    options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
+    with closing(tqdm(desc=job.name, unit=" blocks", leave=False,
+                      disable=quiet or not sys.stderr.isatty())) as bar:
+        def on_block(done: int, total: int) -> None:
+            bar.total = total
+            bar.update()
+
+        performance = gesticulator(speech, text=job.text, on_block=on_block, **options)
+    return performance.labelled(job.name, performance.notes)
+
+
+def laid_out(job: Job, performance: Performance, retargeter: Retargeter | None) -> Performance:
+    """The performance as the clip of the job, on the character of the retargeter."""
+    if job.clip is not None:
+        performance = performance.as_clip(replace(job.clip, sound=job.clip.sound and not _is_beside(job)))
+    return performance if retargeter is None else performance.moved_by(retargeter)
+
+
+def _is_beside(job: Job) -> bool:
+    """Whether the sound beside an output is the recording itself, which must not be replaced."""
+    return job.source is not None and any(target.with_suffix(".wav").resolve() == job.source.resolve()
+                                          for target in job.targets)

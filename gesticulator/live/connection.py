@@ -1,0 +1,502 @@
+"""One client's stream: messages wait in a bounded queue, are processed block by block, and poses wait in another.
+
+Three tasks share a stream. `_read` takes messages and rejects excess; `_work` submits one step at a time to the compute
+thread, which takes the steps of all streams in the order of their arrival, so that streams take turns; `_write` sends.
+A client that does not read fills its own queue of poses: then its stream pauses, and other streams are not affected.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from websockets.exceptions import ConnectionClosed
+
+from data_module.errors import InputError
+from gesticulator.live.pace import Effort, Pace
+from gesticulator.live.protocol import CloseCode, RefusedError, StreamRequest, read_hello, read_message
+from gesticulator.live.session import SessionAnswer
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+
+    from data_module.types import Samples
+    from gesticulator.live.limits import ServerLimits
+    from gesticulator.live.metrics import ServerMetrics
+    from gesticulator.live.session import Session, Work
+    from gesticulator.live.vmc import VmcOutput
+
+T = TypeVar("T")
+
+TURN_SECONDS = 0.015
+"""Time after which a turn ends at the next step: a block takes about as long, so a turn takes at most 30 ms."""
+PIECE_SECONDS = 0.5
+"""Audio taken up at a time, seconds; it is computed in turns of a block."""
+IDLE_SECONDS = 0.1
+"""Idle motion generated at a time, seconds, after a client requested it until audio arrives."""
+CLOSE_SECONDS = 2.0
+"""Time for a client to answer a close frame, seconds; then the connection is aborted."""
+_REASON_BYTES = 120
+"""Bytes of the reason in a close frame; the limit is 123."""
+_MOST_WAITING = 10_000
+"""Most queued messages: a minute of 6 ms packets; bounds empty commands too."""
+_WAITS = ("idle", "think")
+
+
+@dataclass(frozen=True)
+class _Sound:
+    samples: Samples
+    other_voice: bool
+    """Whether another person speaks, to whom the character listens."""
+    arrived: float
+    """time.monotonic()"""
+    effort: Effort = Effort.FULL
+
+
+@dataclass(frozen=True)
+class _Command:
+    message: dict[str, Any]
+
+    @property
+    def seconds(self) -> float:
+        """Media time of a wait; 0 for other commands."""
+        return float(self.message.get("seconds", 0.0)) if self.message["type"] in _WAITS else 0.0
+
+
+class ComputeThread:
+    """The one thread that computes for all streams, first come first served. Python runs one thread at a time, so more
+    threads would compute no faster: use more processes for more cores."""
+
+    def __init__(self) -> None:
+        self._executor = ThreadPoolExecutor(1, "compute")
+        self._started: float | None = None
+
+    async def run(self, job: Callable[[], T]) -> T:
+        """Wait for the thread, and for the job's result."""
+        return await asyncio.get_running_loop().run_in_executor(self._executor, self._timed, job)
+
+    def _timed(self, job: Callable[[], T]) -> T:
+        self._started = time.monotonic()
+        try:
+            return job()
+        finally:
+            self._started = None
+
+    @property
+    def stuck_seconds(self) -> float:
+        """Time since the running job began; 0 if none is running."""
+        started = self._started
+        return 0.0 if started is None else time.monotonic() - started
+
+    def stop(self) -> None:
+        """Drop the jobs that wait; the running one ends by itself."""
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """Resources shared by connections.
+
+    open_session: creates a session for a request, in the compute thread. admit: gives a connection a place;
+    `RefusedError` if there is none or the token is wrong. output: also receives the motion, beside the WebSocket.
+    """
+
+    limits: ServerLimits
+    metrics: ServerMetrics
+    compute: ComputeThread
+    open_session: Callable[[str, StreamRequest], Session]
+    admit: Callable[[Connection, StreamRequest], None]
+    output: VmcOutput | None = None
+
+
+class Connection:
+    """A client's stream from its hello to its end."""
+
+    def __init__(self, socket: ServerConnection, name: str, workplace: Workplace) -> None:
+        self.socket, self.name, self.place = socket, name, workplace
+        self.reason = "closed by the client"
+        self.code: int = CloseCode.NORMAL
+        self.frames = 0
+        self.seconds = 0.0
+        self._waiting: deque[_Sound | _Command] = deque()
+        self._waiting_seconds = 0.0
+        self._waiting_idle = 0.0
+        """Seconds of waits that are queued or being computed."""
+        self._unread: deque[bytes | str | None] = deque()
+        self._unread_bytes = 0
+        self._changed = asyncio.Condition()
+        self._idling: float | None = None
+        """time.monotonic() up to which idle motion was generated; None if it is not requested."""
+        self._waits = "idle"
+        """The kind of idle motion: "idle" or "think"."""
+        self._computed: _Command | None = None
+        """The wait that is being computed."""
+        self._cut = False
+        """Whether the wait that is being computed ends now."""
+        self._cut_at = math.inf
+        """Media time at which an interruption ends all waits."""
+        self._leaving = False
+        self._pace = Pace()
+        self._taken_back = 0.0
+        """Seconds that cannot have been played at the time of a pending interruption."""
+        self._keeps_up = False
+        """Whether late audio is processed at lower cost or skipped."""
+
+    async def run(self) -> None:
+        """Serve the client; returns whatever the client does."""
+        try:
+            request = await self._hello()
+            self.place.admit(self, request)
+            session = await self.place.compute.run(lambda: self.place.open_session(self.name, request))
+            await self.socket.send(json.dumps(session.welcome()))
+            await self._serve(request, session)
+        except RefusedError as refused:
+            await self.refuse(refused)
+        except InputError as error:
+            await self.refuse(RefusedError(CloseCode.BAD_MESSAGE, str(error)))
+        except ConnectionClosed as closed:
+            self._record_close(closed)
+        except Exception as error:  # noqa: BLE001 - one stream's failure must end that stream alone
+            await self.refuse(RefusedError(CloseCode.FAILED, f"the stream failed ({type(error).__name__}: {error})"))
+        finally:
+            if self.place.output is not None:
+                self.place.output.leave(self.name)
+            self.place.metrics.waiting_seconds.dec(self._waiting_seconds)
+            self.place.metrics.unread_bytes.dec(self._unread_bytes)
+            self._waiting.clear()
+            self._unread.clear()
+
+    async def leave(self) -> None:
+        """Finish processing and close, because the server is stopping."""
+        async with self._changed:
+            self._leaving = True
+            self._changed.notify_all()
+
+    async def _hello(self) -> StreamRequest:
+        try:
+            async with asyncio.timeout(self.place.limits.hello_seconds):
+                message = await self.socket.recv()
+        except TimeoutError:
+            raise RefusedError(CloseCode.TOO_QUIET, "no hello came") from None
+        if not isinstance(message, str):
+            raise RefusedError(CloseCode.BAD_MESSAGE, "the first message must be a hello, as text")
+        return read_hello(message)
+
+    async def _serve(self, request: StreamRequest, session: Session) -> None:
+        """Read, compute and write until all is written."""
+        self._keeps_up = request.keeps_up
+        writer = asyncio.create_task(self._write())
+        started = {writer, asyncio.create_task(self._read(request)), asyncio.create_task(self._work(session))}
+        running = set(started)
+        try:
+            while writer in running:
+                done, running = await asyncio.wait(running, return_when=asyncio.FIRST_COMPLETED)
+                for task in done:
+                    task.result()  # re-raise its exception
+        finally:
+            for task in started:
+                task.cancel()
+            await asyncio.gather(*started, return_exceptions=True)
+        await self._close(self.code, self.reason if self._leaving else "")
+
+    async def _read(self, request: StreamRequest) -> None:
+        """Take messages until the client finishes; `RefusedError` for too much, too little or invalid data."""
+        limits, other_voice = self.place.limits, False
+        while True:
+            try:
+                async with asyncio.timeout(limits.quiet_seconds):
+                    message = await self.socket.recv()
+            except TimeoutError:
+                raise RefusedError(CloseCode.TOO_QUIET, f"nothing came for {limits.quiet_seconds:g} s") from None
+            if isinstance(message, bytes):
+                samples = request.samples(message)
+                sound = _Sound(samples, other_voice, time.monotonic())
+                await self._wait_with(sound, len(samples) / request.sample_rate)
+                continue
+            command = read_message(message)
+            if command["type"] == "hello":
+                raise RefusedError(CloseCode.BAD_MESSAGE, "a second hello came")
+            other_voice = command["type"] == "listen" or (other_voice and command["type"] != "speak")
+            self._pace.arrived(float(command.get("seconds", 0.0)))
+            if command["type"] == "interrupt":
+                self._cut_at = float(command.get("time", -math.inf))
+                await self._drop_waiting(request)
+            await self._wait_with(_Command(command), 0.0)
+            if command["type"] == "finish":
+                return
+
+    async def _wait_with(self, item: _Sound | _Command, seconds: float) -> None:
+        limits = self.place.limits
+        self.seconds += seconds
+        if self.seconds > limits.stream_seconds:
+            raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"a stream takes {limits.stream_seconds:g} s of sound")
+        waits = item.seconds if isinstance(item, _Command) else 0.0
+        waiting = self._waiting_seconds + self._waiting_idle + seconds + waits
+        if waiting > limits.waiting_seconds or len(self._waiting) >= _MOST_WAITING:
+            raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {limits.waiting_seconds:g} s of sound and waits, "
+                               f"or {_MOST_WAITING} messages, wait to be worked on")
+        self.place.metrics.sound_seconds.inc(seconds)
+        self._pace.arrived(seconds)
+        async with self._changed:
+            if seconds or isinstance(item, _Command):
+                self._waiting.append(item)
+            if seconds and not item.other_voice:  # type: ignore[union-attr]
+                self._end_early()
+            self._waiting_idle += waits
+            self._count_waiting(seconds)
+            self._changed.notify_all()
+
+    def _end_early(self) -> None:
+        """End the waits that sound ends: the one that is being computed, and those that are queued."""
+        for number, item in enumerate(self._waiting):
+            if isinstance(item, _Command) and item.message.get("until_sound"):
+                self._waiting_idle -= item.seconds
+                self._waiting[number] = _Command({"type": item.message["type"], "seconds": 0.0})
+        self._cut = self._computed is not None and bool(self._computed.message.get("until_sound"))
+
+    async def _drop_waiting(self, request: StreamRequest) -> None:
+        """Drop unprocessed audio of the avatar, which will not be played."""
+        self._taken_back = max(self._taken_back, self._pace.ahead)
+        self._pace.forget()
+        async with self._changed:
+            remaining: deque[_Sound | _Command] = deque()
+            for item in self._waiting:
+                if isinstance(item, _Sound) and not item.other_voice:
+                    self._count_waiting(-len(item.samples) / request.sample_rate)
+                else:
+                    remaining.append(item)
+            self._waiting = remaining
+
+    def _count_waiting(self, seconds: float) -> None:
+        self._waiting_seconds += seconds
+        self.place.metrics.waiting_seconds.inc(seconds)
+
+    async def _work(self, session: Session) -> None:
+        """Turn queued messages into poses, turn by turn, until the stream is finished."""
+        while True:
+            item = await self._next(session.request.sample_rate, session.lacking)
+            begin = time.monotonic()
+            session.unplayed(max(self._pace.ahead, self._taken_back))
+            if isinstance(item, _Sound):
+                await self._compute(session, session.feed(item.samples, item.other_voice, item.effort))
+                self._count_sound(item, len(item.samples) / session.request.sample_rate, time.monotonic() - begin)
+            elif item is None:
+                self._pace.arrived(IDLE_SECONDS)
+                await self._compute(session, session.wait(self._waits, IDLE_SECONDS))
+            else:
+                await self._obey(session, item, begin)
+                if item.message["type"] in ("finish", "leave"):
+                    self.reason = self.reason if self._leaving else "finished"
+                    async with self._changed:
+                        self._unread.append(None)
+                        self._changed.notify_all()
+                    return
+
+    async def _obey(self, session: Session, command: _Command, begin: float) -> None:
+        self._computed = command if command.seconds else None
+        try:
+            await self._compute(session, session.obey(command.message))
+        finally:
+            self._computed, self._cut = None, False
+            self._waiting_idle = max(0.0, self._waiting_idle - command.seconds)
+        if command.message["type"] == "interrupt":
+            self._taken_back, self._cut_at = 0.0, math.inf
+        if command.message in ({"type": "idle"}, {"type": "think"}):
+            self._waits, self._idling = command.message["type"], begin
+
+    def _count_sound(self, sound: _Sound, seconds: float, elapsed: float) -> None:
+        """Count a processed piece of audio; elapsed: seconds it took, with the turns of others."""
+        metrics = self.place.metrics
+        metrics.answer_seconds.observe(time.monotonic() - sound.arrived)
+        if sound.effort == Effort.NONE:
+            metrics.passed_seconds.inc(seconds)
+            return
+        self._pace.worked(seconds, elapsed)
+        if sound.effort == Effort.LESS:
+            metrics.hurried_seconds.inc(seconds)
+
+    def _ends(self, session: Session) -> bool:
+        """Whether the wait that is being computed ends here."""
+        return self._computed is not None and (self._cut or session.until >= self._cut_at)
+
+    async def _compute(self, session: Session, work: Work) -> None:
+        """Do some work turn by turn, and queue its answers. A wait ends when it is cut, and all work pauses while the
+        client does not read."""
+        done = False
+        while not done and not self._ends(session):
+            answer, done, elapsed = await self.place.compute.run(lambda: _turn(work))
+            self.place.metrics.compute_seconds.observe(elapsed)
+            await self._put(answer)
+            if not done:
+                async with self._changed:
+                    await self._room()
+        work.close()
+
+    async def _next(self, sample_rate: int, lacking: float) -> _Sound | _Command | None:
+        """The next item: a command, up to half a second of audio, or None for idle motion that is due.
+
+        Waits for an item, and until the client has read enough. lacking: seconds of the avatar's audio below which
+        processing would produce nothing, and is not worth a round trip to the compute thread.
+        """
+        async with self._changed:
+            await self._room()
+            while self._too_little(lacking):
+                if self._leaving:
+                    self.code, self.reason = CloseCode.GOING_AWAY, "the server is shutting down"
+                    return _Command({"type": "leave"})
+                if not await self._sleep():
+                    return None
+            item = self._waiting[0]
+            if isinstance(item, _Command):
+                self._waiting.popleft()
+                return item
+            self._idling = None
+            return self._piece(sample_rate)
+
+    def _too_little(self, lacking: float) -> bool:
+        """Whether the queue holds less than `lacking` seconds of the avatar's audio, and more may come."""
+        if not self._waiting:
+            return True
+        if self._waiting_seconds >= lacking - 1e-6 or self._leaving or self._idling is not None:
+            return False
+        return all(isinstance(item, _Sound) and not item.other_voice for item in self._waiting)
+
+    def _piece(self, sample_rate: int) -> _Sound:
+        """Up to half a second of queued audio of one voice; all of it, to be skipped, if it comes too late."""
+        first = self._waiting[0]
+        assert isinstance(first, _Sound)
+        self.place.metrics.late_seconds.observe(self._pace.late(self._waiting_seconds))
+        paced = self._keeps_up and not first.other_voice
+        effort = self._pace.effort(self._waiting_seconds) if paced else Effort.FULL
+        most = int((self._waiting_seconds if effort == Effort.NONE else PIECE_SECONDS) * sample_rate) + 1
+        pieces: list[Samples] = []
+        while self._waiting and most > 0:
+            item = self._waiting[0]
+            if isinstance(item, _Command) or item.other_voice != first.other_voice:
+                break
+            pieces.append(item.samples[:most])
+            most -= len(pieces[-1])
+            if len(pieces[-1]) < len(item.samples):
+                self._waiting[0] = _Sound(item.samples[len(pieces[-1]):], item.other_voice, item.arrived)
+            else:
+                self._waiting.popleft()
+        samples = np.concatenate(pieces)
+        self._count_waiting(-len(samples) / sample_rate)
+        return _Sound(samples, first.other_voice, first.arrived, effort)
+
+    async def _sleep(self) -> bool:
+        """Wait for a change; False if idle motion is due first. Called with the lock held."""
+        if self._idling is None:
+            await self._changed.wait()
+            return True
+        left = self._idling + IDLE_SECONDS - time.monotonic()
+        if left > 0:
+            try:
+                async with asyncio.timeout(left):
+                    await self._changed.wait()
+            except TimeoutError:
+                pass
+            else:
+                return True
+        self._idling += IDLE_SECONDS
+        return False
+
+    async def _room(self) -> None:
+        """Wait until few enough poses are unread; `RefusedError` after a timeout. Called with the lock held."""
+        limits = self.place.limits
+        try:
+            async with asyncio.timeout(limits.unread_seconds):
+                await self._changed.wait_for(lambda: self._unread_bytes < limits.unread_bytes)
+        except TimeoutError:
+            raise RefusedError(CloseCode.UNREAD, f"{self._unread_bytes} bytes of poses were not read for "
+                               f"{limits.unread_seconds:g} s") from None
+
+    async def _put(self, answer: SessionAnswer) -> None:
+        """Queue an answer for the client, and pass its motion to the other output."""
+        for frames in answer.frames:
+            self.frames += len(frames)
+            self.place.metrics.frames.inc(len(frames))
+            if self.place.output is not None:
+                self.place.output.take(self.name, frames)
+        async with self._changed:
+            for message in answer.messages:
+                self._unread.append(message)
+                self._count_unread(len(message))
+            self._changed.notify_all()
+
+    def _count_unread(self, size: int) -> None:
+        self._unread_bytes += size
+        self.place.metrics.unread_bytes.inc(size)
+
+    async def _write(self) -> None:
+        """Send queued messages until the end; each counts as unread until the system has accepted it."""
+        while True:
+            async with self._changed:
+                await self._changed.wait_for(lambda: bool(self._unread))
+                message = self._unread[0]
+            if message is None:
+                return
+            await self.socket.send(message)
+            async with self._changed:
+                self._unread.popleft()
+                self._count_unread(-len(message))
+                self._changed.notify_all()
+            self.place.metrics.sent_bytes.inc(len(message))
+
+    def _record_close(self, closed: ConnectionClosed) -> None:
+        """Record why the connection ended."""
+        if closed.rcvd is not None and not (closed.sent is not None and closed.rcvd_then_sent is False):
+            self.code, self.reason = closed.rcvd.code, "closed by the client"
+        elif closed.sent is not None:
+            self.code, self.reason = closed.sent.code, closed.sent.reason or "closed by the server"
+        else:
+            self.code, self.reason = 1006, "the connection broke"
+
+    async def refuse(self, refused: RefusedError) -> None:
+        """Send the client the reason, if it is still connected, and close."""
+        self.code, self.reason = refused.code, refused.reason
+        again = {} if refused.retry_after is None else {"retry_after": refused.retry_after}
+        message = json.dumps({"type": "error", "code": int(refused.code), "message": refused.reason, **again})
+        with contextlib.suppress(ConnectionClosed, TimeoutError):
+            async with asyncio.timeout(1.0):
+                await self.socket.send(message)
+        await self._close(refused.code, refused.reason)
+
+    async def _close(self, code: int, reason: str) -> None:
+        """Close, or abort the connection of a client that does not answer the close frame."""
+        short = reason.encode("utf-8", "replace")[:_REASON_BYTES].decode(errors="ignore")
+        # The client's answer comes after earlier messages, which must be read first.
+        swallowing = asyncio.create_task(self._swallow())
+        try:
+            async with asyncio.timeout(CLOSE_SECONDS):
+                await self.socket.close(code, short)
+        except TimeoutError:
+            self.socket.transport.abort()
+        finally:
+            swallowing.cancel()
+
+    async def _swallow(self) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                await self.socket.recv()
+
+
+def _turn(work: Work) -> tuple[SessionAnswer, bool, float]:
+    """Some steps of a work, in the compute thread: its answer, whether it is done, and the time that it took."""
+    begin, answer, done = time.perf_counter(), SessionAnswer(), True
+    for part in work:
+        answer.messages += part.messages
+        answer.frames += part.frames
+        if time.perf_counter() - begin >= TURN_SECONDS:
+            done = False
+            break
+    return answer, done, time.perf_counter() - begin

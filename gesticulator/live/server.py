@@ -1,0 +1,336 @@
+"""The server: WebSocket streams, health and metrics on one port, and one compute thread for all streams."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import gc
+import http
+import itertools
+import logging
+import math
+import signal
+import socket
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from hmac import compare_digest
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from data_module.errors import InputError
+from gesticulator.live.connection import CLOSE_SECONDS, ComputeThread, Connection, Workplace
+from gesticulator.live.limits import SOCKET_BYTES, ServerLimits
+from gesticulator.live.metrics import CONTENT_TYPE, ServerMetrics
+from gesticulator.live.protocol import CloseCode, RefusedError, StreamRequest, published
+
+if TYPE_CHECKING:
+    from gesticulator.live.session import Session
+    from gesticulator.live.vmc import VmcOutput
+
+LOG = logging.getLogger("gesticulator.live")
+FINISH_SECONDS = 10.0
+"""Least time for finishing received audio when the server stops, seconds."""
+RETRY_SECONDS = 5.0
+"""Time after which a client that was refused for lack of a place may try again."""
+STUCK_SECONDS = 5.0
+"""Time of a turn, which takes 30 ms, after which `/healthz` fails."""
+RELEASE_SECONDS = 5.0
+"""Interval at which the memory of ended streams is returned to the system."""
+MOST_GUESTS = 64
+"""Connections that have not sent a valid hello. The oldest is cut off for another one: a client that means it needs
+milliseconds, and one that says nothing is the oldest before long."""
+_OPEN_SECONDS = 5.0
+"""Time for a client to send its HTTP request."""
+_BACKLOG = 512
+"""Connections waiting to be accepted: enough for a burst of hundreds per second."""
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_PING_SECONDS = 20.0
+"""Ping interval, seconds; a vanished client is noticed after two of them."""
+_MESSAGES_AHEAD = 4
+"""Messages read ahead by the WebSocket library; the queue of a connection is bounded in seconds of audio."""
+_PAGE_KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain"}
+
+
+@dataclass(frozen=True)
+class ServerAddress:
+    """Where to listen, and who may connect.
+
+    port: 0 for any free one. origins: web pages that may connect, such as "https://example.org"; pages of this machine
+    and clients other than browsers always may. token: required in a client's hello, and for `/metrics`; "" for none.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8765
+    origins: tuple[str, ...] = ()
+    token: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise InputError(f"port {self.port}", "is not a port", "choose 0 (any free one) to 65535")
+
+    @property
+    def local(self) -> bool:
+        """Whether only this machine can connect."""
+        return self.host in _LOOPBACK
+
+    def accepts(self, token: str) -> bool:
+        """Whether it is the token; takes as long for a wrong one as for the right one."""
+        given, expected = (text.encode("utf-8", "surrogatepass") for text in (token, self.token))
+        return not expected or compare_digest(given, expected)
+
+    def admits(self, origin: str) -> bool:
+        """Whether a web page of that origin may connect.
+
+        The page's host is compared with names of this machine, not with the request's Host, which a page whose name was
+        re-resolved to 127.0.0.1 would match.
+        """
+        if "*" in self.origins or origin in self.origins:
+            return True
+        try:
+            host = urlsplit(origin).hostname
+        except ValueError:
+            return False
+        return self.local and host in _LOOPBACK
+
+    def listen(self) -> socket.socket:
+        """Open a listening socket; `InputError` if that fails."""
+        try:
+            family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
+            listening = socket.create_server((self.host, self.port), family=family, backlog=_BACKLOG)
+        except (OSError, UnicodeError) as error:
+            taken = getattr(error, "errno", None) == errno.EADDRINUSE
+            raise InputError(f"{self.host}:{self.port}", "is taken" if taken else f"cannot be listened on ({error})",
+                             "choose another --port" if taken else "choose another --host or --port") from None
+        for direction in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+            listening.setsockopt(socket.SOL_SOCKET, direction, SOCKET_BYTES)  # connections inherit it
+        # asyncio sets it only for sockets with an explicit protocol; without it, every other packet waits 40 ms.
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return listening
+
+
+@dataclass(frozen=True)
+class Page:
+    """A file served to browsers."""
+
+    body: bytes
+    kind: str
+
+
+def live_pages() -> dict[str, Page]:
+    """URL path -> file of the page of `gesticulator live`."""
+    folder = resources.files("gesticulator") / "assets" / "live"
+    names = {"/": "live.html", **{f"/{name}": name for name in ("live.css", "live.min.js", "capture.js",
+                                                                "licences.txt")}}
+    return {path: Page((folder / name).read_bytes(), f"{_PAGE_KINDS[name[name.rindex('.'):]]}; charset=utf-8")
+            for path, name in names.items()}
+
+
+@dataclass
+class LiveServer:
+    """Serves streams until stopped.
+
+    open_session: creates a session for a stream's name and request; output: also receives the motion; pages: URL path
+    -> file; worker: number of this process among those of the server.
+    """
+
+    address: ServerAddress
+    limits: ServerLimits
+    open_session: Callable[[str, StreamRequest], Session]
+    output: VmcOutput | None = None
+    pages: Mapping[str, Page] = field(default_factory=dict)
+    worker: int = 0
+
+    def __post_init__(self) -> None:
+        self.metrics = ServerMetrics()
+        self.compute = ComputeThread()
+        self.connections: set[Connection] = set()
+        self.draining = False
+        self._guests: dict[ServerConnection, None] = {}
+        """Connections without a valid hello, the oldest first."""
+        self._numbers = itertools.count(1)
+        self._stop = asyncio.Event()
+        self._ended = 0
+        """Connections that ended since memory was released."""
+
+    def stop(self) -> None:
+        """Stop: no new streams, `drain_seconds` for open ones, then finish them. A second call aborts at once."""
+        if self._stop.is_set():
+            for connection in self.connections:
+                connection.socket.transport.abort()
+        self._stop.set()
+
+    async def run(self, listening: socket.socket, ready: Callable[[], None] | None = None) -> None:
+        """Serve on a listening socket until `stop`, SIGTERM or SIGINT."""
+        published()  # report a missing schema before anyone connects
+        loop = asyncio.get_running_loop()
+        for name in (signal.SIGTERM, signal.SIGINT):
+            with contextlib.suppress(NotImplementedError, ValueError, RuntimeError):  # Windows; not the main thread
+                loop.add_signal_handler(name, self.stop)
+        server = await serve(
+            self._serve_one, sock=listening, process_request=self._answer, select_subprotocol=_subprotocol,
+            max_size=self.limits.message_bytes, max_queue=_MESSAGES_AHEAD, compression=None, open_timeout=_OPEN_SECONDS,
+            ping_interval=_PING_SECONDS, ping_timeout=_PING_SECONDS, close_timeout=CLOSE_SECONDS,
+            logger=_silent_log(), server_header=None)
+        releasing = asyncio.create_task(self._keep_releasing())
+        try:
+            if ready is not None:
+                ready()
+            await self._stop.wait()
+            await self._drain(server)
+        finally:
+            releasing.cancel()
+            server.close()
+            await server.wait_closed()
+            self.compute.stop()
+
+    # ------------------------------------------------------------ streams
+
+    def admit(self, connection: Connection, request: StreamRequest) -> None:
+        """Give a connection a place; see `Workplace`."""
+        if not self.address.accepts(request.token):
+            raise RefusedError(CloseCode.BAD_TOKEN, "the token is missing or wrong")
+        self._guests.pop(connection.socket, None)
+        if self.draining:
+            raise RefusedError(CloseCode.GOING_AWAY, "the server is shutting down", retry_after=1.0)
+        if self.full:
+            raise RefusedError(CloseCode.TOO_MANY_STREAMS, f"there are {len(self.connections)} streams", RETRY_SECONDS)
+        self.connections.add(connection)
+        self.metrics.streams.inc()
+        self.metrics.opened.inc()
+
+    @property
+    def full(self) -> bool:
+        """Whether another stream would be refused."""
+        return len(self.connections) >= self.limits.streams
+
+    async def _serve_one(self, ws: ServerConnection) -> None:
+        place = Workplace(self.limits, self.metrics, self.compute, self.open_session, self.admit, self.output)
+        connection = Connection(ws, f"{self.worker}-{next(self._numbers)}", place)
+        try:
+            await connection.run()
+        finally:
+            self._guests.pop(ws, None)
+            if connection in self.connections:
+                self.connections.discard(connection)
+                self.metrics.streams.dec()
+            self._ended += 1
+            self.metrics.closed.labels(str(int(connection.code))).inc()
+            peer = ws.remote_address
+            LOG.info("stream %s from %s: %.1f s of sound, %d frames, %d %s", connection.name,
+                     f"{peer[0]}:{peer[1]}" if peer else "?", connection.seconds, connection.frames, connection.code,
+                     " ".join(connection.reason.split()))
+
+    async def _drain(self, server: Server) -> None:
+        self.draining = True
+        server.close(close_connections=False)
+        if self.connections:
+            LOG.info("stopping: %d streams have %g s", len(self.connections), self.limits.drain_seconds)
+        await self._wait_for_streams(self.limits.drain_seconds)
+        for connection in list(self.connections):
+            await connection.leave()
+        await self._wait_for_streams(max(self.limits.drain_seconds, FINISH_SECONDS))
+        for connection in self.connections:
+            connection.socket.transport.abort()
+
+    async def _wait_for_streams(self, seconds: float) -> None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                while self.connections:
+                    await asyncio.sleep(0.02)
+
+    async def _keep_releasing(self) -> None:
+        """Free what ended streams hold. Their tasks, exceptions and frames refer to each other in circles, which only a
+        full collection frees; by itself Python makes one after hundreds of streams. It takes milliseconds once the
+        models are out of the collector's view (`gc.freeze`), and half a second otherwise."""
+        while True:
+            await asyncio.sleep(RELEASE_SECONDS)
+            if self._ended and gc.get_freeze_count():
+                self._ended = 0
+                gc.collect()
+
+    # ------------------------------------------------------------ HTTP requests
+
+    async def _answer(self, ws: ServerConnection, request: Request) -> Response | None:
+        """None to open a WebSocket, else the HTTP response."""
+        path = request.path.partition("?")[0]
+        if path == published()["path"]:
+            return self._opening(ws, request)
+        if path == "/healthz":
+            return self._health()
+        if path == "/readyz":
+            return self._readiness()
+        if path == "/metrics":
+            return self._metrics(request)
+        if path in self.pages:
+            return _response(http.HTTPStatus.OK, self.pages[path].body, self.pages[path].kind)
+        return self._refusal(http.HTTPStatus.NOT_FOUND,
+                             f"there are {published()['path']}, /healthz, /readyz and /metrics\n")
+
+    def _opening(self, ws: ServerConnection, request: Request) -> Response | None:
+        """None for a WebSocket that may be opened."""
+        origin = request.headers.get("Origin")
+        if origin is not None and not self.address.admits(origin):
+            return self._refusal(http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect; see --origin\n")
+        if len(self._guests) >= MOST_GUESTS:
+            oldest = next(iter(self._guests))
+            del self._guests[oldest]
+            oldest.transport.abort()
+        self._guests[ws] = None
+        return None
+
+    def _metrics(self, request: Request) -> Response:
+        """The metrics, to anybody if the server has no token."""
+        kind, _, token = request.headers.get("Authorization", "").partition(" ")
+        if self.address.token and not (kind.lower() == "bearer" and self.address.accepts(token.strip())):
+            refused = self._refusal(http.HTTPStatus.UNAUTHORIZED, "send Authorization: Bearer TOKEN\n")
+            refused.headers["WWW-Authenticate"] = "Bearer"
+            return refused
+        return _response(http.HTTPStatus.OK, self.metrics.text(), CONTENT_TYPE)
+
+    def _health(self) -> Response:
+        """Whether the server works: its compute thread goes on, and it is not stopping."""
+        stuck = self.compute.stuck_seconds
+        if stuck > STUCK_SECONDS:
+            return self._refusal(http.HTTPStatus.SERVICE_UNAVAILABLE, f"one turn has been computed for {stuck:.0f} s\n")
+        return self._refusal(http.HTTPStatus.SERVICE_UNAVAILABLE, "stopping\n") if self.draining \
+            else _response(http.HTTPStatus.OK, b"ok\n")
+
+    def _readiness(self) -> Response:
+        """Whether another stream would be admitted."""
+        health = self._health()
+        if health.status_code != http.HTTPStatus.OK:
+            return health
+        text = f"{len(self.connections)} of {self.limits.streams} streams\n"
+        if self.full:
+            refused = self._refusal(http.HTTPStatus.SERVICE_UNAVAILABLE, f"full: {text}")
+            refused.headers["Retry-After"] = str(math.ceil(RETRY_SECONDS))
+            return refused
+        return _response(http.HTTPStatus.OK, f"ok: {text}".encode())
+
+    def _refusal(self, status: http.HTTPStatus, text: str) -> Response:
+        self.metrics.refused.labels(str(int(status))).inc()
+        return _response(status, text.encode())
+
+
+def _subprotocol(ws: ServerConnection, offered: Any) -> Any:
+    """The protocol's name if it is offered; a client without one is served too, since the hello holds the version."""
+    return published()["subprotocol"] if published()["subprotocol"] in offered else None
+
+
+def _response(status: http.HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8") -> Response:
+    headers = Headers({"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close",
+                       "Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"})
+    return Response(status.value, status.phrase, headers, body)
+
+
+def _silent_log() -> logging.Logger:
+    """The WebSocket library's log, silenced: it would print a traceback for every invalid client message."""
+    log = logging.getLogger("gesticulator.live.websockets")
+    log.setLevel(logging.CRITICAL)
+    return log

@@ -1,0 +1,357 @@
+"""Choice among several sampled candidates of a block: the one with the best sum of terms that change gradually, so that
+a small change of pose or sound rarely changes the choice:
+
+- Lexeme: -2 log(d / d_0), with d the squared distance of the candidate's movement to the lexeme to play, and d_0 that
+  to its nearest lexeme.
+- Speed limit: a candidate in which a hand or an elbow is faster than people's hands are is rejected,
+  unless all are. One frame in a thousand of the corpus has such a jump, and a model trained on it samples one now and
+  then.
+- Timing: the hands' braking b(t) = max(0, -ds/dt), with s the summed speed of both hands, should lie near the onsets of
+  the block's sound: sum b w / (sum b + b0). w(t) is a Gaussian of the time to the nearest onset, and b0 keeps blocks
+  that hardly move from scoring high.
+- Seam: the hands' acceleration at the start over the mean within the block, at most 2, so that blocks that hardly move
+  are not rejected for it.
+- Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest; how far a wrist
+  is behind the front of the trunk and an elbow behind its back, where `gesticulator.body.clearance` has to move
+  them; how deep a wrist is in a sphere about its shoulder (a folded arm); and how near a forearm with its hand is to
+  the middle of the face; as shares of the radii, mean over the block.
+- Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
+  hands over the block, and h_0 and s_0 what they are in speech: the head moves when the hands do.
+- Pitch: the mean of p (s - s_m) / s_0 over the frames, with p the pitch in octaves over the voice's mean, s the turning
+  speed of the trunk, s_m its mean over the candidates, and s_0 what it is in speech: the trunk goes with the pitch.
+- Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their
+  targets, in standard deviations of the training data.
+
+Most candidates share the arms of the first (`systems.movement`); the choice is then of torso and head. What timing
+loses by that is more than made up for by retiming: the block that was chosen is moved in time, by shares of its length
+a t^2 (1 - t)^2 that leave its ends where they are, to where the term of timing is best.
+
+The onsets are those at which beats are placed (`data_module.speech.onsets`). Evaluation of timing uses two other
+detectors (`eval.metrics.eye`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module import controls
+from data_module.motion.kinematics import chains, positions_of_some
+from data_module.motion.rotation import cross, from_exponential_map
+from data_module.types import Array, Motion
+from gesticulator.body.clearance import back_at, front_at
+from gesticulator.body.life import HEAD
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import SpeechBlock, representation_of
+
+_NEAR = 0.05
+"""Standard deviation of w, seconds: half the tolerance of the timing metrics."""
+_STILL = 3.0
+"""b0: summed braking of hands that hardly move, m/s^2 over a block's frames."""
+FASTEST = 3.5
+"""Speed limit of a hand, m/s: in the real takes, hands stay under 3.1 in 99 of 100 seconds."""
+_SEAM = 0.02
+"""Seconds at the start of a block in which braking does not count: a jolt at the seam is not a beat."""
+_BEFORE = 4
+"""Frames before a block that are needed for the speeds at its start."""
+_RADII = 0.14, 0.15
+"""Radius of the trunk for a wrist and an elbow, metres: half a chest's depth, and 2 cm of air."""
+_FOLDED = 0.27
+"""Radius about a shoulder that a wrist enters where the elbow is bent by more than about 120 degrees, metres."""
+_FACE, _FACE_AT, _HAND = 0.22, (0.0, 0.09, 0.08), 0.36
+"""Radius about the middle of the face that arms keep out of, and where that is from the joint of the head, metres; and
+how far a hand reaches beyond the wrist, as a share of the forearm. Arms of people come within 18 cm of it in at most
+1 % of the time."""
+_BEFORE_FACE = 0.18
+"""Metres from the middle of the face within which an arm is before it."""
+_HEAD_TURNS, _HANDS_MOVE, _LEAST = 0.4, 0.5, 0.1
+"""h_0, rad/s, and s_0, m/s; and what is added to a share of them, so that stillness has a logarithm."""
+_TRUNK = "Spine", "Spine1", "Spine2", "Spine3", "Chest"
+"""Joints from hips to chest, of those that a body may have."""
+_TRUNK_TURNS = 0.25
+"""s_0 of the trunk, rad/s."""
+RETIMING = 0.08
+"""Share of a block's length by which its middle may come earlier or later."""
+_SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
+"""Shares of the most shift of a block's middle that are tried; and what the whole of it must be worth in timing."""
+
+
+@dataclass(frozen=True)
+class CandidateWeights:
+    """The weights of the terms, relative to `timing`; chosen on the validation split."""
+
+    lexeme: float = 2.0
+    """A candidate that is a twentieth nearer to another lexeme loses 0.2."""
+    timing: float = 1.0
+    seam: float = 0.25
+    body: float = 16.0
+    together: float = 1.0
+    pitch: float = 1.5
+    controls: float = 2.0
+    """Per standard deviation of the training data."""
+
+
+WEIGHTS = CandidateWeights()
+
+
+@dataclass(frozen=True)
+class CandidateMotion:
+    """The motion of C candidates over T frames: the last `_BEFORE` before a block, and those of the block.
+
+    poses: [C, T, D_m] radians or metres; places: [C, T, 8, 3] positions over the hips, metres, of hands, elbows and
+    shoulders (the right one first), the chest and the head; shown: the places with the shift that is shown.
+    """
+
+    poses: Array
+    places: Array
+    shown: Array
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def joined(self, other: CandidateMotion) -> CandidateMotion:
+        """Those and more."""
+        return CandidateMotion(*(np.concatenate(pair) for pair in (
+            (self.poses, other.poses), (self.places, other.places), (self.shown, other.shown))))
+
+
+class CandidateChooser:
+    """Chooses among the candidates of a block for one speaker."""
+
+    def __init__(self, bundle: Bundle, speaker: int, weights: CandidateWeights = WEIGHTS) -> None:
+        self._weights, self._statistics, self._speaker = weights, bundle.statistics, speaker
+        self._representation = representation_of(bundle.config)
+        skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
+        chest = skeleton.parents[skeleton.index("RightShoulder")]
+        # The chest stands on the way to a hand: it costs nothing more. The head is at the end of three joints.
+        self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm")
+                        for side in ("Right", "Left")]
+        self._joints += [chest, skeleton.index("Head")]
+        self._head = np.flatnonzero(np.repeat([name in HEAD for name in skeleton.names], 3))
+        self._trunk = np.flatnonzero(np.repeat([name in _TRUNK for name in skeleton.names], 3))
+        # Local rotations are independent, and only a quarter of the joints moves the hands.
+        self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
+
+    def motion(self, past: Array, blocks: Array, shift: Array | None = None) -> CandidateMotion:
+        """The motion of candidates. past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m]
+        the candidates; shift: [P + K, D_m] that is added to what is shown (`systems.movement.Offset`), or None."""
+        poses = self._poses(past, blocks)
+        places = self._places(poses)
+        return CandidateMotion(poses, places, places if shift is None else self._places(
+            self._poses(past, blocks, shift)))
+
+    def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Array, control: Array | None = None) -> int:
+        """The index of the best candidate; the first of equals.
+
+        motion: of C candidates; apart: [C] squared distance of each candidate to the lexeme to play over that to its
+        nearest lexeme; control: rows [K, 2 F], or None. Only the speed limit is about what is shown: a shift depends
+        on how the hands came here, so two takes that parted would go on choosing differently while it fades.
+        """
+        if len(motion) == 1:
+            return 0
+        weights, poses, places = self._weights, motion.poses, motion.places
+        times = self._times(speech, poses.shape[1] - _BEFORE)
+        allowed = slow_enough(motion.shown[:, :, :4], times)
+        hands = places[allowed, :, :2]
+        score = -weights.lexeme * np.log(apart[allowed].astype(np.float64))
+        score -= weights.body * depth(places[allowed, _BEFORE:])
+        if len(speech.onsets) > 0:
+            score += weights.timing * in_time(hands, times, speech.start, speech.onsets)
+        score -= weights.together * apart_from_hands(poses[allowed][..., self._head], hands, times)
+        if speech.pitch is not None:
+            score += weights.pitch * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
+        score -= weights.seam * jolt(hands, times)
+        if control is not None:
+            score -= weights.controls * self._control_error(hands, times, control)
+        return int(allowed[score.argmax()])
+
+    def retimed(self, speech: SpeechBlock, past: Array, block: Array) -> Array:
+        """The block [K, D_m], earlier or later in its middle by up to `RETIMING` of its length, so that more
+        of the hands' braking lies near the onsets; past: see `motion`. Its ends, and the speed there, stay."""
+        if not len(speech.onsets):
+            return block
+        blocks = retimings(len(block), RETIMING) @ np.concatenate([past[-2:], block])
+        hands = self._places(self._poses(past, blocks))[:, :, :2]
+        worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
+        return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
+
+    def too_fast(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
+        """Whether a hand or an elbow is faster than `FASTEST` in every candidate, as it is shown."""
+        times = self._times(speech, motion.poses.shape[1] - _BEFORE)
+        return bool((fastest(motion.shown[:, :, :4], times) > FASTEST).all())
+
+    @staticmethod
+    def before_face(motion: CandidateMotion) -> bool:
+        """Whether an arm comes before the face in every candidate."""
+        return bool((_to_face(motion.places[:, _BEFORE:]).min((1, 2)) < _BEFORE_FACE).all())
+
+    def _poses(self, past: Array, blocks: Array, shift: Array | None = None) -> Array:
+        """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
+        frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
+        if shift is not None:
+            frames = frames + shift[-frames.shape[1]:]
+        poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
+        return np.asarray(poses.reshape(frames.shape))
+
+    def _places(self, frames: Array) -> Array:
+        """[C, T, 8, 3] as of `CandidateMotion`, from poses [C, T, D_m]."""
+        poses = frames.reshape(-1, frames.shape[-1])
+        if self._arms is None:
+            places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
+        else:
+            skeleton, joints = self._arms
+            rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
+            places = positions_of_some(Motion(skeleton, rotations, np.zeros((len(poses), 3)), 1.0),
+                                       [joints.index(joint) for joint in self._joints])
+        return places.reshape(*frames.shape[:2], len(self._joints), 3)
+
+    @staticmethod
+    def _times(speech: SpeechBlock, frames: int) -> Array:
+        """[T] times of the frames before a block and of the block, seconds."""
+        before, duration, _ = speech.durations
+        steps = np.arange(1, frames + 1) / frames
+        return np.concatenate([speech.start - before / frames * np.arange(_BEFORE - 1, -1, -1),
+                               speech.start + duration * steps])
+
+    def _measured(self, hands: Array, times: Array) -> Array:
+        """[C, 3] the controlled features of each candidate's hands [C, T, 2, 3]: mean over the block."""
+        inside = hands[:, _BEFORE:]
+        steps = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1)
+        return np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
+                         np.linalg.norm(inside[..., [0, 2]], axis=-1).mean((1, 2))], axis=-1)
+
+    def _control_error(self, hands: Array, times: Array, control: Array) -> Array:
+        """[C] distance of each candidate's hands [C, T, 2, 3] from the controlled features, in standard deviations."""
+        measured, width = self._measured(hands, times), len(controls.FEATURES)
+        levels = self._statistics.levels
+        if levels is None:
+            return np.zeros(len(hands))
+        target, given = control[:, :width].mean(0), control[:, width:].mean(0)
+        return np.asarray((np.abs((measured - levels.mean) / levels.spread - target) * given).sum(-1))
+
+
+def fastest(hands: Array, times: Array) -> Array:
+    """[C] the greatest speed of a hand, or of a hand and an elbow, in each block, m/s.
+
+    hands: [C, T, 2 or 4, 3] metres at times [T] seconds, the frames before the block and those of the block.
+    """
+    speed = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])[:, None]
+    return np.asarray(speed.max((1, 2)))
+
+
+def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
+    """Indices of the candidates whose hands and elbows stay under `FASTEST`, or of the slowest one if none does; see
+    `fastest`."""
+    speeds = fastest(hands, times)
+    slow = np.flatnonzero(speeds <= FASTEST)
+    return slow if len(slow) else np.array([speeds.argmin()])
+
+
+def depth(places: Array) -> Array:
+    """[C] how deep wrists and elbows are in the trunk, wrists in the sphere of a folded arm, and forearms in that of
+    the face, and how far arms are behind the trunk (`behind_trunk`), as shares of the radii, summed over the joints and
+    averaged over the frames. places: as of `CandidateMotion`."""
+    chest = places[:, :, 6:7]
+    share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
+    away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
+    radii = np.repeat(_RADII, 2)
+    folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
+    near_face = 1.0 - _to_face(places) / _FACE
+    shares = [1.0 - away / radii, folded, near_face, behind_trunk(places) / _RADII[0]]
+    return np.asarray(sum(np.maximum(each, 0.0).sum(-1) for each in shares).mean(-1))
+
+
+def behind_trunk(places: Array) -> Array:
+    """[C, T, 4] metres by which each wrist is behind the front of the trunk and each elbow behind its back, negative
+    ahead of them; places: as of `CandidateMotion`."""
+    chest, right, left = places[:, :, 6], places[:, :, 4], places[:, :, 5]
+    up = chest / np.maximum(np.linalg.norm(chest, axis=-1, keepdims=True), 1e-9)
+    across = left - right - ((left - right) * up).sum(-1, keepdims=True) * up
+    across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
+    axes = np.stack([across, up, cross(across, up)], axis=-2)
+    x, y, z = np.moveaxis(np.einsum("ctij,cthj->cthi", axes, places[:, :, :4]), -1, 0)
+    x, height = x * np.tile([-1.0, 1.0], 2), 0.5 * ((left + right) * up).sum(-1)[..., None]
+    surfaces = np.concatenate([front_at(x[..., :2], y[..., :2], height), back_at(x[..., 2:], y[..., 2:], height)], -1)
+    return np.asarray(surfaces - z)
+
+
+def _to_face(places: Array) -> Array:
+    """[C, T, 2] metres from the middle of the face to the nearest point of each forearm with its hand."""
+    face = places[:, :, 7:] + np.array(_FACE_AT)
+    hands, elbows = places[:, :, :2], places[:, :, 2:4]
+    arms = (1.0 + _HAND) * (hands - elbows)
+    along = ((face - elbows) * arms).sum(-1) / np.maximum((arms * arms).sum(-1), 1e-9)
+    return np.asarray(np.linalg.norm(elbows + np.clip(along, 0.0, 1.0)[..., None] * arms - face, axis=-1))
+
+
+@cache
+def retimings(frames: int, most: float) -> Array:
+    """[C, K, 2 + K] weights that move the middle of a block of K frames, after the two before it, by shares a of its
+    length from -most to most, by splines of Catmull and Rom: frame t in (0, 1] takes the value at
+    t + 16 a t^2 (1 - t)^2. The middle one is the block itself."""
+    steps = np.arange(1, frames + 1) / frames
+    moved = steps + most * _SHIFTS[:, None] * 16.0 * steps ** 2 * (1.0 - steps) ** 2
+    at = frames * moved
+    first = np.minimum(np.floor(at + 1e-9), frames - 1.0)
+    x = at - first
+    around = 0.5 * np.stack([-x + 2 * x ** 2 - x ** 3, 2 - 5 * x ** 2 + 3 * x ** 3, x + 4 * x ** 2 - 3 * x ** 3,
+                             x ** 3 - x ** 2], axis=-1)
+    weights = np.zeros((*at.shape, 2 + frames + 1))
+    np.put_along_axis(weights, first[..., None].astype(int) + np.arange(4), around, -1)
+    # Beyond the last frame it goes on as between the last two.
+    weights[..., -2] += 2.0 * weights[..., -1]
+    weights[..., -3] -= weights[..., -1]
+    return weights[..., :-1]
+
+
+def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
+    """[C] share of the hands' braking from `start` on that lies near the onsets [n], seconds; 0 to 1.
+
+    hands: [C, T, 2, 3] metres at times [T] seconds, some frames before `start` and all after it.
+    """
+    seconds = np.diff(times)
+    speed = np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(-1) / seconds
+    between = 0.5 * (times[1:] + times[:-1])
+    braking = np.maximum(-np.diff(speed, axis=1) / np.diff(between), 0.0)
+    counts = times[1:-1] > start + _SEAM
+    distance = np.abs(times[1:-1, None] - np.asarray(onsets)).min(axis=1)
+    near = np.exp(-0.5 * (distance / _NEAR) ** 2)
+    braking, near = braking[:, counts], near[counts]
+    return np.asarray((braking * near).sum(1) / (braking.sum(1) + _STILL))
+
+
+def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
+    """[C] how far the head's turning speed in each block is from what goes with the speed of the hands, in natural
+    logarithms.
+
+    head: [C, T, 3 n] rotations of the joints of neck and head as exponential maps, whose sum turns as the head does
+    while they are small; hands, times: see `fastest`.
+    """
+    seconds = times[-1] - times[_BEFORE - 1]
+    turns = head[:, _BEFORE - 1:].reshape(*head[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
+    turned = np.linalg.norm(np.diff(turns, axis=1), axis=-1).sum(1) / seconds
+    moved = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1).sum(1) / seconds
+    return np.asarray(np.abs(np.log(turned / _HEAD_TURNS + _LEAST) - np.log(moved / _HANDS_MOVE + _LEAST)))
+
+
+def with_pitch(trunk: Array, times: Array, pitch: Array) -> Array:
+    """[C] how far the trunk of each block turns faster than in the other blocks where the pitch [K] is high, and slower
+    where it is low; see `apart_from_hands`.
+
+    trunk: [C, T, 3 n] rotations of the joints from hips to chest as exponential maps.
+    """
+    turns = trunk[:, _BEFORE - 1:].reshape(*trunk[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
+    speed = np.linalg.norm(np.diff(turns, axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])
+    return np.asarray(((speed - speed.mean(0)) / _TRUNK_TURNS * pitch).mean(1))
+
+
+def jolt(hands: Array, times: Array) -> Array:
+    """[C] the hands' acceleration at the start of each block over the mean within it, at most 2; see `fastest`."""
+    velocity = np.diff(hands, axis=1) / np.diff(times)[:, None, None]
+    between = 0.5 * (times[2:] - times[:-2])
+    acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1).sum(-1)
+    at, inside = acceleration[:, _BEFORE - 2], acceleration[:, _BEFORE - 1:]
+    return np.asarray(np.minimum(at / (inside.mean(1) + 1.0), 2.0))

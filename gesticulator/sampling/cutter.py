@@ -1,0 +1,440 @@
+"""Incremental cutting of speech into encoded blocks: `BlockCutter`. Files are cut by the same code (`encode_speech`).
+
+Sound is processed in ticks of 20 ms, whatever the sizes of the pieces that are fed, so all sizes give the same bytes.
+Sound and features are stored only as long as the next block needs them.
+"""
+
+from __future__ import annotations
+
+import copy
+from bisect import bisect_left, insort
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.blocks import CONTEXT, samples_per_frame, stretch_piece
+from data_module.errors import InputError
+from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.beats import BeatTracker
+from data_module.speech.front_ends import FrontEnd
+from data_module.speech.onsets import OnsetTracker
+from data_module.speech.silence import (
+    FRAME,
+    LoudnessStep,
+    LoudnessTracker,
+    PauseTracker,
+    PitchLevel,
+    SteadyStart,
+    VoiceLevel,
+    frame_after,
+    frame_before,
+    frame_levels,
+    in_pause,
+)
+from data_module.types import Array, BeatFlag, Blocks, Samples, Speech, Word
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import Features, SpeechBlock, SpeechFeatures, front_end_for, tempo_column
+from gesticulator.systems import system_of
+
+if TYPE_CHECKING:
+    from data_module.text.word_vectors import WordEncoder
+
+LATENCIES = ("full", "low")
+"""Latency modes, see `BlockCutter`."""
+TICK = 320
+"""Samples (20 ms) that are processed at a time, as a microphone delivers them: two frames, two spectra."""
+_AT_ONCE = 10 * TICK
+"""Samples (0.2 s) that are processed at a time where the result does not depend on it, if there are so many."""
+CUTTER_EVERY = 100 * TICK
+"""Samples (2 s) between two copies of a cutter: cutting them again takes 20 ms."""
+_SAME = 1e-6
+"""Largest difference of two equal times, seconds."""
+_WORDS_NEAR = 30.0
+"""Seconds around a block in which words are considered: no bridged pause is longer."""
+
+
+@dataclass(frozen=True)
+class _CutBlock:
+    """A block of sound. start, end: seconds; flag: why it ends; sound: [L] samples, time-stretched; silent: whether the
+    block is in a pause; quiet: [K] whether its frames are; reference: level of the voice known at its end, dBFS;
+    onsets: [n] seconds; pitch: [K] as in `SpeechBlock`, or None."""
+
+    start: float
+    end: float
+    flag: BeatFlag
+    sound: Samples
+    silent: bool
+    quiet: NDArray[np.bool_]
+    reference: float
+    onsets: Array
+    pitch: Array | None = None
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return self.end - self.start
+
+
+class _PauseFlags:
+    """Whether each frame lies in a pause; the flags of the last frames may still change."""
+
+    def __init__(self) -> None:
+        self._tracker, self._final, self._first = PauseTracker(), list[bool](), 0
+
+    def add(self, silent: Sequence[bool]) -> None:
+        """Add frames that are silent or not."""
+        self._final += self._tracker.step(silent)
+
+    def close(self) -> None:
+        """End the recording: all flags become final."""
+        self._final += self._tracker.finish()
+
+    @property
+    def certain(self) -> int:
+        """Number of frames whose flag is final."""
+        return self._first + len(self._final)
+
+    def between(self, first: int, last: int) -> NDArray[np.bool_]:
+        """Flags of the frames first to last - 1. A silence that may become a pause counts as one; frames that were not
+        added yet get the last flag."""
+        flags = self._final + [True] * self._tracker.waiting
+        flags += flags[-1:] * (last - self._first - len(flags))
+        return np.array(flags[max(first - self._first, 0):last - self._first], dtype=bool)
+
+    def at(self, frames: NDArray[np.int64], ended: bool) -> NDArray[np.bool_]:
+        """Flags of these frames; beyond the end of a recording all are true."""
+        flags = self.between(self._first, int(frames.max()) + 1)
+        if ended:
+            flags = np.append(flags[:self.certain - self._first], True)
+        return flags[np.clip(frames - self._first, 0, len(flags) - 1)]
+
+    def forget(self, before: int) -> None:
+        """Free the memory of the frames before one."""
+        old = min(before - self._first, len(self._final))
+        if old > 0:
+            del self._final[:old]
+            self._first += old
+
+
+class BlockCutter:
+    """Cuts speech at 16 kHz at its beats as it arrives, and encodes each window of three blocks.
+
+    latency: "full" returns a block once the next block is known, which is the input the models were trained with. "low"
+    returns it once its end is known, with a guess in place of the next block (`_foreseen`). It may be set at any time,
+    and affects the blocks that were not returned yet.
+    """
+
+    def __init__(self, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
+                 latency: str = "full", start: float = 0.0) -> None:
+        """words: encoder of the words that `add_words` will add, or None; start: where the first block begins, seconds
+        of the sound."""
+        self._config, self._front, self.latency = config, front or front_end_for(config), latency
+        self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
+        self._context = round(CONTEXT * SAMPLE_RATE)
+        self._words = None if words is None else WordTrack(words, config.text.bridge, config.selection.words_so_far)
+        self._loudness, self._voice, self._start = LoudnessTracker(), VoiceLevel(), SteadyStart()
+        self._pauses, self._quiet = _PauseFlags(), _PauseFlags()
+        self._onsets, self._beats = OnsetTracker(SAMPLE_RATE), BeatTracker(config.rhythm.beats, start)
+        self._pending: list[Samples] = []  # less than a tick
+        self._waiting = 0
+        # Sound from the sample `_from` on; the recording is preceded by silence.
+        self._sound, self._from = np.zeros(self._context, np.float32), -self._context
+        self._processed = self._frames = self._count = 0
+        self._edges: list[tuple[float, BeatFlag]] = [(start, BeatFlag.BOUNDARY)]  # of blocks that are not cut yet
+        self._rises: list[float] = []  # onsets of blocks that are not cut yet
+        self._pitch = PitchLevel() if system_of(config).VARIES else None  # candidates are chosen by it
+        self._cut: list[_CutBlock] = []  # the block before, and those that are not returned yet
+        self._ended = self._beats_given = False
+
+    def cut_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
+        """Cut at these beats, rising seconds with their flags, and detect none. Call it before anything is fed."""
+        self._edges += beats
+        self._beats_given = True
+
+    @property
+    def latency(self) -> str:
+        """One of `LATENCIES`."""
+        return "low" if self._low else "full"
+
+    @latency.setter
+    def latency(self, latency: str) -> None:
+        if latency not in LATENCIES:
+            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
+        self._low = latency == "low"
+
+    def fork(self) -> BlockCutter:
+        """An independent copy, which shares what never changes."""
+        shared: list[object] = [self._config, self._front]
+        memo = {id(one): one for one in shared}
+        if self._words is not None:
+            memo[id(self._words)] = self._words.fork()
+        return copy.deepcopy(self, memo)
+
+    @property
+    def uncut(self) -> list[float]:
+        """Starts of the blocks that were cut and may still be returned or are needed beside those, and of the next
+        one, seconds. The first of them was returned already, unless it is the first of the sound."""
+        return [*(block.start for block in self._cut), self._edges[0][0]]
+
+    @property
+    def returned(self) -> int:
+        """Number of blocks that were returned."""
+        return self._count
+
+    def cut_on_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
+        """Cut at these beats from now on, all of them after the last of `uncut`, and detect none."""
+        self._edges, self._beats_given = [self._edges[0], *beats], True
+
+    @property
+    def reads(self) -> bool:
+        """Whether words can be added."""
+        return self._words is not None
+
+    @property
+    def lacking(self) -> float:
+        """Seconds of sound that fill the next tick; feeding less returns nothing."""
+        return (TICK - self._waiting) / SAMPLE_RATE
+
+    @property
+    def duration(self) -> float:
+        """Seconds of sound so far."""
+        return (self._processed + self._waiting) / SAMPLE_RATE
+
+    def add_words(self, words: Sequence[Word]) -> None:
+        """Add words with their times in the sound, seconds; they affect the blocks that are returned from now on."""
+        if self._words is not None:
+            self._words.add(words)
+
+    def feed(self, samples: Samples) -> list[SpeechBlock]:
+        """Feed sound, float32 [n] in [-1, 1]; return the blocks that became certain."""
+        self._pending.append(samples)
+        self._waiting += len(samples)
+        out: list[SpeechBlock] = []
+        if self._waiting >= TICK:
+            sound = np.concatenate(self._pending)
+            whole = len(sound) - len(sound) % TICK
+            # Only what is returned before the next block is known depends on when that is.
+            size = TICK if self._low else _AT_ONCE
+            for start in range(0, whole, size):
+                out += self._tick(sound[start:min(start + size, whole)])
+            self._pending, self._waiting = [sound[whole:]], len(sound) - whole
+        return out
+
+    def finish(self) -> list[SpeechBlock]:
+        """The remaining blocks, at the end of the sound. At least one sample must have been fed."""
+        rest = np.concatenate(self._pending) if self._pending else np.zeros(0, np.float32)
+        self._pending, self._waiting, self._ended = [], 0, True
+        loudness, onsets = self._analyse(rest)
+        onsets += self._onsets.finish()
+        self._rises += [time for time, _ in onsets]
+        self._quiet.add(self._start.finish().tolist())
+        self._pauses.close()
+        self._quiet.close()
+        if not self._beats_given:
+            self._edges += self._beats.finish(onsets, loudness.silent.tolist(), self._processed / SAMPLE_RATE)
+        return list(self._ready_blocks())
+
+    def _tick(self, samples: Samples) -> list[SpeechBlock]:
+        loudness, onsets = self._analyse(samples)
+        self._rises += [time for time, _ in onsets]
+        if not self._beats_given:
+            self._edges += self._beats.step(onsets, loudness.silent.tolist(), self._onsets.known_until,
+                                            self._processed / SAMPLE_RATE)
+        return list(self._ready_blocks())
+
+    def _analyse(self, samples: Samples) -> tuple[LoudnessStep, list[tuple[float, float]]]:
+        """Loudness and onsets that became known by these samples."""
+        self._sound = np.concatenate([self._sound, samples])
+        self._processed += len(samples)
+        loudness = self._loudness.step(frame_levels(samples, SAMPLE_RATE), self._ended)
+        self._frames += len(loudness.levels)
+        self._voice.feed(loudness)
+        self._pauses.add(loudness.silent.tolist())
+        self._quiet.add(self._start.step(loudness.levels, loudness.silent).tolist())
+        return loudness, self._onsets.step(samples, loudness)
+
+    def _ready_blocks(self) -> Iterator[SpeechBlock]:
+        """Cut and encode the blocks that are certain by now."""
+        while len(self._edges) > 1 and self._ready(self._edges[1][0]):
+            self._cut.append(self._cut_block(self._edges[0][0], *self._edges[1]))
+            del self._edges[0]
+            self._rises = [time for time in self._rises if time >= self._edges[0][0] - _SAME]
+        while len(self._cut) > (self._count > 0):
+            at = int(self._count > 0)
+            current, last = self._cut[at], len(self._cut) == at + 1
+            if last and not self._ended and not self._low:
+                return
+            after = self._cut[at + 1] if not last else None if self._ended else self._foreseen(current)
+            block = self._encoded(self._cut[0] if at else None, current, after)
+            yield replace(block, foreseen=last and not self._ended)
+            self._count += 1
+            del self._cut[:at]
+            self._forget(current.start)
+
+    def _ready(self, end: float) -> bool:
+        """Whether sound, onsets and pauses of a block with this end are certain."""
+        if self._ended:
+            return True
+        if self._processed < round(end * SAMPLE_RATE) + self._context + 1 or self._frames < round(end / FRAME):
+            return False
+        if self._onsets.known_until <= end + _SAME:
+            return False
+        # The middle or end of a frame may lie one frame beyond.
+        return self._low or min(self._pauses.certain, self._quiet.certain) > end / FRAME + 1
+
+    def _cut_block(self, start: float, end: float, flag: BeatFlag) -> _CutBlock:
+        ended = self._ended
+        frames = Blocks(np.array([start, end]), np.zeros(1, np.int8), np.zeros(1, bool), self._config.rhythm.frames,
+                        self._config.rhythm.fps).knot_times
+        first, last = frame_after(np.array([start, end])).tolist()
+        silent = in_pause(self._pauses.between(first, min(last, self._frames) if ended else last))
+        return _CutBlock(start, end, flag, self._stretched(start, end), silent,
+                         self._quiet.at(frame_before(frames), ended), self._voice.block(end),
+                         np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]),
+                         self._pitch_of(start, end))
+
+    def _pitch_of(self, start: float, end: float) -> Array | None:
+        """[K] the block's pitch, if candidates are chosen by it."""
+        if self._pitch is None:
+            return None
+        first, last = (min(round(edge * SAMPLE_RATE), self._processed) - self._from for edge in (start, end))
+        return self._pitch.block(self._sound[first:last], SAMPLE_RATE, self._config.rhythm.frames)
+
+    def _foreseen(self, block: _CutBlock) -> _CutBlock:
+        """A guess of the next block: of the same length, with the sound so far, continued by its mirror image."""
+        start, end = block.end, block.end + block.duration
+        share = np.arange(1, self._config.rhythm.frames + 1) / self._config.rhythm.frames
+        first, last = frame_after(np.array([start, end])).tolist()
+        return _CutBlock(start, end, BeatFlag.EVEN_PSEUDO, self._stretched(start, end),
+                         in_pause(self._pauses.between(first, last)),
+                         self._quiet.at(frame_before(start + block.duration * share), False), 0.0, np.zeros(0))
+
+    def _stretched(self, start: float, end: float) -> Samples:
+        first, last = (round(edge * SAMPLE_RATE) for edge in (start, end))
+        if self._ended:
+            first, last = min(first, self._processed), min(last, self._processed)
+        last = max(last, first + 1) + self._context
+        piece = self._sound[first - self._context - self._from:last - self._from]
+        missing = last - first + self._context - len(piece)
+        if missing:  # silence after the end of the recording, or the mirror image of the sound so far
+            piece = np.pad(piece, (0, missing), mode="constant" if self._ended else "symmetric")
+        return stretch_piece(piece, self._length, SAMPLE_RATE)
+
+    def _encoded(self, before: _CutBlock | None, block: _CutBlock, after: _CutBlock | None) -> SpeechBlock:
+        """The block encoded with its neighbours; a missing neighbour is zeros."""
+        none = np.zeros(self._length, np.float32)
+        window = np.concatenate([none if part is None else part.sound for part in (before, block, after)])
+        levels = self._front.encode(window[None], np.array([block.reference]))
+        three = (before or block, block, after or block)
+        durations = np.array([part.duration for part in three])
+        rhythm = self._config.rhythm
+        tempo = tempo_column(durations, rhythm.beats.d_max, rhythm.frames)[1]
+        low = np.concatenate([levels.low[0], tempo], axis=-1)
+        high = low if levels.high is levels.low else np.concatenate([levels.high[0], tempo], axis=-1)
+        text = None
+        if self._words is not None:
+            text = np.concatenate([self._words.rows(part, rhythm.frames, rhythm.fps)
+                                   for part in (before, block, after)])
+        return SpeechBlock(self._count, block.start, block.end, (three[0].duration, block.duration, three[2].duration),
+                           (three[0].silent, block.silent, three[2].silent), low, high, text, block.quiet,
+                           None if after is None else after.quiet, block.flag, onsets=block.onsets,
+                           pitch=block.pitch)
+
+    def _forget(self, start: float) -> None:
+        """Free the memory of sound, flags and words before a block that was returned."""
+        first = min(round(start * SAMPLE_RATE) - self._context, self._processed)
+        if first > self._from:
+            self._sound, self._from = self._sound[first - self._from:], first
+        for flags in (self._pauses, self._quiet):
+            flags.forget(int(start / FRAME) - 1)
+        if self._words is not None:
+            self._words.forget(start)
+
+
+class WordTrack:
+    """The words that were added so far, and their vectors."""
+
+    def __init__(self, encoder: WordEncoder, bridge: float, so_far: bool = False) -> None:
+        """bridge: see `word_frames`; so_far: see `WordEncoder.encode`."""
+        self._encoder, self._bridge, self._so_far = encoder, bridge, so_far
+        self._words: list[tuple[float, int, Word]] = []  # by their start
+        self._vectors: dict[int, Features] = {}
+        self._next = 0
+
+    def add(self, words: Sequence[Word]) -> None:
+        """Add words with their times in the sound, seconds; the words of one call are encoded together."""
+        for word, vector in zip(words, self._encoder.encode(words, so_far=self._so_far), strict=True):
+            insort(self._words, (word.start, self._next, word))
+            self._vectors[self._next] = np.append(vector, np.float32(0.0)).astype(np.float32)
+            self._next += 1
+
+    def fork(self) -> WordTrack:
+        """An independent copy; words and vectors are never changed."""
+        twin = copy.copy(self)
+        twin._words, twin._vectors = list(self._words), dict(self._vectors)
+        return twin
+
+    def rows(self, block: _CutBlock | None, frames: int, fps: float) -> Features:
+        """[K, d + 1] the word vectors of a block's frames, and whether a frame has no word."""
+        from data_module.text.word_vectors import word_frames  # only where words are read
+
+        out = np.zeros((frames, self._encoder.width + 1), np.float32)
+        out[:, -1] = 1.0
+        if block is None:
+            return out
+        first, last = (bisect_left(self._words, (edge, -1)) for edge in (
+            block.start - _WORDS_NEAR, block.end + _WORDS_NEAR))
+        near = self._words[first:last]
+        blocks = Blocks(np.array([block.start, block.end]), np.zeros(1, np.int8), np.zeros(1, bool), frames, fps)
+        words = word_frames([word for *_, word in near], blocks, self._bridge)[0]
+        for row in np.flatnonzero(words >= 0):
+            out[row] = self._vectors[near[words[row]][1]]
+        return out
+
+    def forget(self, before: float) -> None:
+        """Free the memory of the words that no block after `before` seconds can need."""
+        old = bisect_left(self._words, (before - 2 * _WORDS_NEAR, -1))
+        for _, number, _ in self._words[:old]:
+            del self._vectors[number]
+        del self._words[:old]
+
+
+def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
+                  blocks: Blocks | None = None, cutters: list[BlockCutter] | None = None) -> SpeechFeatures:
+    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too.
+
+    blocks: cut the speech into these instead of detecting beats. cutters: receives a copy of the cutter before every
+    `CUTTER_EVERY` samples, from which parts can be cut again (`gesticulator.editing.recut`).
+    """
+    read = words if speech.words is not None else None
+    cutter = BlockCutter(config, front, read)
+    cutter.add_words(speech.words or ())
+    if blocks is not None:
+        cutter.cut_at([(float(edge), BeatFlag(int(flag)))
+                       for edge, flag in zip(blocks.edges[1:], blocks.flags, strict=True)])
+    parts: list[SpeechBlock] = []
+    if cutters is None:
+        parts += cutter.feed(speech.samples)
+    else:
+        for at in range(0, len(speech.samples), CUTTER_EVERY):
+            cutters.append(cutter.fork())
+            parts += cutter.feed(speech.samples[at:at + CUTTER_EVERY])
+    features = gathered([*parts, *cutter.finish()], config)
+    return features if blocks is None else replace(features, blocks=blocks)
+
+
+def gathered(parts: Sequence[SpeechBlock], config: Config) -> SpeechFeatures:
+    """The features of a whole speech, from those of its blocks."""
+    edges: Array = np.array([*(block.start for block in parts), parts[-1].end])
+    low = np.stack([block.low for block in parts])
+    high = low if parts[0].high is parts[0].low else np.stack([block.high for block in parts])
+    text = None if parts[0].text is None else np.stack([block.text for block in parts if block.text is not None])
+    blocks = Blocks(edges, np.array([block.flag for block in parts], np.int8),
+                    np.array([block.silent[1] for block in parts]), config.rhythm.frames, config.rhythm.fps)
+    return SpeechFeatures(blocks, low, high, text, np.stack([block.quiet for block in parts]),
+                          tuple(block.onsets for block in parts),
+                          None if parts[0].pitch is None else np.stack([block.pitch for block in parts
+                                                                        if block.pitch is not None]))

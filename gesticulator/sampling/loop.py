@@ -1,0 +1,379 @@
+"""The loop over blocks, the same for a file, a stream and an edited plan (RG 6, Eq. 15; RACER 4.3).
+
+A state is a value: `step` takes one and returns the motion of the next block and the state after it, and leaves the
+given state as it was. To go back to an earlier block, or to try another way, take an older state.
+
+    state = begin(bundle, setup)
+    for i in range(len(encoded)):
+        block, state = step(bundle, setup, state, Request(encoded.block(i)))
+
+What a step does is the system's: `gesticulator.systems.paper`, `.movement` and `.racer`. The parts of a step that they
+share are below.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module.controls import Controls, Levels
+from data_module.layers import without_after
+from data_module.types import Array, Blocks
+from gesticulator.body.rest import Rest, RestKnots
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import Flags, Span, SpeechBlock, control_rows, representation_of
+from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
+from gesticulator.sampling.noise import Keys
+from interpreters.base import BlockFeatures, Explanation, Interpreter, select
+
+if TYPE_CHECKING:
+    from interpreters.planner import UnitDecision
+
+OnBlock = Callable[[int, int], None]
+"""Called after each block with the number of finished blocks and the total."""
+ControlRows = NDArray[np.float32]
+"""[K, 2 F] or [N, K, 2 F]: standardised control features, and whether each is given (`control_rows`)."""
+Scores = NDArray[np.float64]
+"""[S] log-probabilities or Q values of the lexemes."""
+
+BEST = 5
+"""Number of alternative lexemes stored for a block."""
+_CONTIGUOUS = 1e-3
+"""Seconds between two blocks without a gap."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything about a performance that was resolved and checked once, before its first block.
+
+    speaker: index. temperature: of the choice of lexemes, 0 takes the best; top: number of best lexemes to sample from,
+    0 for all (`interpreters.base.select`). seed: of the random numbers; variation: selects other motion for the same
+    lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the interpreter, or None.
+    """
+
+    interpreter: Interpreter
+    speaker: int
+    temperature: float
+    top: int
+    seed: int
+    activity: float = 1.0
+    controls: Controls = field(default_factory=Controls.free)
+    variation: int = 0
+    beta: float | None = None
+
+    @property
+    def score_is(self) -> str:
+        """The kind of the interpreter's scores."""
+        return "Q value" if self.interpreter.gives_values else "log-probability"
+
+
+@dataclass(frozen=True)
+class Request:
+    """Everything that a block depends on, apart from the blocks before it.
+
+    control: rows [K, 2 F], or None. lexeme: the lexeme to show; None lets the interpreter choose. keys: of the noise
+    and the choice of an edited block; None for those of the performance. still: [K] frames in which the hands are to
+    rest, or None. bias: [S] added to the interpreter's scores, or None. activity: share of the speaking time with
+    gestures from this block on; None for as before. fast: sample at lower cost, if the system can.
+    """
+
+    speech: SpeechBlock
+    control: ControlRows | None = None
+    lexeme: int | None = None
+    keys: Keys | None = None
+    still: Flags | None = None
+    bias: Scores | None = None
+    activity: float | None = None
+    fast: bool = False
+
+
+@dataclass(frozen=True)
+class State:
+    """The state of a performance between two blocks.
+
+    keys: of the noise of its motion. text: whether the blocks come with words. lexeme: of the block before. past: [1,
+    K, D_m] the motion last shown, without idle motion; generated: [1, K, D_m] the same as the generator sees it;
+    offset: what lies between the two and fades, or None. interpreter, unguided, generator, planner, gate: states of the
+    models; unguided is that of the interpreter without the style control. unit: the planner's decision for the block
+    before. rest: decides when and how the hands rest; never changed, only copied. quiet: number of quiet blocks in a
+    row. until: seconds, end of the block before. varied: the state of the variation whose motion is shown, if it is
+    another than this one.
+    """
+
+    keys: Keys
+    text: bool
+    lexeme: int
+    past: Tensor
+    generated: Tensor
+    interpreter: Any
+    unguided: Any
+    offset: Any = None
+    generator: Any = None
+    planner: Any = None
+    gate: Any = None
+    unit: UnitDecision | None = None
+    rest: Rest | None = None
+    quiet: int = 0
+    until: float = 0.0
+    varied: State | None = None
+
+
+@dataclass(frozen=True)
+class BlockMotion:
+    """A generated block.
+
+    block: the block of the plan, without names of lexemes (`directing.record.named`). lexeme: the one that is shown;
+    where the hands are to rest, an edited plan may hold another. motion: [K, D_m] features with rest and idle motion.
+    code: [d_z] style code. unit: the decision of the planner of gesture units; None without one.
+    """
+
+    block: Block
+    lexeme: int
+    motion: NDArray[np.float32]
+    code: NDArray[np.float32]
+    unit: UnitDecision | None = None
+
+
+@dataclass(frozen=True)
+class GeneratedMotion:
+    """A recording's N generated blocks and their normalised motion [N, K, D_m], K frames per block. cut: the N blocks
+    of its speech."""
+
+    cut: Blocks
+    blocks: Sequence[BlockMotion]
+    motion: NDArray[np.float32]
+
+
+class Sampler(Protocol):
+    """The part of a system that the loop calls: the functions of these names in its module (`gesticulator.systems`)."""
+
+    def begin(self, bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
+        """The state before the first block; see `begin` below."""
+
+    def step(self, bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
+        """The next block, and the state after it."""
+
+    def motion_of(self, bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
+        """[N, K, D_m] motion of all blocks of a performance."""
+
+
+# ------------------------------------------------------------------------------------------------------------ the loop
+
+@torch.inference_mode()
+def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = None) -> State:
+    """The state before the first block, at rest.
+
+    text: the blocks come with words. keys: of the noise, if not those of the setup. A setup with a variation chooses
+    its lexemes as without one, and shows the motion of a second state.
+    """
+    start = sampler_of(bundle).begin
+    if setup.variation:
+        varied = start(bundle, setup, text, Keys(setup.seed, setup.variation))
+        return replace(start(bundle, setup, text, Keys(setup.seed)), varied=varied)
+    return start(bundle, setup, text, keys or Keys(setup.seed))
+
+
+@torch.inference_mode()
+def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
+    """The next block, and the state after it."""
+    take = sampler_of(bundle).step
+    block, after = take(bundle, setup, state, request)
+    if state.varied is None:
+        return block, after
+    varied, varied_after = take(bundle, setup, state.varied, replace(request, lexeme=block.lexeme))
+    return varied, replace(after, varied=varied_after)
+
+
+def sampler_of(bundle: Bundle) -> Sampler:
+    """The functions of the bundle's system."""
+    return cast(Sampler, bundle.system)
+
+
+def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
+    """[N, K, D_m] motion of all N blocks of a performance."""
+    return sampler_of(bundle).motion_of(bundle, setup, blocks)
+
+
+def run(bundle: Bundle, setup: Setup, requests: Sequence[Request], text: bool = False) -> list[BlockMotion]:
+    """All blocks of a performance; arguments as of `begin` and `step`."""
+    state, blocks = begin(bundle, setup, text), []
+    for request in requests:
+        block, state = step(bundle, setup, state, request)
+        blocks.append(block)
+    return blocks
+
+
+@torch.inference_mode()
+def idle(bundle: Bundle, state: State, start: float, seconds: float, knots: int) -> tuple[NDArray[np.float32], State]:
+    """[knots, D_m] frames of rest at intervals of `seconds`, the first one interval after `start`, and the state after
+    them; of a bundle that rests by phrases."""
+    assert state.rest is not None
+    rest = state.rest.fork()
+    rest.rest(Span(start, seconds * knots, np.ones(knots, bool)))
+    past, motion = shown(bundle, rest, state.past[:, -1:].expand(1, knots, -1))
+    past = torch.cat([state.past, past], 1)[:, -state.past.shape[1]:]
+    varied = state.varied
+    if varied is not None:
+        motion, varied = idle(bundle, varied, start, seconds, knots)
+    return motion, replace(state, past=past, generated=past, offset=None, rest=rest, varied=varied)
+
+
+def break_off(state: State, knots: RestKnots, time: float) -> State:
+    """Back at these knots (K or more), going to rest from there at once; time: of the interruption, seconds."""
+    assert state.rest is not None
+    frames = state.past.shape[1]
+    before = np.repeat(knots.poses[:1], max(frames - len(knots.poses), 0), axis=0)
+    past = torch.as_tensor(np.concatenate([before, knots.poses[-frames:]]), dtype=torch.float32,
+                           device=state.past.device)[None]
+    rest = state.rest.fork()
+    rest.break_off(knots, time)
+    varied = None if state.varied is None else break_off(state.varied, knots, time)
+    return replace(state, past=past, generated=past, offset=None, rest=rest, varied=varied)
+
+
+def knots_of(state: State, times: Array) -> RestKnots:
+    """The frames last shown, without idle motion, as knots at `times` [M] seconds, the times of the last M of them."""
+    state = state.varied or state
+    assert state.rest is not None
+    return RestKnots(times, np.asarray(state.past[0].cpu().numpy())[-len(times):], state.rest.gains)
+
+
+def controls_at(levels: Levels | None, controls: Controls, times: Array) -> ControlRows | None:
+    """[K, 2 F] rows of the controls at `times` [K] seconds; None without controls."""
+    if levels is None or controls == Controls.free():
+        return None
+    values, given = controls.at(times)
+    return control_rows(levels, values, np.broadcast_to(given, values.shape))
+
+
+# ------------------------------------------------------------------------------------------------- parts of the systems
+
+def at_rest(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
+    """The state before the first block, without those of generator and planner."""
+    speaker, config = setup.speaker, bundle.config
+    lexeme = bundle.rest_lexeme(speaker)
+    past = bundle.rest_feature(speaker).expand(1, bundle.frames, -1)
+    interpreter = setup.interpreter.start(speaker, lexeme)
+    gate = bundle.gate.start(speaker) if bundle.gate is not None and setup.activity < 1 else None
+    rest = Rest(bundle.statistics, representation_of(config), speaker, setup.activity,
+                setup.seed) if bundle.rests_by_phrase else None
+    return State(keys, text, lexeme, past, past, interpreter, interpreter, gate=gate, rest=rest)
+
+
+def goes_on(state: State, speech: SpeechBlock) -> bool:
+    """Whether the block begins where the one before ended."""
+    return abs(speech.start - state.until) <= _CONTIGUOUS
+
+
+def tensor(bundle: Bundle, values: NDArray[Any]) -> Tensor:
+    """Values in single precision, where the models are."""
+    return torch.as_tensor(values, dtype=torch.float32, device=bundle.vectors.device)
+
+
+def features_of(bundle: Bundle, request: Request, past: Tensor | None = None) -> BlockFeatures:
+    """The models' inputs of a block; past: [K, D_m] the motion before it."""
+    s, config, speech = bundle.statistics, bundle.config, request.speech
+    low, high = tensor(bundle, s.low.apply(speech.low)), tensor(bundle, s.high.apply(speech.high))
+    if speech.foreseen:  # a model trained with dropout of the next block gets none rather than an incomplete one
+        drop = torch.ones(1, dtype=torch.bool, device=low.device)
+        low = without_after(low[None], drop)[0] if config.generator.after_dropout else low
+        high = without_after(high[None], drop)[0] if config.interpreter.after_dropout else high
+    return BlockFeatures(low, high, speech.silent[1], None if speech.text is None else tensor(bundle, speech.text),
+                         None if request.control is None else tensor(bundle, request.control), past,
+                         speech.durations[:2])
+
+
+@dataclass(frozen=True)
+class Resting:
+    """Whether the hands rest in a block. closed: in half of it or more; probability: of the gate that they gesture, NaN
+    without a gate; gate, rest: the states after the decision."""
+
+    closed: bool
+    probability: float
+    gate: Any
+    rest: Rest | None
+
+
+def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, still: Flags | None
+            ) -> Resting:
+    """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
+    activity = setup.activity if request.activity is None else request.activity
+    closed, probability, gate = activity == 0, math.nan, state.gate
+    if bundle.gate is not None and gate is not None:
+        probability, gate = bundle.gate.step(gate, features)
+        closed = not bundle.gate.opened(probability, activity)
+    if state.rest is None:
+        return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
+    rest = state.rest.fork()
+    return Resting(rest.hear(request.speech.span, probability, still, activity), probability, gate, rest)
+
+
+def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeatures) -> tuple[Scores, Any, Any]:
+    """[S] scores of the interpreter, and its states after the block, with and without the style control.
+
+    With a control the scores are extrapolated from those without it (classifier-free guidance).
+    """
+    interpreter = setup.interpreter
+    scores, after = interpreter.step(state.interpreter, features, state.lexeme)
+    if features.control is None or "control" not in interpreter.needs:
+        return scores, after, state.unguided
+    free, unguided = interpreter.step(state.unguided, replace(features, control=None), state.lexeme)
+    return free + bundle.config.selection.guidance * (scores - free), after, unguided
+
+
+def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.int64] | None = None) -> int:
+    """The lexeme of a block: the requested one, or one sampled from scores [S], among `allowed`, if given."""
+    if request.lexeme is not None:
+        return request.lexeme
+    # A variation has the lexemes of the first performance, unless the block was edited.
+    keys = request.keys or Keys(setup.seed)
+    return select(scores if request.bias is None else scores + request.bias, allowed=allowed,
+                  temperature=setup.temperature, top=setup.top or None,
+                  noise=keys.gumbel(request.speech.keyed_at, len(scores)))
+
+
+def shown(bundle: Bundle, rest: Rest | None, block: Tensor, offset: Tensor | None = None
+          ) -> tuple[Tensor, NDArray[np.float32]]:
+    """The motion [1, K, D_m] that becomes the past of the next block, and the frames [K, D_m] to show, of a generated
+    block [1, K, D_m]; offset: [K, D_m] to add to it, or None. `rest`, which heard the block, goes on."""
+    # Stay within the training data: the models' input must not drift away from it, pose by pose.
+    low, high = tensor(bundle, bundle.statistics.bounds)
+    block = torch.clamp(block, low, high)
+    if rest is None:
+        return block, np.asarray(block[0].cpu().numpy())
+    if offset is not None:
+        block = block + offset
+    past = tensor(bundle, rest.step(block[0].cpu().numpy()))[None]
+    return past, rest.alive(past[0].cpu().numpy()).astype(np.float32)
+
+
+def decided(speech: SpeechBlock, lexeme: int, scores: Scores, explanation: Explanation | None, keys: Keys,
+            gate: float = math.nan) -> Block:
+    """The block of a plan that records the choice of a lexeme.
+
+    scores: [S] of the interpreter; alternatives are ordered by score, equal ones by number. explanation: of the scores,
+    by interpreters that have one. gate: the gate's probability, NaN without a gate.
+    """
+    best = np.argsort(-scores, kind="stable")[:BEST].tolist()
+    draw = BlockDraw(keys.seed, keys.variation, speech.number)
+    block = Block(speech.start, speech.end, lexeme, speech.silent[1], draw, speech.flag.name.lower(),
+                  gate=None if math.isnan(gate) else gate)
+    if np.isfinite(scores[lexeme]):  # an edit may ask for a lexeme that the interpreter rules out
+        block = replace(block, score=float(scores[lexeme]), rank=int(np.sum(scores >= scores[lexeme])))
+    if explanation is None:
+        return replace(block, alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
+    lexemes = [*best, lexeme]
+    prior, advantage = np.exp(explanation.log_prior[lexemes]).tolist(), explanation.advantage[lexemes].tolist()
+    other = next((rank for rank, n in enumerate(best) if n != lexeme), 0)
+    return replace(
+        block, alternatives=tuple(LexemeChoice(n, "", float(scores[n]), prior[rank], advantage[rank])
+                                  for rank, n in enumerate(best)),
+        chosen={"prior": prior[-1], "advantage": advantage[-1]},
+        runner_up={"id": best[other], "worth_more": advantage[other] - advantage[-1]})

@@ -1,0 +1,162 @@
+"""Which gesture a speaker makes at which word: labels of gestures with their cues, and the clips that show them.
+
+`meanings.csv` lists the labels ("point_there") with the words and phrases that call for them in English, German and
+Spanish; `licensed_clips.csv` lists clips of strokes and of free motion with their label and their phases in seconds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
+from pathlib import Path
+
+from data_module.errors import InputError, shown
+from gesticulator_performer.clips import check_file, check_time, complete_rows
+from gesticulator_performer.syllables import is_function_word
+
+LANGUAGES = ("en", "de", "es")
+MEANINGS, CLIPS = "meanings.csv", "licensed_clips.csv"
+_PHASES = ("ready", "strokeStart", "emphasis", "stroke", "relax")
+_COLUMNS = frozenset({"label", "category", "offensive", "talk"} | {f"cues_{language}" for language in LANGUAGES})
+_CLIP_COLUMNS = frozenset({"file", "person", "label", *_PHASES})
+_ADVICE = "take the tables that came with the clips"
+_COMMON = 0.35
+"""Weight of a cue that is one very common word."""
+_EMOTIONAL = 0.25
+"""Chance of a label of emotion against one of another category that has the same cue: a plain "yes" is a nod, seldom
+a cheer."""
+_COMMON_WORDS = {
+    "en": "i me my you your we us no not all here there but also another really need must now yes",
+    "de": "ich mich mein du sie ihr dein wir uns nein nicht alles hier dort ja aber auch",
+    "es": "yo mi tú usted tu nosotros todos no nada aquí allí sí pero también",
+}
+_COMMON_OF = {language: frozenset(words.split()) for language, words in _COMMON_WORDS.items()}
+
+
+@dataclass(frozen=True)
+class MeantClip:
+    """A clip that shows a gesture. file: relative to the folder above the tables; person: who moves; phases: seconds of
+    ready, strokeStart, emphasis, stroke and relax, or () where no hand moves."""
+
+    file: str
+    person: str
+    label: str
+    phases: tuple[float, ...]
+
+    @property
+    def stem(self) -> str:
+        return Path(self.file).stem
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a word asks for: labels with their chances, which sum to 1, and the weight of the request (0 to 1)."""
+
+    labels: Mapping[str, float]
+    weight: float
+
+
+@dataclass(frozen=True)
+class Cues:
+    """Cues of the labels that have clips or were asked for. phrases: by language, words in the spelling of `plain` ->
+    labels with their chances; clips: by file stem; wanted: all labels; apart, again: see `strokes.StrokeCues`."""
+
+    phrases: Mapping[str, Mapping[tuple[str, ...], Mapping[str, float]]]
+    clips: Mapping[str, MeantClip]
+    wanted: frozenset[str] = frozenset()
+    apart: float = 0.0
+    again: float = 0.0
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(sorted({clip.label for clip in self.clips.values()}))
+
+    def asked(self, words: Sequence[str], language: str = "en", pauses: Sequence[float] = ()) -> dict[int, Asked]:
+        """What the words of a speech ask for, by index. At each place the longest phrase counts; its last content word
+        carries the stroke. pauses: of no use here."""
+        out: dict[int, Asked] = {}
+        for first, last, labels in self.found(words, language):
+            carrier = next((k for k in range(last, first, -1) if not is_function_word(words[k], language)), first)
+            common = last == first and plain(words[first]) in _COMMON_OF[language]
+            out[carrier] = Asked(labels, _COMMON if common else 1.0)
+        return out
+
+    def found(self, words: Sequence[str], language: str = "en") -> Iterator[tuple[int, int, Mapping[str, float]]]:
+        """(first word, last word, labels) of each cue in a text, in order, without overlap."""
+        phrases = self.phrases.get(language, {})
+        longest = max(map(len, phrases), default=0)
+        spelled = [plain(word) for word in words]
+        place = 0
+        while place < len(words):
+            for length in range(min(longest, len(words) - place), 0, -1):
+                labels = phrases.get(tuple(spelled[place:place + length]))
+                if labels:
+                    yield place, place + length - 1, labels
+                    place += length - 1
+                    break
+            place += 1
+
+
+def plain(word: str) -> str:
+    """A word in the spelling of the cues: lower case, one kind of apostrophe, no punctuation and no hyphen."""
+    return re.sub(r"[^\w']|[\d_]", "", word.lower().replace("\u2019", "'")).strip("'")
+
+
+def mirrored(label: str) -> str:
+    """The label of the mirror image: left and right are swapped."""
+    swap = {"left": "right", "right": "left"}
+    return "_".join(swap.get(part, part) for part in label.split("_"))
+
+
+def read_cues(folder: str | Path, labels: Set[str] = frozenset()) -> Cues:
+    """Read both tables. Labels that are offensive, do not suit a standing speaker or have neither a clip nor a place in
+    `labels` are left out. InputError names the line of a row that is short or holds no time, of an unknown label and of
+    a label that comes twice."""
+    folder = Path(folder)
+    rows = _meanings(folder / MEANINGS)
+    allowed = {label for label, row in rows.items() if row["offensive"] == "no" and row["talk"] == "yes"}
+    clips = [clip for clip in _clips(folder / CLIPS, set(rows)) if clip.label in allowed]
+    used = {clip.label for clip in clips} | (allowed & labels)
+    return Cues({language: _phrases({label: row for label, row in rows.items() if label in used}, language)
+                 for language in LANGUAGES}, {clip.stem: clip for clip in clips}, frozenset(used))
+
+
+def _meanings(file: Path) -> dict[str, dict[str, str]]:
+    rows: dict[str, dict[str, str]] = {}
+    for where, row in complete_rows(file, _COLUMNS):
+        label = row["label"]
+        if not re.fullmatch(r"[a-z]+(_[a-z]+)*", label) or label in rows:
+            raise InputError(where, f"has {shown(label)!r} as its label, which is taken or not in small letters",
+                             _ADVICE)
+        for column in ("offensive", "talk"):
+            if row[column] not in ("yes", "no"):
+                raise InputError(where, f"has {shown(row[column])!r} as {column}, which is yes or no", _ADVICE)
+        rows[label] = row
+    return rows
+
+
+def _clips(file: Path, labels: set[str]) -> list[MeantClip]:
+    out = []
+    for where, row in complete_rows(file, _CLIP_COLUMNS):
+        check_file(where, row["file"])
+        if row["label"] not in labels:
+            raise InputError(where, f"has the label {shown(row['label'])!r}, which {MEANINGS} lacks", _ADVICE)
+        for phase in _PHASES:
+            check_time(where, row[phase], phase)
+        phases = tuple(float(row[phase]) for phase in _PHASES if row[phase])
+        if len(phases) not in (0, len(_PHASES)) or list(phases) != sorted(phases):
+            raise InputError(where, "has phases that are missing or out of order", _ADVICE)
+        out.append(MeantClip(row["file"], row["person"], row["label"], phases))
+    return out
+
+
+def _phrases(rows: Mapping[str, Mapping[str, str]], language: str) -> dict[tuple[str, ...], dict[str, float]]:
+    weights: dict[tuple[str, ...], dict[str, float]] = {}
+    for label, row in rows.items():
+        for cue in row[f"cues_{language}"].split(";"):
+            words = tuple(plain(word) for word in cue.split())
+            if words and all(words):
+                emotional = "emotion" in row["category"].split(";")
+                weights.setdefault(words, {})[label] = _EMOTIONAL if emotional else 1.0
+    return {words: {label: weight / sum(of.values()) for label, weight in of.items()} for words, of in weights.items()}

@@ -1,0 +1,416 @@
+"""Plan a performance: which stroke falls on which syllable, its size and its speed.
+
+Words with a meaning take their stroke with some probability; prominent syllables then take beats. Size and speed
+follow the loudness of the syllable and the effort of its phrase, so that they are predictable from the sound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data_module.truth import REST, Mark, Phrase, Syllable
+from data_module.types import Array
+from gesticulator_performer import meaning
+from gesticulator_performer.cues import Asked
+from gesticulator_performer.hands import Manner, PhraseHands, hands_of_phrases, unevenness, weights_at
+from gesticulator_performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
+from gesticulator_performer.styles import NEUTRAL, StyleTrack
+from gesticulator_performer.types import Spoken
+
+REST_PAUSE = 1.6
+"""Pause in speech, seconds, after which the arms go to rest."""
+BRAKE = 0.789
+"""Share of the length of a minimum-jerk movement at which it decelerates hardest."""
+_MIN_GAP = 0.5
+"""Least seconds between the beats of two strokes."""
+_MIN_PREPARATION = 0.42
+"""Least seconds from the start of a stroke to its beat; with less room the stroke is not played."""
+_AFTER_BEAT = 0.12
+"""Seconds after a beat in which its arm takes no new stroke, because it is still decelerating."""
+_JOIN = 1.2
+"""Gap between the end of a hold and the next stroke, seconds, below which the hold is extended instead of retracted."""
+_STRETCH = 1.6
+"""Largest factor on the length of an extended hold."""
+_LONGEST_HOLD = 1.0
+"""Longest hold after stretching, seconds."""
+_RECENT = 3
+"""Number of recent clips that are unlikely to be repeated."""
+_RECENT_WEIGHT = 0.1
+"""Factor on the probability of a recent clip."""
+_SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.25, 0.9
+"""Slopes: log gain by vigour, log gain by amplitude, log speed by tempo, eagerness by tempo."""
+_LARGEST = 1.75
+"""Largest gain: beyond it elbows fold and hands come near the face."""
+_SIZE_OF_TAKES, _SPREAD_OF_TAKES = np.array([0.35, 0.3]), 0.3
+"""Log of the wished size of a take from a script, by vigour and amplitude, and the standard deviation about it."""
+_APEX = (-0.16, 0.02)
+"""Earliest and latest apex of a gesture under a budget, seconds from the stressed vowel."""
+_HURRIED = 0.6
+"""Least share of its preparation and stroke that a take from a script is given."""
+_READIED = 0.75
+"""Seconds before such a gesture in which no beat is placed, so that its preparation has room."""
+
+
+@dataclass(frozen=True)
+class Habits:
+    """The habits of a performer.
+
+    meaning: probability that a meaningful word takes its stroke; eagerness: offset on the prominence at which a
+    syllable takes a beat; hands: weights of left, right, both; looseness: standard deviation of the beat about the
+    syllable, seconds; speed and gain: relative to the recorded clips; sway: yaw of the torso, degrees; nod: size of a
+    nod, degrees; hanging: probability that one arm hangs through a phrase; links: strength of what ties the motion to
+    the sound beyond the times of the strokes (0 none, 1 full): size to effort, chest to
+    pitch; damping: seconds of the low pass of the arms, longer for a performer whose clips tremble.
+    """
+
+    meaning: float = 0.65
+    eagerness: float = 0.0
+    hands: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    looseness: float = 0.05
+    speed: float = 1.2
+    gain: float = 1.0
+    sway: float = 7.0
+    nod: float = 3.0
+    hanging: float = 0.25
+    links: float = 1.0
+    damping: float = 0.02
+
+
+HABITS: dict[str, Habits] = {
+    "brad": Habits(0.60, 0.8, (1.1, 0.7, 1.2), 0.050, 1.02, 1.25, 7.5, 2.6, 0.20, damping=0.03),
+    "brad2": Habits(0.70, 0.6, (1.2, 0.6, 1.4), 0.047, 1.05, 1.12, 8.5, 3.2, 0.12, damping=0.05),
+    "connor": Habits(0.65, 0.3, (0.6, 1.2, 1.2), 0.053, 1.02, 1.02, 7.0, 2.2, 0.20, damping=0.045),
+    "garza": Habits(0.75, 0.5, (0.7, 1.1, 1.5), 0.049, 1.06, 1.12, 9.0, 3.8, 0.15, damping=0.07),
+}
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A stroke placed in time, seconds of the performance. gain: factor on the excursion; lag, uneven: delay in seconds
+    and factor on the gain of the left and the right hand. meaning, word: as in `PlayedStroke`."""
+
+    stroke: Stroke
+    start: float
+    beat: float
+    hold_end: float
+    end: float
+    syllable: float
+    gain: float
+    lag: tuple[float, float] = (0.0, 0.0)
+    uneven: tuple[float, float] = (1.0, 1.0)
+    meaning: str = ""
+    word: int = -1
+
+
+@dataclass(frozen=True)
+class _Wish:
+    """A syllable that should have a stroke: its candidate lexemes, the time of the beat, the vigour, the label of the
+    meaning that its word asks for ("" for none), and the log of the size that a take from a script should have."""
+
+    at: Syllable
+    beat: float
+    lexemes: tuple[str, ...]
+    drive: float
+    label: str = ""
+    size: float = 0.0
+
+
+def habits_of(performer: str) -> Habits:
+    return HABITS.get(performer, Habits())
+
+
+def runs_of(phrases: Sequence[Phrase], pause: float = REST_PAUSE) -> list[tuple[float, float]]:
+    """Stretches of speech [(start, end)] in seconds, phrases joined across pauses shorter than `pause`."""
+    runs: list[tuple[float, float]] = []
+    for phrase in sorted(phrases, key=lambda p: p.start):
+        if runs and phrase.start - runs[-1][1] < pause:
+            runs[-1] = (runs[-1][0], max(runs[-1][1], phrase.end))
+        else:
+            runs.append((phrase.start, phrase.end))
+    return runs
+
+
+def rests_of(phrases: Sequence[Phrase], duration: float) -> tuple[Mark, ...]:
+    """The pauses in a recording of `duration` seconds that are long enough for the arms to rest."""
+    runs = runs_of(phrases)
+    ends, starts = [0.0, *(end for _, end in runs)], [*(start for start, _ in runs), duration]
+    return tuple(Mark(REST, end, start) for end, start in zip(ends, starts, strict=True) if start - end >= REST_PAUSE)
+
+
+def drives(spoken: Spoken, links: float = 1.0) -> Array:
+    """The vigour of each syllable, [syllables], -1 to 1, times `links` (`Habits`): half the effort of its phrase, half
+    its loudness (averaged with the phrase's; 6 dB give about 0.75), so that it can be predicted from the sound."""
+    loud = np.array([s.loudness for s in spoken.syllables])
+    starts = np.array([s.vowel for s in spoken.syllables])
+    out = np.zeros(len(loud))
+    for phrase in spoken.phrases:
+        inside = (starts >= phrase.start) & (starts < phrase.end)
+        if inside.any():
+            level = 0.5 * loud[inside] + 0.5 * loud[inside].mean()
+            out[inside] = 0.5 * np.clip(phrase.effort, -1.0, 1.0) + 0.5 * np.tanh(level / 6.0)
+    return links * np.clip(out, -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Casting:
+    """The manner of a talk, the hands that play each of its phrases, its style, the strength of its links to the sound
+    (`Habits.links`), and that of `carriage.carriage`."""
+
+    manner: Manner
+    hands: tuple[PhraseHands, ...]
+    style: StyleTrack = NEUTRAL
+    links: float = 1.0
+    carriage: float = 0.0
+
+    def habits_of(self, performer: str) -> Habits:
+        habits = habits_of(performer)
+        return replace(habits, eagerness=habits.eagerness + self.manner.eagerness, links=self.links,
+                       meaning=habits.meaning * self.links)
+
+
+def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng: np.random.Generator,
+         links: float = 1.0) -> Casting:
+    habits = habits_of(performer)
+    preferred = RIGHT if habits.hands[RIGHT] >= habits.hands[LEFT] else LEFT
+    hands = hands_of_phrases(spoken.phrases, manner, preferred, rng)
+    return Casting(manner, hands, StyleTrack(style.times, links * style.values), links)
+
+
+def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator, split: str = "train",
+         casting: Casting | None = None) -> tuple[Planned, ...]:
+    """The strokes that `performer` plays on `spoken`, in order of their beats, without overlap on one arm. Held-out
+    strokes are used in the split "test" only. InputError for an unknown performer."""
+    usable = strokes.of(performer, split)
+    habits = casting.habits_of(performer) if casting else habits_of(performer)
+    style = casting.style if casting else NEUTRAL
+    known = {stroke.lexeme for stroke in usable}
+    cues = strokes.cues
+    asked = cues.asked(_texts(spoken), spoken.language, _pauses(spoken)) if cues else {}
+    apart, again = (cues.apart, cues.again) if cues else (0.0, 0.0)
+    labels = _labels(spoken, habits, asked, ({stroke.meaning for stroke in usable}, apart, again), rng)
+    wishes = _wishes(spoken, habits, known, (style, labels, set(asked), apart > 0.0), rng)
+    chosen: list[Planned] = []
+    recent: list[str] = []
+    last_hand = ""
+    busy = {LEFT: 0.0, RIGHT: 0.0}
+    for wish in wishes:
+        if casting is not None:
+            habits, last_hand = replace(habits, hands=weights_at(casting.hands, wish.at.vowel)), ""
+        stroke = _choose(wish, usable, habits, recent, last_hand, rng)
+        stroke = strokes.played(stroke, performer) if stroke else None
+        placed = _place(stroke, wish, habits, busy, casting, rng) if stroke else None
+        if stroke is None or placed is None:
+            continue
+        chosen.append(replace(placed, meaning=stroke.meaning if stroke.meaning == wish.label else "",
+                              word=wish.at.word, gain=1.0 if stroke.faithful else placed.gain))
+        recent = [*recent, stroke.base][-_RECENT:]
+        last_hand = stroke.hand
+        for side in stroke.sides:
+            busy[side] = placed.hold_end if stroke.scripted else placed.beat + _AFTER_BEAT
+    joined = _join(chosen, runs_of(spoken.phrases))
+    if casting is None:
+        return joined
+    lags, gains = unevenness(rng, len(joined))
+    alike = [len(p.stroke.sides) < 2 or p.stroke.scripted for p in joined]
+    uneven = [p if same else replace(p, lag=tuple(lag), uneven=tuple(gain))
+              for p, same, lag, gain in zip(joined, alike, lags.tolist(), gains.tolist(), strict=True)]
+    return _held_through(uneven, spoken.phrases)
+
+
+def _wishes(spoken: Spoken, habits: Habits, known: set[str],
+            given: tuple[StyleTrack, Mapping[int, str], set[int], bool], rng: np.random.Generator) -> list[_Wish]:
+    """The syllables with strokes. given: the style, the labels of meanings by syllable, the words with a cue, and
+    whether meanings have a budget: beats then leave room before them."""
+    style, labels, cued, budgeted = given
+    syllables = spoken.syllables
+    if not syllables:
+        return []
+    strength = drives(spoken, habits.links)
+    loose = np.clip(rng.normal(-0.010, habits.looseness, len(syllables)), -0.13, 0.11)
+    taken: dict[int, tuple[str, ...]] = dict.fromkeys(labels, ())
+    if spoken.language == "en":
+        taken |= _meaningful(spoken, habits, known, (set(taken), cued), rng)
+    times = np.array([s.vowel for s in syllables])
+    tempo = style.at(times)[:, 1]
+    eager = habits.eagerness + _EAGER_OF_TEMPO * tempo
+    chance = 1.0 / (1.0 + np.exp(-3.0 * (np.array([s.prominence for s in syllables]) - 0.1 + eager)))
+    draws, moods = rng.random(len(syllables)), rng.normal(0.0, 0.3, len(syllables))
+    gaps = np.maximum(_MIN_GAP, rng.uniform(_MIN_GAP, _MIN_GAP + 0.35, len(syllables)) * np.exp(-0.3 * tempo))
+    for i, syllable in enumerate(syllables):
+        near = min((abs(times[i] - times[j]) for j in taken), default=np.inf)
+        if budgeted and any(0.0 <= times[j] - times[i] < _READIED for j in labels):
+            continue
+        if i not in taken and near >= gaps[i] and draws[i] < chance[i]:
+            level = meaning.beat_level(syllable.prominence + 0.5 * strength[i] + moods[i])
+            taken[i] = tuple(name for name in meaning.BEATS[level] if name in known) or tuple(
+                name for names in meaning.BEATS.values() for name in names if name in known)
+    if budgeted:
+        loose[list(labels)] = np.clip(loose[list(labels)], *_APEX)
+    sizes = np.column_stack([strength, style.at(times)[:, 0]]) @ _SIZE_OF_TAKES
+    wishes = [_Wish(syllables[i], float(times[i] + loose[i]), taken[i], float(strength[i]), labels.get(i, ""),
+                    float(sizes[i])) for i in sorted(taken)]
+    if budgeted:
+        # The gesture with a meaning goes first: beats near it give way.
+        meant = [wish.at.vowel for wish in wishes if wish.label]
+        wishes = [wish for wish in wishes if wish.label or not any(
+            -_MIN_GAP < wish.at.vowel - time < _MIN_GAP or 0.0 <= time - wish.at.vowel < _READIED for time in meant)]
+    return [wish for before, wish in zip([None, *wishes], wishes, strict=False)
+            if before is None or wish.at.vowel - before.at.vowel >= _MIN_GAP - 1e-9]
+
+
+def _texts(spoken: Spoken) -> list[str]:
+    return [word.text for word in spoken.speech.words or ()]
+
+
+def _pauses(spoken: Spoken) -> list[float]:
+    """Seconds of silence after each word but the last."""
+    words = spoken.speech.words or ()
+    return [max(after.start - word.end, 0.0) for word, after in zip(words, words[1:], strict=False)]
+
+
+def _strongest(spoken: Spoken) -> dict[int, int]:
+    """Index of each word that is known -> index of its most prominent syllable."""
+    strongest: dict[int, int] = {}
+    for i, syllable in enumerate(spoken.syllables):
+        best = strongest.get(syllable.word)
+        if 0 <= syllable.word < len(spoken.speech.words or ()) and (
+                best is None or syllable.prominence > spoken.syllables[best].prominence):
+            strongest[syllable.word] = i
+    return strongest
+
+
+def _labels(spoken: Spoken, habits: Habits, asked: Mapping[int, Asked], limits: tuple[set[str], float, float],
+            rng: np.random.Generator) -> dict[int, str]:
+    """The syllables that play a meaning, with its label. Of cues too near to each other the weightiest is played.
+    limits: the labels that have strokes, the least seconds between two meanings, and those until a label comes again.
+    """
+    known, apart, again = limits
+    strongest = _strongest(spoken)
+    out: dict[int, str] = {}
+    for word in sorted(set(asked) & set(strongest), key=lambda word: (-asked[word].weight, word)):
+        i = strongest[word]
+        gaps = [(abs(spoken.syllables[i].vowel - spoken.syllables[j].vowel), label) for j, label in out.items()]
+        soon = {label for gap, label in gaps if gap < again}
+        chances = {label: chance for label, chance in asked[word].labels.items() if label in known - soon}
+        near = min((gap for gap, _ in gaps), default=np.inf)
+        if chances and rng.random() < habits.meaning * asked[word].weight and near >= max(_MIN_GAP + 0.1, apart):
+            weights = np.array(list(chances.values()))
+            out[i] = list(chances)[int(rng.choice(len(chances), p=weights / weights.sum()))]
+    return out
+
+
+def _meaningful(spoken: Spoken, habits: Habits, known: set[str], settled: tuple[set[int], set[int]],
+                rng: np.random.Generator) -> dict[int, tuple[str, ...]]:
+    """The lexemes that other words ask for. settled: the syllables that have a stroke, and the words with a cue."""
+    texts, (taken, cued) = _texts(spoken), settled
+    out: dict[int, tuple[str, ...]] = {}
+    times = [spoken.syllables[i].vowel for i in taken]
+    for word, i in sorted(_strongest(spoken).items()):
+        lexemes, strength = meaning.lexemes_of(texts, word)
+        lexemes = tuple(name for name in lexemes if name in known and word not in cued)
+        at = spoken.syllables[i].vowel
+        near = min((abs(at - time) for time in times), default=np.inf)
+        if lexemes and rng.random() < habits.meaning * strength and near >= _MIN_GAP + 0.1:
+            out[i] = lexemes
+            times.append(at)
+    return out
+
+
+def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Sequence[str], last_hand: str,
+            rng: np.random.Generator) -> Stroke | None:
+    """Draw a stroke of the wanted lexemes; earlier names, preferred and alternating hands, and clips not recently used
+    weigh more. A stroke of the wanted meaning comes before all others."""
+    order = {name: 0.5 ** place for place, name in enumerate(wish.lexemes)}
+    candidates = [s for s in usable if wish.label and s.meaning == wish.label and s.base not in recent[-1:]]
+    if not candidates:
+        candidates = [s for s in usable if s.lexeme in order and s.base not in recent[-1:]]
+    if not candidates:
+        candidates = [s for s in usable if s.lexeme.startswith("Beat") and s.base not in recent[-1:]]
+    if not candidates:
+        return None
+    hands = dict(zip(("left", "right", "both"), habits.hands, strict=True)) | {"none": 1.0}
+    weights = np.array([order.get(s.lexeme, 1.0) * hands[s.hand] * (0.6 if s.hand == last_hand else 1.0)
+                        * (_RECENT_WEIGHT if s.base in recent else 1.0) for s in candidates])
+    scripted = np.array([s.scripted for s in candidates])
+    if scripted.any():
+        weights = weights * [_fit(s.size, wish.size) if s.scripted else 1.0 for s in candidates]
+        if not scripted.all():
+            # Captured strokes and takes from scripts are played equally often.
+            weights[scripted] *= weights[~scripted].sum() / weights[scripted].sum()
+    return candidates[int(rng.choice(len(candidates), p=weights / weights.sum()))]
+
+
+def _fit(size: float, wished: float) -> float:
+    """How well a take's size fits the log of the one that is wished for."""
+    return float(np.exp(-0.5 * ((np.log(size) - wished) / _SPREAD_OF_TAKES) ** 2))
+
+
+def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], casting: Casting | None,
+           rng: np.random.Generator) -> Planned | None:
+    """Times and size of a stroke on its syllable; None if its arms are not free in time."""
+    size, pace = 1.1 * 0.2 * wish.drive, 0.8 * 0.2 * wish.drive
+    loose, largest, holding, vary = 1.0, 1.22, 1.0, 0.04
+    if casting is not None:
+        amplitude, tempo = casting.style.at(wish.beat).tolist()
+        size, pace = _SIZE_OF_DRIVE * wish.drive + _SIZE_OF_STYLE * amplitude, pace + _PACE_OF_STYLE * tempo
+        loose, largest, holding, vary = casting.manner.gain, _LARGEST, casting.manner.hold, 0.06
+    gain = habits.gain * float(np.clip(loose * np.exp(size + vary * rng.normal()), 0.6, largest))
+    speed = float(np.clip(habits.speed * np.exp(pace + 0.05 * rng.normal()), 0.7, 1.15))
+    if stroke.steady:
+        speed = min(speed, 1.0)
+    free = max([0.0, *(busy[side] for side in stroke.sides)])
+    if wish.beat - free < _MIN_PREPARATION:
+        return None
+    if stroke.scripted:
+        return _placed_as_drawn(stroke, wish, free)
+    preparation = max(_MIN_PREPARATION, (stroke.beat - stroke.start) / speed)
+    hold = holding * float(np.clip((stroke.hold_end - stroke.beat) / speed, 0.12, _LONGEST_HOLD / _STRETCH))
+    back = float(np.clip((stroke.end - stroke.hold_end) / speed, 0.5, 1.0))
+    start = max(free, wish.beat - preparation)
+    return Planned(stroke, start, wish.beat, wish.beat + hold, wish.beat + hold + back, wish.at.vowel, gain)
+
+
+def _placed_as_drawn(stroke: Stroke, wish: _Wish, free: float) -> Planned | None:
+    """A take from a script with its apex at the wish, in its tempo; None if the arms are free too late for that."""
+    start = max(free, wish.beat - (stroke.beat - stroke.start))
+    if wish.beat - start < _HURRIED * (stroke.beat - stroke.start):
+        return None
+    return Planned(stroke, start, wish.beat, wish.beat + stroke.hold_end - stroke.beat,
+                   wish.beat + stroke.end - stroke.beat, wish.at.vowel, 1.0)
+
+
+def _held_through(planned: Sequence[Planned], phrases: Sequence[Phrase]) -> tuple[Planned, ...]:
+    """Extend holds that reach into a pause of under 1.6 s through it, as far as the arm's next stroke allows."""
+    order = sorted(phrases, key=lambda p: p.start)
+    pauses = [(a.end, b.start) for a, b in zip(order, order[1:], strict=False) if 0.2 < b.start - a.end < REST_PAUSE]
+    out = []
+    for k, one in enumerate(planned):
+        following = _next_start(planned, k)
+        for start, end in pauses:
+            if start - 0.45 <= one.hold_end <= end and one.beat < start + 0.1:
+                hold_end = min(max(one.hold_end, end - 0.15), following)
+                one = replace(one, hold_end=hold_end,
+                              end=max(hold_end, min(hold_end + 1.1 * (one.end - one.hold_end), following)))
+        out.append(one)
+    return tuple(out)
+
+
+def _next_start(planned: Sequence[Planned], k: int) -> float:
+    sides = set(planned[k].stroke.sides)
+    return min((p.start for p in planned[k + 1:k + 8] if sides & set(p.stroke.sides)), default=np.inf)
+
+
+def _join(planned: Sequence[Planned], runs: Sequence[tuple[float, float]]) -> tuple[Planned, ...]:
+    """Cut holds at the start of the arm's next stroke, or extend them to it if it starts soon."""
+    out = []
+    for k, one in enumerate(planned):
+        following = _next_start(planned, k)
+        hold_end, back = one.hold_end, one.end - one.hold_end
+        if following < hold_end + _JOIN and any(a - 1.0 <= one.beat and following <= b for a, b in runs):
+            hold_end = min(following, one.beat + _STRETCH * (one.hold_end - one.beat))
+        hold_end = min(hold_end, following)
+        out.append(replace(one, hold_end=hold_end, end=min(hold_end + back, max(following, hold_end))))
+    return tuple(out)

@@ -1,0 +1,526 @@
+"""The scripted performer as a data set: real motion combined with speech by rule.
+
+Part A ("motion"): continuous real motion with speech synthesised for it. Part B ("talk"): synthetic speech performed
+with real strokes by independent hands, over a real person's trunk. Part C ("style"): the same in audible styles. Real
+readings ("reading") are performed as B. Without the folder `free_motion` there are only B and C, over a trunk that
+sways by formula.
+
+Nothing leaks between splits: the test split has separate topics, sentence templates, voices, takes, strokes and
+readings; the validation split has separate takes and sentences. Recording `i` depends on (seed, i) alone, so it is the
+same in any order and with any number of workers.
+
+The synthetic talks are in English and all readings are used, unless --languages names the languages of both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import hashlib
+import importlib.util
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_module.corpora.base import Item, Options, split_of
+from data_module.errors import InputError
+from data_module.files import read_text
+from data_module.motion.phases import Phase, hand_phases
+from data_module.registry import RegistryEntry
+from data_module.store import Recording, RecordingInfo, Split
+from data_module.text import meaning
+from data_module.truth import JOIN, Mark, PhaseSpan, StyleKnot, Truth
+from data_module.types import Motion
+from gesticulator_performer import tables, text, voices
+from gesticulator_performer.types import Spoken
+
+PARTS = ("motion", "talk", "style", "reading")
+SHARES = {"motion": 0.36, "talk": 0.46, "style": 0.18}
+"""Shares of the hours of synthetic speech. Part A has 10 minutes of real motion, so more of it would be repetition."""
+SHORTEST, LONGEST = 115.0, 150.0
+"""Requested length of a recording of part B or C, seconds; the voice determines the actual one."""
+SHORTEST_MOTION, LONGEST_MOTION = 60.0, 80.0
+"""Length of a recording of part A, seconds: it draws on 14 stretches of about 9 s."""
+POOL: dict[Split, int] = {"train": 700, "val": 350, "test": 400}
+"""Phrases in a voice's pool of speech for motion: with 150, a third of the phrases of motion get no speech, with 700
+one in a hundred."""
+MOTION_VOICES: dict[Split, tuple[str, ...]] = {
+    "train": ("slt", "us_f3", "rms", "gb_m3", "scot_f2"), "val": ("us_f3", "gb_m3"), "test": ("awb", "rp_m7")}
+"""Voices of part A; each needs a pool, spoken phrase by phrase."""
+MOTION_GROUPS = ("conversation", "traffic", "story", "presenter", "conversation", "traffic", "story", "lesson")
+"""Main group of motion in the recordings of part A, in turns (keys of `performer.takes.GROUPS`)."""
+TEST_READINGS = ("en_sonnet_3", "es_prose_1", "en_austen_0930")
+"""Readings that are held out for test as a whole."""
+TEST_TAIL = 30.0
+"""Seconds at the end of every other reading without word times (German) that are held out for test."""
+PERFORMERS_PER_READING = 3
+"""Performances of each reading for training; with more, the 5 minutes of real voices would be memorised."""
+ADDED: dict[Split, dict[str, int]] = {"val": {"motion": 6, "talk": 8, "style": 3},
+                                      "test": {"motion": 18, "talk": 27, "style": 8}}
+"""Short recordings of each part for validation and test, added to those of the ordinary turns: with the readings, over
+60 test recordings of unseen texts, voices and takes. Corpora of less than `ADDED_HOURS` hours have fewer."""
+ADDED_HOURS = 4.0
+ADDED_LENGTH = (38.0, 48.0)
+"""Their length, seconds."""
+_FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
+"""The index of the first recording of each part."""
+_DETECTOR = ("meaning.py", "cue_patterns.py", "meaning_cues.json")
+"""Files of `data_module.text` on which the words that call for named gestures depend."""
+_ADDED = 10_000
+"""Five and six times this is added to that index for the recordings of `ADDED`."""
+# Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
+_TEXT, _VOICE, _PLAY, _STYLE, _POOL = 0, 1, 2, 3, 4
+CREDITS = {
+    "speech": "synthetic voices",
+    "readings": "readings: public domain (LibriVox)",
+    "austen": "Austen excerpts: BSD-like",
+    "strokes": "strokes: LGPL 2.1 (SmartBody)",
+    "free_motion": "motion: Microsoft Rocketbox (MIT), PNGestures of SmartBody (LGPL 2.1), and CMU (free for all uses; "
+                   "the clips are not to be resold): The data used in this project was obtained from mocap.cs.cmu.edu. "
+                   "The database was created with funding from NSF EIA-0196217.",
+}
+"""The licences of the sources of a corpus, as they are written to its store."""
+
+
+@dataclass(frozen=True)
+class Script:
+    """The script of a recording of part B or C; styled: whether its style drifts."""
+
+    utterances: tuple[text.Utterance, ...]
+    styled: bool = False
+
+
+@dataclass(frozen=True)
+class MotionScript:
+    """The script of a recording of part A: its main group of motion and its length in seconds."""
+
+    group: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A real reading: "whole", or its "head" before or "tail" after the cut."""
+
+    stem: str
+    part: str = "whole"
+
+
+@dataclass(frozen=True)
+class PerformerOptions(Options):
+    """The options of a synthetic corpus. data: the folder of the source where --source is not given. hours: of
+    synthetic speech; languages: of talks and readings, empty for English talks and all readings. links: strength of
+    the links between speech and motion that are planted by rule, 0 to 1; carriage: of a further one, from effort and
+    pitch range to the height and reach of the hands. repertoire: folder of takes of named gestures, or None."""
+
+    data: Path | None = None
+    hours: float = 4.2
+    languages: tuple[str, ...] = ()
+    links: float = 1.0
+    carriage: float = 0.0
+    repertoire: Path | None = None
+
+
+class Performer:
+    """A reader whose recordings are synthesised."""
+
+    @staticmethod
+    def arguments(parser: argparse.ArgumentParser) -> None:
+        """The options of the corpus; --source may be left out where GESTICULATOR_DATA is set."""
+        parser.add_argument("--seed", type=int, default=1, help="random seed of the corpus (default 1)")
+        parser.add_argument("--hours", type=float, default=4.2, help="hours of synthetic speech (default 4.2)")
+        parser.add_argument("--links", type=float, default=1.0, metavar="SHARE",
+                            help="strength of the links between speech and motion that are planted by rule (stroke "
+                            "size and trunk by vocal effort, chest by pitch, gestures by meaning, styles), from 0 to 1 "
+                            "(default 1)")
+        parser.add_argument("--carriage", type=float, default=0.0, metavar="SHARE",
+                            help="strength of a further link, by which the hands are carried higher and farther out "
+                            "with vocal effort and pitch range, from 0 to 1, times --links (default 0)")
+        parser.add_argument("--repertoire", type=Path, metavar="DIR",
+                            help="takes of named gestures, which are played at words that call for them; they are "
+                            "drawn if DIR does not exist (see gesticulator gesture-takes)")
+        parser.add_argument("--languages", default="", metavar="de,es",
+                            help="only talks and readings in these languages: cmn, de, en, es (default: English talks "
+                            "and all readings)")
+
+    @staticmethod
+    def options(arguments: argparse.Namespace) -> PerformerOptions:
+        """The options in parsed arguments; `InputError` for one out of range."""
+        if not 0 < arguments.hours < float("inf"):
+            raise InputError("--hours", f"is {arguments.hours:g}", "give a number above 0")
+        for name in ("links", "carriage"):
+            if not 0 <= getattr(arguments, name) <= 1:
+                raise InputError(f"--{name}", f"is {getattr(arguments, name):g}", "give a number from 0 to 1")
+        if arguments.seed < 0:
+            raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
+        data = os.environ.get("GESTICULATOR_DATA")
+        return PerformerOptions(
+            arguments.fps, arguments.unit, arguments.seed, Path(data) if data else None, arguments.hours,
+            tuple(filter(None, arguments.languages.split(","))), arguments.links, arguments.carriage,
+            arguments.repertoire)
+
+    def __init__(self, source: Path | None, options: Options) -> None:
+        options = options if isinstance(options, PerformerOptions) else PerformerOptions(seed=options.seed)
+        source = source or options.data
+        self._options = options
+        self._trunks: dict[str, tuple[Any, ...]] = {}
+        self._pools: dict[tuple[str, Split], Any] = {}
+        self._repertoire: Any = None
+        if source is None:
+            raise InputError("--source", "is missing", "name the folder that holds strokes/ and speech/, or "
+                             "set GESTICULATOR_DATA")
+        for needed in ("strokes/manifest.csv", "speech"):
+            if not (source / needed).exists():
+                raise InputError(source / needed, "does not exist",
+                                 "--source is the folder that holds strokes/ and speech/")
+        self._source = source
+        unknown = sorted(set(options.languages) - set(voices.VOICES_OF))
+        if unknown:
+            raise InputError(f"--languages {','.join(options.languages)}", f"no voice speaks {', '.join(unknown)}",
+                             f"choose among {', '.join(voices.VOICES_OF)}")
+        used = {"speech": True, "readings": bool(self._stems), "strokes": True,
+                "free_motion": self._moved or (self._meant and (source / "free_motion" / "manifest.csv").is_file()),
+                "austen": any(stem.startswith("en_austen") for stem in self._stems)}
+        if options.repertoire is not None:
+            from gesticulator_performer.repertoire import read_repertoire
+
+            if not options.repertoire.exists():
+                from gesticulator_performer.sources.gesture_takes import write_takes
+
+                count = write_takes(options.repertoire, options.seed)
+                print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
+            self._repertoire = read_repertoire(options.repertoire)
+        licences = [f"named gestures: {licence}" for licence in self._repertoire.licences] if self._repertoire else []
+        self.licence = "; ".join([*(line for name, line in CREDITS.items() if used[name]), *licences])
+        if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
+            raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",
+                             "pip install 'gesticulator[align]'")
+
+    def settings(self) -> Mapping[str, Any]:
+        room = Path(__file__).parent
+        code = _hash_of([*sorted(room.glob("*.py")), *tables.files()], room)
+        sources = [file for folder in ("strokes", "speech", "free_motion", "meaning")
+                   for file in sorted((self._source / folder).rglob("*"))]
+        settings: dict[str, Any] = {"code": code, "hours": self._options.hours,
+                                    "source": _hash_of(sources, self._source)}
+        if self._options.links != 1.0:
+            settings["links"] = self._options.links
+        if self._options.carriage:
+            settings["carriage"] = self._options.carriage
+        if self._options.repertoire is not None:
+            detector = [Path(meaning.__file__).with_name(name) for name in _DETECTOR]
+            settings["repertoire"] = _hash_of(sorted(self._options.repertoire.iterdir()), self._options.repertoire)
+            settings["detector"] = _hash_of(detector, detector[0].parent)
+        if self._options.languages:
+            settings["languages"] = sorted(set(self._options.languages))
+        return settings
+
+    def items(self) -> Sequence[Item]:
+        # Sentences that are used already, by grammar; those of part A come first.
+        used = {source: set(self._phrases[1][source]) if self._moved else set() for source in text.SPLITS}
+        return [*self._motion_talks(), *self._talks("talk", used), *self._talks("style", used), *self._readings()]
+
+    def read(self, item: Item) -> Recording:
+        if isinstance(item.content, MotionScript):
+            return self._speech_for_motion(item)
+        from gesticulator_performer import play, styles
+        from gesticulator_performer.hands import STEADY, draw_manner
+        from gesticulator_performer.plan import rests_of
+
+        rng = self._rng(item.index, _STYLE)
+        style = styles.NEUTRAL
+        if isinstance(item.content, Script) and item.content.styled:
+            style = styles.draw_style(2.0 * LONGEST, rng)
+            spoken = styles.styled_speech(item.info.name, item.content.utterances, item.info.voice, style,
+                                          self._rng(item.index, _VOICE))
+        elif isinstance(item.content, Script):
+            spoken = voices.speak(item.info.name, item.content.utterances, item.info.voice,
+                                  self._rng(item.index, _VOICE))
+        else:
+            spoken = self._reading(item)
+        manner = STEADY if item.info.part == "style" else draw_manner(rng)
+        staging = play.Staging(manner, self._segments(item.info.split), style, self._options.links,
+                               self._options.carriage)
+        played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
+                              staging)
+        knots = zip(style.times.tolist(), style.values.tolist(), strict=True) if style is not styles.NEUTRAL else ()
+        truth = Truth(played.strokes, spoken.syllables, spoken.phrases,
+                      rests_of(spoken.phrases, spoken.speech.duration),
+                      tuple(StyleKnot(time, *values) for time, values in knots), truth_of_phases(played.motion))
+        info = replace(item.info, language=spoken.language,
+                       sources=tuple(sorted({stroke.clip.removesuffix("-mirrored") for stroke in played.strokes})))
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, truth, stands=True)
+
+    def _speech_for_motion(self, item: Item) -> Recording:
+        from gesticulator_performer.talks import TalkRequest, talk_for_motion
+
+        script: MotionScript = item.content
+        takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
+        pool = self._pool(item.info.voice, item.info.split)
+        request = TalkRequest(item.info.name, script.group, script.seconds, self._options.links,
+                              self._options.carriage)
+        talk = talk_for_motion(request, self._library, takes, pool, self._rng(item.index, _PLAY))
+        spoken = talk.fitted.spoken
+        info = replace(item.info, language=spoken.language, sources=talk.takes)
+        joins = tuple(Mark(JOIN, time, time) for time in talk.edges[1:-1].tolist())
+        truth = Truth((), spoken.syllables, spoken.phrases, joins, phases=truth_of_phases(talk.motion))
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, truth, stands=True)
+
+    def notes(self) -> Sequence[str]:
+        strokes = self._strokes.strokes
+        held_out = sum(stroke.held_out for stroke in strokes)
+        lines = [f"strokes: {len(strokes)} including mirror images, {held_out} of them held out for test"]
+        clips = {Path(row["file"]).stem for row in self._manifest}
+        lines.append(f"clips without a usable stroke: {len(clips - {stroke.base for stroke in strokes})} of "
+                     f"{len(clips)} (postures, fidgets, and clips with the wrong hand, posture or order)")
+        if self._repertoire is not None:
+            takes = self._repertoire.outlines
+            lines.append(f"named gestures: {len(takes)} takes of {len(self._repertoire.labels)} gestures from scripts, "
+                         "including mirror images")
+        if self._moved:
+            minutes = dict.fromkeys(POOL, 0.0)
+            for take in self._library.talks():
+                minutes[self._take_splits[take.name]] += len(take) / 3600.0
+            lines.append("continuous real motion: " + ", ".join(f"{split} {m:.1f} min" for split, m in minutes.items()))
+        else:
+            lines.append("no free_motion/manifest.csv: no part A, and the trunk sways by formula")
+        return lines
+
+    @property
+    def _moved(self) -> bool:
+        """Whether part A exists: there is real motion, and English is among the languages."""
+        there = (self._source / "free_motion" / "manifest.csv").is_file()
+        return there and (not self._options.languages or "en" in self._options.languages)
+
+    @property
+    def _meant(self) -> bool:
+        """Whether there are tables of gestures with a meaning."""
+        return (self._source / "meaning").is_dir()
+
+    def _rng(self, index: int, purpose: int) -> np.random.Generator:
+        return np.random.default_rng([self._options.seed, index, purpose])
+
+    @functools.cached_property
+    def _strokes(self) -> Any:
+        from gesticulator_performer.borrowed import load_borrowed, with_borrowed
+        from gesticulator_performer.meant_strokes import with_meanings
+        from gesticulator_performer.strokes import load_strokes
+
+        strokes = load_strokes(self._source / "strokes")
+        if self._moved:
+            strokes = with_borrowed(strokes, *load_borrowed(self._source / "free_motion"))
+        strokes = with_meanings(strokes, self._source) if self._meant else strokes
+        if self._repertoire is None:
+            return strokes
+        from gesticulator_performer.meant_strokes import with_repertoire
+
+        return with_repertoire(strokes, self._repertoire, self._source if self._meant else None)
+
+    @functools.cached_property
+    def _library(self) -> Any:
+        from gesticulator_performer.takes import load_takes
+
+        return load_takes(self._source / "free_motion")
+
+    @functools.cached_property
+    def _take_splits(self) -> dict[str, Split]:
+        from gesticulator_performer.takes import split_of_takes
+
+        return split_of_takes(self._takes)
+
+    @functools.cached_property
+    def _takes(self) -> list[Any]:
+        from gesticulator_performer.takes import list_takes
+
+        return [take for take, _ in list_takes(self._source / "free_motion")]
+
+    def _segments(self, split: Split) -> tuple[Any, ...]:
+        if not self._moved:
+            return ()
+        if split not in self._trunks:
+            from gesticulator_performer.trunk import trunk_segments
+
+            self._trunks[split] = trunk_segments(self._library, self._take_splits, split)
+        return self._trunks[split]
+
+    def _pool(self, voice: str, split: Split) -> Any:
+        """The phrase pool of a voice in a split, spoken once per process."""
+        if (voice, split) not in self._pools:
+            from gesticulator_performer.sentence_pool import make_pool
+
+            rng = self._rng(_FIRST["motion"] + list(voices.VOICES).index(voice), _POOL)
+            self._pools[voice, split] = make_pool(voice, self._phrases[0][voice, split], rng)
+        return self._pools[voice, split]
+
+    @functools.cached_property
+    def _phrases(self) -> tuple[dict[tuple[str, Split], tuple[str, ...]], dict[str, set[str]]]:
+        """The phrases of part A by voice and split, and their sentences by grammar; no sentence is used by two voices
+        or in two splits."""
+        from gesticulator_performer.sentence_pool import phrase_texts
+
+        out: dict[tuple[str, Split], tuple[str, ...]] = {}
+        used: dict[str, set[str]] = {"train": set(), "test": set()}
+        for number, (split, speakers) in enumerate(MOTION_VOICES.items()):
+            source = "test" if split == "test" else "train"
+            for place, voice in enumerate(speakers):
+                rng = self._rng(_FIRST["motion"] + 100 * number + place, _TEXT)
+                out[voice, split] = phrase_texts(rng, POOL[split], source, used[source])
+        return out, used
+
+    @functools.cached_property
+    def _manifest(self) -> list[dict[str, str]]:
+        from gesticulator_performer.strokes import read_manifest
+
+        return read_manifest(self._source / "strokes")
+
+    @property
+    def _performers(self) -> tuple[str, ...]:
+        return tuple(sorted({row["speaker"] for row in self._manifest}))
+
+    @functools.cached_property
+    def _stems(self) -> tuple[str, ...]:
+        stems = sorted(file.stem for file in (self._source / "speech").glob("*.flac"))
+        wanted = self._options.languages
+        return tuple(stem for stem in stems if not wanted or stem.split("_")[0] in wanted)
+
+    def _motion_talks(self) -> list[Item]:
+        """Part A: in each split the groups with takes there, in turns."""
+        if not self._moved:
+            return []
+        mean = (SHORTEST_MOTION + LONGEST_MOTION) / 2
+        items = []
+        turns = dict.fromkeys(POOL, 0)
+        count = max(1, round(self._options.hours * SHARES["motion"] * 3600 / mean))
+        for place, split, lengths in self._places("motion", count, (SHORTEST_MOTION, LONGEST_MOTION)):
+            able = {take.group for take in self._takes if self._take_splits[take.name] == split}
+            groups = [group for group in MOTION_GROUPS if group in able]
+            group = groups[turns[split] % len(groups)]
+            voice = MOTION_VOICES[split][turns[split] % len(MOTION_VOICES[split])]
+            turns[split] += 1
+            index = _FIRST["motion"] + place
+            seconds = float(self._rng(index, _TEXT).uniform(*lengths))
+            name = f"motion_{place:04d}_{group}"
+            info = RecordingInfo(name, split, group, voice, "en", group=name, part="motion")
+            items.append(Item(info, index, MotionScript(group, seconds), seconds))
+        return items
+
+    def _places(self, part: str, count: int, lengths: tuple[float, float]
+                ) -> list[tuple[int, Split, tuple[float, float]]]:
+        """(place, split, range of the length in seconds) of `count` recordings of a part and of those of `ADDED`."""
+        places: list[tuple[int, Split, tuple[float, float]]] = [(k, split_of(k), lengths) for k in range(count)]
+        for number, (split, counts) in enumerate(ADDED.items()):
+            added = round(counts[part] * min(1.0, self._options.hours / ADDED_HOURS))
+            places += [((5 + number) * _ADDED + k, split, ADDED_LENGTH) for k in range(added)]
+        return places
+
+    def _talks(self, part: str, used: dict[str, set[str]]) -> list[Item]:
+        """Parts B and C with their texts; no sentence of `used` (by grammar, updated) is repeated."""
+        mean = (SHORTEST + LONGEST) / 2
+        wanted = self._options.hours * (SHARES[part] if self._moved else SHARES[part] / (1.0 - SHARES["motion"]))
+        count = max(1, round(wanted * 3600 / mean))
+        turns = dict.fromkeys(("train", "val", "test"), 0)
+        items = []
+        for place, split, lengths in self._places(part, count, (SHORTEST, LONGEST)):
+            turn = turns[split]
+            turns[split] += 1
+            performer = self._performers[turn % len(self._performers)]
+            choice = self._voices(split)
+            # Each round of the performers begins with another voice, so that every pair occurs.
+            voice = choice[(turn + turn // len(self._performers)) % len(choice)]
+            index = _FIRST[part] + place
+            rng = self._rng(index, _TEXT)
+            seconds = float(rng.uniform(*lengths))
+            source = "test" if split == "test" else "train"
+            language = voices.VOICES[voice].language
+            written = text.compose(rng, seconds, source, used[source], language, self._repertoire is not None)
+            script = Script(tuple(written), part == "style")
+            name = f"{part}_{place:04d}_{performer}"
+            info = RecordingInfo(name, split, performer, voice, language, group=name, part=part)
+            items.append(Item(info, index, script, seconds))
+        return items
+
+    def _voices(self, split: Split) -> tuple[str, ...]:
+        side = 1 if split == "test" else 0
+        names = [voices.VOICES_OF[language][side] for language in sorted(set(self._options.languages)) or ("en",)]
+        # Languages take turns, so that each gets its share however many voices it has.
+        return tuple(of[rank % len(of)] for rank in range(max(map(len, names))) for of in names)
+
+    def _readings(self) -> list[Item]:
+        """Every reading for training by three performers, in turns; readings for test by one performer each."""
+        items: list[Item] = []
+        for number, stem in enumerate(self._stems):
+            language = stem.split("_")[0]
+            parts: list[tuple[str, Split]] = [("head", "train"), ("tail", "test")]
+            if stem in TEST_READINGS:
+                parts = [("whole", "test")]
+            elif language == "en":
+                parts = [("whole", "train")]
+            for place, (part, split) in enumerate(parts):
+                group = stem if part == "whole" else f"{stem}_{part}"
+                for player in range(min(1 if split == "test" else PERFORMERS_PER_READING, len(self._performers))):
+                    performer = self._performers[(number + player) % len(self._performers)]
+                    info = RecordingInfo(f"read_{group}_{performer}", split, performer, stem, language, group=group,
+                                         part="reading")
+                    index = _FIRST["reading"] + number * 100 + place * 10 + player
+                    items.append(Item(info, index, Reading(stem, part), LONGEST))
+        return items
+
+    def _reading(self, item: Item) -> Spoken:
+        """A real reading with its syllables; word times are known for English only."""
+        from data_module.speech.audio import load_speech
+        from data_module.text import alignment as transcripts
+        from gesticulator_performer.syllables import find_syllables
+
+        reading: Reading = item.content
+        speech = load_speech(self._source / "speech" / f"{reading.stem}.flac")
+        if reading.part != "whole":
+            at = tail_begins(speech.samples, speech.sample_rate)
+            samples = speech.samples[:at] if reading.part == "head" else speech.samples[at:]
+            speech = replace(speech, samples=np.ascontiguousarray(samples))
+        if item.info.language == "en":
+            transcript = read_text(self._source / "speech" / f"{reading.stem}.txt", "save it as text in UTF-8")
+            speech = replace(speech, words=transcripts.align(speech, transcript))
+        return find_syllables(item.info.name, speech, item.info.voice, item.info.language)
+
+
+def truth_of_phases(motion: Motion) -> tuple[PhaseSpan, ...]:
+    """The phases of both hands of a motion in order of time, seconds."""
+    out = []
+    for hand, found in zip(("left", "right"), hand_phases(motion), strict=True):
+        apexes = {movement.apex: movement.size for movement in found.strokes}
+        for number, (first, last) in enumerate(found.units):
+            changes = np.flatnonzero(np.diff(found.labels[first:last])) + 1 + first
+            for start, end in zip([first, *changes], [*changes, last], strict=True):
+                phase = Phase(found.labels[start])
+                apex = max((at for at in apexes if start <= at < end), key=apexes.__getitem__, default=end)
+                size = sum(size for at, size in apexes.items() if start <= at < end)
+                seconds = [float(frame) / motion.fps for frame in (start, end, apex)]
+                out.append(PhaseSpan(hand, phase.name.lower(), number, seconds[0], seconds[1], seconds[2],
+                                     float(size)))
+    return tuple(sorted(out, key=lambda phase: (phase.start, phase.hand)))
+
+
+def tail_begins(samples: np.ndarray, sample_rate: int) -> int:
+    """The sample at which the part held out for test begins: the quietest 50 ms of the two seconds before `TEST_TAIL`.
+    """
+    hop = int(0.05 * sample_rate)
+    last = max(hop, len(samples) - int(TEST_TAIL * sample_rate))
+    starts = np.arange(max(0, last - 2 * sample_rate), last, hop)
+    power = [float((samples[start:start + hop].astype(np.float64) ** 2).sum()) for start in starts]
+    return int(starts[int(np.argmin(power))])
+
+
+def _hash_of(files: Sequence[Path], root: Path) -> str:
+    digest = hashlib.sha256()
+    for file in files:
+        if file.is_file():
+            digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+ENTRY = RegistryEntry("scripted motion made of real strokes (SOURCE/strokes) on real (SOURCE/speech) and synthetic "
+                      "speech", "gesticulator_performer.reader:Performer")

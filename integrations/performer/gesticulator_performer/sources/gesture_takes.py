@@ -1,0 +1,106 @@
+"""`gesticulator gesture-takes`: takes of the named gestures, clips with marked phases that the performer plays.
+
+Every gesture of the repertoire that does not offend is drawn in three sizes, several times each. No two takes are the
+same, since place, direction, size and timing vary with the seed. The performer adds the mirror images.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from data_module.files import lock, new_folder, write_text
+from data_module.motion import rotation
+from data_module.motion.bvh import bvh_text
+from data_module.motion.skeletons import FINGERED
+from data_module.types import Array, Motion
+from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture
+from gesticulator.directing.named_gestures import laid_over
+from gesticulator.plan.gestures import REPERTOIRE, NamedGesture
+from gesticulator.plan.plan import GestureCue
+from gesticulator_performer.repertoire import COLUMNS, SIZES, TAKES
+
+LICENCE = "GPL-3.0-or-later (scripts of gesticulator)"
+"""The licence of the takes, as a corpus records it."""
+CORE_VARIATIONS, VARIATIONS = 4, 2
+"""Takes of a core gesture and of another one, in each size."""
+_FPS = 30.0
+_AROUND = 0.2
+"""Seconds before and after the gesture, in which the arms hang."""
+_HIPS = 1.0
+"""Height of the hips, metres, so that a viewer shows the figure above the floor."""
+_ARMS_DOWN = 1.3
+"""Radians from a level arm to a hanging one."""
+
+
+def write_takes(out: Path, seed: int = 1, names: Collection[str] = REPERTOIRE) -> int:
+    """Write OUT/LABEL_SIZE_NUMBER.bvh (metres) and OUT/takes.csv, whole or not at all; the number of takes. The same
+    seed gives the same bytes. names: of the gestures; those that offend are left out. InputError if OUT exists and is
+    not empty."""
+    with lock(out, "a drawing of takes", beside=True), new_folder(out) as partial:
+        rows = [row for gesture in REPERTOIRE.values() if gesture.name in names and not gesture.offensive
+                for row in _drawn(gesture, partial, seed)]
+        table = io.StringIO()
+        writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(partial / TAKES, table.getvalue())
+    return len(rows)
+
+
+def _drawn(gesture: NamedGesture, folder: Path, seed: int) -> Iterator[dict[str, object]]:
+    """Write the takes of a gesture; their rows of the table."""
+    label = gesture.name.replace(" ", "_")
+    for size, intensity in SIZES.items():
+        for number in range(CORE_VARIATIONS if gesture.core else VARIATIONS):
+            # The time of the cue varies the draw; it tells the takes of a gesture apart.
+            cue, at = GestureCue(gesture.name, time=0.0, intensity=intensity), float(number + 1)
+            draw = drawn_gesture(cue, at, seed)
+            motion, begin = _take(cue, at, draw, seed)
+            name = f"{label}_{size}_{number + 1}.bvh"
+            (folder / name).write_text(bvh_text(motion, 1.0), encoding="utf-8")
+            yield {"file": name, "label": label, "size": size, "hand": _hand(draw), "licence": LICENCE,
+                   "touches": "yes" if _touches(draw) else "no", **_marks(draw, at - begin)}
+
+
+def _take(cue: GestureCue, at: float, draw: GestureDraw, seed: int) -> tuple[Motion, float]:
+    """The motion of a draw, from arms that hang and back, and the second at which it begins."""
+    begin = at - draw.phases.before - _AROUND
+    frames = round((draw.phases.before + draw.phases.after + 2.0 * _AROUND) * _FPS) + 1
+    times = begin + np.arange(frames) / _FPS
+    poses = laid_over(np.repeat(_hanging()[None], frames, axis=0), times, [(cue, at)], seed)
+    turns = rotation.from_exponential_map(poses.reshape(frames, -1, 3))
+    root = np.repeat([[0.0, _HIPS, 0.0]], frames, axis=0)
+    return Motion(FINGERED, turns, root, _FPS), begin
+
+
+def _hanging() -> Array:
+    """[3 J] the pose of a character whose arms hang."""
+    pose = np.zeros((len(FINGERED), 3))
+    pose[FINGERED.index("LeftArm"), 2], pose[FINGERED.index("RightArm"), 2] = -_ARMS_DOWN, _ARMS_DOWN
+    return pose.reshape(-1)
+
+
+def _hand(draw: GestureDraw) -> str:
+    """Which hands act: "left", "right", "both" or, if head and trunk alone move, "none"."""
+    script = draw.script
+    if script.main is None:
+        return "none"
+    return "both" if script.other is not None else script.side.lower()
+
+
+def _touches(draw: GestureDraw) -> bool:
+    return any(part is not None and part.touches for part in (draw.script.main, draw.script.other))
+
+
+def _marks(draw: GestureDraw, apex: float) -> dict[str, float]:
+    """Seconds in the clip: where the preparation begins, where the stroke begins, its apex, and the ends of hold and
+    retraction."""
+    phases = draw.phases
+    marks = {"start": apex - phases.before, "stroke": apex - phases.stroke, "apex": apex,
+             "hold_end": apex + phases.hold, "end": apex + phases.after}
+    return {name: round(seconds, 4) for name, seconds in marks.items()}

@@ -1,0 +1,437 @@
+"""The strokes that a performer plays, with the times of start, beat, end of hold and end.
+
+A stroke is stored as log rotations of the two arms (fingers included) against the performer's rest pose, so that it can
+be scaled, joined to another one and mirrored. Its times are measured on the motion, not read from a label.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from data_module.errors import InputError, shown
+from data_module.motion import kinematics, rotation
+from data_module.motion.bvh import read_bvh
+from data_module.types import Array, Motion, Skeleton
+from gesticulator_performer.clips import read_clips
+from gesticulator_performer.cues import Asked, mirrored
+from gesticulator_performer.shoulders import with_rhythm
+
+LEFT, RIGHT = 0, 1
+SIDES = ("Left", "Right")
+ACTING_SIDES: dict[str, tuple[int, ...]] = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT), "none": ()}
+HELD_OUT_SHARE = 0.15
+"""Share of each person's clips that are held out for test."""
+
+# Retargeted from one another: the same person, who must not be on both sides of a split.
+_PERSON = {"brad2": "brad"}
+_POSTURE = {"brad": "Idle01", "brad2": "Idle01", "connor": "IdleStand01", "garza": "IdleStand01"}
+# Another start pose, the wrong hand, or a hand inside the torso.
+_DROPPED = frozenset({
+    "brad_Idle01_ChopBoth01", "brad_Idle01_NegativeLf01", "brad_Idle01_ReceiveLf01", "brad_Idle01_SafeRt01",
+    "brad_Idle03_ReceiveLf01", "brad_Idle03_Shrug01", "brad2_Idle01_ToLocIdle01",
+    "connor_IdleCross01_ThrowAwayRt01", "connor_IdleStand01_NoLeftRt01", "connor_IdleStand01_StopLeftRt01",
+})
+# Postures and fidgets carry no stroke; the last two hold a hand at the face for seconds.
+_NO_STROKE = frozenset({
+    "ToIdle", "ToLocIdle", "Idle", "IdleStand", "WeightShift", "ArmStretch", "ShoulderStretch", "SqueezeHand",
+    "TouchHands", "ScratchChest", "ScratchHead", "ScratchTemple", "Contemplate", "Think",
+})
+_NOT_FASTER = frozenset({"brad2_Idle01_YouLf02", "brad2_Idle01_Shrug02", "brad2_Idle01_BeatFistMidLf02",
+                         "connor_IdleStand01_NegateRightMidBt01"})
+_RIGID = {"connor": 0.8, "garza": 0.8}
+"""Speakers whose clavicles hardly move -> the share of the shoulders' rhythm that is added."""
+_OUTWARD = {"brad": 12.0}
+"""Speakers whose forearms point outward -> degrees by which the upper arms are turned inward about their length."""
+_COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
+_MIN_REACH = 0.05
+"""Least travel of a hand in a stroke, metres; anything smaller is a fidget."""
+_FINE_FPS = 120.0
+"""Frames per second at which a clip's times are measured: four per frame of the clips."""
+_SMOOTH = 0.05
+"""Smoothing of the speed, seconds, as for motion beats."""
+_BEAT_DEPTH = 0.35
+"""Least deceleration at the beat, as a share of the clip's hardest."""
+_AFTER_EMPHASIS = 0.12
+"""Seconds by which the beat may follow the emphasis mark of the clip's author."""
+
+
+@dataclass(frozen=True)
+class PerformerBody:
+    """A performer's body.
+
+    rest: [J, 4] local rotations of the pose with hanging arms. root: [3] position of the hips at rest, metres.
+    arms: joint indices of the left and the right arm, shoulder first, fingers last, in the same order on both sides.
+    trunk: indices of the joints from the hips to the head, in order. home: [2, A, 3] log rotations against rest of the
+    pose in front of the body that an arm returns to between strokes.
+    """
+
+    name: str
+    skeleton: Skeleton
+    rest: Array
+    root: Array
+    arms: tuple[tuple[int, ...], tuple[int, ...]]
+    trunk: tuple[int, ...]
+    home: Array
+
+    @cached_property
+    def forearm(self) -> float:
+        return float(np.linalg.norm(self.skeleton.offsets[self.skeleton.index("LeftHand")]))
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One gesture of one performer.
+
+    clip: name of the recording; base: the same for a clip and its mirror image. arms: [2, T, A, 3] log rotations of
+    the left and the right arm against the rest pose; trunk: [T, B, 3] likewise, B joints of `PerformerBody.trunk`.
+    start, beat, hold_end, end: seconds in the clip. reach: metres that the acting hand travels. held_out: for the test
+    split only. steady: must not be played faster than recorded. meaning: label of the gesture ("point_there"), "" for
+    none. faithful: a hand touches the head or the other hand, so the stroke is played at its recorded size. size: of a
+    take that was drawn from a script, which keeps its shape and tempo, 1 for medium; 0 for a captured stroke. touches:
+    a hand of such a take touches the body or the other hand.
+    """
+
+    clip: str
+    base: str
+    speaker: str
+    posture: str
+    lexeme: str
+    hand: str
+    fps: float
+    arms: Array
+    trunk: Array
+    start: float
+    beat: float
+    hold_end: float
+    end: float
+    reach: float
+    held_out: bool = False
+    steady: bool = False
+    meaning: str = ""
+    faithful: bool = False
+    size: float = 0.0
+    touches: bool = False
+    _splines: dict[tuple[int, int | None], CubicSpline] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        return ACTING_SIDES[self.hand]
+
+    @property
+    def scripted(self) -> bool:
+        """Whether it was drawn from a script."""
+        return self.size > 0.0
+
+    def arm_at(self, side: int, seconds: Array, joints: int | None = None) -> Array:
+        """Log rotations [M, joints * 3] of an arm, from the shoulder on, at times in the clip; constant beyond its
+        ends."""
+        return self._at((side, joints), self.arms[side][:, :joints], seconds)
+
+    def trunk_at(self, seconds: Array) -> Array:
+        """Log rotations [M, B * 3] of the trunk at times in the clip, constant beyond its ends."""
+        return self._at((2, None), self.trunk, seconds)
+
+    def _at(self, key: tuple[int, int | None], track: Array, seconds: Array) -> Array:
+        if key not in self._splines:
+            times = np.arange(len(track)) / self.fps
+            self._splines[key] = CubicSpline(times, track.reshape(len(track), -1))
+        return self._splines[key](np.clip(seconds, 0.0, (len(track) - 1) / self.fps))
+
+
+class StrokeCues(Protocol):
+    """What calls for strokes with a meaning."""
+
+    @property
+    def apart(self) -> float:
+        """Least seconds between two of them; 0 leaves it to the strokes."""
+
+    @property
+    def again(self) -> float:
+        """Seconds in which a label does not come again."""
+
+    def asked(self, words: Sequence[str], language: str = "en", pauses: Sequence[float] = ()) -> Mapping[int, Asked]:
+        """What the words of a speech ask for, by index. pauses: seconds of silence after each word, if known."""
+
+
+class ScriptedTakes(Protocol):
+    """Takes that were drawn from scripts; see `repertoire.Repertoire`."""
+
+    def usable(self, strokes: Sequence[Stroke], split: str) -> tuple[Stroke, ...]:
+        """Strokes without their motion that add to the captured strokes of a performer."""
+
+    def played(self, outline: Stroke, body: PerformerBody) -> Stroke:
+        """One of them with its motion on a body."""
+
+
+@dataclass(frozen=True)
+class StrokeSet:
+    """Strokes, the bodies of the performers by name, the cues that call for the strokes that have a meaning, and takes
+    of gestures that were drawn from scripts."""
+
+    strokes: tuple[Stroke, ...]
+    figures: Mapping[str, PerformerBody]
+    cues: StrokeCues | None = None
+    repertoire: ScriptedTakes | None = None
+
+    @property
+    def performers(self) -> tuple[str, ...]:
+        return tuple(sorted(self.figures))
+
+    def of(self, performer: str, split: str = "train") -> tuple[Stroke, ...]:
+        if performer not in self.figures:
+            raise InputError(performer, "is not a performer of these strokes",
+                             f"take one of {', '.join(self.performers)}")
+        captured = tuple(s for s in self.strokes if s.speaker == performer and (split == "test" or not s.held_out))
+        return (*captured, *self.repertoire.usable(captured, split)) if self.repertoire else captured
+
+    def played(self, stroke: Stroke, performer: str) -> Stroke:
+        """A stroke of `of` with its motion, which takes from scripts get when they are played."""
+        if self.repertoire is None or not stroke.scripted:
+            return stroke
+        return self.repertoire.played(stroke, self.figures[performer])
+
+
+def arrivals(speed: Array, fps: float, depth: float = 0.0) -> tuple[Array, Array]:
+    """Strong decelerations of a speed [T]: times in seconds (between frames, by a parabola) and depths, m/s^2. A motion
+    beat is a minimum of the derivative of the speed, smoothed over 50 ms (`motion_beats`, mode A)."""
+    smooth = gaussian_filter1d(speed, _SMOOTH * fps / 2.0, mode="nearest")
+    slope = np.gradient(smooth) * fps
+    middle = slope[1:-1]
+    at = np.flatnonzero((middle < slope[:-2]) & (middle <= slope[2:]) & (middle < -depth)) + 1
+    a, b, c = slope[at - 1], slope[at], slope[at + 1]
+    bend = a - 2.0 * b + c
+    shift = np.where(bend > 0, 0.5 * (a - c) / np.where(bend > 0, bend, 1.0), 0.0)
+    return (at + shift) / fps, -slope[at]
+
+
+def _speed(track: Array, fps: float) -> tuple[Array, Array]:
+    """Resample positions [T, 3] at `fps` to positions and smoothed speed at `_FINE_FPS`."""
+    times = np.arange(len(track)) / fps
+    fine = np.arange(int(times[-1] * _FINE_FPS) + 1) / _FINE_FPS
+    spline = CubicSpline(times, track)
+    speed = np.linalg.norm(spline(fine, 1), axis=-1)
+    return spline(fine), gaussian_filter1d(speed, _SMOOTH * _FINE_FPS / 2.0, mode="nearest")
+
+
+def acting_hands(hands: Array) -> tuple[str, float]:
+    """The acting hand ("left", "right" or "both") and its travel in metres, from the hand paths [T, 2, 3]. Both act if
+    the hand that travels less goes at least 45 % as far as the other."""
+    reach = np.linalg.norm(hands - hands[:1], axis=-1).max(axis=0)
+    greater = int(reach.argmax())
+    if reach.min() > 0.45 * reach.max():
+        return "both", float(reach.max())
+    return ("left", "right")[greater], float(reach.max())
+
+
+def stroke_times(hands: Array, sides: Iterable[int], fps: float, emphasis: float) -> tuple[float, float, float, float]:
+    """Start, beat, end of hold and end in seconds, measured on the paths [T, 2, 3] of the hands. The beat is the last
+    deceleration before `emphasis` + 0.12 s that has at least 35 % of the strongest one: `emphasis` is the arrival, and
+    the strongest deceleration is often that of the preparation."""
+    speed = np.sum([_speed(hands[:, side], fps)[1] for side in sides], axis=0)
+    duration = (len(speed) - 1) / _FINE_FPS
+    times, depths = arrivals(speed, _FINE_FPS)
+    before = times <= emphasis + _AFTER_EMPHASIS
+    if not before.any():
+        raise ValueError("no deceleration before the emphasis")
+    strong = before & (depths >= _BEAT_DEPTH * depths[before].max())
+    beat = float(times[strong][-1])
+    at = int(beat * _FINE_FPS)
+    rising = np.flatnonzero(speed[:at + 1] < 0.08 * speed[:at + 1].max())
+    start = float(rising[0] / _FINE_FPS) if len(rising) else 0.0
+    fast = np.flatnonzero(speed[:at + 1] > 0.25 * speed[:at + 1].max())
+    quiet = rising[rising < fast[0]] if len(fast) else rising
+    if len(quiet):
+        start = float(quiet[-1] / _FINE_FPS)
+    away = np.sum([_distance_home(hands[:, side], fps) for side in sides], axis=0)
+    hold_end, end = _retraction(speed, away, at)
+    return min(start, beat - 0.1), beat, max(hold_end, beat + 0.08), min(max(end, beat + 0.3), duration)
+
+
+def _distance_home(track: Array, fps: float) -> Array:
+    path = _speed(track, fps)[0]
+    return np.linalg.norm(path - path[-1], axis=-1)
+
+
+def _retraction(speed: Array, away: Array, beat: int) -> tuple[float, float]:
+    """Start and end of the retraction, seconds; away: [T] distance from the position at the end of the clip."""
+    arrived = min(beat + int(0.1 * _FINE_FPS), len(speed) - 2)
+    crossing = arrived + int(np.flatnonzero(away[arrived:] >= 0.55 * away[arrived])[-1])
+    low, high = max(arrived, crossing - int(0.2 * _FINE_FPS)), crossing + int(0.2 * _FINE_FPS) + 1
+    peak = low + int(np.argmax(speed[low:high]))
+    slow = np.flatnonzero(speed[arrived:peak + 1] < 0.2 * speed[peak])
+    hold_end = arrived + (int(slow[-1]) if len(slow) else int(np.argmin(speed[arrived:peak + 1])))
+    still = np.flatnonzero(speed[peak:] < 0.1 * speed[peak])
+    end = peak + (int(still[0]) if len(still) else len(speed) - 1 - peak)
+    return hold_end / _FINE_FPS, end / _FINE_FPS
+
+
+def arm_joints(skeleton: Skeleton) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Joint indices of the left and the right arm, shoulder first, in the same order on both sides."""
+    left = [j for j, name in enumerate(skeleton.names) if name.startswith("Left")
+            and not any(part in name for part in ("Leg", "Foot", "Toe"))]
+    return tuple(left), tuple(skeleton.index("Right" + skeleton.names[j][4:]) for j in left)
+
+
+def trunk_joints(skeleton: Skeleton) -> tuple[int, ...]:
+    chain = [skeleton.index("Head")]
+    while chain[-1] > 0:
+        chain.append(skeleton.parents[chain[-1]])
+    return tuple(reversed(chain))
+
+
+def logs_against(rest: Array, rotations: Array, joints: tuple[int, ...]) -> Array:
+    """Log rotations [T, joints, 3] of local rotations [T, J, 4] against a rest pose [J, 4], without jumps by 2 pi."""
+    relative = rotation.multiply(rotation.conjugate(rest[list(joints)]), rotations[:, list(joints)])
+    return rotation.unroll(rotation.to_exponential_map(relative))
+
+
+def mirror(stroke: Stroke) -> Stroke:
+    """The mirror image of a stroke: left and right are swapped, in its hand, its meaning and the name of its lexeme
+    too. A reflection in x = 0 keeps the x of a log rotation and negates y and z."""
+    flip = np.array([1.0, -1.0, -1.0])
+    other = {"left": "right", "right": "left", "both": "both", "none": "none"}
+    lexeme = stroke.lexeme
+    for a, b in (("Left", "Right"), ("Right", "Left")):
+        if a in stroke.lexeme:
+            lexeme = stroke.lexeme.replace(a, b)
+    return replace(stroke, clip=stroke.base + "-mirrored", lexeme=lexeme, hand=other[stroke.hand],
+                   meaning=mirrored(stroke.meaning), arms=stroke.arms[::-1] * flip, trunk=stroke.trunk * flip,
+                   _splines={})
+
+
+def home_pose(strokes: Iterable[Stroke], share: float = 0.9) -> Array:
+    """[2, A, 3]: `share` of the way from rest to the mean pose in the holds of the strokes that each arm acts in. A
+    stroke and its mirror image both count, so that an arm that rarely acts has a home pose too."""
+    holds: dict[int, list[Array]] = defaultdict(list)
+    for stroke in strokes:
+        times = np.linspace(stroke.beat, stroke.hold_end, 5)
+        for side in stroke.sides:
+            holds[side].append(stroke.arm_at(side, times).mean(axis=0))
+    if not holds[LEFT] or not holds[RIGHT]:
+        raise ValueError("no stroke of one of the arms")
+    joints = stroke.arms.shape[2]
+    return share * np.stack([np.mean(holds[side], axis=0).reshape(joints, 3) for side in (LEFT, RIGHT)])
+
+
+def held_out_keys(keys: Iterable[tuple[str, str]], share: float = HELD_OUT_SHARE) -> frozenset[tuple[str, str]]:
+    """The held-out (person, clip) keys: of each person the `share` with the smallest hashes, so always the same."""
+    people: dict[str, set[str]] = defaultdict(set)
+    for person, clip in keys:
+        people[person].add(clip)
+    held_out: set[tuple[str, str]] = set()
+    for person, clips in people.items():
+        order = sorted(clips, key=lambda clip: hashlib.sha256(f"{person}/{clip}".encode()).hexdigest())
+        held_out.update((person, clip) for clip in order[:round(share * len(order))])
+    return frozenset(held_out)
+
+
+def load_strokes(folder: str | Path) -> StrokeSet:
+    """Read `manifest.csv` and the BVH clips beside it (metres) into strokes, each with its mirror image. InputError if
+    the manifest or a clip is missing or broken."""
+    rows = [row for row in read_manifest(folder)
+            if Path(row["file"]).stem not in _DROPPED and row["lexeme"] not in _NO_STROKE]
+    strokes: list[Stroke] = []
+    figures: dict[str, PerformerBody] = {}
+    for speaker in sorted({row["speaker"] for row in rows}):
+        figures[speaker], measured = speaker_strokes(Path(folder), speaker,
+                                                     [row for row in rows if row["speaker"] == speaker])
+        strokes += measured
+    held_out = held_out_keys(map(_key, strokes))
+    return StrokeSet(tuple(replace(s, held_out=_key(s) in held_out) for s in strokes), figures)
+
+
+def read_manifest(folder: str | Path) -> list[dict[str, str]]:
+    """The rows of `manifest.csv` in a folder of strokes, each with its `_COLUMNS`; InputError as of `read_clips`."""
+    return [row for _, row in read_clips(folder, _COLUMNS)]
+
+
+def _key(stroke: Stroke) -> tuple[str, str]:
+    return _PERSON.get(stroke.speaker, stroke.speaker), stroke.base.removeprefix(stroke.speaker + "_")
+
+
+def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[PerformerBody, list[Stroke]]:
+    """The body of a speaker and the strokes of the clips (rows of the manifest), each with its mirror image."""
+    motions = [read_bvh(folder / row["file"], unit=1.0) for row in rows]
+    skeleton = motions[0].skeleton
+    for row, motion in zip(rows, motions, strict=True):
+        if not motion.skeleton.same_joints(skeleton):
+            raise InputError(folder / row["file"], f"has other joints than {rows[0]['file']}",
+                             "take the clips that came with the manifest")
+    try:
+        if speaker in _OUTWARD:
+            motions = [replace(motion, rotations=_turned_in(skeleton, motion.rotations, _OUTWARD[speaker]))
+                       for motion in motions]
+        if speaker in _RIGID:
+            motions = [replace(motion, rotations=with_rhythm(skeleton, motion.rotations, motion.fps, _RIGID[speaker]))
+                       for motion in motions]
+        return _figure_and_strokes(speaker, rows, motions)
+    except (KeyError, ValueError) as error:
+        raise InputError(folder / rows[0]["file"],
+                         f"and the other clips of {shown(speaker)} make no performer ({error})",
+                         "take the clips that came with the manifest") from None
+
+
+def _turned_in(skeleton: Skeleton, rotations: Array, degrees: float) -> Array:
+    """Local rotations [T, J, 4] with both upper arms turned inward about their length."""
+    out = rotations.copy()
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        along = skeleton.offsets[skeleton.index(side + "ForeArm")]
+        turn = rotation.from_exponential_map(sign * np.radians(degrees) * along / np.linalg.norm(along))
+        joint = skeleton.index(side + "Arm")
+        out[:, joint] = rotation.multiply(out[:, joint], turn)
+    return out
+
+
+def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Sequence[Motion]
+                        ) -> tuple[PerformerBody, list[Stroke]]:
+    standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _POSTURE.get(speaker, "")]
+    figure = standing_body(speaker, standing or motions)
+    strokes = []
+    for row, motion in zip(rows, motions, strict=True):
+        stroke = measured_stroke(figure, row, motion.rotations, motion.fps)
+        if stroke is not None:
+            strokes += [stroke, mirror(stroke)]
+    return replace(figure, home=home_pose(strokes)), strokes
+
+
+def standing_body(speaker: str, motions: Sequence[Motion]) -> PerformerBody:
+    """The body of a speaker, at rest as in the first frames of clips on one skeleton, without a home pose yet."""
+    skeleton = motions[0].skeleton
+    first = np.stack([m.rotations[0] for m in motions])
+    signs = np.where(np.sum(first * first[:1], axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    rest = rotation.normalise(np.median(first * signs, axis=0))
+    root = np.array([0.0, np.median([m.root_positions[0, 1] for m in motions]), 0.0])
+    arms = arm_joints(skeleton)
+    return PerformerBody(speaker, skeleton, rest, root, arms, trunk_joints(skeleton), np.zeros((2, len(arms[0]), 3)))
+
+
+def measured_stroke(figure: PerformerBody, row: Mapping[str, str], rotations: Array, fps: float,
+                    listed: tuple[float, float, float, float] | None = None) -> Stroke | None:
+    """The stroke of one clip (its row of the manifest, and its rotations [T, J, 4]); None if no hand leaves its place.
+    listed: its times, used where they cannot be measured."""
+    positions = kinematics.joint_positions(figure.skeleton, rotations)
+    hands = positions[:, [figure.skeleton.index(side + "Hand") for side in SIDES]]
+    hand, reach = acting_hands(hands)
+    if reach < _MIN_REACH:
+        return None
+    try:
+        start, beat, hold_end, end = stroke_times(hands, ACTING_SIDES[hand], fps, float(row["emphasis"]))
+    except ValueError:
+        if listed is None:
+            return None
+        start, beat, hold_end, end = listed
+    stem = Path(row["file"]).stem
+    logs = np.stack([logs_against(figure.rest, rotations, joints) for joints in figure.arms])
+    return Stroke(stem, stem, row["speaker"], row["posture"], row["lexeme"], hand, fps, logs,
+                  logs_against(figure.rest, rotations, figure.trunk), start, beat, hold_end, end, reach,
+                  steady=stem in _NOT_FASTER)

@@ -1,0 +1,222 @@
+"""Talks of a real person's motion with speech synthesised for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+
+from data_module.motion import rotation
+from data_module.motion.kinematics import minimum_jerk
+from data_module.motion.skeletons import CHARACTERS, FINGERED, HIP_HEIGHT
+from data_module.types import Array, Motion
+from gesticulator_performer import inverse, movements
+from gesticulator_performer.chaining import Chain, chain, seam_ratio
+from gesticulator_performer.sentence_pool import Pool
+from gesticulator_performer.takes import (
+    ARM_SIDES,
+    FPS,
+    HIPS,
+    SKULL,
+    SPINE,
+    WRISTS,
+    Library,
+    MotionRange,
+    RealTake,
+    facing_positions,
+    mirrored,
+    stretches,
+)
+from gesticulator_performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
+from gesticulator_performer.types import Spoken
+
+_HEIGHTS, _TRUNKS, _SLOWER = (0.40, 0.66), (0.9, 1.3), (1.0, 1.3)
+"""Ranges drawn per talk: the highest position of the hands (metres over the hips), the gain of the trunk, and the
+factor by which the motion is slowed down."""
+_ONE_HANDED, _ALIKE, _RESTING = 0.2, 0.6, 0.4
+"""Share of the stretches whose hands do the same that are played with one hand; the correlation of the hands' heights
+from which they do; and the share of its motion that remains in the arm that rests."""
+_SLOW_GROUP = "lesson"
+"""A group whose motion is slow enough already."""
+_STRETCHES = 14
+"""Stretches that a talk draws on; those of its group first."""
+_CHAINS, _ROUGHEST = 8, 1.15
+"""Most chains that are tried, and the ratio of the acceleration at the seams to that elsewhere that is good enough."""
+_DIP_SHARE, _DIPS = 0.6, (2.0, 5.0)
+"""Share of the stressed vowels on which the head dips, and the range of the dip in degrees."""
+_DIP_RISE, _DIP_FALL, _DIP_LATE = 0.24, 0.4, 0.03
+"""Seconds from the start to the deepest point of a dip, from there to its end, and from the vowel to the deepest point.
+"""
+_HOLD_SHARE, _HOLD_SECONDS, _HOLD_OF = 0.3, (0.5, 0.9), 0.24
+"""Share of the moments in which a raised hand is slow that become holds; seconds that a hold takes with its edges; and
+the seconds of motion that are shown in them."""
+_HOLDS_APART, _HELD_FROM, _RAISED = 0.9, 0.45, 0.06
+"""Seconds between such moments at least; the speed below which a hand may be held, m/s; metres over the hips."""
+ENERGY = inverse.Energy(0.41, 0.66)
+"""Mean and spread of the mean log speed (`inverse.log_speed`) of the stretches of all takes, as measured; 0.2 is added
+to the spread so that the variation within a talk counts more."""
+
+
+@dataclass(frozen=True)
+class MadeTalk:
+    """Motion with speech synthesised for it. edges: seconds at which stretches begin; takes: names of those used."""
+
+    motion: Motion
+    fitted: inverse.FittedSpeech
+    edges: Array
+    takes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TalkRequest:
+    """What a talk should be. group: its manner, a key of `takes.GROUPS`; seconds: its length; links: strength of what
+    ties the sound to the motion beyond the times of beats and phrases (0 none, 1 full); carriage: how strongly effort
+    tells the height and the reach of the hands, besides."""
+
+    name: str
+    group: str
+    seconds: float
+    links: float = 1.0
+    carriage: float = 0.0
+
+
+def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[RealTake], pool: Pool,
+                    rng: np.random.Generator) -> MadeTalk:
+    """A talk from the given takes alone, with speech for it from `pool`."""
+    group, seconds, links = request.group, request.seconds, request.links
+    limits = MotionRange(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
+    slower = 1.0 if group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
+    named = _named_stretches(library, takes, group, limits, rng)
+    mixed, flip = rng.random() < 1.0 / 3.0, rng.random() < 0.5
+    pieces = []
+    for _, logs in named:
+        turned = bool(rng.random() < 0.5) if mixed else flip
+        pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
+    joined, places = _smoothest(library, pieces, seconds, rng)
+    synthesis = inverse.speech_for(request.name, places, pool,
+                                   replace(ENERGY, links=links, carriage=links * request.carriage),
+                                   movements.features_of(places), rng)
+    logs = with_life(joined.logs, synthesis.spoken, rng, links)
+    rotations = library.rotations(logs)
+    root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
+    used = tuple(sorted({named[k][0] for k in joined.used}))
+    lacking = {joint for take in takes if take.name in used for joint in take.filled}
+    motion = Motion(CHARACTERS[rotations.shape[1]], rotations, root, FPS,
+                    filled=tuple(joint for joint in FINGERED.names if joint in lacking))
+    return MadeTalk(motion, synthesis, joined.edges, used)
+
+
+def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,
+               rng: np.random.Generator) -> tuple[Chain, Array]:
+    """The first chain, with holds, whose seams are smooth enough, or the smoothest, and its joint positions
+    [T, 16, 3]."""
+    best: tuple[float, Chain, Array] | None = None
+    for _ in range(_CHAINS):
+        joined = chain(pieces, seconds, rng, recent=len(pieces))
+        joined, places = _held(library, joined, facing_positions(library.rotations(joined.logs)), rng)
+        ratio = seam_ratio(places[:, list(WRISTS)], joined.edges)
+        if best is None or ratio < best[0]:
+            best = ratio, joined, places
+        if ratio <= _ROUGHEST:
+            break
+    assert best is not None
+    return best[1:]
+
+
+def _held(library: Library, joined: Chain, places: Array, rng: np.random.Generator) -> tuple[Chain, Array]:
+    """A chain of the same length with holds: at some of the moments at which a raised hand is slowest, time stands."""
+    source = hold_times(places, rng)[:len(joined.logs)]
+    logs = rotation.unroll(rotation.to_exponential_map(
+        rotation.interpolate(rotation.from_exponential_map(joined.logs), source)))
+    edges = np.interp(joined.edges * FPS, source, np.arange(len(source))) / FPS
+    edges = np.append(np.unique(edges[edges < (len(source) - 1) / FPS]), len(source) / FPS)
+    return Chain(logs, edges, joined.used), facing_positions(library.rotations(logs))
+
+
+def hold_times(places: Array, rng: np.random.Generator) -> Array:
+    """[T'] the frame of a motion with joint positions [T, 16, 3] that is shown in each frame when holds are inserted.
+
+    A hold begins where the speed of a raised hand has a minimum. For D seconds the pace is 1 - c h(u) at the share u
+    of them, with h rising and falling as sin^2 over a quarter each and c such that D seconds show `_HOLD_OF`.
+    """
+    hands = gaussian_filter1d(places[:, list(WRISTS)], 0.05 * FPS, axis=0, mode="nearest")
+    speed = np.linalg.norm(np.gradient(hands, 1.0 / FPS, axis=0), axis=-1).max(axis=1)
+    minima = find_peaks(-speed, distance=round(_HOLDS_APART * FPS), prominence=0.1)[0]
+    raised = hands[minima, :, 1].max(axis=1) >= _RAISED
+    chosen = minima[raised & (speed[minima] < _HELD_FROM) & (rng.random(len(minima)) < _HOLD_SHARE)]
+    pieces, now, half = [], 0.0, 0.5 * _HOLD_OF * FPS
+    for frame, seconds in zip(chosen.tolist(), rng.uniform(*_HOLD_SECONDS, len(chosen)), strict=True):
+        if frame - half <= now or frame + half >= len(places) - 1:
+            continue
+        pieces.append(np.arange(now, frame - half))
+        u = np.linspace(0.0, 1.0, max(2, round(seconds * FPS)), endpoint=False)
+        dip = np.sin(0.5 * np.pi * np.clip(4.0 * np.minimum(u, 1.0 - u), 0.0, 1.0)) ** 2
+        pace = 1.0 - (1.0 - _HOLD_OF / seconds) / dip.mean() * dip
+        start = pieces[-1][-1] + 1.0
+        pieces.append(start + np.concatenate([[0.0], np.cumsum(pace)[:-1]]))
+        now = float(pieces[-1][-1] + pace[-1])
+    pieces.append(np.arange(now, len(places) - 1))
+    return np.concatenate(pieces)
+
+
+def _named_stretches(library: Library, takes: Sequence[RealTake], group: str, limits: MotionRange,
+                     rng: np.random.Generator) -> list[tuple[str, Array]]:
+    """(take, stretch) of takes of the group in random order, filled up with other takes."""
+    order = [takes[k] for k in rng.permutation(len(takes))]
+    out: list[tuple[str, Array]] = []
+    for take in sorted(order, key=lambda t: t.group != group):
+        if len(out) >= _STRETCHES:
+            break
+        out += [(take.name, logs) for logs in stretches(library, take, limits)]
+    return out
+
+
+def _one_handed(library: Library, logs: Array, rng: np.random.Generator) -> Array:
+    """A stretch whose hands do the same, now and then with one of them resting; any other as it is."""
+    side, draw = ARM_SIDES[int(rng.random() < 0.5)], rng.random()
+    heights = facing_positions(library.rotations(logs))[:, list(WRISTS), 1]
+    alike = np.asarray(np.corrcoef(heights.T))[0, 1] if heights.std(axis=0).min() > 1e-6 else 0.0
+    if draw >= _ONE_HANDED or alike < _ALIKE:
+        return logs
+    out = logs.copy()
+    out[:, list(side)] *= _RESTING
+    return out
+
+
+def _slowed(logs: Array, times: float) -> Array:
+    at = np.arange(0.0, len(logs) - 1, 1.0 / times)
+    return rotation.unroll(rotation.to_exponential_map(rotation.interpolate(rotation.from_exponential_map(logs), at)))
+
+
+def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator, links: float = 1.0) -> Array:
+    """Add life to logs [T, J, 3]: the head dips on stresses, the trunk calms in pauses, and postures change. The
+    recorded head motion is not tied to the new speech, real heads are. The yaw of the head stays within 20 degrees in
+    95 % of the frames. The body sways, so that held poses do not freeze."""
+    out, frames = logs.copy(), len(logs)
+    speaking = np.zeros(frames)
+    for phrase in spoken.phrases:
+        speaking[round(phrase.start * FPS):round(phrase.end * FPS)] = 1.0
+    out[:, list(SKULL)] = calm(out[:, list(SKULL)], speaking)
+    out[:, list(SKULL), 0] += (_dips(spoken, frames, rng) / len(SKULL))[:, None]
+    posture = postures(frames, rng)
+    weight = sway(frames, rng) + pitch_accents(spoken.syllables, frames, links, rng)
+    for joints, bends in ((SPINE, posture[:, 0] + weight), (SKULL, posture[:, 1])):
+        out[:, list(joints)] += (bends / len(joints))[:, None]
+    trunk = [*HIPS, *SPINE, *SKULL]
+    out[:, trunk, 1] *= yaw_scale(out[:, trunk, 1].sum(axis=1))
+    return out
+
+
+def _dips(spoken: Spoken, frames: int, rng: np.random.Generator) -> Array:
+    track, times = np.zeros(frames), np.arange(frames) / FPS
+    for syllable in spoken.syllables:
+        if syllable.prominence > 0.3 and rng.random() < _DIP_SHARE:
+            peak = syllable.vowel + _DIP_LATE
+            size = np.radians(rng.uniform(*_DIPS))
+            rising = np.clip((times - peak + _DIP_RISE) / _DIP_RISE, 0.0, 1.0)
+            falling = np.clip((times - peak) / _DIP_FALL, 0.0, 1.0)
+            track += size * (minimum_jerk(rising) - minimum_jerk(falling))
+    return track

@@ -1,0 +1,193 @@
+"""Text to perform: sentences of the grammar in phrases, each with an effort and a pause."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from data_module.errors import InputError
+from gesticulator_performer import grammar
+from gesticulator_performer.grammar import PHRASEBOOKS, Phrasebook, Topic
+
+SPLITS = ("train", "test")
+CHARACTERS_PER_SECOND = {"cmn": 7.5}
+"""Characters a second that the voices speak, for languages other than those with 17 letters and spaces a second."""
+_LETTERS_PER_SECOND = 17.0
+# The longest pause in seconds, and the share of sentence ends with a pause of a second or more.
+LONG_PAUSE, LONG_SHARE = 6.0, 0.21
+MEANING_SHARE = 0.75
+"""Share of the English sentences that are written for a gesture with a meaning: with it each of the 32 gestures is
+played at least 30 times in the training split of 4.4 hours."""
+_VOWELS = "aeiou"
+_PARTICIPLES = {"threw": "thrown", "drew": "drawn", "stole": "stolen", "hid": "hidden"}
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Part:
+    """A phrase to speak: its text, its effort (-1 to 1), and the silence after it in seconds."""
+
+    text: str
+    effort: float
+    pause: float
+
+
+@dataclass(frozen=True)
+class Utterance:
+    """A sentence as its phrases, in order, and its kind (a key of the grammar)."""
+
+    parts: tuple[Part, ...]
+    kind: str
+
+    @property
+    def text(self) -> str:
+        return " ".join(part.text for part in self.parts)
+
+
+def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str] | None = None,
+            language: str = "en", repertoire: bool = False) -> list[Utterance]:
+    """Write about `seconds` of speech, pauses included, without repeating a sentence.
+
+    split: "train" or "test"; the two share neither topics nor templates. used: sentences not to be repeated; the new
+    ones are added, so that one set over many calls gives hours without repetition. repertoire: English sentences for
+    all named gestures, not only for those with captured strokes. Effort drifts from sentence to
+    sentence (AR(1), 0.7) and varies from phrase to phrase. Same generator state, same text.
+    """
+    if split not in SPLITS:
+        raise InputError(f"split {split!r}", "is not known", f"choose one of {', '.join(SPLITS)}")
+    used = set() if used is None else used
+    source = _English(split, repertoire) if language == "en" else _phrasebook(split, language)
+    pace = CHARACTERS_PER_SECOND.get(language, _LETTERS_PER_SECOND)
+    utterances: list[Utterance] = []
+    mood = float(rng.normal(0, 0.5))
+    total = 0.0
+    while total < seconds:
+        kind, lines = _new_sentence(rng, source, used)
+        mood = 0.7 * mood + float(rng.normal(0, 0.38))
+        utterance = Utterance(_paced(rng, lines, mood), kind)
+        utterances.append(utterance)
+        total += sum(len(part.text) / pace + part.pause for part in utterance.parts)
+    return utterances
+
+
+def sentence_key(utterance: Utterance) -> str:
+    """A sentence without pauses, capitals and punctuation, for the comparison of utterances."""
+    return " ".join(re.findall(r"[^\W\d_]+(?:'[^\W\d_]+)*", utterance.text.lower()))
+
+
+class _English:
+    """Draws English sentences; consecutive ones share a topic."""
+
+    def __init__(self, split: str, repertoire: bool = False) -> None:
+        train = split == "train"
+        self.topics = grammar.TRAIN_TOPICS if train else grammar.TEST_TOPICS
+        self.templates = grammar.TRAIN_TEMPLATES if train else grammar.TEST_TEMPLATES
+        self.meanings = dict(grammar.TRAIN_MEANINGS if train else grammar.TEST_MEANINGS)
+        self.kinds: Sequence[str] = grammar.MEANING_KINDS
+        self.share = MEANING_SHARE
+        if repertoire:
+            self.meanings |= grammar.TRAIN_REPERTOIRE if train else grammar.TEST_REPERTOIRE
+            self.kinds, self.share = grammar.REPERTOIRE_KINDS, grammar.REPERTOIRE_SHARE
+        self.openers: Sequence[str] = grammar.OPENERS if train else grammar.TEST_OPENERS
+        self._topic, self._left = self.topics[0], 0
+
+    def draw(self, rng: np.random.Generator) -> tuple[str, str]:
+        if self._left == 0:
+            self._topic, self._left = _one(rng, self.topics), int(rng.integers(3, 9))
+        self._left -= 1
+        if rng.random() < self.share:
+            kind = _one(rng, self.kinds)
+            return kind, _fill(rng, self._topic, _one(rng, self.meanings[kind]))
+        kind = _one(rng, tuple(self.templates))
+        return kind, _fill(rng, self._topic, _one(rng, self.templates[kind]))
+
+
+class _Phrases:
+    """Draws sentences of a phrasebook."""
+
+    def __init__(self, book: Phrasebook) -> None:
+        self.book, self.openers = book, book.openers
+
+    def draw(self, rng: np.random.Generator) -> tuple[str, str]:
+        slots: dict[str, str] = {}
+        for name, entries in self.book.slots.items():
+            order = rng.permutation(len(entries))
+            slots |= {f"{name}{rank + 1 if rank else ''}": entries[i] for rank, i in enumerate(order[:3])}
+        return "phrase", _one(rng, self.book.templates).format(**slots)
+
+
+def _one(rng: np.random.Generator, entries: Sequence[_T]) -> _T:
+    return entries[int(rng.integers(len(entries)))]
+
+
+def _phrasebook(split: str, language: str) -> _Phrases:
+    if (language, split) not in PHRASEBOOKS:
+        known = sorted({"en"} | {name for name, _ in PHRASEBOOKS})
+        raise InputError(f"language {language!r}", "has no grammar here", f"choose one of {', '.join(known)}")
+    return _Phrases(PHRASEBOOKS[language, split])
+
+
+def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, used: set[str]) -> tuple[str, list[str]]:
+    """(kind, phrases) of a sentence not in `used`, to which it is added without its opener."""
+    for _ in range(2000):
+        kind, sentence = source.draw(rng)
+        if sentence not in used:
+            break
+    else:
+        raise InputError("text", "has no new sentence left", "ask for fewer seconds, or for another split or language")
+    used.add(sentence)
+    if rng.random() < 0.22:
+        opener = _one(rng, source.openers).strip()
+        sentence = f"{opener} | {sentence}" if opener[-1] in ",.，" else f"{opener} {sentence}"
+    return kind, [phrase.strip() for phrase in sentence.split("|")]
+
+
+def _fill(rng: np.random.Generator, topic: Topic, template: str) -> str:
+    """The template with words of the topic in its slots; no word occurs twice."""
+    things = [topic.things[i] for i in rng.permutation(len(topic.things))[:4]]
+    people = [topic.people[i] for i in rng.permutation(len(topic.people))[:2]]
+    places = [topic.places[i] for i in rng.permutation(len(topic.places))[:2]]
+    numbers = [grammar.NUMBERS[i] for i in rng.permutation(len(grammar.NUMBERS))[:2]]
+    base, past, running = _one(rng, topic.verbs)
+    return template.format(
+        thing=things[0], other=things[1], things=plural(things[2]), things2=plural(things[3]),
+        athing=with_article(things[2]), athing2=with_article(things[3]), person=people[0], someone=people[1],
+        place=places[0], elsewhere=places[1], adj=_one(rng, topic.adjectives), do=base, did=past,
+        done=_PARTICIPLES.get(past, past), doing=running, n=numbers[0], n2=numbers[1], time=_one(rng, grammar.TIMES))
+
+
+def plural(noun: str) -> str:
+    irregular = {"wolf": "wolves", "shelf": "shelves", "goose": "geese"}
+    if noun in irregular:
+        return irregular[noun]
+    if noun.endswith("y") and noun[-2] not in _VOWELS:
+        return noun[:-1] + "ies"
+    return noun + ("es" if noun.endswith(("s", "x", "sh", "ch")) else "s")
+
+
+def with_article(noun: str) -> str:
+    return f"{'an' if noun[0] in _VOWELS and not noun.startswith('uni') else 'a'} {noun}"
+
+
+def _paced(rng: np.random.Generator, phrases: Sequence[str], mood: float) -> tuple[Part, ...]:
+    parts = []
+    for position, phrase in enumerate(phrases):
+        effort = float(np.tanh(1.1 * (mood + rng.normal(0, 0.33))))
+        if position == len(phrases) - 1:
+            pause = _pause_between(rng)
+        elif phrase.endswith("..."):
+            pause = float(rng.uniform(0.4, 1.3))
+        else:
+            pause = float(rng.uniform(0.08, 0.32) if rng.random() < 0.7 else rng.uniform(0.3, 0.8))
+        parts.append(Part(phrase.removesuffix("...").strip(), effort, round(pause, 4)))
+    return tuple(parts)
+
+
+def _pause_between(rng: np.random.Generator) -> float:
+    if rng.random() < LONG_SHARE:
+        return float(1 + (LONG_PAUSE - 1) * rng.beta(1.0, 2.0))
+    return float(rng.uniform(0.3, 1.0) if rng.random() < 0.75 else rng.uniform(0.12, 0.3))

@@ -1,0 +1,187 @@
+"""The voices: their table, the effect of effort, and the simulated recording of their speech."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data_module.errors import InputError
+from data_module.truth import Phrase, Syllable
+from data_module.types import Array, Samples, Speech, Word
+from gesticulator_performer import espeak, flite
+from gesticulator_performer.sound import RATE, Phone, Sounded, decibels, read_at, recorded, with_tilt, word_spans
+from gesticulator_performer.syllables import Nucleus, listen, pitch_track
+from gesticulator_performer.tables import table
+from gesticulator_performer.text import Part, Utterance
+from gesticulator_performer.types import Spoken
+
+# At effort 1: decibels louder, log factors on rate and pitch range, semitones higher. At -1 the reverse.
+LOUDER, FASTER, WIDER, HIGHER = 9.0, 0.10, 0.55, 1.5
+LEAD = 0.4
+"""Silence before the first word, seconds."""
+
+
+@dataclass(frozen=True)
+class Voice:
+    """A voice. engine: "flite" or "espeak"; base: the engine's name for it. pitch: Hz (espeak: 0 to 99); spread: the
+    engine's measure of pitch range (flite: Hz; espeak: 0 to 99); tract: factor on the formants (flite); rate: factor on
+    the engine's normal speed; language: ISO 639-1, or 639-3 if there is none (cmn)."""
+
+    name: str
+    engine: str
+    base: str
+    pitch: float
+    spread: float
+    tract: float = 1.0
+    rate: float = 1.0
+    language: str = "en"
+
+
+VOICES = {name: Voice(name, **settings) for name, settings in table("voices.toml")["voices"].items()}
+TRAIN_VOICES = ("slt", "rms", "kal", "us_f3", "slt_deep", "rms_light", "gb_m3", "slt_high", "rms_deep", "scot_f2")
+TEST_VOICES = ("awb", "rp_m7", "awb_high")
+# Mandarin has "latn-pinyin" because the plain voice of espeak-ng 1.51 spells "lao3" as the English "lao three".
+VOICES_OF: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "cmn": (("cmn_f2", "cmn_m3", "cmn_f4", "cmn_m7"), ("cmn_m5", "cmn_f1")),
+    "de": (("de_f2", "de_m1", "de_f4", "de_m7"), ("de_m5", "de_f1")),
+    "en": (TRAIN_VOICES, TEST_VOICES),
+    "es": (("es_m3", "es_f2", "es_m1", "es_f4"), ("es_m5", "es_f1")),
+}
+"""Language -> voices for training and validation, voices for test."""
+TONAL = frozenset({"cmn"})
+"""Languages in which pitch distinguishes words, so that a high syllable need not be stressed."""
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """Synthesised speech: words in `speech`, phones and phrases in seconds."""
+
+    speech: Speech
+    phones: tuple[Phone, ...]
+    phrases: tuple[Phrase, ...]
+
+
+def synthesise(utterances: Sequence[Utterance], voice: Voice, rng: np.random.Generator) -> Synthesis:
+    """Speak the utterances and record them: 16 kHz, word times, phone times, phrases with their effort.
+
+    Effort drives loudness (9 dB either way), brightness, pitch, pitch range and rate together. Phrases are spoken one
+    by one and placed by counting samples. The generator determines the room, the noise and the level.
+    InputError names the Debian package of a missing program.
+    """
+    parts = [part for utterance in utterances for part in utterance.parts]
+    if not parts:
+        raise InputError("text", "is empty", "give a sentence to speak")
+    return on_the_clock(parts, sound_all(parts, voice), voice, rng)
+
+
+def speak(name: str, utterances: Sequence[Utterance], voice: str, rng: np.random.Generator) -> Spoken:
+    if voice not in VOICES:
+        raise InputError(f"voice {voice!r}", "is not known", f"choose one of {', '.join(VOICES)}")
+    return with_syllables(name, synthesise(utterances, VOICES[voice], rng), voice)
+
+
+def with_syllables(name: str, synthesis: Synthesis, voice: str) -> Spoken:
+    """Synthesised speech of a voice of `VOICES` with its measured syllables."""
+    language = VOICES[voice].language
+    syllables = listen(synthesis.speech, synthesis.phrases, nuclei_of(synthesis.phones), language)
+    if language in TONAL:
+        syllables = without_tone(syllables)
+    return Spoken(name, synthesis.speech, syllables, synthesis.phrases, voice, language)
+
+
+def without_tone(syllables: Sequence[Syllable]) -> tuple[Syllable, ...]:
+    """The same syllables with prominence from loudness and duration alone, for tonal languages."""
+    if not syllables:
+        return ()
+    pitch = np.array([syllable.pitch for syllable in syllables])
+    # The contribution of pitch in `listen`: .5 of its z-score over the recording.
+    share = 0.5 * np.clip((pitch - pitch.mean()) / (pitch.std() + 1e-6), -3, 3)
+    return tuple(replace(one, prominence=one.prominence - high)
+                 for one, high in zip(syllables, share.tolist(), strict=True))
+
+
+def nuclei_of(phones: Sequence[Phone]) -> list[Nucleus]:
+    """The syllables of phones: each vowel with the consonant before it; other consonants close the syllable before. A
+    word without a vowel ("hm") is one syllable; its first phone counts as the vowel."""
+    nuclei: list[Nucleus] = []
+    for word in sorted({phone.word for phone in phones}):
+        inside = [phone for phone in phones if phone.word == word]
+        vowels = [i for i, phone in enumerate(inside) if phone.vowel] or [0]
+        # The last consonant between two vowels belongs to the second; none if they touch.
+        cuts = [max(vowel - 1, before + 1) for before, vowel in zip(vowels, vowels[1:], strict=False)]
+        bounds = [inside[0].start, *(inside[cut].start for cut in cuts), inside[-1].end]
+        nuclei += [Nucleus(left, inside[vowel].start, right, word)
+                   for vowel, left, right in zip(vowels, bounds, bounds[1:], strict=False)]
+    return nuclei
+
+
+def sound_all(parts: Sequence[Part], voice: Voice) -> list[Sounded]:
+    """Speak each part at its effort, dry."""
+    if voice.engine == "espeak":
+        # espeak's pitch unit is about a sixth of a semitone; its range 50 is normal.
+        return espeak.sound_phrases([espeak.Line(
+            voice.base, part.text, round(165 * voice.rate * _faster(part.effort)), round(voice.pitch + 6 * part.effort),
+            round(min(99, voice.spread * _wider(part.effort)))) for part in parts])
+    return [_flite_phrase(part, voice) for part in parts]
+
+
+def _flite_phrase(part: Part, voice: Voice) -> Sounded:
+    pitch = voice.pitch * 2 ** (HIGHER * part.effort / 12)
+    # The tract is changed by the playing speed; flite's rate and pitch are changed the other way to compensate.
+    stretch = voice.tract / (voice.rate * _faster(part.effort))
+    deviation = voice.spread * _wider(part.effort)
+    sounded = flite.sound_phrase(voice.base, part.text, pitch / voice.tract, deviation / voice.tract, stretch)
+    speed = np.full(len(sounded.samples), voice.tract)
+    if voice.base == "rms":
+        # This voice ignores the pitch settings; its contour is widened and raised by a varying playing speed.
+        speed = speed * _widened(sounded.samples, _wider(part.effort)) * 2 ** (HIGHER * part.effort / 24)
+    if np.ptp(speed) == 0 and speed[0] == 1:
+        return sounded
+    samples, phones = read_at(sounded.samples, speed, sounded.phones)
+    return Sounded(samples, word_spans([word.text for word in sounded.words], phones), phones)
+
+
+def _widened(samples: Samples, times: float) -> Array:
+    """[N] the playing speed that widens a pitch contour around its median by the factor `times`; 1 if it is unknown."""
+    track = pitch_track(samples, RATE)
+    voiced = np.flatnonzero(track > 0)
+    if len(voiced) < 5:
+        return np.ones(len(samples))
+    height = np.clip(np.log(track[voiced] / np.median(track[voiced])), -0.35, 0.35)
+    frames = np.interp(np.arange(len(track)), voiced, height)
+    smooth = np.convolve(np.pad(frames, 4, mode="edge"), np.hanning(11)[1:-1] / np.hanning(11).sum(), "valid")
+    return np.exp((times - 1) * np.interp(np.arange(len(samples)) / 160, np.arange(len(smooth)), smooth))
+
+
+def _faster(effort: float) -> float:
+    return float(np.exp(FASTER * effort))
+
+
+def _wider(effort: float) -> float:
+    return float(np.exp(WIDER * effort))
+
+
+def on_the_clock(parts: Sequence[Part], spoken: Sequence[Sounded], voice: Voice,
+                 rng: np.random.Generator) -> Synthesis:
+    """Concatenate phrases and pauses at the loudness of their effort, and record them."""
+    lengths = [len(s.samples) + round(p.pause * RATE) for s, p in zip(spoken, parts, strict=True)]
+    starts = np.cumsum([round(LEAD * RATE), *lengths])
+    dry = np.zeros(int(starts[-1]), dtype=np.float32)
+    active = np.zeros(len(dry), dtype=bool)
+    words: list[Word] = []
+    phones: list[Phone] = []
+    phrases: list[Phrase] = []
+    # One gain for the whole recording brings the voice to -20 dBFS, so that only effort differs between phrases.
+    level = float(np.sqrt(np.mean(np.concatenate([s.samples for s in spoken]) ** 2))) + 1e-9
+    for part, sounded, start in zip(parts, spoken, starts.tolist(), strict=False):
+        offset, stop = start / RATE, start + len(sounded.samples)
+        tilted = with_tilt(sounded.samples, part.effort)
+        dry[start:stop] = tilted * np.float32(0.1 / level * decibels(LOUDER * part.effort))
+        active[start:stop] = True
+        phones += [phone.moved(offset, len(words)) for phone in sounded.phones]
+        words += [replace(word, start=word.start + offset, end=word.end + offset) for word in sounded.words]
+        phrases.append(Phrase(offset, stop / RATE, part.effort))
+    samples = recorded(dry, active, rng)
+    return Synthesis(Speech(samples, RATE, tuple(words), voice.name), tuple(phones), tuple(phrases))

@@ -1,0 +1,386 @@
+"""The bounds that a corpus must keep: a wrong corpus misses the bound that is there for it, and no other hides it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gesticulator_performer.acceptance import bounds as corpus_bounds
+from gesticulator_performer.acceptance import by_source, style_from_sound
+from gesticulator_performer.acceptance import command as corpus
+from gesticulator_performer.acceptance.bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTalk, TalkClaim
+from gesticulator_performer.acceptance.style_from_sound import StyledWindows
+from gesticulator_performer.plan import rests_of
+from gesticulator_performer.talks import with_life
+from gesticulator_performer.types import Spoken
+
+from data_module.errors import InputError
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTER
+from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
+from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
+from data_module.types import Array, Motion, Speech
+from eval.acceptance.bounds import Verdict
+from eval.baselines import controls as baselines
+from eval.commands import PROBE
+from eval.metrics import EYE_METRICS
+from eval.metrics.eye import common_body
+from eval.table import load
+
+GOOD = {"eye_hand_height_correlation": 0.4, "eye_one_handed": 30.0, "eye_one_hanging": 25.0, "eye_head": 13.0,
+        "eye_chest": 7.0, "eye_stroke_amplitude": 26.0,
+        SEAM: 1.1, "eye_hand_in_torso": 0.1, "eye_elbow_in_torso": 0.2, "eye_head_yaw": 20.0, FREEZE: 0.3}
+
+
+def _talks(parts: str = "motion talk", figures: dict[str, float] | None = None) -> list[MeasuredTalk]:
+    return [MeasuredTalk(f"{part}{k}", part, 60.0, GOOD | (figures or {})) for part in parts.split() for k in range(3)]
+
+
+def _verdicts(talks: list[MeasuredTalk]) -> dict[str, Verdict]:
+    return {verdict.figure: verdict.pooled for verdict in corpus_bounds.judge(talks)}
+
+
+def test_a_corpus_within_all_bounds_is_told_so() -> None:
+    assert set(GOOD) == {claim.figure for claim in CLAIMS}
+    assert all(verdict.holds for verdict in _verdicts(_talks()).values())
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.figure)
+def test_every_bound_is_missed_beyond_either_end_and_held_on_it(claim: TalkClaim) -> None:
+    for edge, beyond in ((claim.bound.low, -0.01), (claim.bound.high, 0.01)):
+        if math.isfinite(edge):
+            assert _verdicts(_talks(figures={claim.figure: edge}))[claim.figure].holds is True
+            missed = [name for name, own in _verdicts(_talks(figures={claim.figure: edge + beyond})).items()
+                      if own.holds is False]
+            assert missed == [claim.figure]
+    assert _verdicts(_talks(figures={claim.figure: math.nan}))[claim.figure].holds is None
+
+
+def test_means_weigh_by_seconds_and_rules_take_the_worst_talk() -> None:
+    short, long = (MeasuredTalk(name, "talk", seconds, GOOD | {"eye_one_handed": share, FREEZE: freeze})
+                   for name, seconds, share, freeze in (("a", 30.0, 20.0, 1.2), ("b", 90.0, 40.0, 0.0)))
+    verdicts = _verdicts([short, long])
+    assert verdicts["eye_one_handed"].value.mean == pytest.approx(35.0)
+    spread = next(one for one in corpus_bounds.judge([short, long]) if one.figure == "eye_one_handed")
+    assert (spread.least, spread.most) == (20.0, 40.0)
+    assert verdicts[FREEZE].value.mean == 1.2 and not verdicts[FREEZE].holds
+    assert all(claim.how == MEAN for claim in CLAIMS if claim.figure not in (SEAM, FREEZE))
+
+
+def test_styles_and_readings_do_not_count_among_the_talks() -> None:
+    talks = _talks("motion talk") + _talks("style reading", {"eye_one_handed": 99.0})
+    verdict = next(one for one in corpus_bounds.judge(talks) if one.figure == "eye_one_handed")
+    assert verdict.pooled.holds
+    assert verdict.parts["style"].value.mean == 99.0
+
+
+def test_a_part_that_misses_alone_is_marked() -> None:
+    talks = _talks("motion", {"eye_one_handed": 24.0}) + _talks("talk", {"eye_one_handed": 38.0})
+    table = corpus.bounds_table(_Named(), corpus_bounds.judge(talks), talks, 0)  # type: ignore[arg-type]
+    row = table.rows["one-handed share of movement, %"]
+    assert row["holds"] == "yes" and str(row["motion"]).endswith("!") and str(row["talk"]).endswith("!")
+    facts = {own["figure"]: own for own in table.facts["bounds"]}["eye_one_handed"]
+    assert (facts["value"], facts["low"], facts["high"], facts["holds"]) == (31.0, 25.0, 37.0, True)
+    assert facts["parts"] == {"motion": 24.0, "talk": 38.0}
+    assert "the verdicts do not count" in table.notes[-1]
+
+
+class _Named:
+    fingerprint = "none"
+
+
+# --- By source
+
+MIDDLE = {"eye_splay": 5.0, "eye_azimuth": -15.0, "eye_elbow": 70.0}
+
+
+def _source(name: str, **changed: float) -> list[MeasuredTalk]:
+    """Two talks of a source whose figures lie in the middle of their bounds but for these."""
+    return [MeasuredTalk(f"{name}{k}", "talk", 60.0, MIDDLE | changed, name) for k in range(2)]
+
+
+def _refused(talks: list[MeasuredTalk]) -> set[tuple[str, str]]:
+    return {key for key, verdict in by_source.verdicts(talks).items() if verdict.holds is False}
+
+
+@pytest.mark.parametrize(("figure", "value"), [
+    ("eye_splay", 30.0), ("eye_azimuth", 21.0), ("eye_azimuth", -40.0), ("eye_elbow", 44.0), ("eye_elbow", 101.0)])
+def test_a_source_is_refused_though_all_together_are_not(figure: str, value: float) -> None:
+    good = [talk for k in range(9) for talk in _source(f"good{k}")]
+    assert _refused(good) == set()
+    talks = good + _source("bad", **{figure: value})
+    assert _refused(talks) == {(figure, "bad")}
+    shown = by_source.table(talks).rows[EYE_METRICS[figure].heading]
+    assert str(shown["bad"]).endswith(" NO") and not str(shown["good0"]).endswith(" NO")
+    assert _refused([replace(talk, part="style") for talk in talks]) == set(), "styles are not judged"
+
+
+def test_forearms_that_were_turned_outward_are_refused_as_a_source() -> None:
+    talks = [replace(_measured(motion), source=name, part="talk")
+             for name, make in (("right", list), ("turned", lambda clips: baselines.splayed(clips, degrees=60.0)))
+             for motion in make([_ahead(seed) for seed in range(2)])]
+    refused = _refused(talks)
+    assert ("eye_splay", "turned") in refused and ("eye_splay", "right") not in refused
+
+
+def _ahead(seed: int) -> Motion:
+    """Arms that hang, forearms that swing about straight ahead."""
+    time = np.arange(1200) / 60
+    maps = np.zeros((1200, len(CHARACTER), 3))
+    for side, sign in (("Left", -1.0), ("Right", 1.0)):
+        maps[:, CHARACTER.index(side + "Arm"), 2] = 1.3 * sign
+        maps[:, CHARACTER.index(side + "ForeArm"), 1] = sign * (1.4 + 0.1 * np.sin((2 + seed) * time))
+    return Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((1200, 3)), 60.0)
+
+
+# --- From motion
+
+
+def _motion(seconds: float = 30.0, seed: int = 0) -> Motion:
+    """Arms and head on paths of their own, arms down by the sides at first."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * 60)) / 60
+    maps = np.zeros((len(time), len(CHARACTER), 3))
+    for name, size in (("LeftArm", 0.35), ("RightArm", 0.35), ("LeftForeArm", 0.4), ("RightForeArm", 0.4),
+                       ("Head", 0.15), ("Spine1", 0.05)):
+        speed, phase, part = (rng.uniform(low, high, (6, 3)) for low, high in ((0.5, 4.0), (0, 6.28), (-size, size)))
+        maps[:, CHARACTER.index(name)] = (part * np.sin(speed * time[:, None, None] + phase)).sum(axis=1)
+    for side, sign in (("Left", -1.0), ("Right", 1.0)):
+        maps[:, CHARACTER.index(side + "Arm"), 2] += 1.1 * sign
+        maps[:, CHARACTER.index(side + "ForeArm"), 1] += sign
+    return Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((len(time), 3)), 60.0)
+
+
+def _recording(motion: Motion, truth: Truth | None = None, part: str = "talk", name: str = "a",
+               split: Split = "train") -> Recording:
+    noise = np.random.default_rng(1).normal(0.0, 0.05, round(motion.duration * 16000)).astype(np.float32)
+    return Recording(RecordingInfo(name, split, "ann", "tone", "en", part=part), Speech(noise, 16000), motion, truth)
+
+
+def _measured(motion: Motion, truth: Truth | None = None) -> MeasuredTalk:
+    return corpus_bounds.measure(_recording(motion, truth), common_body(motion))
+
+
+def test_mirrored_hands_miss_the_correlation_of_heights() -> None:
+    free = [_measured(_motion(seed=seed)) for seed in range(3)]
+    mirrored = [_measured(baselines.mirrored([_motion(seed=seed)])[0]) for seed in range(3)]
+    assert _verdicts(free)["eye_hand_height_correlation"].value.mean < 0.55
+    verdict = _verdicts(mirrored)["eye_hand_height_correlation"]
+    assert verdict.value.mean > 0.9 and verdict.holds is False
+    assert _verdicts(mirrored)["eye_one_handed"].holds is False
+
+
+def test_a_frozen_corpus_misses_freeze_head_chest_and_strokes() -> None:
+    verdicts = _verdicts([_measured(baselines.mean_pose([_motion(seed=seed)])[0]) for seed in range(2)])
+    assert verdicts[FREEZE].value.mean == pytest.approx(30.0)
+    for figure in (FREEZE, "eye_head", "eye_chest"):
+        assert verdicts[figure].holds is False
+    assert verdicts["eye_stroke_amplitude"].holds is None
+    assert _verdicts([_measured(_motion())])[FREEZE].holds
+
+
+def test_stillness_counts_only_where_no_rest_is_marked() -> None:
+    motion = _motion(20.0)
+    frozen = motion.rotations.copy()
+    frozen[600:780] = frozen[600]
+    motion = replace(motion, rotations=frozen)
+    longest = _measured(motion).figures[FREEZE]
+    assert 2.5 < longest < 3.0
+    assert _measured(motion, Truth(marks=(Mark(REST, 10.0, 13.0),))).figures[FREEZE] < 0.2
+    assert 1.3 < _measured(motion, Truth(marks=(Mark(REST, 10.0, 11.5),))).figures[FREEZE] < 1.6
+    assert _measured(motion, Truth(marks=(Mark(JOIN, 10.0, 13.0),))).figures[FREEZE] == longest
+
+
+def _jumping(times: Array) -> Motion:
+    """A motion whose arm is thrown 6 degrees at each of `times` (seconds)."""
+    motion = _motion(40.0)
+    thrown = motion.rotations.copy()
+    joint = CHARACTER.index("RightArm")
+    turn = rotation.from_exponential_map(np.array([0.0, 0.1, 0.0]))
+    for time in times:
+        thrown[round(time * 60):, joint] = rotation.multiply(thrown[round(time * 60):, joint], turn)
+        turn = rotation.conjugate(turn)
+    return replace(motion, rotations=thrown)
+
+
+def test_joins_that_jump_are_seams_and_smooth_ones_are_none() -> None:
+    times = np.arange(4.0, 38.0, 4.3)
+    truth = Truth(marks=tuple(Mark(JOIN, time, time) for time in times.tolist()))
+    assert _measured(_jumping(times), truth).figures[SEAM] > 3.0
+    assert 0.6 < _measured(_motion(40.0), truth).figures[SEAM] < 1.35
+    assert _measured(_jumping(times + 1.0), truth).figures[SEAM] < 1.35
+    assert math.isnan(_measured(_jumping(times)).figures[SEAM])
+    assert math.isnan(_measured(_motion(40.0), Truth(marks=truth.marks[:2])).figures[SEAM])
+
+
+def test_of_strokes_the_begin_and_the_end_of_the_hold_are_seams() -> None:
+    starts = np.arange(4.0, 36.0, 3.1)
+    strokes = tuple(PlayedStroke("Beat", "c", "right", s, s + 0.5, s + 0.9, s + 1.4, s + 0.5, 1.0, False)
+                    for s in starts.tolist())
+    for at in (0.0, 0.9):
+        assert _measured(_jumping(starts + at), Truth(strokes)).figures[SEAM] > 2.0
+    # A jump on the beat is the strokes' own, one between strokes is nobody's.
+    assert _measured(_jumping(starts + 0.5), Truth(strokes)).figures[SEAM] < 1.0
+    assert _measured(_jumping(starts + 2.2), Truth(strokes)).figures[SEAM] < 1.35
+
+
+def test_a_held_pose_of_a_real_take_does_not_freeze() -> None:
+    held = np.zeros((1200, len(CHARACTER), 3))
+    silence = Spoken("s", Speech(np.zeros(320000, dtype=np.float32), 16000), (), (), "nobody", "en")
+    for logs, still in ((held, True), (with_life(held, silence, np.random.default_rng(0)), False)):
+        motion = Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(logs)), np.zeros((1200, 3)), 60.0)
+        assert (_measured(motion).figures[FREEZE] > 1.0) == still
+
+
+# --- What the truth tells
+
+
+def test_pauses_that_are_long_enough_are_marked_as_rest() -> None:
+    phrases = [Phrase(6.0, 9.0, 0.0), Phrase(1.0, 3.0, 0.0), Phrase(3.5, 4.0, 0.0)]
+    assert rests_of(phrases, 11.0) == (Mark(REST, 4.0, 6.0), Mark(REST, 9.0, 11.0))
+    assert rests_of(phrases, 10.0) == (Mark(REST, 4.0, 6.0),)
+    assert rests_of([], 10.0) == (Mark(REST, 0.0, 10.0),)
+
+
+def test_marks_and_styles_are_kept_in_a_store_and_older_stores_are_read(tmp_path: Path) -> None:
+    truth = Truth((), (), (Phrase(0.1, 0.9, -0.25),), (Mark(REST, 0.5, 1.0), Mark(JOIN, 1.5, 1.5)),
+                  (StyleKnot(0.0, 0.5, -1.0), StyleKnot(8.0, -0.5, 1.0)))
+    writer = StoreWriter(tmp_path / "s", "test", {}, 0, "none")
+    writer.add(_recording(_motion(2.0), truth, "style"))
+    store = writer.finish(["a"])
+    assert store.load("a").truth == truth
+    told = json.loads(json.dumps(truth.to_json()))
+    assert Truth.from_json(told) == truth
+    older = {name: rows for name, rows in told.items() if name not in ("marks", "style")}
+    assert Truth.from_json(older) == replace(truth, marks=(), style=())
+    with pytest.raises(KeyError):
+        Truth.from_json({name: rows for name, rows in told.items() if name != "phrases"})
+
+
+# --- Styles
+
+
+def _windows(rng: np.random.Generator, law: Array, noise: float, count: int = 8) -> list[StyledWindows]:
+    """Recordings whose targets are a linear law of five features plus noise."""
+    out = []
+    for k in range(count):
+        features = rng.normal(size=(20, 5)) + rng.normal(size=5)
+        out.append(StyledWindows(features, features @ law + noise * rng.normal(size=(20, 3)), f"v{k % 2}", f"p{k % 3}"))
+    return out
+
+
+def test_a_lawful_style_is_told_and_noise_is_not() -> None:
+    rng = np.random.default_rng(0)
+    law = rng.normal(size=(5, 3))
+    for known in style_from_sound.told(_windows(rng, law, 0.1)).values():
+        assert all(score.mean > 0.9 for score in known.values())
+    alone = style_from_sound.told(_windows(rng, 0.0 * law, 1.0))["sound alone"]
+    assert all(score.mean < 0.1 for score in alone.values())
+    assert style_from_sound.told(_windows(rng, law, 0.1, 3)) == {}
+
+
+def test_a_style_that_only_its_recording_knows_is_not_told() -> None:
+    """Windows of one recording are alike: what is learnt from the same recording must not count."""
+    rng = np.random.default_rng(1)
+    own = [(rng.normal(size=30), rng.normal(size=3)) for _ in range(8)]
+    recordings = [StyledWindows(mark + 0.01 * rng.normal(size=(20, 30)), np.tile(target, (20, 1)), "v", "p")
+                  for mark, target in own]
+    assert all(score.mean < 0.3 for score in style_from_sound.told(recordings)["sound alone"].values())
+
+
+def _bursts(amplitude: float, rate: float, rng: np.random.Generator) -> Array:
+    """12 s of noise in syllables, so loud and so many a second."""
+    time = np.arange(12 * 16000) / 16000
+    shape = np.clip(np.sin(2 * np.pi * rate * time), 0.0, 1.0) + 0.003
+    return np.asarray(0.03 * np.exp(amplitude) * shape * rng.normal(size=len(time)))
+
+
+def test_loudness_and_the_rate_of_syllables_are_heard() -> None:
+    rng = np.random.default_rng(2)
+    recordings = []
+    for _ in range(8):
+        amplitude, tempo = rng.normal(size=2).tolist()
+        speech = Speech(_bursts(0.5 * amplitude, 4.0 * math.exp(0.2 * tempo), rng).astype(np.float32), 16000)
+        features = style_from_sound.heard(speech, np.array([4.0, 8.0]))
+        recordings.append(StyledWindows(features, np.tile([amplitude, tempo, 0.0], (2, 1)), "v", "p"))
+    rows = np.array([row.features.mean(axis=0) for row in recordings])
+    targets = np.array([row.targets[0] for row in recordings])
+    rate = 3 * style_from_sound._BANDS + 3
+    assert np.corrcoef(rows[:, rate], targets[:, 1])[0, 1] > 0.95
+    assert np.corrcoef(rows[:, rate - 3], targets[:, 0])[0, 1] > 0.95
+
+
+def test_the_targets_of_a_window_are_its_own(tmp_path: Path) -> None:
+    motion = _motion(24.0)
+    truth = Truth(style=(StyleKnot(0.0, -1.0, 0.0), StyleKnot(20.0, 1.0, 0.5)))
+    windows = style_from_sound.windows_of(_recording(motion, truth, "style"), common_body(motion))
+    assert windows is not None and windows.targets.shape == (4, 3)
+    assert windows.targets[:, 0] == pytest.approx([-0.6, -0.2, 0.2, 0.6])
+    assert windows.targets[:, 1] == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    speed = common_body(motion).hand_speed.mean(axis=1)
+    assert windows.targets[1, 2] == pytest.approx(math.log(speed[240:720].mean() + 0.02))
+    assert style_from_sound.windows_of(_recording(motion, Truth(), "talk"), common_body(motion)) is None
+
+
+# --- The command
+
+
+def test_talks_are_chosen_evenly_and_styles_whole() -> None:
+    class _Listed:
+        recordings = tuple(RecordingInfo(f"{part}{k}", "train", "a", "b", "en", part=part)
+                           for part, count in (("motion", 9), ("talk", 2), ("style", 5)) for k in range(count))
+
+    names = [info.name for info in corpus.chosen(_Listed(), 3)]  # type: ignore[arg-type]
+    assert names == ["motion0", "motion4", "motion8", "talk0", "talk1", *(f"style{k}" for k in range(5))]
+    assert len(corpus.chosen(_Listed(), None)) == 16  # type: ignore[arg-type]
+
+
+def test_the_command_names_what_is_no_store(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for told, says in ((["--data", str(tmp_path)], "is not a store"),
+                       (["--data", str(tmp_path), "--talks", "0"], "1 or more")):
+        with pytest.raises(SystemExit) as stop:
+            PROBE.main("gesticulator probe", ["corpus", *told, "--out", str(tmp_path / "out.json")])
+        assert stop.value.code == 2
+        assert says in capsys.readouterr().err
+    assert not (tmp_path / "out.json").exists()
+
+
+def test_a_store_is_measured_and_judged(tmp_path: Path) -> None:
+    writer = StoreWriter(tmp_path / "s", "test", {}, 0, "none")
+    style = (StyleKnot(0.0, 0.5, -1.0), StyleKnot(30.0, -0.5, 1.0))
+    names = []
+    for k, part in enumerate(("motion", "talk", "talk", "style", "style", "style", "style")):
+        names.append(f"{part}{k}")
+        motion = baselines.mirrored([_motion(seed=k)])[0]
+        writer.add(_recording(motion, Truth(style=style if part == "style" else ()), part, names[-1]))
+    writer.finish(names)
+    out = tmp_path / "corpus.json"
+    assert PROBE.main("gesticulator probe", ["corpus", "--data", str(tmp_path / "s"), "--out", str(out)]) == 0
+    bounds, sources, styles = load(out)
+    assert list(sources.columns) == ["bound", "ann"] and len(sources.facts["clauses"]) == len(by_source.EVERY)
+    assert bounds.rows["L/R hand height correlation"]["holds"] == "NO"
+    assert "L/R hand height correlation" in bounds.notes[1] and "acceleration at seams" in bounds.notes[1]
+    # Every sound is the same here, so it can say nothing of how fast the hands of others go.
+    assert styles.rows["log hand speed"]["holds"] == "NO"
+    assert [own["low"] for own in styles.facts["bounds"]] == [0.6, 0.3, 0.4]
+    assert out.with_suffix(".md").read_text().count("| L/R hand height correlation | 0.25 to 0.55 |") == 1
+
+
+def test_a_performed_store_hits_its_plan(tiny_store: Path, tmp_path: Path) -> None:
+    out = tmp_path / "corpus.json"
+    assert PROBE.main("gesticulator probe", ["corpus", "--data", str(tiny_store), "--talks", "5", "--out",
+                                             str(out)]) == 0
+    bounds, _, plan = load(out)
+    assert plan.rows["motion beats within 20 ms of plan"]["value"].mean >= 0.95  # type: ignore[union-attr]
+    assert plan.rows["the same by chance"]["value"].mean < 0.2  # type: ignore[union-attr]
+    # The toy corpus is no living one: its head hardly moves.
+    assert bounds.rows["head on chest, spread, deg"]["holds"] == "NO"
+
+
+def test_a_missing_store_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        Store.open(tmp_path / "nowhere")

@@ -1,0 +1,223 @@
+"""Speech made for motion: phrases found in the motion, vowels put on beats, sound stretched to meet them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gesticulator_performer import inverse, meaning, movements
+from gesticulator_performer.inverse import Candidates, Energy, Wanted, Window, assign, phrase_windows
+from gesticulator_performer.sentence_pool import NO_VOWEL, Pool, make_pool, phrase_texts, stretched
+from gesticulator_performer.sound import RATE
+from gesticulator_performer.takes import FPS, arms_speed, facing_positions
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_takes import library, moving
+
+from data_module.motion.motion_beats import beats_of_speed
+from data_module.types import Array
+
+
+def _bursts(spans: list[tuple[float, float]], seconds: float) -> Array:
+    """[T] speed of arms that move at about 1 m/s, a stroke each 0.4 s, in the spans and rest elsewhere."""
+    time = np.arange(round(seconds * FPS)) / FPS
+    speed = np.full(len(time), 0.02)
+    for a, b in spans:
+        inside = (time >= a) & (time < b)
+        speed[inside] += 1.0 + 0.5 * np.cos(2 * np.pi * (time[inside] - a) / 0.4)
+    return speed
+
+
+def test_phrases_of_motion_are_what_lies_between_its_rests(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inverse, "_MOVED_SHARE", 0.0)
+    spans = [(0.6, 3.0), (3.8, 6.4), (7.4, 9.6), (10.3, 13.4)]
+    windows = phrase_windows(_bursts(spans, 14.0), np.random.default_rng(0))
+    assert len(windows) == len(spans)
+    for window, (a, b) in zip(windows, spans, strict=True):
+        assert abs(window.start - a) < 0.3 and abs(window.end - b) < 0.3
+
+
+def test_some_pauses_fall_on_motion() -> None:
+    spans = [(k * 3.2 + 0.5, k * 3.2 + 3.1) for k in range(20)]
+    speed = _bursts(spans, 65.0)
+    windows = phrase_windows(speed, np.random.default_rng(0))
+    edges = np.array([w.start for w in windows[1:]] + [w.end for w in windows[:-1]])
+    at_rest = np.array([min(min(abs(e - a), abs(e - b)) for a, b in spans) < 0.3 for e in edges])
+    assert 0.5 < at_rest.mean() < 0.9
+
+
+def _one(vowels: list[float], prominence: list[float], duration: float) -> Candidates:
+    return Candidates(np.array([7]), np.array([duration]), np.array([vowels]), np.array([prominence]))
+
+
+def _plain(candidates: Candidates, wanted: Wanted) -> Array:
+    return np.ones((*candidates.vowels.shape, len(wanted.beats)))
+
+
+def _wanted(start: float, end: float, beats: list[float]) -> Wanted:
+    return Wanted(Window(start, end), np.array(beats), np.ones(len(beats)), np.zeros((len(beats), 7)))
+
+
+def test_beats_that_fit_are_all_met_at_the_voices_own_rate() -> None:
+    candidates = _one([0.2, 0.7, 1.2, 1.7], [1.0, 1.0, 1.0, 1.0], 2.0)
+    wanted = _wanted(5.0, 7.0, [5.2, 5.7, 6.2, 6.7])
+    match = assign(candidates, wanted, _plain(candidates, wanted))
+    assert match is not None and match.phrase == 7 and match.beats == 4
+    assert match.anchors[:, 1] - match.anchors[:, 0] == pytest.approx(5.0, abs=1e-9)
+
+
+def test_a_slow_motion_is_spoken_slowly_and_too_slow_a_one_leaves_beats_out() -> None:
+    candidates = _one([0.2, 0.7, 1.2, 1.7], [1.0, -2.0, 1.0, 1.0], 2.0)
+    slow = _wanted(5.0, 7.2, [5.22, 6.32, 6.87])
+    match = assign(candidates, slow, _plain(candidates, slow))
+    assert match is not None and match.beats == 3
+    # The unstressed second vowel takes no beat.
+    assert [a for a, _ in match.anchors] == pytest.approx([0.0, 0.2, 1.2, 1.7, 2.0])
+    hasty = _wanted(5.0, 7.0, [5.2, 5.5, 6.2])
+    match = assign(candidates, hasty, _plain(candidates, hasty))
+    assert match is not None and match.beats == 2
+    assert not any(abs(b - 5.5) < 1e-9 for _, b in match.anchors), "no vowel gets there in bounds"
+
+
+def test_a_phrase_that_cannot_end_in_its_window_is_refused() -> None:
+    candidates = _one([0.2], [1.0], 3.0)
+    wanted = _wanted(5.0, 6.0, [5.2])
+    assert assign(candidates, wanted, _plain(candidates, wanted)) is None
+
+
+def test_a_word_that_the_motion_shows_is_preferred() -> None:
+    vowels = np.array([[0.2, 0.7, 1.2], [0.2, 0.7, 1.2]])
+    pool = Pool("rms", ("a", "b"), np.array([1.5, 1.5]), vowels, np.ones((2, 3)),
+                np.array([[-1, -1, -1], [-1, 4, -1]]), 1.0)
+    for shown, best in ((1.5, 1), (-1.5, 0)):
+        wanted = _wanted(2.0, 3.5, [2.2, 2.7, 3.2])
+        wanted.movement[:, 4] = shown
+        chosen = np.array([0, 1])
+        match = assign(inverse.candidates_of(pool, chosen), wanted, inverse.rewards(pool, chosen, wanted))
+        assert match is not None and match.phrase == best
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000))
+def test_every_assignment_is_monotone_and_in_bounds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    count, places = 12, 8
+    vowels = np.cumsum(rng.uniform(0.12, 0.45, (count, places)), axis=1)
+    lengths = rng.integers(3, places + 1, count)
+    duration = vowels[np.arange(count), lengths - 1] + 0.2
+    vowels[np.arange(places) >= lengths[:, None]] = NO_VOWEL
+    candidates = Candidates(np.arange(count), duration, vowels, rng.normal(0.0, 1.0, (count, places)))
+    beats = np.cumsum(rng.uniform(0.05, 0.7, 5)) + 1.0
+    wanted = Wanted(Window(1.0, float(beats[-1]) + 0.3), beats, rng.uniform(0.4, 2.0, 5), np.zeros((5, 7)))
+    match = assign(candidates, wanted, rng.uniform(0.0, 2.0, (count, places, 5)))
+    if match is None:
+        return
+    steps = np.diff(match.anchors, axis=0)
+    assert (steps > 0).all()
+    assert (steps[:, 0] / steps[:, 1]).min() >= inverse.SLOWEST - 1e-9
+    assert (steps[:, 0] / steps[:, 1]).max() <= inverse.FASTEST + 1e-9
+    inner = match.anchors[1:-1]
+    assert all(np.abs(vowels[match.phrase] - a).min() < 1e-9 and np.abs(beats - b).min() < 1e-9 for a, b in inner)
+    assert len(inner) == match.beats
+
+
+def test_stretched_sound_has_its_clicks_at_the_anchors() -> None:
+    rng = np.random.default_rng(0)
+    samples = 0.001 * rng.standard_normal(2 * RATE)
+    clicks = np.array([0.3, 0.8, 1.5])
+    for at in clicks:
+        start = round(at * RATE)
+        samples[start:start + 400] += 0.5 * np.hanning(400) * np.sin(np.arange(400) * 0.3)
+    anchors = np.array([[0.0, 0.0], [0.3, 0.36], [0.8, 0.78], [1.5, 1.62], [2.0, 2.1]])
+    out = stretched(samples.astype(np.float32), anchors)
+    assert len(out) == pytest.approx(2.1 * RATE, abs=2)
+    envelope = np.convolve(np.abs(out), np.ones(200) / 200, "same")
+    for target in anchors[1:-1, 1]:
+        near = slice(round((target - 0.1) * RATE), round((target + 0.12) * RATE))
+        found = (near.start + int(envelope[near].argmax())) / RATE
+        assert abs(found - target - 200 / RATE) < 0.02
+
+
+def test_phrases_never_repeat_and_grow_the_sentences_that_were_said() -> None:
+    said: set[str] = set()
+    first = phrase_texts(np.random.default_rng(1), 80, "train", said)
+    sentences = len(said)
+    second = phrase_texts(np.random.default_rng(1), 80, "train", said)
+    assert len(set(first)) == len(first) == 80 and len(said) > sentences
+    other = phrase_texts(np.random.default_rng(1), 80, "test", set())
+    assert not set(first) & set(second) and not {one for one in other if len(one) > 20} & set(first)
+
+
+def test_words_and_movements_have_the_same_names() -> None:
+    words = ["a", "huge", "table", "and", "you", "to", "the", "left", "and", "never", "me"]
+    kinds = list(meaning.MOVEMENTS)
+    asked = {word: kind for word, kind in zip(words, meaning.movements_of(words), strict=True) if kind >= 0}
+    assert {word: kinds[kind] for word, kind in asked.items()}["huge"] == "large"
+    assert kinds[asked["left"]] == "left" and kinds[asked["never"]] == "sideways"
+    places = np.zeros((200, 16, 3))
+    left, right = 15, 11
+    time = np.linspace(0, 1, 200)
+    places[:, left], places[:, right] = [0.3, 0.2, 0.3], [-0.3, 0.2, 0.3]
+    places[100:, left, 0] += 0.4
+    places[100:, right, 0] += 0.4
+    features = movements.features_of(places)
+    assert features.shape == (200, len(kinds)) and time.size == 200
+    assert features[150, kinds.index("left")] > 0.9 and features[50, kinds.index("right")] > 0.9
+
+
+@pytest.fixture(scope="module")
+def pool() -> Pool:
+    texts = phrase_texts(np.random.default_rng(5), 220, "train", set())
+    return make_pool("rms", texts, np.random.default_rng(6))
+
+
+def test_a_pool_knows_where_its_vowels_are(pool: Pool) -> None:
+    known = np.isfinite(pool.vowels)
+    assert (known.sum(axis=1) >= 1).all()
+    for row, duration in zip(pool.vowels, pool.durations, strict=True):
+        own = row[np.isfinite(row)]
+        assert (np.diff(own) > 0).all() and own[0] >= 0 and own[-1] < duration
+    assert (pool.asks >= 0).any()
+
+
+def test_speech_for_motion_stresses_its_beats_and_pauses_in_its_rests(pool: Pool) -> None:
+    lib = library(1)
+    logs = moving(40.0, 11)
+    # Rests: the arms slow down to nothing every four seconds.
+    time = np.arange(len(logs)) / FPS
+    clock = np.cumsum(np.clip(3.0 * np.abs(np.sin(np.pi * time / 4.0)), 0.0, 1.0)) / FPS
+    at = clock / clock[-1] * (len(logs) - 1)
+    logs = np.stack([np.interp(at, np.arange(len(logs)), column) for column in logs.reshape(len(logs), -1).T], axis=-1)
+    places = facing_positions(lib.rotations(logs.reshape(-1, 16, 3)))
+    made, again = (inverse.speech_for("talk", places, pool, Energy(0.4, 0.6), movements.features_of(places),
+                                      np.random.default_rng(3)) for _ in range(2))
+    assert np.array_equal(made.spoken.speech.samples, again.spoken.speech.samples)
+    assert len(made.spoken.speech.samples) == round(len(places) / FPS * RATE)
+    speed = arms_speed(places)
+    beats = beats_of_speed(speed, FPS)
+    vowels = np.array([s.vowel for s in made.spoken.syllables])
+    phrases = made.spoken.phrases
+    assert len(phrases) >= 6 and made.matched > 0.4 * len(beats)
+    assert all(a.end <= b.start for a, b in zip(phrases, phrases[1:], strict=False))
+    spoken = np.array([b for b in beats if any(p.start < b < p.end for p in phrases)])
+    off = np.abs(vowels[None] - spoken[:, None] - 0.038).min(axis=1)
+    shifts = 0.31 + 0.9 * np.arange(20.0)
+    chance = np.abs(vowels - (spoken[:, None, None] + shifts[:, None]) % 40.0 - 0.038).min(axis=-1)
+    assert np.mean(off < 0.1) > np.mean(chance < 0.1) + 0.1
+    rates = made.rates
+    assert rates[:, 0].min() > 0.7 and rates[:, 0].max() < 1.4
+    words = made.spoken.speech.words
+    assert words and all(w.end >= w.start for w in words)
+    assert all(any(p.start - 0.05 <= w.start <= p.end + 0.05 for p in phrases) for w in words)
+
+
+def test_effort_follows_energy_and_no_window_is_no_effort() -> None:
+    level = np.concatenate([np.full(300, -1.0), np.full(300, 1.0)] * 20)
+    windows = [Window(k * 5.0, k * 5.0 + 4.9) for k in range(40)]
+    efforts = np.array(inverse._efforts(level, windows, Energy(0.0, 1.0), np.random.default_rng(0)))
+    assert np.abs(efforts).max() <= 1.0
+    # Mildly: two of three real speakers show no such link.
+    assert 0.2 < efforts[1::2].mean() - efforts[::2].mean() < 0.7 and efforts.std() > 0.4
+    unlinked = inverse._efforts(level, windows, Energy(0.0, 1.0, links=0.0), np.random.default_rng(0))
+    other = inverse._efforts(-level, windows, Energy(0.0, 1.0, links=0.0), np.random.default_rng(0))
+    assert unlinked == other, "without links the sound does not tell the motion"
+    assert inverse._efforts(level, [], Energy(0.0, 1.0), np.random.default_rng(0)) == []

@@ -1,0 +1,119 @@
+"""What sources lack is made: the rhythm of the shoulder, wrists that lag, hands with shapes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gesticulator_performer import shoulders, takes, wrists
+from gesticulator_performer.takes import FPS
+from gesticulator_performer.torso import facing_positions
+from test_mended_arms import SIDES, hanging
+
+from data_module.motion import hand_shapes, kinematics, rotation
+from data_module.motion.hand_shapes import HandMotion
+from data_module.motion.skeletons import CHARACTER
+from data_module.types import Array
+
+# ---------------------------------------------------------------------------------------------------------- shoulders
+
+
+def raised(elevation: float, ahead: bool = False) -> Array:
+    """[10, 16, 4] straight arms, lifted by degrees to the side or ahead."""
+    out = np.tile([1.0, 0.0, 0.0, 0.0], (10, 16, 1))
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        down = rotation.from_exponential_map(np.array([0.0, 0.0, -sign * np.radians(90.0)]))
+        axis = np.array([-1.0, 0.0, 0.0]) if ahead else np.array([0.0, 0.0, sign])
+        up = rotation.from_exponential_map(np.radians(elevation) * axis)
+        out[:, CHARACTER.index(side + "Arm")] = rotation.multiply(up, down)
+    return out
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_level_arm_has_a_third_of_its_elevation_from_the_shoulder(side: str) -> None:
+    lift, forward = shoulders.rhythm(CHARACTER, raised(90.0), side)
+    # A third of 60 degrees, and 18 degrees a metre for half a metre over a hanging hand; limited softly at 22.
+    assert lift == pytest.approx(22.0 * np.tanh(29.0 / 22.0), abs=0.1)
+    assert np.abs(forward) == pytest.approx(1.5, abs=0.1)
+    low, _ = shoulders.rhythm(CHARACTER, raised(0.0), side)
+    assert np.abs(low).max() < 1.0, "hanging arms leave the shoulder where it is"
+    assert shoulders.rhythm(CHARACTER, raised(90.0, ahead=True), side)[1].min() > 5.0
+
+
+def test_the_shoulder_goes_up_and_forward_and_the_upper_arm_keeps_its_direction() -> None:
+    before = raised(80.0, ahead=True)
+    after = shoulders.with_rhythm(CHARACTER, before, FPS)
+    one, two = (kinematics.joint_positions(CHARACTER, q) for q in (before, after))
+    for side in SIDES:
+        arm, elbow, hand = (CHARACTER.index(side + name) for name in ("Arm", "ForeArm", "Hand"))
+        assert (two[:, arm] - one[:, arm])[:, 1].min() > 0.02 and (two[:, arm] - one[:, arm])[:, 2].min() > 0.005
+        assert np.allclose(two[:, elbow] - two[:, arm], one[:, elbow] - one[:, arm])
+        assert np.linalg.norm(two[:, hand] - one[:, hand], axis=1).max() < 0.07
+    logs = rotation.to_exponential_map(after)
+    assert np.allclose(takes.mirrored(logs), logs, atol=1e-9)
+    assert np.allclose(shoulders.with_rhythm(CHARACTER, before, FPS, 0.0), before)
+
+
+# ------------------------------------------------------------------------------------------------------------- wrists
+
+
+def test_a_hand_hangs_a_little_bent_and_a_raised_one_is_extended() -> None:
+    still = hanging(0.0, seconds=1.0, bend=5.0)
+    hand = CHARACTER.index("LeftHand")
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (60, 1))
+    low = wrists.bends(facing_positions(still)[:, hand], level)[0]
+    high = wrists.bends(np.tile([0.3, 0.4, 0.3], (60, 1)), level)[0]
+    assert 5.0 < low.mean() < 8.5 and -10.5 < high.mean() < -8.0
+
+
+def test_a_hand_lags_behind_its_wrist() -> None:
+    times = np.arange(300) / FPS
+    place = np.stack([0.0 * times, 0.3 + 0.1 * np.sin(2.0 * np.pi * 0.5 * times), 0.0 * times], axis=1)
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (300, 1))
+    flexion, deviation = wrists.bends(place, level)
+    speed = np.gradient(place[:, 1]) * FPS
+    assert np.corrcoef(flexion, speed)[0, 1] > 0.7, "moved up with the palm down it hangs, moved down it is left behind"
+    assert np.allclose(deviation, 0.0, atol=1e-9)
+    fast = np.stack([0.0 * times, 0.3 + 0.5 * np.sin(2.0 * np.pi * 3.0 * times), 0.0 * times], axis=1)
+    assert np.abs(wrists.bends(fast, level)[0]).max() < 50.0, "no wrist bends farther"
+
+
+def test_loose_wrists_move_nothing_but_the_hands_and_are_mirrored() -> None:
+    before = hanging(0.0, bend=80.0)
+    after = wrists.with_loose_wrists(before)
+    hands = [CHARACTER.index(side + "Hand") for side in SIDES]
+    others = [j for j in range(16) if j not in hands]
+    assert np.array_equal(before[:, others], after[:, others]) and not np.allclose(before[:, hands], after[:, hands])
+    logs = rotation.to_exponential_map(after)
+    assert np.allclose(takes.mirrored(logs), logs, atol=1e-9)
+
+
+# -------------------------------------------------------------------------------------------------------- hand shapes
+
+
+def doing(**what: float) -> HandMotion:
+    """A minute of a raised hand that does one thing."""
+    usual = {"lifted": 1.0, "speed": 0.3, "falling": 0.0, "palm_up": 0.0, "stretched": 0.6, "side": 0.2}
+    return HandMotion(**{name: np.full(3600, value) for name, value in (usual | what).items()})
+
+
+def share(shape: str, **what: float) -> float:
+    weights = hand_shapes.mixture(doing(**what), np.arange(3600) / FPS, "Left")
+    assert np.allclose(weights.sum(axis=1), 1.0) and weights.min() >= 0.0
+    return float(weights[:, list(hand_shapes.SHAPES).index(shape)].mean())
+
+
+@pytest.mark.parametrize(("shape", "what"), [
+    ("cup", {"palm_up": 0.9}), ("open", {"speed": 1.2}), ("open", {"falling": 0.7}), ("point", {"stretched": 1.0}),
+    ("pinch", {"speed": 0.0}), ("spread", {"side": 0.6}), ("hanging", {"lifted": 0.1})])
+def test_a_movement_calls_for_its_shape(shape: str, what: dict[str, float]) -> None:
+    assert share(shape, **what) > 1.4 * share(shape)
+
+
+def test_a_hanging_hand_is_a_cascade_and_a_raised_one_does_not_keep_one_shape() -> None:
+    bends = hand_shapes.SHAPES["hanging"].sum(axis=1)
+    assert (np.diff(bends[1:]) > 0).all(), "the little finger is bent most"
+    weights = hand_shapes.mixture(doing(), np.arange(3600) / FPS, "Right")
+    assert len(set(weights.argmax(axis=1))) >= 4
+    assert np.abs(np.diff(weights, axis=0)).max() < 0.1, "no shape comes at once"
+    other = hand_shapes.mixture(doing(), np.arange(3600) / FPS, "Left")
+    assert np.abs(np.corrcoef(weights[:, 1], other[:, 1])[0, 1]) < 0.5, "the hands do not shape in step"

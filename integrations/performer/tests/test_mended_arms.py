@@ -1,0 +1,169 @@
+"""Arms that were turned outward are found and turned back; right ones are left as they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gesticulator_performer import mended_arms, takes
+from gesticulator_performer.takes import FPS, MotionRange
+from gesticulator_performer.torso import facing_positions, torso_depth
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_module.motion import kinematics, rotation
+from data_module.motion.skeletons import CHARACTER, FINGERED
+from data_module.types import Array, Motion
+from eval.metrics.eye import posture
+from eval.metrics.eye.body import common_body
+
+SIDES = ("Left", "Right")
+
+
+def hanging(azimuth: float, seconds: float = 4.0, bend: float = 25.0, lift: float = 8.0) -> Array:
+    """Local rotations [T, 16, 4] of arms lifted sideways by `lift` degrees whose elbows, bent by `bend` and a little
+    more or less, point `azimuth` degrees outward about the upper arm."""
+    frames = round(seconds * FPS)
+    out = np.tile([1.0, 0.0, 0.0, 0.0], (frames, 16, 1))
+    bends = np.radians(bend + np.sin(np.arange(frames) / 40.0))
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        down = rotation.from_exponential_map(np.array([0.0, 0.0, -sign * np.radians(90.0 - lift)]))
+        turn = rotation.from_exponential_map(np.array([-np.radians(azimuth), 0.0, 0.0]))
+        fold = rotation.from_exponential_map(bends[:, None] * np.array([0.0, -sign, 0.0]))
+        out[:, CHARACTER.index(side + "Arm")] = rotation.multiply(down, turn)
+        out[:, CHARACTER.index(side + "ForeArm")] = fold
+    return out
+
+
+def azimuth(rotations: Array, side: str) -> float:
+    """Degrees outward of the forearm, seen from above."""
+    places = kinematics.joint_positions(CHARACTER, rotations)
+    way = places[:, CHARACTER.index(side + "Hand")] - places[:, CHARACTER.index(side + "ForeArm")]
+    return float(np.median(np.degrees(np.arctan2(way[:, 0] * (1.0 if side == "Left" else -1.0), way[:, 2]))))
+
+
+REST = mended_arms.POSTURES[0]
+
+
+def at_home(angle: float) -> mended_arms.Posture:
+    """Rest, in which the forearm is usually turned `angle` degrees outward."""
+    return replace(REST, usual=angle)
+
+
+def test_arms_turned_outward_by_15_degrees_are_found_and_turned_back() -> None:
+    right = hanging(10.0)
+    turned = mended_arms.turned(right, dict.fromkeys(SIDES, -15.0))
+    assert azimuth(turned, "Left") > azimuth(right, "Left") + 10.0
+    found = mended_arms.fitted({"ann": [turned]}, [at_home(10.0)])["ann"]
+    for side in SIDES:
+        assert found[side] == pytest.approx(15.0, abs=0.1)
+        assert azimuth(mended_arms.turned(turned, found), side) == pytest.approx(azimuth(right, side), abs=0.1)
+
+
+def test_each_side_is_judged_by_itself_and_who_never_rests_gets_the_mean_of_the_others() -> None:
+    odd = mended_arms.turned(hanging(10.0, seconds=60.0), {"Left": -20.0, "Right": 0.0})
+    subjects = {"odd": [odd], "busy": [hanging(10.0, bend=90.0)]}
+    found = mended_arms.fitted(subjects, [at_home(10.0)])
+    believed = 60.0 / (60.0 + REST.prior)
+    assert found["odd"]["Left"] == pytest.approx(10.0 + 10.0 * believed, abs=0.1)
+    assert found["odd"]["Right"] == pytest.approx(10.0 - 10.0 * believed, abs=0.1)
+    assert found["busy"] == pytest.approx({"Left": 10.0, "Right": 10.0}, abs=0.1)
+    with pytest.raises(ValueError, match="no arm is seen"):
+        mended_arms.fitted({"busy": subjects["busy"]}, [at_home(10.0)])
+
+
+def test_a_right_take_is_left_alone() -> None:
+    right = hanging(10.0)
+    found = mended_arms.fitted({"ann": [right]}, [at_home(10.0)])["ann"]
+    assert found == pytest.approx({"Left": 0.0, "Right": 0.0}, abs=0.1)
+    assert mended_arms.mended("f_gestic_presentation_01", right) is right
+    inward = hanging(-20.0, bend=80.0)
+    assert np.allclose(mended_arms.narrowed(inward), inward, atol=1e-9)
+
+
+@given(st.floats(-40.0, 40.0), st.floats(5.0, 130.0), st.floats(-30.0, 30.0))
+def test_a_turned_elbow_keeps_its_bend_the_upper_arm_and_the_roll_of_the_hand(turn: float, bend: float, out: float
+                                                                              ) -> None:
+    before = hanging(out, 0.1, bend)
+    after = mended_arms.turned(before, {"Left": turn})
+    elbow = CHARACTER.index("LeftForeArm")
+    along = np.array([1.0, 0.0, 0.0])
+    assert np.allclose(rotation.rotate(before[:, elbow], along)[:, 0], rotation.rotate(after[:, elbow], along)[:, 0])
+    assert np.allclose(rotation.yaw_of(before[:, elbow], axis=0), rotation.yaw_of(after[:, elbow], axis=0))
+    rest = [j for j in range(16) if j != elbow]
+    assert np.array_equal(before[:, rest], after[:, rest])
+
+
+def test_the_two_sides_are_mirror_images() -> None:
+    logs = rotation.to_exponential_map(mended_arms.narrowed(hanging(50.0, bend=70.0, lift=40.0)))
+    assert np.allclose(takes.mirrored(logs), logs, atol=1e-9)
+
+
+@pytest.mark.parametrize(("out", "lift"), [(60.0, 5.0), (30.0, 20.0), (90.0, 0.0)])
+def test_arms_wide_open_are_narrowed(out: float, lift: float) -> None:
+    before = hanging(out, bend=80.0, lift=lift)
+    after = mended_arms.narrowed(before)
+    arm = mended_arms._arm(after, "Left")
+    assert arm.outward.max() < 28.0 and arm.lifted.max() <= lift + 1e-6
+    assert azimuth(after, "Left") < azimuth(before, "Left")
+    assert np.allclose(arm.bend, mended_arms._arm(before, "Left").bend)
+
+
+def test_arms_lifted_to_the_side_come_down_and_stay_in_their_plane() -> None:
+    before = hanging(0.0, bend=40.0, lift=70.0)
+    after = mended_arms._arm(mended_arms.narrowed(before), "Right")
+    assert 20.0 < after.lifted.max() < 35.5 and np.abs(after.upper[:, 2]).max() < 1e-6
+
+
+def test_a_hand_in_the_trunk_comes_out_of_it_and_other_hands_stay() -> None:
+    rotations = hanging(-75.0, bend=75.0, lift=2.0)
+    rotations[:, CHARACTER.index("RightForeArm")] = [1.0, 0.0, 0.0, 0.0]
+    before, after = (facing_positions(q) for q in (rotations, mended_arms.freed(rotations)))
+    assert torso_depth(before).max() > 0.02 and torso_depth(after).max() < 1e-9
+    wrist = CHARACTER.index("RightHand")
+    assert np.allclose(before[:, wrist], after[:, wrist])
+
+
+def _pooled(library: takes.Library, subject: str) -> list[Motion]:
+    own = [take for take in library.talks() if mended_arms.subject_of(take.name) == subject]
+    pieces = [logs for take in own for logs in takes.stretches(library, take, MotionRange(0.5, 1.0))]
+    return [Motion(FINGERED, library.rotations(logs), np.zeros((len(logs), 3)), FPS)
+            for logs in pieces]
+
+
+@pytest.fixture(scope="module")
+def library(free_motion: Path) -> takes.Library:
+    return takes.load_takes(free_motion)
+
+
+def test_the_constants_are_what_the_takes_say(free_motion: Path) -> None:
+    subjects: dict[str, list[Array]] = {}
+    for take, file in takes.list_takes(free_motion):
+        if mended_arms.subject_of(take.name):
+            subjects.setdefault(mended_arms.subject_of(take.name), []).append(takes.on_character(file).rotations)
+    found = mended_arms.fitted(subjects)
+    assert found.keys() == mended_arms.SUBJECTS.keys()
+    for subject, turns in found.items():
+        assert turns == pytest.approx(mended_arms.SUBJECTS[subject], abs=0.51)
+
+
+@pytest.mark.parametrize("subject", sorted(mended_arms.SUBJECTS))
+def test_every_subject_holds_arms_and_hands_as_speakers_do(library: takes.Library, subject: str) -> None:
+    motions = _pooled(library, subject)
+    seconds = np.array([len(motion) for motion in motions])
+    rows = [posture.figures(common_body(motion)) for motion in motions]
+
+    def mean(name: str) -> float:
+        values = np.array([row[name] for row in rows])
+        known = np.isfinite(values)
+        return float(np.average(values[known], weights=seconds[known]))
+
+    assert seconds.sum() > 12 * FPS, "cmu_18 listens with hanging hands for most of the time"
+    assert mean("eye_splay") <= 15.0 and -35.0 <= mean("eye_azimuth") <= 5.0 and 45.0 <= mean("eye_elbow") <= 100.0
+    assert 0.45 <= mean("eye_shoulder") <= 1.1, "stretches of some seconds; whole talks have more"
+    assert 4.0 <= mean("eye_wrist_50") <= 18.0 and 25.0 <= mean("eye_wrist_95") <= 65.0
+    assert 17.0 <= mean("eye_finger_bend") <= 35.0 and mean("eye_finger_between") >= 7.0
+    assert mean("eye_thumb_index") <= 0.85
+    assert all(torso_depth(facing_positions(motion.rotations)).max() < 0.01 for motion in motions)

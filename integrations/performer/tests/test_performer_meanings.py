@@ -1,0 +1,266 @@
+"""Gestures with a meaning: cues find their labels, labels their clips; strokes keep their shape on other bodies."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gesticulator_performer import cues as tables
+from gesticulator_performer.cues import Cues, mirrored, plain, read_cues
+from gesticulator_performer.lending import bind_differences, lent
+from gesticulator_performer.plan import HABITS, Planned, plan
+from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, mirror
+from gesticulator_performer.text import Utterance, compose, sentence_key
+from gesticulator_performer.types import Spoken
+from hypothesis import given
+from hypothesis import strategies as st
+from procedural import procedural_strokes
+
+from data_module.errors import InputError
+from data_module.files import read_table
+from data_module.motion import kinematics, rotation
+from data_module.truth import Phrase, Syllable, Truth
+from data_module.types import Array, Speech, Word
+
+PUPPET = "puppet"
+MEANINGS = """label,category,cues_en,cues_de,cues_es,offensive,talk
+point_there,deictic;place,there; over there; far away,dort; da drüben,allí,no,yes
+point_left,deictic,on the left; turn left,links,a la izquierda,no,yes
+point_right,deictic,on the right; that's right,rechts,a la derecha,no,yes
+shrug,emblem,I don't know; no idea,weiß nicht,no sé,no,yes
+sweep_no,metaphoric,no; not at all,nein,no,no,yes
+nod,emblem,yes,ja,sí,no,yes
+cheer_arms,emblem;emotion,yes; hooray,hurra,hurra,no,yes
+shoo,emblem,go away,geh weg,vete,yes,yes
+walk_off,emblem,I leave,ich gehe,me voy,no,no
+unshown,emblem,hidden,geheim,secreto,no,yes
+"""
+CLIPS = "file,person,label,ready,strokeStart,emphasis,stroke,relax\n" + "".join(
+    f"strokes/{PUPPET}/{lexeme}.bvh,{PUPPET},{label},,,,,\n" for lexeme, label in (
+        ("Me", "shrug"), ("You", "point_there"), ("Left", "point_left"), ("Negate", "sweep_no"), ("All", "nod"),
+        ("BeatBoth", "cheer_arms"), ("BeatLow", "shoo"), ("BeatMid", "walk_off")))
+
+
+def _write(folder: Path, meanings: str = MEANINGS, clips: str = CLIPS) -> Path:
+    (folder / tables.MEANINGS).write_text(meanings, encoding="utf-8")
+    (folder / tables.CLIPS).write_text(clips)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cues(tmp_path_factory: pytest.TempPathFactory) -> Cues:
+    return read_cues(_write(tmp_path_factory.mktemp("meaning")))
+
+
+@pytest.fixture(scope="module")
+def strokes(cues: Cues) -> StrokeSet:
+    """The strokes by formula, each with the label of its lexeme in the table above."""
+    own = procedural_strokes()
+    labels = {stem: clip.label for stem, clip in cues.clips.items()}
+    right = {"Right": "point_right"}
+    return replace(own, cues=cues, strokes=tuple(replace(s, meaning=(labels | right).get(s.lexeme, ""))
+                                                 for s in own.strokes))
+
+
+def _said(text: str, language: str = "en", pause: float = 0.0) -> Spoken:
+    """A syllable of 0.3 s for each word; all are equally prominent."""
+    words = text.split()
+    times = 1.0 + 0.3 * np.arange(len(words))
+    own = tuple(Word(word, float(t), float(t) + 0.3) for word, t in zip(words, times, strict=True))
+    syllables = tuple(Syllable(w.start, w.start + 0.05, w.end, k, 0.0, 0.0, 0.5) for k, w in enumerate(own))
+    end = float(times[-1]) + 0.3
+    return Spoken("test", Speech(np.zeros(int(16000 * (end + 2)), np.float32), 16000, own), syllables,
+                  (Phrase(1.0, end, 0.0),), "nobody", language)
+
+
+def _labels(cues: Cues, text: str, language: str = "en") -> dict[str, set[str]]:
+    words = text.split()
+    return {words[at]: set(one.labels) for at, one in cues.asked(words, language).items()}
+
+
+def test_cues_find_their_labels_at_the_last_content_word(cues: Cues) -> None:
+    assert _labels(cues, "the boy is over there today") == {"there": {"point_there"}}
+    assert _labels(cues, "Well, I don\u2019t know!") == {"know!": {"shrug"}}
+    assert _labels(cues, "it stands on the left of it") == {"left": {"point_left"}}
+    assert _labels(cues, "das liegt da drüben", "de") == {"drüben": {"point_there"}}
+    assert _labels(cues, "no sé", "es") == {"sé": {"shrug"}}
+
+
+def test_the_longest_phrase_comes_first(cues: Cues) -> None:
+    assert _labels(cues, "no idea") == {"idea": {"shrug"}}
+    assert _labels(cues, "no no idea") == {"no": {"sweep_no"}, "idea": {"shrug"}}
+
+
+def test_labels_that_must_not_be_chosen_or_have_no_clip_have_no_cue(cues: Cues) -> None:
+    assert cues.labels == ("cheer_arms", "nod", "point_left", "point_there", "shrug", "sweep_no")
+    assert not cues.asked(["go", "away", "I", "leave", "hidden"])
+
+
+def test_common_words_weigh_less_and_calm_labels_more(cues: Cues) -> None:
+    asked = cues.asked(["no", "hooray", "yes"])
+    assert asked[0].weight < asked[1].weight == 1.0
+    assert asked[2].labels["nod"] > 2 * asked[2].labels["cheer_arms"] > 0
+    assert all(sum(one.labels.values()) == pytest.approx(1.0) for one in asked.values())
+
+
+@given(st.lists(st.sampled_from(["no", "idea", "over", "there", "yes", "the", "Über-"])))
+def test_cues_do_not_overlap_and_their_carrier_is_among_their_words(words: list[str]) -> None:
+    own = Cues({"en": {("no",): {"a": 1.0}, ("no", "idea"): {"b": 1.0}, ("over", "there"): {"c": 1.0}}}, {})
+    found = list(own.found(words))
+    places = [k for first, last, _ in found for k in range(first, last + 1)]
+    assert places == sorted(set(places))
+    assert all(any(first <= at <= last for first, last, _ in found) for at in own.asked(words))
+
+
+def test_spelling() -> None:
+    assert [plain(word) for word in ("Left-Hand", "don\u2019t!", "¿Qué?", "'no'", "7")] == \
+        ["lefthand", "don't", "qué", "no", ""]
+
+
+@pytest.mark.parametrize(("meanings", "clips", "message"), [
+    (MEANINGS.replace(",no,yes", ",maybe,yes", 1), CLIPS, r"meanings\.csv, line 2.*maybe.*yes or no"),
+    (MEANINGS.replace("shrug", "nod"), CLIPS, r"meanings\.csv, line 7.*nod.*taken"),
+    (MEANINGS.replace("offensive", "rude"), CLIPS, r"lacks columns offensive"),
+    (MEANINGS, CLIPS.replace("shrug", "juggle"), r"licensed_clips\.csv, line 2.*juggle"),
+    (MEANINGS, CLIPS.replace(",,,,,", ",1,2,x,3,4", 1), r"line 2.*'x' as the time of its emphasis"),
+    (MEANINGS, CLIPS.replace(",,,,,", ",1,2,1.5,3,4", 1), r"line 2.*out of order"),
+    (MEANINGS, CLIPS.replace("strokes/", "../", 1), r"line 2.*not a file in this folder"),
+])
+def test_a_bad_table_is_named_with_its_line(tmp_path: Path, meanings: str, clips: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_cues(_write(tmp_path, meanings, clips))
+
+
+def _played(strokes: StrokeSet, text: str, language: str = "en", seeds: int = 40) -> list[tuple[str, Planned]]:
+    spoken = _said(text, language)
+    words = [word.text for word in spoken.speech.words or ()]
+    return [(words[p.word], p) for seed in range(seeds)
+            for p in plan(spoken, PUPPET, strokes, np.random.default_rng(seed))]
+
+
+def test_over_there_is_pointed_at_with_the_performers_probability(strokes: StrokeSet) -> None:
+    played = _played(strokes, "the old farmer lives over there with many horses", seeds=200)
+    pointing = [(word, p) for word, p in played if p.meaning == "point_there"]
+    assert {word for word, _ in pointing} == {"there"}
+    assert {p.stroke.lexeme for _, p in pointing} == {"You"}
+    # HABITS of an unlisted performer: 0.65; some strokes find no free arm.
+    assert PUPPET not in HABITS and 0.5 < len(pointing) / 200 <= 0.72
+    vowel = next(s.vowel for s in _said("the old farmer lives over there").syllables if s.word == 5)
+    assert all(p.syllable == vowel and abs(p.beat - vowel) < 0.15 for _, p in pointing)
+
+
+def test_beats_have_no_meaning_and_every_stroke_knows_its_word(strokes: StrokeSet) -> None:
+    played = _played(strokes, "stone lamp river table music window garden")
+    assert len(played) > 40 and all(p.meaning == "" for _, p in played)
+    assert len({word for word, _ in played}) > 3
+
+
+def test_other_languages_play_their_own_cues(strokes: StrokeSet) -> None:
+    german = _played(strokes, "der Bauer wohnt da drüben mit seinem Pferd", "de")
+    assert {word for word, p in german if p.meaning == "point_there"} == {"drüben"}
+    assert not any(p.meaning for _, p in _played(strokes, "der Bauer wohnt over there", "de"))
+
+
+def test_without_cues_the_words_of_the_old_table_are_played(strokes: StrokeSet) -> None:
+    played = _played(replace(strokes, cues=None), "stone river you table lamp wood")
+    assert any(word == "you" and p.stroke.lexeme == "You" for word, p in played)
+    assert all(p.meaning == "" for _, p in played)
+
+
+def test_left_and_right_change_places_in_the_mirror(strokes: StrokeSet) -> None:
+    assert [mirrored(label) for label in ("point_left", "point_right", "nod", "")] == \
+        ["point_right", "point_left", "nod", ""]
+    one = next(s for s in strokes.strokes if s.meaning == "point_left" and s.hand == "left")
+    assert (mirror(one).meaning, mirror(one).hand) == ("point_right", "right")
+    assert mirror(mirror(one)).meaning == "point_left"
+
+
+def _turned_bind(body: PerformerBody, turn: Array) -> PerformerBody:
+    """The same person on a skeleton whose identity pose holds the left arm turned by a quaternion."""
+    skeleton = body.skeleton
+    chain = [skeleton.index("Left" + name) for name in ("Arm", "ForeArm", "Hand")]
+    offsets, rest = skeleton.offsets.copy(), body.rest.copy()
+    for joint in chain:
+        children = [j for j, parent in enumerate(skeleton.parents) if parent == joint]
+        offsets[children] = rotation.rotate(rotation.conjugate(turn), offsets[children])
+        before = turn if skeleton.parents[joint] in chain else np.array([1.0, 0.0, 0.0, 0.0])
+        rest[joint] = rotation.multiply(rotation.multiply(rotation.conjugate(before), rest[joint]), turn)
+    return replace(body, name="other", skeleton=replace(skeleton, offsets=offsets), rest=rest)
+
+
+def _arm_path(body: PerformerBody, stroke: Stroke) -> Array:
+    rotations = np.repeat(body.rest[None], stroke.arms.shape[1], axis=0)
+    joints = list(body.arms[0])
+    rotations[:, joints] = rotation.multiply(body.rest[joints], rotation.from_exponential_map(stroke.arms[0]))
+    return kinematics.joint_positions(body.skeleton, rotations)[:, joints]
+
+
+def test_a_lent_stroke_goes_through_the_same_places(strokes: StrokeSet) -> None:
+    body = strokes.figures[PUPPET]
+    turn = rotation.from_exponential_map(np.array([0.1, -0.2, 0.75]))
+    other = _turned_bind(body, turn)
+    stroke = next(s for s in strokes.strokes if s.lexeme == "Left" and s.hand == "left")
+    given_on = lent(stroke, body, other)
+    assert given_on.speaker == "other"
+    assert np.abs(_arm_path(other, given_on) - _arm_path(body, stroke)).max() < 0.01
+    # Composed with the other rest pose alone, it would not.
+    naive = _arm_path(other, replace(stroke, arms=stroke.arms))
+    assert np.abs(naive - _arm_path(body, stroke)).max() > 0.1
+
+
+def test_equal_skeletons_need_no_turn(strokes: StrokeSet) -> None:
+    skeleton = strokes.figures[PUPPET].skeleton
+    for turn in bind_differences(skeleton, skeleton, "Left").values():
+        assert rotation.angle_between(turn, np.array([1.0, 0.0, 0.0, 0.0])) < 1e-6
+
+
+def test_a_truth_of_an_older_corpus_has_no_meanings() -> None:
+    row = {"lexeme": "Me", "clip": "c", "hand": "left", "start": 0.0, "beat": 1.0, "hold_end": 2.0, "end": 3.0,
+           "syllable": 1.0, "gain": 1.0, "held_out": False}
+    older = {"strokes": [row], "syllables": [], "phrases": []}
+    assert (Truth.from_json(older).strokes[0].meaning, Truth.from_json(older).strokes[0].word) == ("", -1)
+    newer = {**older, "strokes": [row | {"meaning": "shrug", "word": 4}]}
+    assert Truth.from_json(Truth.from_json(newer).to_json()).strokes[0].word == 4
+    with pytest.raises(KeyError):
+        Truth.from_json({**older, "strokes": [{k: v for k, v in row.items() if k != "gain"}]})
+
+
+MINUTES = {"train": 145, "test": 60}
+"""Minutes of synthetic speech in a corpus of 4.4 hours, rounded down."""
+
+
+@pytest.fixture(scope="module")
+def texts() -> dict[str, list[Utterance]]:
+    return {split: compose(np.random.default_rng(5), 60.0 * minutes, split) for split, minutes in MINUTES.items()}
+
+
+def test_every_gesture_is_asked_for_often_and_in_unseen_sentences(
+        texts: dict[str, list[Utterance]], meaning_data: Path) -> None:
+    cues = read_cues(meaning_data)
+    assert len(cues.labels) == 32
+    asked = {split: Counter[str]() for split in texts}
+    for split, utterances in texts.items():
+        for utterance in utterances:
+            for one in cues.asked(utterance.text.split()).values():
+                asked[split].update({label: chance * one.weight for label, chance in one.labels.items()})
+    # A performer plays two in three of them.
+    assert min(asked["train"][label] for label in cues.labels) >= 45
+    assert min(asked["test"][label] for label in cues.labels) >= 3
+    sentences = {split: {sentence_key(one) for one in own} for split, own in texts.items()}
+    assert not sentences["train"] & sentences["test"]
+
+
+def test_no_sentence_that_is_held_out_for_judging_is_written(texts: dict[str, list[Utterance]], meaning_data: Path
+                                                             ) -> None:
+    def bare(text: str) -> str:
+        return " ".join(plain(word) for word in text.split())
+
+    held_out = {bare(row["text"] or "") for _, row in read_table(meaning_data / "test_sentences.csv", "")}
+    assert len(held_out) > 140
+    for utterances in texts.values():
+        for utterance in utterances:
+            said = bare(utterance.text)
+            assert not any(sentence in said for sentence in held_out)

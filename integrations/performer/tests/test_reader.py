@@ -1,0 +1,119 @@
+"""The reader of the synthetic corpus: its plan, its splits and its licences."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gesticulator_performer.reader import PARTS, TEST_READINGS, Performer, PerformerOptions, tail_begins
+from gesticulator_performer.text import sentence_key
+
+from data_module.corpora.base import load
+from data_module.motion import kinematics
+from data_module.speech.audio import load_speech
+
+
+def _full_source(outside_data: Path) -> Path:
+    pytest.importorskip("pocketsphinx")
+    if not (outside_data / "free_motion" / "manifest.csv").is_file():
+        pytest.skip("the outside data has no free_motion")
+    return outside_data
+
+
+def test_plan_of_the_default_performer(outside_data: Path) -> None:
+    """Shares, leaks and kept readings of the real plan; nothing is spoken or played."""
+    source = _full_source(outside_data)
+    reader = Performer(source, PerformerOptions(hours=4.0))
+    items = reader.items()
+    infos = [item.info for item in items]
+    assert {info.part for info in infos} == set(PARTS) and len({info.name for info in infos}) == len(infos)
+    made = [info for info in infos if info.part != "reading"]
+    share = Counter(info.split for info in made)
+    assert share["val"] >= 20 and sum(info.split == "test" for info in infos) >= 60
+    seconds = Counter[str]()
+    for item in items:
+        seconds[item.info.split] += item.size
+    assert seconds["train"] > 0.7 * seconds.total(), "recordings for test are short"
+    train = [info for info in infos if info.split != "test"]
+    test = [info for info in infos if info.split == "test"]
+    assert not {info.group for info in train} & {info.group for info in test}
+    assert not {i.voice for i in train if i.part != "reading"} & {i.voice for i in test}
+    assert {i.speaker for i in test} <= {i.speaker for i in train}
+    assert {"brad", "brad2", "connor", "garza", "story", "conversation"} <= {i.speaker for i in test}
+    # Each reading by three performers at most; those held out, whole, by one.
+    readings = Counter((info.group, info.split) for info in infos if info.part == "reading")
+    assert {group for group, split in readings if split == "test"} == {*TEST_READINGS, "de_prose_1_tail"}
+    assert all(count == (1 if split == "test" else 3) for (_, split), count in readings.items())
+    again = Performer(source, PerformerOptions(hours=4.0)).items()
+    assert [(item.info, item.content) for item in items] == [(item.info, item.content) for item in again]
+    assert [item.content for item in reader.items()] == [item.content for item in items], "asked twice, the same"
+    longer = Performer(source, PerformerOptions(hours=4.4)).items()
+    assert longer[0] == items[0] and longer[-1] == items[-1]
+    other = Performer(source, PerformerOptions(hours=4.0, seed=2)).items()
+    assert other[-60].content != items[-60].content
+
+
+@pytest.mark.parametrize("name", ["de_prose_1", "es_prose_1"])
+def test_the_last_thirty_seconds_are_kept(outside_data: Path, name: str) -> None:
+    speech = load_speech(outside_data / "speech" / f"{name}.flac")
+    at = tail_begins(speech.samples, speech.sample_rate) / speech.sample_rate
+    assert 30 <= speech.duration - at <= 32
+
+
+def test_no_sentence_and_no_take_crosses_a_split(outside_data: Path) -> None:
+    source = _full_source(outside_data)
+    reader = Performer(source, PerformerOptions(hours=4.0))
+    said: dict[str, list[str]] = {"train": [], "val": [], "test": []}
+    for item in reader.items():
+        if item.info.part in ("talk", "style"):
+            said[item.info.split] += [sentence_key(utterance) for utterance in item.content.utterances]
+    everything = [one for sentences in said.values() for one in sentences]
+    assert len(everything) > 2000 and len(set(everything)) > 0.99 * len(everything)
+    pools: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
+    for (_, split), texts in reader._phrases[0].items():
+        pools[split] |= set(texts)
+    for one, other in (("train", "test"), ("val", "test"), ("train", "val")):
+        assert not set(said[one]) & set(said[other])
+        assert not {phrase for phrase in pools[one] if len(phrase) > 20} & pools[other]
+    takes = reader._take_splits
+    assert set(takes.values()) == {"train", "val", "test"} and len(takes) > 90
+
+
+def test_without_real_motion_the_rest_is_still_played(outside_data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pocketsphinx")
+    for name in ("strokes", "speech"):
+        (tmp_path / name).symlink_to(outside_data / name)
+    reader = Performer(tmp_path, PerformerOptions(hours=1.0))
+    assert {item.info.part for item in reader.items()} == {"talk", "style", "reading"}
+    assert "CMU" not in reader.licence and "cmu" not in reader.licence and "SmartBody" in reader.licence
+    german = Performer(outside_data, PerformerOptions(hours=1.0, languages=("de",)))
+    assert {item.info.language for item in german.items()} == {"de"}
+    assert "motion" not in {item.info.part for item in german.items()}
+
+
+def test_licences_of_what_a_corpus_is_made_of(outside_data: Path) -> None:
+    licence = Performer(_full_source(outside_data), PerformerOptions()).licence
+    credit = ("The data used in this project was obtained from mocap.cs.cmu.edu. "
+              "The database was created with funding from NSF EIA-0196217.")
+    assert credit in licence
+    for named in ("Rocketbox", "MIT", "LGPL 2.1", "LibriVox", "PNGestures"):
+        assert named in licence
+
+
+def test_a_talk_made_for_motion_uses_takes_of_its_split_alone(outside_data: Path) -> None:
+    pytest.importorskip("pocketsphinx")
+    if not shutil.which("espeak-ng"):
+        pytest.skip("espeak-ng is not installed")
+    reader = Performer(_full_source(outside_data), PerformerOptions(hours=4.0))
+    item = next(i for i in reader.items() if i.info.part == "motion" and i.info.voice == "us_f3")
+    reader._phrases[0][item.info.voice, item.info.split] = reader._phrases[0][item.info.voice, item.info.split][:220]
+    recording = load(reader, item)
+    assert recording.info.sources and all(reader._take_splits[name] == "train" for name in recording.info.sources)
+    assert recording.motion.duration == pytest.approx(recording.speech.duration, abs=1 / 60)
+    assert recording.truth is not None and len(recording.truth.phrases) > 8 and recording.speech.words
+    hands = kinematics.positions_of(recording.motion)[:, [11, 15]]
+    speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1) * recording.motion.fps
+    assert 0.2 < speed.mean() < 1.0

@@ -1,2 +1,0 @@
-export { GesturePlayer, additiveClip, vrmClip } from "./clips.js";
-export { GestureStream } from "./stream.js";

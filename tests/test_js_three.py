@@ -1,0 +1,116 @@
+"""The browser client with three.js: clips and poses of a stream on characters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import package_page
+from performances import perform, write
+from small_characters import write_character
+
+from data_module.motion.kinematics import global_rotations
+from data_module.motion.skeletons import FINGERED, WHOLE_BODY, standing
+from data_module.types import Array, Skeleton
+from gesticulator.export.clip import ClipLayout
+from gesticulator.export.vrma import BONES, humanoid
+from gesticulator.live.protocol import StreamRequest, joints, pack
+from gesticulator.performance import Performance
+from gesticulator.stream import StreamFrames
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER, JS = ROOT / "integrations" / "gesticulator-client" / "src", Path(__file__).resolve().parent / "js"
+FPS, FRAMES = 25.0, (0, 10, 21)
+TIMES = [frame / FPS for frame in FRAMES]
+VRMS = {"vrm0": "0.x", "vrm1": "1.0"}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance, Performance]:
+    """Files in a folder, our motion with legs, and a character's motion of the upper body."""
+    folder = tmp_path_factory.mktemp("files")
+    ours = perform(1.0, FPS, skeleton=WHOLE_BODY)
+    write(folder / "talk.vrma", ours)
+    for name, vrm in VRMS.items():
+        write_character(folder / f"{name}.vrm", vrm=vrm)
+    rest = perform(0.2, FPS, seed=9, skeleton=FINGERED).motion.crop(0, 1)
+    spoken = replace(perform(1.0, FPS, skeleton=FINGERED), rest=lambda: rest)
+    idle = replace(spoken, motion=replace(rest, rotations=np.tile(rest.rotations, (25, 1, 1)),
+                                          root_positions=np.tile(rest.root_positions, (25, 1)), fps=FPS))
+    rig = write_character(folder / "rig.glb", seed=5)
+    write(folder / "idle.glb", idle.as_clip(ClipLayout("Idle", 0.0, upper=True)).on(rig))
+    layer = spoken.as_clip(ClipLayout(keys=0.0, additive=True)).on(folder / "idle.glb")
+    write(folder / "layer.glb", layer)
+    return folder, ours, spoken.as_clip(ClipLayout(keys=0.0, upper=True)).on(rig)
+
+
+@pytest.fixture(scope="module")
+def page(made: tuple[Path, Performance, Performance]) -> Iterator[Any]:
+    """A page without a network: what it loads comes from the disk."""
+    if not (JS / "node_modules" / "three").is_dir():
+        pytest.skip("three.js is not installed: npm ci --prefix tests/js")
+
+    with package_page("package_page.html", FOLDER, made[0], JS) as window:
+        yield window
+
+
+def check_bones(got: dict[str, Any], version: str, ours: Performance, path: bool) -> None:
+    """Each bone points where ours does, turned from where it pointed at rest."""
+    faces = [-1.0, 1.0, -1.0] if version == "0.x" else [1.0, 1.0, 1.0]
+    places = {bone: np.array(track) * faces for bone, track in got.items()}
+    wanted = humanoid(standing(ours.motion))
+    turns = global_rotations(Skeleton(wanted.names, wanted.parents, wanted.translations), wanted.turns)
+    world = dict(zip(wanted.names, np.moveaxis(turns, 1, 0), strict=True))
+    pairs = [(above, bone) for bone, (above, _, _) in BONES.items() if above in world and bone in places]
+    if not path:  # of the two joints of the spine, the client takes the upper one
+        pairs = [(above, bone) for above, bone in pairs if above != "spine"]
+    assert len(pairs) > 40
+    from data_module.motion import rotation
+
+    for above, bone in pairs:
+        rest = places[bone][0] - places[above][0]
+        for moment, frame in enumerate(FRAMES):
+            expected: Array = rotation.rotate(world[above][frame], rest)
+            np.testing.assert_allclose(places[bone][1 + moment] - places[above][1 + moment], expected, atol=1e-3,
+                                       err_msg=f"{above} to {bone} in frame {frame}")
+    if path:
+        ratio = places["hips"][0][1] / wanted.translations[0][1]
+        for moment, frame in enumerate(FRAMES):
+            np.testing.assert_allclose(places["hips"][1 + moment], wanted.shifts[0][frame] * ratio, atol=1e-3)
+
+
+@pytest.mark.parametrize("model", sorted(VRMS))
+def test_a_vrm_animation_moves_a_vrm(model: str, page: Any, made: tuple[Path, Performance, Performance]) -> None:
+    got = page.evaluate("([model, file, times]) => playVrma(model, file, times)",
+                        [f"/{model}.vrm", "/talk.vrma", TIMES])
+    check_bones(got, VRMS[model], made[1], path=True)
+
+
+@pytest.mark.parametrize("model", sorted(VRMS))
+def test_poses_of_a_stream_move_a_vrm(model: str, page: Any, made: tuple[Path, Performance, Performance]) -> None:
+    motion = made[1].motion
+    frames = StreamFrames(0, FPS, motion.skeleton, motion.rotations, motion.root_positions, ())
+    packet = pack(frames, StreamRequest(sample_rate=16000, fps=FPS), "speaking", 1.0)
+    welcome = {"type": "hello", "fps": FPS, "joints": joints(motion.skeleton)}
+    got = page.evaluate("([model, welcome, packet, times]) => playStream(model, welcome, packet, times)",
+                        [f"/{model}.vrm", welcome, list(packet), TIMES])
+    check_bones(got, VRMS[model], made[1], path=False)
+
+
+def test_an_additive_layer_over_an_idle_clip_is_the_gesture(page: Any, made: tuple[Path, Performance, Performance]
+                                                            ) -> None:
+    got = page.evaluate("([file, times]) => playLayer(file, times)", ["/layer.glb", TIMES])
+    moved = made[2].character
+    assert moved is not None
+    world = moved.world_matrices()
+    checked = 0
+    for node, name in enumerate(moved.character.names):
+        track = got.get(name.replace(":", ""))
+        if track is not None:
+            np.testing.assert_allclose(track, world[list(FRAMES), node, :3, 3], atol=2e-4, err_msg=name)
+            checked += 1
+    assert checked > 40
