@@ -19,8 +19,8 @@ from data_module.types import Array, Motion
 from gesticulator import Gesticulator
 from gesticulator.body.clearance import cleared
 from gesticulator.body.lap import is_seated
+from gesticulator.body.legs import seated, with_legs
 from gesticulator.body.mirror import mirrored_motion
-from gesticulator.body.stance import seated, with_legs
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
 from gesticulator.characters.thighs import OUR_RADII, Thigh, seated_thighs, tapering

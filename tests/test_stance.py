@@ -16,10 +16,8 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
 from data_module.types import Array, Motion, Skeleton
 from eval.clip.standing import knee_bend, slide
-from gesticulator.body.feet import SIDES
+from gesticulator.body.legs import CROSSES, SIDES, Stance, seated, with_legs
 from gesticulator.body.life import noise, weight_shifts
-from gesticulator.body.stance import Stance, seated, with_legs
-from gesticulator.body.weight import CROSSES
 from tests.performances import perform
 
 SEEDS = range(4)

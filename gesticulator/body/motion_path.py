@@ -21,7 +21,7 @@ from gesticulator.bundle.features import representation_of
 from gesticulator.options import InferenceOptions
 
 if TYPE_CHECKING:
-    from gesticulator.body.stance import Stance
+    from gesticulator.body.legs import Stance
 
 HISTORY, LONGEST_HISTORY = 60.0, 600.0
 """Seconds of generated motion that can be taken back: by default, and at most (a long answer delivered at once and
@@ -45,7 +45,7 @@ class MotionPath:
         self._stance: Stance | None = None
         self.skeleton = self._representation.motion(first[None], float(options.fps)).skeleton
         if options.legs or options.seated:
-            from gesticulator.body.stance import WHOLE_BODY, Stance
+            from gesticulator.body.legs import WHOLE_BODY, Stance
 
             self.skeleton = WHOLE_BODY
             self._stance = None if options.seated else Stance(int(options.seed), float(options.fps))
@@ -158,7 +158,7 @@ class MotionPath:
                 self._stances.popleft()
             return self._stance.step(body)
         if self._options.seated:
-            from gesticulator.body.stance import seated
+            from gesticulator.body.legs import seated
 
             body = seated(body)
         # A quaternion and its negative are the same rotation; take the one nearer to the frame before.

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array, Motion
+from gesticulator.body.legs import Stance
 from gesticulator.body.motion_path import MotionPath
 from gesticulator.body.pins import pinned
-from gesticulator.body.stance import Stance
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.directing.directions import MeantCue, Shaping
 from gesticulator.directing.named_gestures import span_of_gesture
