@@ -17,7 +17,7 @@ from gesticulator.plan.plan import ENERGIES, HANDS, PlanKnobs, shapes, shows_mea
 
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
-    from gesticulator.plan.plan import GestureCue, GesturePlan
+    from gesticulator.plan.plan import Energy, GestureCue, GesturePlan, Hand
     from interpreters.base import LexemeInterpreter
 
 __all__ = ["FPS", "RANGES", "HandControl", "InferenceOptions", "Range"]
@@ -152,9 +152,9 @@ class InferenceOptions:
     """Size of the gestures, 0 (the hands hang) to 2; 1 is as generated (`gesticulator.directing.shaping`)."""
     mirror: bool = _option(False)
     """Exchange left and right."""
-    energy: str = _option("neutral", "NAME", choices=tuple(ENERGIES))
+    energy: Energy = _option("neutral", "NAME", choices=tuple(ENERGIES))
     """On top of intensity and activity: calm multiplies both by .6, lively multiplies intensity by 1.5 (`ENERGIES`)."""
-    handedness: str | None = _option(None, "HAND", choices=HANDS)
+    handedness: Hand | None = _option(None, "HAND", choices=HANDS)
     """Preferred hand: left, right, or both, where each hand joins in the strokes of the other."""
     hold_still: tuple[tuple[float, float], ...] = _option((), "FROM-TO", many=True)
     """Ranges of seconds in which the hands rest, such as 3.2-5.0."""

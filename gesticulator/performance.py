@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from data_module.face import FaceMotion
     from data_module.types import Array, Blocks, Motion, Speech
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.retarget import Retargeter
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from gesticulator.editing.render import Generation
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.writers import Scene
+    from gesticulator.face.motion import FaceMotion
     from gesticulator.options import InferenceOptions
     from gesticulator.plan.plan import GesturePlan, LexemeName
 

@@ -36,7 +36,6 @@ from interpreters import INTERPRETERS
 from interpreters.base import as_interpreter
 
 if TYPE_CHECKING:
-    from data_module.face import FaceMotion
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.directing.directions import Shaping
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from gesticulator.directing.retiming import Retimed
     from gesticulator.directing.retiming_report import RetimingReport
     from gesticulator.editing.render import Generation, PlanRenderer
+    from gesticulator.face.motion import FaceMotion
     from gesticulator.plan.plan import GesturePlan, PlanMeaning
     from gesticulator.stream import Stream
     from interpreters.base import Interpreter, LexemeInterpreter
@@ -432,7 +432,7 @@ class Gesticulator:
         """The face over the frames of the body; None where none is asked for."""
         if options.face == "off":
             return None
-        from gesticulator.body.face import FaceSettings, face_of
+        from gesticulator.face.track import FaceSettings, face_of
 
         cues: list[tuple[float, str]] = []
         if options.cues:

@@ -37,11 +37,11 @@ from gesticulator.sampling.cutter import LATENCIES, TICK, BlockCutter
 from gesticulator.sampling.loop import Request, Setup, controls_at
 
 if TYPE_CHECKING:
-    from data_module.face import FaceMotion
-    from gesticulator.body.face import Face
     from gesticulator.directing.directions import Director, MeantCue
     from gesticulator.directing.meanings import MeaningTrack
     from gesticulator.directing.stream_marks import StreamMarks
+    from gesticulator.face.motion import FaceMotion
+    from gesticulator.face.track import Face
 
 __all__ = ["Stream", "StreamFrames", "StreamState"]
 
@@ -333,7 +333,7 @@ class Stream:
         """All parts of a call as one."""
         joints, faces = len(self.skeleton), [part.face for part in parts if part.face is not None]
         if faces:
-            from data_module.face import joined
+            from gesticulator.face.motion import joined
         return StreamFrames(
             first, self.fps, self.skeleton,
             np.concatenate([np.zeros((0, joints, 4)), *(part.rotations for part in parts)]),
@@ -546,7 +546,7 @@ class Stream:
 def _face_of(options: InferenceOptions) -> Face | None:
     if options.face == "off":
         return None
-    from gesticulator.body.face import Face, FaceSettings
+    from gesticulator.face.track import Face, FaceSettings
 
     face = Face(FaceSettings.of(options), LONGEST_HISTORY)
     if options.cues:

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from performances import perform
 
-from data_module.face import FaceMotion, at_rest
 from data_module.motion.skeletons import CHARACTER
 from data_module.speech.audio import load_speech
 from data_module.types import Motion, Samples, Speech
-from data_module.visemes import VISEMES, VisemeSpan, of_ipa, spans
-from gesticulator.body.face import FaceSettings, face_of
+from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.track import FaceSettings, face_of
+from gesticulator.face.visemes import VISEMES, VisemeSpan, of_ipa, spans
 from gesticulator.performance import Performance
 
 FPS, RATE = 30.0, 16000

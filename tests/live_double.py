@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.face import at_rest
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
-from data_module.visemes import VISEMES
 from gesticulator.body.motion_path import HISTORY
+from gesticulator.face.motion import at_rest
+from gesticulator.face.visemes import VISEMES
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.protocol import StreamRequest
 from gesticulator.live.server import LiveServer, Page, ServerAddress

@@ -545,7 +545,7 @@ def _read_study(file: Path) -> object:
 
 
 def _lips(folder: Path) -> Path:
-    from gesticulator.body.face_lips import SHIPPED
+    from gesticulator.face.lips import SHIPPED
 
     for file in SHIPPED.iterdir():
         (folder / file.name).write_bytes(file.read_bytes())
@@ -553,7 +553,7 @@ def _lips(folder: Path) -> Path:
 
 
 def _read_lips(file: Path) -> object:
-    from gesticulator.body.face_lips import load_weights
+    from gesticulator.face.lips import load_weights
 
     return load_weights(file.parent)
 

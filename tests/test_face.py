@@ -16,11 +16,16 @@ from hypothesis import strategies as st
 
 from data_module.controls import Curve
 from data_module.errors import InputError
-from data_module.face import FaceMotion, at_rest
 from data_module.motion import rotation, skeletons
-from data_module.speech.lip_features import LOOK_AHEAD, STACKED, LipFeatures, rows_of, stacked
 from data_module.types import Motion
-from data_module.visemes import (
+from gesticulator.arguments import performance_arguments
+from gesticulator.face.life import RATE, FaceLife
+from gesticulator.face.lips import REACH, SHIPPED, Lips, load_weights, with_dominance, with_strength
+from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.network import LOOK_AHEAD, STACKED, LipFeatures, VisemeNet, VisemeStepper, rows_of, stacked
+from gesticulator.face.shapes import ARKIT, arkit, curves, find_shapes, is_lips, oculus, summed, vrm
+from gesticulator.face.track import Face, FaceSettings, in_head
+from gesticulator.face.visemes import (
     CLOSED,
     OPENINGS,
     SILENT,
@@ -32,13 +37,7 @@ from data_module.visemes import (
     opening,
     spans,
 )
-from gesticulator.arguments import performance_arguments
-from gesticulator.body.face import Face, FaceSettings, in_head
-from gesticulator.body.face_life import RATE, FaceLife
-from gesticulator.body.face_lips import REACH, SHIPPED, Lips, load_weights, with_dominance, with_strength
-from gesticulator.characters.face_shapes import ARKIT, arkit, curves, find_shapes, is_lips, oculus, summed, vrm
 from gesticulator.options import InferenceOptions
-from interpreters.visemes import VisemeNet, VisemeStepper
 
 
 def _named(*names: str) -> tuple[int, ...]:

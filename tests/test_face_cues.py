@@ -15,16 +15,15 @@ from hypothesis import strategies as st
 
 from data_module.controls import Curve
 from data_module.errors import InputError
-from data_module.face import FaceMotion
 from data_module.speech.audio import load_speech
 from data_module.text.marks import marked_text
 from data_module.types import Array, Speech, Word
 from gesticulator.arguments import check_cues
-from gesticulator.body.face import Face, FaceSettings
-from gesticulator.body.face_cues import FaceCues
-from gesticulator.body.face_phones import PhonesWarning
 from gesticulator.directing.directions import stroke_of_word
 from gesticulator.directing.marks import MarkWarning, expression_of_mark, gesture_of_mark, mark_cues, warn_of_unknown
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.phones import PhonesWarning
+from gesticulator.face.track import Face, FaceCues, FaceSettings
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.gestures import EXPRESSIONS, GESTURES
 from gesticulator.plan.plan import GestureCue
@@ -134,7 +133,7 @@ def _streamed(g: Any, speech: Speech, **options: Any) -> tuple[Array, FaceMotion
     parts = [stream.feed(speech.samples[at:at + 1600]) for at in range(0, len(speech.samples), 1600)]
     parts.append(stream.finish())
     faces = [part.face for part in parts if part.face is not None]
-    from data_module.face import joined
+    from gesticulator.face.motion import joined
 
     return np.concatenate([part.rotations for part in parts]), joined(faces) if faces else None
 

@@ -15,16 +15,16 @@ import pytest
 from performances import perform
 from small_characters import write_character
 
-from data_module.face import FaceMotion, at_rest
-from data_module.visemes import VISEMES
-from gesticulator.characters.face_rig import find_face
-from gesticulator.characters.face_shapes import ARKIT, arkit, jaw_angles, vrm
 from gesticulator.characters.gltf_file import read_gltf
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.face import LIVE_LINK, FaceWarning, timecode
 from gesticulator.export.gltf import GltfDocument, open_gltf
+from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.rig import find_face
+from gesticulator.face.shapes import ARKIT, arkit, jaw_angles, vrm
+from gesticulator.face.visemes import VISEMES
 from gesticulator.performance import Performance
 
 

@@ -15,15 +15,15 @@ from small_characters import write_character
 from test_face_files import JAW, add_bones, add_shapes, still, with_face
 
 from data_module.errors import InputError
-from data_module.face import FaceMotion, at_rest
 from data_module.types import Array
-from data_module.visemes import VISEMES
 from gesticulator.characters.blender import check_blender, run_in_blender
-from gesticulator.characters.face_shapes import ARKIT, arkit, jaw_angles
 from gesticulator.characters.gltf_file import read_gltf
 from gesticulator.characters.retarget import retarget
-from gesticulator.export.face_mesh import INSIDE, face_mesh, weights
 from gesticulator.export.own_fbx import SCRIPT
+from gesticulator.face.mesh import INSIDE, face_mesh, weights
+from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.shapes import ARKIT, arkit, jaw_angles
+from gesticulator.face.visemes import VISEMES
 from gesticulator.performance import Performance
 
 HERE = Path(__file__).resolve().parent

@@ -14,12 +14,12 @@ from performances import perform, write
 from small_characters import write_character
 from test_face_files import EYES, JAW, add_bones, add_shapes, with_face
 
-from data_module.face import FaceMotion
-from data_module.visemes import VISEMES
-from gesticulator.characters.face_rig import find_face
-from gesticulator.characters.face_shapes import ARKIT, curves
 from gesticulator.characters.reading import read_character
-from gesticulator.export.page_face import NUMBERS, curve_constants, page_face
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.page import NUMBERS, curve_constants, page_face
+from gesticulator.face.rig import find_face
+from gesticulator.face.shapes import ARKIT, curves
+from gesticulator.face.visemes import VISEMES
 
 OCULUS = [f"viseme_{name}" for name in VISEMES]
 

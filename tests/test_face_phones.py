@@ -12,13 +12,12 @@ from face_samples import spoken
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_module.text import pronunciations as sources
-from data_module.text.pronunciations import pronunciations
 from data_module.types import Word
-from data_module.visemes import CLOSED, SILENT, VISEMES, VisemeSpan, labels, opening
-from gesticulator.body.face import FaceSettings, face_of
-from gesticulator.body.face_lips import Lips
-from gesticulator.body.face_phones import SLACK, PhonedWord, PhonesWarning, spoken_weights, with_phones
+from gesticulator.face import phones as sources
+from gesticulator.face.lips import Lips
+from gesticulator.face.phones import SLACK, PhonedWord, PhonesWarning, pronunciations, spoken_weights, with_phones
+from gesticulator.face.track import FaceSettings, face_of
+from gesticulator.face.visemes import CLOSED, SILENT, VISEMES, VisemeSpan, labels, opening
 
 RATE = 50
 AA, IH, E, DD, RR, SS = (VISEMES.index(name) for name in ("aa", "ih", "E", "DD", "RR", "SS"))

@@ -19,13 +19,13 @@ from javascript import printed_by
 from live_double import served
 from performances import perform, write
 
-from data_module.face import FaceMotion
 from data_module.types import Array, Speech
-from data_module.visemes import OPENINGS, VISEMES, VisemeSpan
-from gesticulator.characters.face_shapes import vrm
 from gesticulator.export import film
 from gesticulator.export.figure import figure_points
-from gesticulator.export.figure_face import face_points, lip_curves
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.mouth import face_points, lip_curves
+from gesticulator.face.shapes import vrm
+from gesticulator.face.visemes import OPENINGS, VISEMES, VisemeSpan
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.server import live_pages
 from gesticulator.performance import Performance
@@ -121,7 +121,7 @@ def _near(pictures: Array, colour: str, far: int = 30) -> Array:
 
 
 def test_a_films_mouth_opens_and_its_eyes_shut_and_turn() -> None:
-    from gesticulator.export.figure_face import MOUTH
+    from gesticulator.face.mouth import MOUTH
 
     pytest.importorskip("PIL")
     shut, wide, blink, left = (_drawn(posed(**parts)) for parts in (
@@ -142,7 +142,7 @@ def test_without_a_face_a_film_is_drawn_as_before() -> None:
     pytest.importorskip("PIL")
     points = figure_points(still(0.1), np.zeros(1))
     plain = np.asarray(next(iter(film.pictures(points)))).astype(int)[None]
-    from gesticulator.export.figure_face import IRIS, LIP
+    from gesticulator.face.mouth import IRIS, LIP
 
     assert not _near(plain, LIP, 12)[0] and not _near(plain, IRIS, 6)[0]
 
@@ -276,7 +276,7 @@ def _lags(film_: Path, starts: list[float]) -> Array:
     """Seconds from the sound of each syllable to the mouth that opens for it, as both are in a film."""
     import av
 
-    from gesticulator.export.figure_face import MOUTH
+    from gesticulator.face.mouth import MOUTH
 
     with av.open(str(film_)) as container:
         pictures = np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]).astype(int)

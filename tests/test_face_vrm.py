@@ -22,10 +22,10 @@ from performances import write
 from small_characters import write_character
 from test_face_files import add_shapes
 
-from data_module.face import FaceMotion
 from data_module.types import Array
-from data_module.visemes import VISEMES, VisemeSpan
-from gesticulator.characters.face_shapes import vrm
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.shapes import vrm
+from gesticulator.face.visemes import VISEMES, VisemeSpan
 from tests.zoo import CACHE, Unavailable
 
 ROOT = Path(__file__).resolve().parents[1]

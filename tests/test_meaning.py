@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, load_speech
-from data_module.text.cue_patterns import cue_pattern, spoken_text
-from data_module.text.meaning import CalledGesture, language_of, meaning_cues
+from data_module.text.language import language_of
 from data_module.types import Speech, Word
+from gesticulator.directing.cue_patterns import cue_pattern, spoken_text
 from gesticulator.directing.directions import stroke_of_word
+from gesticulator.directing.meaning_cues import CalledGesture, meaning_cues
 from gesticulator.directing.meanings import AGAIN, LEVELS, Called, Level, MeaningTrack, chosen
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.options import MEANING_LEVELS, InferenceOptions

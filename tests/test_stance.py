@@ -15,7 +15,7 @@ from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
 from data_module.types import Array, Motion, Skeleton
-from eval.clip.standing import knee_bend, slide
+from eval.clip.standing import slide
 from gesticulator.body.legs import CROSSES, SIDES, Stance, seated, with_legs
 from gesticulator.body.life import noise, weight_shifts
 from tests.performances import perform
@@ -365,9 +365,3 @@ def test_planted_feet_do_not_slide_and_pushed_ones_do() -> None:
     pushed = replace(frozen, root_positions=frozen.root_positions + 0.015 * np.stack(
         [np.sin(times), np.zeros_like(times), np.cos(times)], axis=-1))
     assert slide(pushed) == pytest.approx(0.03 * 2**0.5, rel=0.01) and slide(frozen) == 0.0
-
-
-def test_a_knee_is_bent_by_the_angle_between_thigh_and_shin() -> None:
-    hip, knee = np.array([[0.0, 0.8, 0.0]] * 2), np.array([[0.0, 0.4, 0.0]] * 2)
-    ankle = np.array([[0.0, 0.0, 0.0], [0.0, 0.4 - 0.4 * np.cos(0.5), 0.4 * np.sin(0.5)]])
-    assert knee_bend(hip, knee, ankle) == pytest.approx([0.0, np.degrees(0.5)], abs=1e-5)

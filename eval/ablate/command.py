@@ -31,7 +31,7 @@ from data_module.errors import InputError
 from eval.ablate.rows import CONTROLS, PRESETS, REFERENCES, ROWS, TABLES, is_racer
 
 if TYPE_CHECKING:
-    from eval.ablate.run import Ablation
+    from eval.ablate.ablation import Ablation
     from eval.table import Provenance
 
 SEEDS = 3
@@ -191,8 +191,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def ablation_of(given: argparse.Namespace) -> Ablation:
     """The rows and their cells, as the arguments say."""
+    from eval.ablate.ablation import Ablation
     from eval.ablate.cells import CellStore
-    from eval.ablate.run import Ablation, RgRows
+    from eval.ablate.run import RgRows
     from eval.context import EvalContext, opened
     from eval.metrics import gesture_features
     from gesticulator.bundle import config as configs

@@ -39,9 +39,8 @@ from data_module.speech.audio import resample as resample_speech
 from data_module.store import Recording
 from data_module.types import Array, Motion
 from eval import stats
-from eval.ablate.cells import Cell, Cells, CellStore
 from eval.ablate.policy import Decisions, accuracy
-from eval.ablate.rows import COLUMNS, CONTROLS, FLOOR, OURS, PERFORMER, REAL_TAKE, REFERENCES, ROWS, is_racer
+from eval.ablate.rows import COLUMNS, FLOOR, OURS, PERFORMER, REAL_TAKE, ROWS
 from eval.baselines.controls import split_halves
 from eval.baselines.interpreters import RandomStyle
 from eval.clip.clip_set import TRUTH, ClipSet
@@ -384,63 +383,3 @@ def _latest(known: dict[Any, T], key: Any, most: int, make: Callable[[], T]) -> 
             known.popitem()
         known[key] = make()
     return known[key]
-
-
-# ----------------------------------------------------------------------------------------------------------- the cells
-
-@dataclass
-class Ablation:
-    """Both papers' rows and where their cells are kept. bundle: what RACER's rows stand on; None for the row
-    "q-network", trained here."""
-
-    rg: RgRows
-    cells: CellStore
-    bundle: str | None = None
-
-    @cached_property
-    def racer(self) -> Any:
-        """RACER's rows (`eval.ablate.racer.RacerRows`)."""
-        from eval.ablate.racer import RacerRows
-
-        return RacerRows.over(self.rg, self.bundle)
-
-    def cell(self, name: str, seed: int) -> Cell:
-        """One row at one seed: read if it was finished under the same key, else trained, played, measured and kept."""
-        row, rows = ROWS[name], self.rg if ROWS[name].train == "stages" else self.racer
-        found = self._kept(name, seed, rows.cell_key(name, seed), rows.shared, lambda: rows.measured(name, seed),
-                           kind="row", question=row.ask, settings=list(row.set), split=row.split)
-        assert found is not None
-        return found
-
-    def reference(self, name: str, split: str) -> Cell | None:
-        """The cell of a reference or a control; None where it cannot be made."""
-        shown = name if split == "test" else f"{name}-{split}"
-        key = configs.digest(self.rg.shared, name, split, self.rg.names(split))
-        return self._kept(shown, 0, key, self.rg.shared, lambda: self.rg.reference(name, split),
-                          kind="reference" if name in REFERENCES else "control",
-                          question={**REFERENCES, **CONTROLS}[name], settings=[], split=split)
-
-    def system(self, name: str, folder: Path) -> Cell | None:
-        """The cell of another system; InputError where it has no motion for a test recording."""
-        key, clips = self.rg.foreign(name, folder)
-        return self._kept(name, 0, key, self.rg.shared, lambda: self.rg.foreign_measured(folder, clips), kind="system",
-                          settings=[], split="test", question=f"another system's motion, {len(clips)} clips")
-
-    def current(self, shared: Mapping[bool, str]) -> Cells:
-        """All cells but those of rows whose settings have changed since."""
-        cells = self.cells.read(shared)
-        for name in [name for name in cells if name in ROWS and not is_racer(name)]:
-            cells[name] = {seed: cell for seed, cell in cells[name].items()
-                           if cell["key"] == self.rg.cell_key(name, seed)}
-        return {name: by_seed for name, by_seed in cells.items() if by_seed}
-
-    def _kept(self, name: str, seed: int, key: str, shared: str, make: Callable[[], Mapping[str, Any] | None],
-              **about: Any) -> Cell | None:
-        """The cell of a row, a seed and a key, made and written where it is not there; None where none can be made."""
-        known = self.cells.finished(name, seed, key)
-        found = None if known is not None else make()
-        if not found:
-            return known
-        made = {**found, "row": name, "seed": seed, "key": key, "shared": shared, **about}
-        self.cells.add(made)
-        return made

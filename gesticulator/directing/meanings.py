@@ -11,10 +11,11 @@ import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
-from data_module.text.meaning import CalledGesture, language_of, meaning_cues
+from data_module.text.language import language_of
 from data_module.types import Speech, Word
 from gesticulator.directing.directions import MeantCue, cues_at, stroke_of_word
 from gesticulator.directing.marks import gestures_of
+from gesticulator.directing.meaning_cues import CalledGesture, meaning_cues
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.options import MEANING_LEVELS, InferenceOptions
 from gesticulator.plan.gestures import GESTURES

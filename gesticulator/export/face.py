@@ -10,14 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.face import FaceMotion, at_rest
 from data_module.files import write_bytes, write_text
 from data_module.motion import rotation
 from data_module.types import Array
-from gesticulator.characters.face_rig import find_face
-from gesticulator.characters.face_shapes import ARKIT, arkit, jaw_angles, vrm
 from gesticulator.characters.rig import Character, CharacterMotion
-from gesticulator.export.face_mesh import JOINT, face_mesh, weights
 from gesticulator.export.gltf import (
     ROTATION,
     TRANSLATION,
@@ -31,6 +27,10 @@ from gesticulator.export.gltf import (
 )
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.writers import Scene
+from gesticulator.face.mesh import JOINT, face_mesh, weights
+from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.rig import find_face
+from gesticulator.face.shapes import ARKIT, arkit, jaw_angles, vrm
 
 _EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
 LIVE_LINK = ("Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT),

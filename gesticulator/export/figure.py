@@ -19,7 +19,7 @@ from data_module.motion import kinematics, rotation, skeletons
 from data_module.types import Array, Motion
 
 if TYPE_CHECKING:
-    from gesticulator.export.figure_face import Patch
+    from gesticulator.face.mouth import Patch
 
 INK, SOFT, FLOOR = "#262a31", "#8d8578", "#d9d0c2"
 SHIRT, TROUSERS, SKIN, HAIR, NOSE = "#3d7a85", "#4a4f5c", "#dcb999", "#5b493d", "#c79d7a"
@@ -186,7 +186,7 @@ def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
     front = (Limb(face, face, 0.2, 0.2, SKIN), Limb(now["Nose"], now["Nose"], 0.034, 0.034, NOSE))
     patches: tuple[Patch, ...] = ()
     if "Face" in now:
-        from gesticulator.export.figure_face import features
+        from gesticulator.face.mouth import features
 
         patches = features(now, look, (face, 0.1), HAIR)
     return [BodyPart((hair,), 0.05, shown=~ahead), BodyPart((hair, *front), 0.05, shown=ahead, patches=patches)]

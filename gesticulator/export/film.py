@@ -328,7 +328,7 @@ def _moments(scene: Scene, fps: int) -> dict[str, Array]:
     motion, times = scene.motion, np.arange(max(1, math.floor(scene.duration * fps + 1e-9))) / fps
     points = figure_points(motion, times, skeletons.has_legs(motion), fingers=True)
     if scene.face is not None:
-        from gesticulator.export.figure_face import face_points
+        from gesticulator.face.mouth import face_points
 
         points |= face_points(scene.face, motion, times)
     return points

@@ -20,7 +20,7 @@ from gesticulator.export.stick_figure import figure
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
-    from data_module.face import FaceMotion
+    from gesticulator.face.motion import FaceMotion
 
 _COLOUR = [0.24, 0.45, 0.47, 1.0]
 """Colour of the figure: linear red, green, blue, opacity."""
@@ -59,7 +59,7 @@ def write_clips(path: Path, scenes: Sequence[Scene]) -> Path:
 
 def character_glb(moved: CharacterMotion, clip: ClipLayout, face: FaceMotion | None = None) -> bytes:
     """The character's file with one animation added: the bytes of a GLB file. With a face, the animation moves what the
-    character has for one (`gesticulator.characters.face_rig`), too; if it has no mouth, a warning says so.
+    character has for one (`gesticulator.face.rig`), too; if it has no mouth, a warning says so.
 
     Nothing else changes, except that animated nodes with a matrix get a translation, a rotation and a scale instead.
     Buffers and images in separate files are embedded.
@@ -90,7 +90,7 @@ def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face:
 
 def skeleton_glb(motion: NodeMotion, clip: ClipLayout, face: FaceMotion | None = None) -> bytes:
     """An animated skeleton with a figure of spindles: the bytes of a GLB file. With a face, it has a head with blend
-    shapes (`gesticulator.export.face_mesh`)."""
+    shapes (`gesticulator.face.mesh`)."""
     gltf = skeleton_document(motion)
     more: list[FrameTrack] = []
     if face is not None:

@@ -28,8 +28,8 @@ from gesticulator.export.gltf import open_gltf
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
-    from data_module.face import FaceMotion
     from gesticulator.characters.rig import Character
+    from gesticulator.face.motion import FaceMotion
 
 
 class HasScene(Protocol):
@@ -170,7 +170,7 @@ def _character(scene: Scene) -> dict[str, Any]:
 
 def character_data(rig: Character, joints: Mapping[str, int], face: FaceMotion | None = None) -> dict[str, Any]:
     """The page's data of a character: its file as GLB, our joint -> its node in the file and, if faces are shown like
-    `face`, `gesticulator.export.page_face`. A file of more than `LARGEST_CHARACTER` bytes is omitted, and the page says
+    `face`, `gesticulator.face.page`. A file of more than `LARGEST_CHARACTER` bytes is omitted, and the page says
     so."""
     path = rig.path
     name = title_of(path) + path.suffix
@@ -179,7 +179,7 @@ def character_data(rig: Character, joints: Mapping[str, int], face: FaceMotion |
         return {"notice": f"{name} is too large to be kept in the page. Drop the file here to see it."}
     told: dict[str, Any] = {"name": name, "data": _base64(file), "joints": dict(joints)}
     if face is not None and rig.kind == "glb":
-        from gesticulator.export.page_face import page_face
+        from gesticulator.face.page import page_face
 
         shown_with = page_face(rig, face.lips_only)
         told |= {"face": shown_with} if shown_with else {}

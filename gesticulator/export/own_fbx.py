@@ -19,8 +19,8 @@ from gesticulator.export.key_reduction import STEADY
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
-    from data_module.face import FaceMotion
     from gesticulator.export.gltf import FrameTrack, GltfDocument
+    from gesticulator.face.motion import FaceMotion
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 _STILL = 1e-5

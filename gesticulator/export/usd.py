@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.files import write_bytes
-from gesticulator.characters.face_shapes import ARKIT
 from gesticulator.export.clip import NAME, ClipLayout
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.stick_figure import FigureMesh, figure
 from gesticulator.export.writers import Scene
+from gesticulator.face.shapes import ARKIT
 
 if TYPE_CHECKING:
-    from data_module.face import FaceMotion
+    from gesticulator.face.motion import FaceMotion
 
 ROOT = "/Character"
 
@@ -80,7 +80,7 @@ def _express(animation: Any, face: FaceMotion, usd: Any) -> None:
     """Add the weights of ARKit's 52 blend shapes to an animation."""
     from pxr import Vt
 
-    from gesticulator.export.face_mesh import weights
+    from gesticulator.face.mesh import weights
 
     animation.CreateBlendShapesAttr(list(ARKIT))
     track = animation.CreateBlendShapeWeightsAttr()
@@ -92,7 +92,7 @@ def _add_face(stage: Any, skeleton: Any, motion: NodeMotion) -> None:
     """Add a head with blend shapes, fixed to the joint of the head."""
     from pxr import Gf, UsdGeom, UsdSkel, Vt
 
-    from gesticulator.export.face_mesh import JOINT, face_mesh
+    from gesticulator.face.mesh import JOINT, face_mesh
 
     face = face_mesh()
     joint = motion.names.index(JOINT)

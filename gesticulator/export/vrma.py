@@ -22,7 +22,7 @@ from gesticulator.export.nodes import NodeMotion, of_motion
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
-    from data_module.face import FaceMotion
+    from gesticulator.face.motion import FaceMotion
 
 EXTENSION = "VRMC_vrm_animation"
 # Bone of the humanoid -> parent bone, our joints whose world rotations it takes, and the joint where it begins.

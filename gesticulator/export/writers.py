@@ -16,11 +16,11 @@ from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry, Requirement
 
 if TYPE_CHECKING:
-    from data_module.face import FaceMotion
     from data_module.types import Motion, Speech
     from gesticulator.characters.rig import CharacterMotion
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.nodes import NodeMotion
+    from gesticulator.face.motion import FaceMotion
     from gesticulator.plan.plan import GesturePlan
 
 _VIDEO = Requirement("av", "PyAV", "video")

@@ -26,9 +26,9 @@ from data_module.motion.skeletons import standing
 from data_module.settings import whole_number
 
 if TYPE_CHECKING:
-    from data_module.face import FaceMotion
     from data_module.types import Array, Motion
     from gesticulator.export.nodes import NodeMotion
+    from gesticulator.face.motion import FaceMotion
     from gesticulator.stream import StreamFrames
 
 RATE = 60.0
@@ -115,8 +115,8 @@ _EYE = (0.03, 0.06, 0.07)
 
 def face_messages(face: FaceMotion) -> list[list[bytes]]:
     """For each frame the messages of a face: a value per blend shape, the eyes as bones, and that they are complete."""
-    from gesticulator.characters.face_shapes import vrm
     from gesticulator.export.face import eye_turns
+    from gesticulator.face.shapes import vrm
 
     blends = {name: curve for expression, curve in vrm(face).items() if (name := _BLENDS.get(expression))
               and not (face.lips_only and len(name) > 1)}

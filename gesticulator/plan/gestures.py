@@ -62,7 +62,7 @@ EXPRESSIONS: Mapping[str, str] = {
     "smile": "A smile of about two seconds.", "frown": "Brows drawn together for a second.",
     "raise brows": "Brows raised for a moment.", "happy": "A smiling mood, until another mood.",
     "sad": "A sad mood, until another mood.", "neutral": "The end of a mood."}
-"""What cues and marks can ask of a face (`gesticulator.body.face_cues`) -> what it is. A body does nothing for them."""
+"""What cues and marks can ask of a face (`gesticulator.face.track`) -> what it is. A body does nothing for them."""
 
 
 def mark_of(name: str) -> str:

@@ -13,7 +13,7 @@ import { bonesOf, humanoidPose } from "./humanoid.js";
 export const LARGEST = 200 * 2 ** 20;
 
 /** A character in the bytes of a GLB or VRM file. told: { name, joints: our joint -> node of the file,
- *  face: of gesticulator/export/page_face.py } or less. Throws an Error with words for the user. */
+ *  face: of gesticulator/face/page.py } or less. Throws an Error with words for the user. */
 export async function readCharacter(bytes, told) {
   if (bytes.length > LARGEST) throw new Error("it is larger than 200 MB");
   if (new TextDecoder().decode(bytes.subarray(0, 4)) !== "glTF") throw new Error("it is no GLB or VRM file");

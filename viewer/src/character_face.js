@@ -1,4 +1,4 @@
-// The face of a GLB that is no VRM: its morph targets, eyes and jaw, by the constants that gesticulator/export/page_face.py wrote.
+// The face of a GLB that is no VRM: its morph targets, eyes and jaw, by the constants that gesticulator/face/page.py wrote.
 
 import { Quaternion, Vector3 } from "three";
 

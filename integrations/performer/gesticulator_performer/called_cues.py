@@ -1,4 +1,4 @@
-"""The cue phrases of the detector (`data_module.text.meaning`), as cues of the performer, within a budget.
+"""The cue phrases of the detector (`gesticulator.directing.meaning_cues`), as cues of the performer, within a budget.
 
 The detector reads phrases with their guards: it does not fire on idioms, homonyms and negations. Labels that it does
 not know keep the cues of the table of meanings, where it finds nothing.
@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from data_module.text.meaning import LANGUAGES, meaning_cues
+from data_module.text.language import LANGUAGES
+from gesticulator.directing.meaning_cues import meaning_cues
 from gesticulator_performer.cues import Asked, Cues
 
 _LEAST = 0.55

@@ -32,9 +32,9 @@ from data_module.files import read_text
 from data_module.motion.phases import Phase, hand_phases
 from data_module.registry import RegistryEntry
 from data_module.store import Recording, RecordingInfo, Split
-from data_module.text import meaning
 from data_module.truth import JOIN, Mark, PhaseSpan, StyleKnot, Truth
 from data_module.types import Motion
+from gesticulator.directing import meaning_cues
 from gesticulator_performer import tables, text, voices
 from gesticulator_performer.types import Spoken
 
@@ -68,8 +68,8 @@ ADDED_LENGTH = (38.0, 48.0)
 """Their length, seconds."""
 _FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
 """The index of the first recording of each part."""
-_DETECTOR = ("meaning.py", "cue_patterns.py", "meaning_cues.json")
-"""Files of `data_module.text` on which the words that call for named gestures depend."""
+_DETECTOR = ("meaning_cues.py", "cue_patterns.py", "meaning_cues.json")
+"""Files of `gesticulator.directing` on which the words that call for named gestures depend."""
 _ADDED = 10_000
 """Five and six times this is added to that index for the recordings of `ADDED`."""
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
@@ -212,7 +212,7 @@ class Performer:
         if self._options.carriage:
             settings["carriage"] = self._options.carriage
         if self._options.repertoire is not None:
-            detector = [Path(meaning.__file__).with_name(name) for name in _DETECTOR]
+            detector = [Path(meaning_cues.__file__).with_name(name) for name in _DETECTOR]
             settings["repertoire"] = _hash_of(sorted(self._options.repertoire.iterdir()), self._options.repertoire)
             settings["detector"] = _hash_of(detector, detector[0].parent)
         if self._options.languages:

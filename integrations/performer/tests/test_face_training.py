@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from gesticulator_performer.face.training import FaceTraining, LabelledRows, fit, with_long_pause
 
-from data_module.speech.lip_features import stacked
-from data_module.visemes import SILENT
+from gesticulator.face.network import stacked
+from gesticulator.face.visemes import SILENT
 
 
 def test_a_small_network_learns_which_band_is_loud() -> None:

@@ -26,9 +26,9 @@ from data_module.errors import InputError
 from data_module.files import read_table
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
-from data_module.text.meaning import meaning_cues
 from data_module.truth import SCRIPTED, Phrase, Syllable
 from data_module.types import Array, Motion, Speech, Word
+from gesticulator.directing.meaning_cues import meaning_cues
 from gesticulator.plan.gestures import REPERTOIRE
 
 PUPPET = "puppet"

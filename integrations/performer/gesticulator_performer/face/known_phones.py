@@ -16,7 +16,7 @@ from scipy.signal import butter, sosfilt
 
 from data_module.speech.silence import FRAME, frame_levels
 from data_module.types import Samples, Speech
-from data_module.visemes import SILENT, VisemeSpan, labels, of_arpabet, of_ipa, spans
+from gesticulator.face.visemes import SILENT, VisemeSpan, labels, of_arpabet, of_ipa, spans
 from gesticulator_performer import espeak, flite
 from gesticulator_performer.sound import RATE, Phone, read_at, recorded
 from gesticulator_performer.text import compose

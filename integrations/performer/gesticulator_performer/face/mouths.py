@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from data_module.speech.silence import FRAME, frame_levels
 from data_module.types import Array, Samples
-from data_module.visemes import SILENT, VISEMES
+from gesticulator.face.visemes import SILENT, VISEMES
 
 RATE = 50
 _SAMPLE_RATE = 16000

@@ -28,13 +28,13 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.files import read_text
 from data_module.speech.audio import load_speech
-from data_module.speech.lip_features import LOOK_AHEAD
 from data_module.text.alignment import alignment
 from data_module.types import Array, Samples, Speech, Word
-from data_module.visemes import CLOSED, SILENT, VISEMES, VOWELS, opening
 from eval.stats import mean_interval, paired
 from eval.table import Column, Table
-from gesticulator.body.face_lips import SHIPPED, Lips, load_weights, with_dominance
+from gesticulator.face.lips import SHIPPED, Lips, load_weights, with_dominance
+from gesticulator.face.network import LOOK_AHEAD
+from gesticulator.face.visemes import CLOSED, SILENT, VISEMES, VOWELS, opening
 from gesticulator_performer.face.known_phones import PhonedSpeech, aligned, synthetic
 from gesticulator_performer.face.mouths import RATE, by_formants, by_volume, formants, loudness
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import read_text
-from data_module.visemes import SILENT
+from gesticulator.face.visemes import SILENT
 
 WEIGHTS, RECORD = "visemes.safetensors", "face.json"
 _LENGTH = 240
@@ -44,7 +44,7 @@ class FaceTraining:
 
 @dataclass(frozen=True)
 class LabelledRows:
-    """A stretch of speech: rows [2 T, WIDTH] of `data_module.speech.lip_features`, visemes [T] with -1 for unknown."""
+    """A stretch of speech: rows [2 T, WIDTH] of `gesticulator.face.network`, visemes [T] with -1 for unknown."""
 
     rows: NDArray[np.float32]
     labels: NDArray[np.int64]
@@ -111,8 +111,7 @@ def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool 
     machine."""
     import torch
 
-    from data_module.speech.lip_features import stacked
-    from interpreters.visemes import VisemeNet
+    from gesticulator.face.network import VisemeNet, stacked
 
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
@@ -142,7 +141,7 @@ def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool 
 
 def _batches(pieces: Sequence[LabelledRows], settings: FaceTraining, steps: int, rng: np.random.Generator
              ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.int64]]]:
-    from data_module.speech.lip_features import STACKED, stacked
+    from gesticulator.face.network import STACKED, stacked
 
     order: list[int] = []
     for _ in range(steps):
@@ -161,7 +160,7 @@ def _batches(pieces: Sequence[LabelledRows], settings: FaceTraining, steps: int,
 def recordings_of(settings: FaceTraining, readings: Sequence[Path]) -> list[LabelledRows]:
     """Synthetic speech and the aligned readings (sound files beside their .txt), with their visemes."""
     from data_module.speech.audio import load_speech
-    from data_module.speech.lip_features import RATE, rows_of
+    from gesticulator.face.network import RATE, rows_of
     from gesticulator_performer.face.known_phones import PhonedSpeech, aligned, synthetic
 
     def row(one: PhonedSpeech) -> LabelledRows:
@@ -184,7 +183,7 @@ def save(net: Any, settings: FaceTraining, readings: Sequence[Path], out: Path) 
     from safetensors.torch import save as to_bytes
 
     from data_module.files import write_bytes, write_text
-    from data_module.visemes import VISEMES
+    from gesticulator.face.visemes import VISEMES
     from gesticulator_performer.face.known_phones import FLITE, LANGUAGES, VARIANTS
 
     weights = to_bytes({name: value.contiguous() for name, value in net.state_dict().items()})

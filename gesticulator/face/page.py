@@ -1,6 +1,6 @@
 """What a page needs to show a face on a character: its morph targets, eyes and jaw, by the numbers of a face.
 
-Every curve of `gesticulator.characters.face_shapes.curves` is a sum of the numbers of `FaceMotion.values`, or of what
+Every curve of `gesticulator.face.shapes.curves` is a sum of the numbers of `FaceMotion.values`, or of what
 they are below zero, times constants, held between 0 and 1. The constants are read off `curves`, so that the page needs
 no formulas.
 """
@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from data_module.face import FaceMotion
-from gesticulator.characters.face_rig import FaceRig, find_face
-from gesticulator.characters.face_shapes import JAW_OPEN, curves, is_lips
 from gesticulator.characters.rig import Character
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.rig import FaceRig, find_face
+from gesticulator.face.shapes import JAW_OPEN, curves, is_lips
 
 NUMBERS = 20
 """Numbers of a face: 15 visemes, blink, brows, smile, gaze."""

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_module.face import FaceMotion
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.types import Array, Motion
-from data_module.visemes import CLOSED, VISEMES, opening
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.visemes import CLOSED, VISEMES, opening
 
 NUMBERS, LEFT, AHEAD = "Face", "HeadLeft", "HeadAhead"
 """Entries that a face adds to the points of a figure: [T, 20] `FaceMotion.values`, and the unit vectors [T, 3] from the

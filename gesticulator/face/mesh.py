@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.face import FaceMotion
 from data_module.types import Array
-from gesticulator.characters.face_shapes import ARKIT, arkit
-from gesticulator.export.figure_face import mouth_outline
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.mouth import mouth_outline
+from gesticulator.face.shapes import ARKIT, arkit
 
 JOINT = "Head"
 _CENTRE, _RADII = np.array([0.0, 0.092, 0.016]), np.array([0.077, 0.118, 0.094])

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import read_object
-from data_module.speech.lip_features import LOOK_AHEAD, RATE, SAMPLE_RATE, STACKED, LipFeatures
 from data_module.speech.silence import FRAME, MARGIN, STEP, LoudnessTracker, frame_levels
 from data_module.types import Array, Samples, Word
-from data_module.visemes import SILENT, VISEMES
-from interpreters.visemes import HIDDEN, VisemeStepper
+from gesticulator.face.network import HIDDEN, LOOK_AHEAD, RATE, SAMPLE_RATE, STACKED, LipFeatures, VisemeStepper
+from gesticulator.face.visemes import SILENT, VISEMES
 
 SHIPPED = Path(__file__).parents[1] / "assets" / "face"
 _AGAIN = "install gesticulator again, or train it: gesticulator train-face --out DIR"
@@ -85,8 +84,8 @@ class Lips:
         self._opens += self._gate.finish()
 
     def follow(self, words: Sequence[Word]) -> None:
-        """Draw the mouth of the whole sound, which is over, towards the phones of its words (`face_phones`)."""
-        from gesticulator.body.face_phones import spoken_weights
+        """Draw the mouth of the whole sound, which is over, towards the phones of its words (`phones`)."""
+        from gesticulator.face.phones import spoken_weights
 
         self._curve = list(spoken_weights(self.weights, words).astype(np.float32))
 

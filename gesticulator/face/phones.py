@@ -7,16 +7,23 @@ times, give or take `SLACK`. A word that the sound contradicts is left to the so
 
 from __future__ import annotations
 
+import re
+import shutil
+import subprocess
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.speech.lip_features import RATE
+from data_module.text.alignment import aligner_installed, can_follow, dictionary_phones, spoken_words
+from data_module.text.language import language_of
 from data_module.types import Array, Word
-from data_module.visemes import CLOSED, SILENT, VISEMES
+from gesticulator.face.network import RATE
+from gesticulator.face.visemes import CLOSED, SILENT, VISEMES, of_arpabet, of_ipa
 
 SLACK = 0.1
 """Seconds by which the times of a word may be wrong: recognisers round and miss by so much."""
@@ -117,7 +124,7 @@ def _warn(reason: str) -> None:
 
 def phoned(words: Sequence[Word]) -> list[PhonedWord] | None:
     """The words with their visemes; None if no source of pronunciations knows their language."""
-    from data_module.text.pronunciations import pronunciations
+    from gesticulator.face.phones import pronunciations
 
     ways = pronunciations([word.text for word in words])
     if ways is None:
@@ -219,3 +226,65 @@ def _best(states: _States, scores: Array, begin: int) -> NDArray[np.int64]:
         path[frame] = at
         at = int(steps[frame][at])
     return path
+
+
+Pronunciation: TypeAlias = tuple[int, ...]
+"""The visemes of a word in order, no two neighbours equal."""
+
+_VOICES = {"en": "en-us", "de": "de", "es": "es"}
+"""Language -> voice of espeak-ng."""
+_LISTED = re.compile(r"[^\w'’ ]+|_+")
+_ONCE = 200
+"""Words of one call of the program."""
+
+
+def pronunciations(words: Sequence[str]) -> list[tuple[Pronunciation, ...]] | None:
+    """For each word the ways to say it, () for a word without any; None if no source knows their language.
+
+    words: as they are written, in one language. The language is found by its commonest words.
+    """
+    language, text = language_of(words), " ".join(words)
+    if language == "en" and not can_follow(text):
+        return None
+    if language == "en" and aligner_installed():
+        return [_in_dictionary(word) for word in words]
+    if shutil.which("espeak-ng") is None:
+        return None
+    known = dict(_by_espeak(tuple(dict.fromkeys(words)), _VOICES[language]))
+    return [known[word] for word in words]
+
+
+def _merged(visemes: Sequence[int]) -> Pronunciation:
+    return tuple(one for place, one in enumerate(visemes) if place == 0 or one != visemes[place - 1])
+
+
+@lru_cache(maxsize=20000)
+def _in_dictionary(word: str) -> tuple[Pronunciation, ...]:
+    """All ways to say an English word; a word of several parts ("real-time") has the first way of each."""
+    parts = [dictionary_phones(plain) for _, plain in spoken_words(word)]
+    if not parts:
+        return ()
+    ways = parts[0] if len(parts) == 1 else [[phone for part in parts for phone in part[0]]]
+    said = (_merged([one for phone in way for one in of_arpabet(phone)]) for way in ways)
+    return tuple(dict.fromkeys(way for way in said if way))
+
+
+def _by_espeak(words: Sequence[str], voice: str) -> Iterator[tuple[str, tuple[Pronunciation, ...]]]:
+    for first in range(0, len(words), _ONCE):
+        some = words[first:first + _ONCE]
+        plain = [" ".join(_LISTED.sub(" ", word).split()) for word in some]
+        spoken = [word for word in plain if word]
+        lines = _printed(spoken, voice)
+        if len(lines) != len(spoken):  # the program took a word for several clauses
+            lines = [" ".join(_printed([word], voice)) for word in spoken]
+        phones = iter(lines)
+        for word, there in zip(some, plain, strict=True):
+            way = _merged([one for phone in next(phones).split() for one in of_ipa(phone)]) if there else ()
+            yield word, (way,) if way else ()
+
+
+def _printed(words: Sequence[str], voice: str) -> list[str]:
+    """The IPA of each word, its phones separated by spaces."""
+    done = subprocess.run(["espeak-ng", "-q", "--ipa", "--sep= ", "-v", voice, "--stdin"], capture_output=True,
+                          input="\n\n".join(words) + "\n\n", text=True, timeout=120, encoding="utf-8")
+    return [line.strip() for line in done.stdout.split("\n") if line.strip()] if done.returncode == 0 else []

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_module.types import Array
-from data_module.visemes import SILENT, VISEMES, opening
+from gesticulator.face.visemes import SILENT, VISEMES, opening
 
 
 @dataclass(frozen=True)
 class FaceMotion:
     """A face over T frames; frame t is the face at t / fps seconds.
 
-    visemes: [T, 15] weights of `data_module.visemes.VISEMES`, 0 to 1; what is missing to 1 is the mouth at rest. blink:
+    visemes: [T, 15] weights of `visemes.VISEMES`, 0 to 1; what is missing to 1 is the mouth at rest. blink:
     [T] how far the lids are shut, 0 to 1. brows: [T] how far they are raised, -1 (drawn together) to 1. smile: [T] -1
     (the corners of the mouth down) to 1. gaze: [T, 2] direction of the eyes in the head, radians: to the character's
     left, and up. lips_only: the face has no blinks, brows, smile or gaze, and what a character has for them is left

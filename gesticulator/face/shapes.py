@@ -11,9 +11,9 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from data_module.face import FaceMotion
 from data_module.types import Array
-from data_module.visemes import VISEMES
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.visemes import VISEMES
 
 _SIDED = ("eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp", "eyeSquint", "eyeWide")
 _LEFT = [f"{name}Left" for name in _SIDED]

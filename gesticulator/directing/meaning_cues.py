@@ -16,12 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from data_module.files import read_object
-from data_module.text.cue_patterns import CuePattern, SpokenText, cue_pattern, spoken_text
+from data_module.text.language import LANGUAGES
+from gesticulator.directing.cue_patterns import CuePattern, SpokenText, cue_pattern, spoken_text
 
-__all__ = ["LANGUAGES", "CalledGesture", "MeaningCues", "language_of", "meaning_cues"]
-
-LANGUAGES = ("en", "de", "es")
-"""Languages with cue phrases of their own."""
 _SCOPE = 4
 """Words after a negation that it may concern."""
 _NEAR = 80
@@ -178,17 +175,3 @@ def _class(row: Mapping[str, Any], language: str) -> MeaningClass:
     return MeaningClass(row["label"], row.get("gesture", row["label"].replace("_", " ")), row.get("negated", False),
                         tuple(cue_pattern(cue, weight) for cue in row[language]),
                         tuple(cue_pattern(guard) for guard in unless))
-
-
-_FUNCTION_WORDS = {
-    "en": _set("the and of to a in is that it you i we for on with this was are be have not at they but"),
-    "de": _set("der die das und ich nicht ist zu es wir ein eine mit den auf sie auch dass für von"),
-    "es": _set("el la los las que de y no en es un una con por para lo se del como más")}
-
-
-def language_of(words: Sequence[str]) -> str:
-    """The language of `LANGUAGES` whose commonest words are most frequent here; English where none is clearly so."""
-    counts = {language: sum(word.lower().strip(".,;:!?¿¡\"'") in common for word in words)
-              for language, common in _FUNCTION_WORDS.items()}
-    best = max(counts, key=lambda language: counts[language])
-    return best if counts[best] >= 2 and counts[best] > counts["en"] else "en"

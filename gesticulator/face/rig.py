@@ -11,12 +11,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
-from data_module.face import FaceMotion
 from data_module.motion import rotation
 from data_module.types import Array
-from gesticulator.characters.face_shapes import VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles
 from gesticulator.characters.gltf_file import AGAIN, GltfFile, read_gltf
 from gesticulator.characters.rig import Character
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.shapes import VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles
 
 _MOST_TARGETS = 4096
 """Most morph targets of a mesh."""
@@ -29,7 +29,7 @@ _RICH = 20
 
 @dataclass(frozen=True)
 class FaceRig:
-    """morphs: node of the file -> (index of the target, curve of `face_shapes.curves`, share), several per target
+    """morphs: node of the file -> (index of the target, curve of `shapes.curves`, share), several per target
     added up; sizes: node -> number of its targets; base: node -> weights at rest. eyes: nodes of the character that
     turn with the gaze; jaw: the node that turns with the mouth where no shape opens it, or None."""
 
