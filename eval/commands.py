@@ -58,7 +58,8 @@ def choice(word: str, about: str, known: Registry[RegistryEntry], show: Callable
             print("\n".join(f"{name:<{width}}  {entry.about}" for name, entry in known.items()))
             return 0
         if not given.name:
-            raise InputError(f"the name after {word}", "is missing", f"choose among {', '.join(known)}")
+            raise InputError(f"the name after {word}", "is missing", f"choose among {', '.join(known)}" if known else
+                             "install a distribution that brings one, such as gesticulator-performer")
         tool = known.load(given.name)
         parser = argparse.ArgumentParser(f"{PROGRAM} {word} {given.name}", description=known.entry(given.name).about)
         tool.arguments(parser)

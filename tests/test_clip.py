@@ -11,7 +11,7 @@ import pytest
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, from_vector
 from data_module.types import Motion, Speech
-from eval.clip.measure import ClipMeasurement, measure, motion_values, rhythm
+from eval.clip.measure import ClipMeasurement, measure, rhythm
 
 
 def moving(fps: float, seconds: float = 3.0) -> Motion:
@@ -21,19 +21,13 @@ def moving(fps: float, seconds: float = 3.0) -> Motion:
     return from_vector(pose.reshape(len(t), -1), fps)
 
 
-def test_what_is_measured_of_motion() -> None:
+def test_speeds_in_speech_and_in_silence() -> None:
     speed, silent = np.array([[1.0, 3.0], [2.0, 2.0], [0.5, 0.1]]), np.array([False, False, True])
     beats = np.array([0.5, 1.0, 1.5])
     clip = ClipMeasurement(beats, beats, 3.0, speed, silent, np.zeros(3))
-    values = motion_values(clip, moving(60.0), moving(60.0, seconds=4.0), seed=0)
-    assert values["speech_speed"] == 2.0 and values["silence_speed"] == pytest.approx(0.3)
-    assert values["pmb_above_chance"] == pytest.approx(100.0)
-    assert values["maje"] == values["mad"] == 0.0, "the longer one is cut"
-    assert motion_values(clip, moving(60.0), moving(30.0), seed=0)["maje"] < 5.0, "one rate for both"
-    still = dataclasses.replace(moving(60.0), rotations=np.repeat(moving(60.0).rotations[:1], 180, axis=0))
-    assert motion_values(clip, still, moving(60.0), seed=0)["maje"] > 1.0
-    nobody = dataclasses.replace(clip, silent=np.zeros(3, bool))
-    assert math.isnan(motion_values(nobody, moving(60.0), moving(60.0), seed=0)["silence_speed"])
+    assert clip.speech_speed == 2.0 and clip.silence_speed == pytest.approx(0.3)
+    assert clip.rhythm(seed=0).above_chance == pytest.approx(100.0)
+    assert math.isnan(dataclasses.replace(clip, silent=np.zeros(3, bool)).silence_speed)
 
 
 def test_speeds_are_metres_per_second_and_silence_is_told_apart() -> None:

@@ -22,9 +22,7 @@ from data_module.speech.onsets import detect_onsets
 from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Array, Motion, Speech
 from eval import stats
-from eval.baselines.controls import to_common_length
 from eval.metrics import pmb
-from eval.metrics.joint_error import JointError, motion_error
 from eval.metrics.smoothness import HANDS, derivative
 
 SETTLED = 1.0
@@ -127,20 +125,6 @@ def _settled(speech: Speech, frames: int, fps: float) -> NDArray[np.bool_]:
     settled = np.convolve(quiet, np.ones(window))[:len(quiet)] >= window - 0.5
     at = np.minimum((np.arange(frames) / fps / FRAME).astype(int), len(settled) - 1)
     return np.asarray(settled[at], dtype=bool)
-
-
-def against(motion: Motion, truth: Motion) -> JointError:
-    """MAJE and MAD beside the speaker's own motion, which is brought to the same frame rate; cut to the shorter."""
-    first, second = to_common_length([motion], [resample(truth, motion.fps)])
-    return motion_error(first[0], second[0])
-
-
-def motion_values(clip: ClipMeasurement, motion: Motion, truth: Motion, seed: int) -> dict[str, float]:
-    """The figures of a clip in tables: PMB above chance (percent, at `pmb.DELTA`), mean hand speeds (m/s), MAJE (mm)
-    and MAD (mm/s^2)."""
-    error = against(motion, truth)
-    return {"pmb_above_chance": clip.rhythm(seed=seed).above_chance, "speech_speed": clip.speech_speed,
-            "silence_speed": clip.silence_speed, "maje": error.maje, "mad": error.mad}
 
 
 def real_take(fps: float, own_rig: bool = False) -> tuple[Motion, Speech] | None:

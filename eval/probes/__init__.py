@@ -11,4 +11,4 @@ from __future__ import annotations
 from data_module.registry import Registry, RegistryEntry, is_tool
 
 PROBES: Registry[RegistryEntry] = Registry("probes", "a probe", {}, RegistryEntry, fits=is_tool)
-"""None of ours at present: all are entry points."""
+"""Empty here: distributions such as gesticulator-performer bring theirs as entry points `gesticulator.probes`."""
