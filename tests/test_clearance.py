@@ -18,7 +18,9 @@ from data_module.types import Array, Motion
 from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import elbow_behind, fastest_elbow
 from gesticulator import Gesticulator
-from gesticulator.body.clearance import (
+from gesticulator.body.mirror import mirrored_motion
+from gesticulator.contacts.columns import our_distances
+from gesticulator.contacts.default_body import (
     HEAD_RADIUS,
     HEM,
     STEEPEST,
@@ -28,8 +30,7 @@ from gesticulator.body.clearance import (
     shirt_at,
     trunk_front,
 )
-from gesticulator.body.mirror import mirrored_motion
-from gesticulator.characters.contacts import OURS, our_distances, pose_of
+from gesticulator.contacts.limbs import OURS, pose_of
 
 FPS = 60.0
 

@@ -16,8 +16,9 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTERS, FINGERED, FINGERS
 from data_module.types import Array, Motion
 from gesticulator.body.mirror import mirrored_motion
-from gesticulator.characters.contacts import MARGIN, head_distances, our_distances, pose_of
 from gesticulator.cli import main
+from gesticulator.contacts.columns import head_distances, our_distances
+from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_arms import arm_turns, hand_rotation
 from gesticulator.directing.gesture_phases import drawn_gesture, longest
 from gesticulator.directing.gesture_scripts import SCRIPTS

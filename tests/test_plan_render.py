@@ -20,7 +20,8 @@ from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.body.mirror import mirrored_motion
 from gesticulator.bundle.features import representation_of
-from gesticulator.characters.contacts import our_distances, pose_of
+from gesticulator.contacts.columns import our_distances
+from gesticulator.contacts.limbs import pose_of
 from gesticulator.directing.directions import cues_at
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.directing.shaping import (

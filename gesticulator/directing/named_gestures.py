@@ -17,14 +17,8 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, FINGERS
 from data_module.types import Array, Motion
 from gesticulator.body.mirror import SIDES, exchanged_joints
-from gesticulator.characters.contacts import (
-    MARGIN,
-    head_distances,
-    kept_off_our_head,
-    kept_out_of_us,
-    our_distances,
-    pose_of,
-)
+from gesticulator.contacts.columns import head_distances, kept_off_our_head, kept_out_of_us, our_distances
+from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_parts import GestureScript, Vector
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
 from gesticulator.directing.shaping import nearest_turn

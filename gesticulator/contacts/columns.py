@@ -1,8 +1,4 @@
-"""Distances of the hands of the default character from its trunk and head, and arms bent to keep them.
-
-`gesticulator.body.clearance` keeps the hands of every performance out of the body, `gesticulator.characters.trunk`
-those of other characters; what is here leads the hand of a gesture by name around the body.
-"""
+"""Trunk and head of the default character as elliptic columns, around which named gestures are led."""
 
 from __future__ import annotations
 
@@ -10,28 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from data_module.motion import rotation
-from data_module.motion.kinematics import with_ancestors
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.characters.inverse_kinematics import bend
+from gesticulator.contacts.limbs import MARGIN, OURS, POLE_OF_ELBOW, Pose, bend, pose_of
 
-SOFT = 0.05
-"""Metres before and after the surface over which a hand is slowed; one at rest on the trunk, at 12 mm, moves by 7."""
-LEAST = 1e-6
-"""Metres below which a hand is not moved."""
-POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
-"""Direction to which the elbow of a straight arm bends."""
-
-MARGIN = 0.03
-"""Metres from the trunk beyond which a hand is not corrected, for an adult."""
-OURS = (0.145, 0.115)
-"""Half the width and half the depth of the default character's trunk, metres: a slim adult."""
 _STEPS = 5
 """Iterations of pushing a hand outwards; each corrects the direction of the one before."""
+
 
 @dataclass(frozen=True)
 class Trunk:
@@ -89,34 +72,6 @@ _CHIN, _CROWN = np.array([0.0, -0.025, 0.02]), np.array([0.0, 0.195, 0.02])
 _PALM = ("Hand", "HandMiddle1")
 _HAND = (*_PALM, *(f"Hand{finger}{joint}" for finger in ("Thumb", "Index", "Middle", "Pinky") for joint in (2, 3)))
 """Joints of a hand that are kept out of the trunk, and of the head."""
-
-
-@dataclass(frozen=True)
-class Pose:
-    """The joints of the default skeleton over T frames: joint -> [T, 3, 3] world rotations and [T, 3] positions,
-    metres."""
-
-    turns: Mapping[str, Array]
-    places: Mapping[str, Array]
-
-
-def pose_of(motion: Motion, names: Sequence[str] | None = None) -> Pose:
-    """World rotations and positions of a motion's joints; of these and those above them, if names are given."""
-    skeleton = motion.skeleton
-    joints: Sequence[int] = range(len(skeleton))
-    if names is not None:
-        joints = with_ancestors(skeleton.parents, tuple(map(skeleton.index, names)))
-    local = rotation.to_matrix(motion.rotations[:, joints])
-    turns, places = {}, {}
-    for place, joint in enumerate(joints):
-        name, parent = skeleton.names[joint], skeleton.parents[joint]
-        if parent < 0:
-            turns[name], places[name] = local[:, place], motion.root_positions
-        else:
-            above = skeleton.names[parent]
-            turns[name] = turns[above] @ local[:, place]
-            places[name] = places[above] + turns[above] @ skeleton.offsets[joint]
-    return Pose(turns, places)
 
 
 def our_distances(ours: Pose) -> dict[str, Array]:
@@ -226,32 +181,3 @@ def _kept_out(motion: Motion, pose: Pose, gaps: Mapping[str, tuple[Array, Array]
             local = np.swapaxes(turns[motion.skeleton.parents[joint]], -1, -2) @ turns[joint]
             rotations[touched, joint] = Rotation.from_matrix(local[touched]).as_quat(scalar_first=True)
     return replace(motion, rotations=rotations)
-
-
-class BelowShoulder(OurLimbs):
-    """The nodes of an arm under a shoulder that stays where it is."""
-
-    def __init__(self, skeleton: Skeleton, shoulder: int, place: Array) -> None:
-        super().__init__(skeleton)
-        self._shoulder = {shoulder: place}
-
-    def _fixed(self) -> dict[int, Array]:
-        return dict(self._shoulder)
-
-
-def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array], joints: Sequence[int],
-                at: NDArray[np.int64]) -> None:
-    """Write the world rotations `turns` of some joints, each above the next, into `rotations` [T, J, 4] at the frames
-    `at`."""
-    above = np.array([turns[skeleton.parents[joint]] for joint in joints])
-    local = np.swapaxes(above, -1, -2) @ np.array([turns[joint] for joint in joints])
-    new = rotation.w_first(Rotation.from_matrix(local.reshape(-1, 3, 3))).reshape(*local.shape[:2], 4)
-    where = at, np.array(joints)[:, None]
-    old = rotations[where]
-    # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
-    rotations[where] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
-
-
-def soft(depth: Array, over: float = SOFT) -> Array:
-    """max(depth, 0) without a kink, metres. over: metres on both sides in which it is rounded."""
-    return np.where(depth > over, depth, np.clip(depth + over, 0.0, 2.0 * over) ** 2 / (4.0 * over))
