@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from columns import head_distances, trunk_distances
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
@@ -17,7 +18,6 @@ from data_module.motion.skeletons import CHARACTERS, FINGERED, FINGERS
 from data_module.types import Array, Motion
 from gesticulator.body.mirror import mirrored_motion
 from gesticulator.cli import main
-from gesticulator.contacts.columns import head_distances, our_distances
 from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_arms import arm_turns, hand_rotation
 from gesticulator.directing.gesture_phases import drawn_gesture, longest
@@ -176,7 +176,7 @@ def test_poses_are_those_of_a_body(name: str) -> None:
             bend = np.linalg.norm(turns[:, names.index(side + "Hand"), 1:], axis=-1)
             assert np.degrees(bend).max() < 70.0, "a wrist"
             assert speeds(wrist).max() < 4.5
-        assert min(gap.min() for gap in our_distances(pose_of(motion)).values()) > 0.0, "no hand in the trunk"
+        assert min(gap.min() for gap in trunk_distances(pose_of(motion)).values()) > 0.0, "no hand in the trunk"
 
 
 # -------------------------------------------------------------------------------------------------- size, variation

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from columns import trunk_distances
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import WHOLE_BODY
@@ -13,7 +14,6 @@ from data_module.types import Array, Motion
 from gesticulator.characters.body_surface import outline_of
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import CharacterMotion, Retargeter
-from gesticulator.contacts.columns import our_distances
 from gesticulator.contacts.default_body import cleared
 from gesticulator.contacts.limbs import MARGIN, OURS, pose_of
 from gesticulator.contacts.other_bodies import HandLimit, HandPoint, Obstacle, displacement, spread
@@ -164,7 +164,7 @@ def test_an_arm_swung_across_a_stout_body_stays_outside_and_is_not_faster(
     """The control is the correction of each frame by itself, which leads the hand around in the time in which it would
     have gone through."""
     motion = swung()
-    assert our_distances(pose_of(motion))["Left"].min() > -1e-3
+    assert trunk_distances(pose_of(motion))["Left"].min() > -1e-3
     rig = draw(seed, "mixamo", "A", True)
     bare, moved = (Retargeter(rig.character, contacts=contacts)(motion) for contacts in (False, True))
     monkeypatch.setattr("gesticulator.characters.body_surface.spread", lambda push, *_: push)

@@ -60,10 +60,10 @@ _LEAST = 1e-5
 """Metres below which a hand is not moved."""
 
 
-def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose, fps: float) -> None:
+def keep_hands_out(turns: dict[int, Array], body: Body, default: Pose, fps: float) -> None:
     """Bend the arms in `turns` where a hand would be nearer to the character's trunk, and to its thighs where it sits,
-    than on the default character. fps: frames per second."""
-    joints, bodies = body.mapping.joints, _Bodies(turns, body, ours)
+    than on the default character. default: its pose; fps: frames per second."""
+    joints, bodies = body.mapping.joints, _Bodies(turns, body, default)
     for side in SIDES:
         chain = (joints[side + "Arm"], joints[side + "ForeArm"], joints[side + "Hand"])
         arm = float(sum(np.linalg.norm(body.place({}, below) - body.place({}, above))
@@ -81,16 +81,16 @@ def keep_hands_out(turns: dict[int, Array], body: Body, ours: Pose, fps: float) 
 class _Bodies:
     """Trunk and thighs of a character and of the default character over T frames."""
 
-    def __init__(self, turns: Mapping[int, Array], body: Body, ours: Pose) -> None:
-        self._body, self._ours = body, ours
-        joints, chest, self._origin = body.mapping.joints, ours.turns["Spine3"], ours.places["Hips"]
+    def __init__(self, turns: Mapping[int, Array], body: Body, default: Pose) -> None:
+        self._body, self._pose = body, default
+        joints, chest, self._origin = body.mapping.joints, default.turns["Spine3"], default.places["Hips"]
         neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
         self._outline = outline_of(body)
         self._theirs, self._default = (trunk_axes(neck, chest),
-                                       trunk_axes(ours.places["Neck"] - self._origin, chest))
+                                       trunk_axes(default.places["Neck"] - self._origin, chest))
         self._thighs, self._our_thighs = seated_thighs(body, turns), tuple[Thigh, ...]()
         if self._thighs:
-            ends = [[ours.places[side + part] - self._origin for side in SIDES] for part in ("UpLeg", "Leg")]
+            ends = [[default.places[side + part] - self._origin for side in SIDES] for part in ("UpLeg", "Leg")]
             # A character that sits in its file may be given the motion of someone who stands.
             self._our_thighs = our_thighs(*ends) if is_level(*ends) else ()
 
@@ -104,7 +104,7 @@ class _Bodies:
         for part in ("Hand", "HandMiddle1", *(FINGERTIPS if self._thighs else ())):
             if (node := self._body.mapping.joints.get(side + part)) is None:
                 continue
-            place, our = self._body.place(turns, node), self._ours.places[side + part] - self._origin
+            place, our = self._body.place(turns, node), self._pose.places[side + part] - self._origin
             margins = np.full(len(place), -np.inf)  # of fingertips, which are kept above the thighs alone
             if part not in FINGERTIPS:
                 limits.append(HandLimit.of(self._default.local(our), self._theirs.local(place),
@@ -130,8 +130,8 @@ def _scaled(body: Body) -> Outline:
 
 
 def scale_of(body: Body) -> float:
-    """How large a character without a mesh is taken to be, relative to ours: by the width of the shoulders and the
-    length of the trunk."""
+    """The size of a character without a mesh relative to the default one: by the width of the shoulders and the length
+    of the trunk."""
     joints, places = body.mapping.joints, body.rest_places
     shoulders = float(np.linalg.norm(places[joints["LeftArm"]] - places[joints["RightArm"]]))
     trunk = float(np.linalg.norm(places[joints["Head"]] - places[joints["Hips"]]))
@@ -150,15 +150,21 @@ def _measured_trunk(body: Body) -> Outline | None:
     left = left / np.linalg.norm(left)
     share = (points - hips) @ up / length
     flat = np.stack([(points - hips) @ left, (points - hips) @ np.cross(left, up)])
-    out = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) @ flat  # [36, V]
+    outline = _sliced(share, flat, _STEPS, 1.0 / 12.0)
+    if outline is None:
+        return None
     ahead = np.maximum(np.sin(ANGLES), 0.0) * (FLEXED * length if _stands(body) else 0.0)
-    steps, rows = [], []
-    for step in _STEPS:
-        near = np.abs(share - step) < 1.0 / 12.0
-        if near.sum() >= FEWEST_IN_SLICE:
-            steps.append(step)
-            rows.append(np.percentile(out[:, near], OUTER, axis=1) + max(-step, 0.0) * ahead)
-    return Outline(np.array(steps), np.array(rows)) if rows else None
+    return Outline(outline.steps, outline.reach + np.maximum(-outline.steps, 0.0)[:, None] * ahead)
+
+
+def _sliced(share: Array, flat: Array, steps: Array, half: float) -> Outline | None:
+    """The outline of vertices at heights [V] and places [2, V] across; None if no slice has enough of them. steps: the
+    middles of the slices; half: how far a slice reaches from its middle."""
+    out = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) @ flat  # [36, V]
+    near = np.abs(share - steps[:, None]) < half
+    full = near.sum(axis=1) >= FEWEST_IN_SLICE
+    rows = [np.percentile(out[:, inside], OUTER, axis=1) for inside in near[full]]
+    return Outline(steps[full], np.array(rows)) if rows else None
 
 
 def _flesh(body: Body) -> Array:
@@ -192,7 +198,7 @@ def surface_of(skin: Skin, trunk: NDArray[np.bool_]) -> Array:
 
 
 def _stands(body: Body) -> bool:
-    """Whether the thighs hang down at rest and in the bind pose."""
+    """True if the thighs hang down at rest and in the bind pose."""
     joints = body.mapping.joints
     if not body.mapping.legs or body.sits:
         return False
@@ -209,7 +215,7 @@ def _bind_ends(body: Body) -> tuple[Array, Array]:
 
 
 def seated_thighs(body: Body, turns: Mapping[int, Array]) -> tuple[Thigh, ...]:
-    """Those of a character with these turns of its nodes; none where it does not sit."""
+    """The thighs of a character with these turns of its nodes; none where it does not sit."""
     joints = body.mapping.joints
     if not all(side + part in joints for side in SIDES for part in ("UpLeg", "Leg")):
         return ()
@@ -241,11 +247,5 @@ def _measured_thigh(body: Body, side: str) -> Outline | None:
     left = np.array([1.0, 0.0, 0.0]) - along[0] * along
     left = left / np.linalg.norm(left)
     places = points @ body.bind_axes.T * body.unit - hip
-    out = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) @ np.stack([places @ left, places @ np.cross(along, left)])
-    steps, rows = [], []
-    for step in _THIGH_STEPS:
-        there = np.abs(places @ along / length - step) < 1.0 / 8.0
-        if there.sum() >= FEWEST_IN_SLICE:
-            steps.append(step)
-            rows.append(np.percentile(out[:, there], OUTER, axis=1))
-    return Outline(np.array(steps), np.array(rows)) if rows else None
+    flat = np.stack([places @ left, places @ np.cross(along, left)])
+    return _sliced(places @ along / length, flat, _THIGH_STEPS, 1.0 / 8.0)

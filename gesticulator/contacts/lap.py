@@ -66,7 +66,7 @@ def kept_off_thighs(motion: Motion) -> Motion:
 
 
 def is_seated(motion: Motion) -> bool:
-    """Whether a motion on the default skeleton has legs, and they are those of someone who sits."""
+    """True if a motion on the default skeleton has legs, and they sit."""
     if "LeftUpLeg" not in motion.skeleton.names or not len(motion):
         return False
     first = replace(motion, rotations=motion.rotations[:1], root_positions=np.zeros((1, 3)))

@@ -7,7 +7,7 @@ tangents of its slice at s (the support function h of angles a, 0 to the left an
 
 the upper side of the slice, which falls beside it and beyond its ends with a slope of at most 1.2. A hand is moved
 along the upward normal of the thigh alone: a direction out of a closed shape would turn round at its middle, and a hand
-that passes through a thigh would jump. What it is moved by changes at most 1.2 times as fast as the hand moves.
+that passes through a thigh would jump. Its displacement changes at most 1.2 times as fast as the hand moves.
 """
 
 from __future__ import annotations
@@ -131,6 +131,6 @@ def tapering(upper: float, lower: float) -> Outline:
 
 
 def is_level(hips: Sequence[Array], knees: Sequence[Array]) -> bool:
-    """Whether thighs with these ends [T, 3] are those of a body that sits."""
+    """True if thighs with these ends [T, 3] are those of a body that sits."""
     ways = np.concatenate([np.atleast_2d(knee - hip) for hip, knee in zip(hips, knees, strict=True)])
     return bool((-ways[:, 1] < LEVEL * np.linalg.norm(ways, axis=-1)).all())
