@@ -14,7 +14,7 @@ from gesticulator.directing.record import units_of_blocks
 from gesticulator.plan.plan import Block, BlockDraw
 from gesticulator.sampling.loop import BlockMotion
 from gesticulator.systems.movement import GOES_ON_PAUSING, HOLD, VOICE_RETURNS, phrasing
-from gesticulator.training.stages.planner import units_of
+from gesticulator.training.stages.heads import units_of
 from interpreters.base import BlockFeatures
 from interpreters.planner import APEXES, CLASSES, HANDS, PHASES, SIZES, UnitDecision, UnitPlanner
 from interpreters.settings import PlannerConfig

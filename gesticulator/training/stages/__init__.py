@@ -19,17 +19,13 @@ from gesticulator.systems import SYSTEMS, system_of
 from gesticulator.training.stages.advantage import ADVANTAGE, COUNTERFACTUALS
 from gesticulator.training.stages.base import Node, Run, Stage, closure
 from gesticulator.training.stages.corpus import BLOCKS, Corpus
-from gesticulator.training.stages.features import CORPUS
-from gesticulator.training.stages.gate import GATE
 from gesticulator.training.stages.generator import GENERATOR
-from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TEXT
-from gesticulator.training.stages.labels import LABELS, Labelled
-from gesticulator.training.stages.lexicon import CODEC, LEXICON, TOKENS, Tokens
-from gesticulator.training.stages.planner import PLANNER
+from gesticulator.training.stages.heads import GATE, PLANNER
+from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TEXT, STYLE, STYLE_TEXT
+from gesticulator.training.stages.lexicon import CODEC, LABELS, LEXICON, TOKENS, Labelled, Tokens
 from gesticulator.training.stages.q_network import EPISODES, Q_LITERAL, Q_NETWORK
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
-from gesticulator.training.stages.speech import CONTRAST, ENCODER, SPEECH
-from gesticulator.training.stages.style import STYLE, STYLE_TEXT
+from gesticulator.training.stages.speech import CONTRAST, CORPUS, ENCODER, SPEECH
 from interpreters import entries
 
 _HERE = "gesticulator.training.stages"
