@@ -1,7 +1,7 @@
 """Knobs applied to the generated poses: the size of gestures, and which hand makes them.
 
 All functions depend only on the poses so far and their times, so a stream gives the frames of a file. Knobs that affect
-lexemes or rest are applied while blocks are generated (`gesticulator.directing.editing`).
+lexemes or rest are applied while blocks are generated (`gesticulator.editing.render`).
 
 **Intensity** i scales strokes and leaves slow movement alone. Scaling whole poses would make hands faster than people's
 everywhere, whereas people who gesture larger are not faster between strokes. With S the displacement of an arm's pose x
