@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import Character, CharacterMotion
-    from gesticulator.directing.retiming_report import RetimingReport
-    from gesticulator.drawing.driver import KeptDrawing
+    from gesticulator.editing.render import Generation
+    from gesticulator.editing.retiming_report import RetimingReport
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.writers import Scene
     from gesticulator.face.motion import FaceMotion
@@ -57,8 +57,8 @@ class Performance:
     """Returns the names of the lexemes."""
     retiming: RetimingReport | None = None
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
-    drawing: KeptDrawing | None = field(default=None, repr=False, compare=False)
-    """The first generation, from which edits start (`Gesticulator.keeps_drawings`)."""
+    generation: Generation | None = field(default=None, repr=False, compare=False)
+    """The first generation, from which edits start (`Gesticulator.keeps_generations`)."""
     character: CharacterMotion | None = None
     """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
     face: FaceMotion | None = None
