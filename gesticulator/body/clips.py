@@ -1,10 +1,11 @@
 """Motion for a clip: mirrored, repeated without a seam, in place, of the upper body alone, additive.
 
-**Loops**: the last frame of a clip is followed by its first. Their difference in pose and velocity is taken out on both
-sides of the seam by corrections that fade over `REACH` seconds, so that the rest of the clip and its duration stay as
-they are. With u the deviation of a joint from the pose at the seam, a = u and b = L u' at the seam and s the share of the
-fade of L seconds that has passed, the correction is a (1 - 10 s^3 + 15 s^4 - 6 s^5) + b (s - 6 s^3 + 8 s^4 - 3 s^5), the
-polynomial of degree 5 that starts with value a, slope b and no curvature and ends with none of the three.
+**Loops**: the last frame of a clip is followed by its first. Their difference in pose and velocity is taken out on
+both sides of the seam by corrections that fade over `REACH` seconds, so that the rest of the clip and its duration
+stay as they are. With u the deviation of a joint from the pose at the seam, a = u and b = L u' at the seam and s the
+share of the fade of L seconds that has passed, the correction is a (1 - 10 s^3 + 15 s^4 - 6 s^5) + b (s - 6 s^3 + 8
+s^4 - 3 s^5), the polynomial of degree 5 that starts with value a, slope b and no curvature and ends with none of the
+three.
 """
 
 from __future__ import annotations
