@@ -242,8 +242,8 @@ class ConservativeQ(nn.Module):
 
     def train(self, mode: bool = True) -> ConservativeQ:
         super().train(mode)
+        self.online.train(mode)
         # The target never has dropout: the maximum over actions would turn its noise into a bias upwards.
-        self.online.train(mode and not self.config.freeze_dropout)
         self.target.eval()
         return self
 

@@ -18,9 +18,9 @@ from data_module.motion.skeletons import CHARACTER, FINGERED, SIDES, WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator import Gesticulator
 from gesticulator.body.clearance import cleared
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.body.lap import is_seated
 from gesticulator.body.legs import seated, with_legs
-from gesticulator.body.mirror import mirrored_motion
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
 from gesticulator.characters.thighs import OUR_RADII, Thigh, seated_thighs, tapering

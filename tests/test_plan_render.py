@@ -18,7 +18,7 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
-from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
 from gesticulator.characters.contacts import our_distances, pose_of
 from gesticulator.directing.directions import cues_at

@@ -32,8 +32,9 @@ from numpy.typing import NDArray
 
 from data_module.motion import rotation
 from data_module.motion.representation import Representation
+from data_module.motion.skeletons import SIDES
 from data_module.types import Array
-from gesticulator.body.mirror import SIDES, exchanged_joints
+from gesticulator.body.clips import exchanged_joints
 from gesticulator.bundle.features import Statistics
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, smooth_step
 
