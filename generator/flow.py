@@ -48,7 +48,7 @@ from data_module.layers import (
     without_after,
 )
 from data_module.motion.movement import PAST, MovementBasis, Pasts
-from generator.model import GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
+from generator.model import GROUP_WIDTH, GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
 
 __all__ = ["FlowGenerator", "FlowHead", "FlowInputs"]
 
@@ -56,6 +56,16 @@ NearestLexeme = Callable[[Tensor], Tensor]
 """Coefficients [B, n] to the lexemes [B] nearest to them."""
 CIRCUMSTANCES = 8
 """Numbers that describe a block's place in speech: see `circumstances`."""
+LAYERS = 3
+"""Residual blocks of the head."""
+AUDIO_DROPOUT = LEXEME_DROPOUT = 0.15
+"""Shares of training windows without audio, and without lexemes, for guidance."""
+UNIT_DROPOUT = 0.1
+"""Share of training windows without the planner's decisions, for guidance."""
+ADDED_DROPOUT = 0.15
+"""Share of blocks without the coefficients of the previous block: relying on them causes loops."""
+DRAWS = 2
+"""Samples of time and noise over which the loss of each block is averaged."""
 _MOST = 8.0
 """Largest argument of sinh, beyond any coefficient in the data."""
 _TEMPO = 0.3
@@ -142,7 +152,7 @@ class FlowGenerator(nn.Module):
         self.register_buffer("present", torch.ones(widths.motion) if present is None else present, persistent=False)
         self.register_buffer("deviation", torch.ones(basis.width))
         self.register_buffer("centres", torch.zeros(widths.lexemes + 1, basis.width))  # u of each lexeme; 0 for none
-        self.register_buffer("position", positional_block(frames, c.position_width, direction=c.position_direction)
+        self.register_buffer("position", positional_block(frames, c.position_width)
                              if c.position_width else torch.zeros(frames, 0), persistent=False)
         self.control_width = widths.control if c.use_control else 0
         self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
@@ -157,9 +167,9 @@ class FlowGenerator(nn.Module):
         nn.init.normal_(self.name.weight, std=0.1)
         rows = c.motion_features + c.audio_features + c.lexeme_width + c.position_width + self.control_width
         self.mlp = nn.Sequential(Linear(rows, c.hidden), nn.LeakyReLU(SLOPE))
-        self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
+        self.codes = GumbelCodes(c.hidden, c.groups, c.classes, GROUP_WIDTH)
         beside, centre = (c.lexeme_width, basis.width) if self.bypassed else (0, 0)
-        known = 2 * beside + c.groups * c.group_width + 3 * widths.motion + basis.width
+        known = 2 * beside + c.groups * GROUP_WIDTH + 3 * widths.motion + basis.width
         known += CIRCUMSTANCES + widths.speakers + self.control_width
         self.unit_width, self.style_width = widths.units if c.units else 0, c.style_width
         known += self.unit_width + self.style_width
@@ -168,7 +178,7 @@ class FlowGenerator(nn.Module):
         self.lstm = nn.LSTM(c.context, c.context, c.lstm_layers, batch_first=True)
         self.to_context = nn.Sequential(Linear(2 * c.context + beside, c.context), nn.GELU(),
                                         nn.Dropout(c.dropout))
-        self.head = FlowHead(basis.width, head_width, c.flow_width, c.flow_layers)
+        self.head = FlowHead(basis.width, head_width, c.flow_width, LAYERS)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -243,8 +253,8 @@ class FlowGenerator(nn.Module):
         from data_module.parallel import batch_ratio, draws_along, full_precision  # only training needs them
 
         c, motion = self.config, batch["motion"]
-        deaf, unnamed, forgetful, untold = left_out or (c.audio_dropout, c.lexeme_dropout, c.history_dropout,
-                                                        c.added_dropout)
+        deaf, unnamed, forgetful, untold = left_out or (AUDIO_DROPOUT, LEXEME_DROPOUT, c.history_dropout,
+                                                        ADDED_DROPOUT)
         before, true = self._shifted(motion[:, :-1]), motion[:, 1:]
         ratio = batch["ratio"][:, 1:]
         past = Pasts(before[..., -PAST:, :], ratio)
@@ -268,17 +278,17 @@ class FlowGenerator(nn.Module):
         given = FlowInputs(audio, lexeme, before, ratio, place, batch["speaker"], control, some[1] < deaf,
                            some[2] < forgetful, *(
                                None if key not in batch else batch[key][:, 1:] * (some[k] >= share)[:, None, None]
-                               for k, key, share in ((3, "unit", c.unit_dropout * self.training),
+                               for k, key, share in ((3, "unit", UNIT_DROPOUT * self.training),
                                                      (4, "code", c.style_dropout * self.training))))
         context, _ = self.contexts(given, added, temperature=self.temperature(progress))
         conditions = self.head.conditions(context)
         weight = self.basis.known(batch["mask"])[:, None] * self.component_weights() * batch["valid"][:, 1:, None]
         total = u.new_zeros(())
-        for _ in range(c.draws):
+        for _ in range(DRAWS):
             time, noise = torch.rand(*u.shape[:2], 1, device=u.device), torch.randn_like(u)
             v = self.head((1 - time) * noise + time * u, FlowTime.of(time), conditions)
             total = total + batch_ratio(((v - (u - noise)).pow(2) * weight).sum(), weight.sum())
-        return {"flow": total / c.draws}
+        return {"flow": total / DRAWS}
 
     def component_weights(self) -> Tensor:
         """[n] loss weight of each coefficient: its share of its part's deviation, so that large movements count; mean

@@ -234,7 +234,7 @@ class ConservativeQ(nn.Module):
 
     def train(self, mode: bool = True) -> ConservativeQ:
         super().train(mode)
-        self.online.train(mode and not self.config.freeze_dropout)
+        self.online.train(mode)
         self.target.eval()
         return self
 

@@ -40,9 +40,9 @@ class ActivityGate(nn.Module):
         super().__init__()
         self.config, self.frames, self.speakers = config, frames, speakers
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
-        width = config.audio_features + (speakers if config.use_speaker else 0)
+        width = config.audio_features + speakers
         self.dropout = nn.Dropout(config.dropout)
-        self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
+        self.lstm = nn.LSTM(width, config.width, batch_first=True)
         self.classify = Linear(config.width, 1)
 
     @property
@@ -53,8 +53,8 @@ class ActivityGate(nn.Module):
         """Log odds of a gesture [B, N] for audio windows [B, N, 3K, d] and speaker one-hot [B, speakers]."""
         blocks = audio.shape[1]
         rows = self.encode_audio(audio)
-        if self.config.use_speaker:
-            rows = torch.cat([rows, speaker[:, None, None].expand(-1, blocks, self.frames, -1)], dim=-1)
+        # Performers differ greatly in how often they gesture.
+        rows = torch.cat([rows, speaker[:, None, None].expand(-1, blocks, self.frames, -1)], dim=-1)
         out, hidden = run_lstm(self.lstm, self.dropout(rows).flatten(1, 2), hidden)
         last = out.unflatten(1, (blocks, self.frames))[:, :, -1]
         return self.classify(self.dropout(last))[..., 0], hidden

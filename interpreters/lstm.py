@@ -24,6 +24,11 @@ Hidden = tuple[Tensor, Tensor]
 _NO_TEXT = "this interpreter needs text; use the audio-only one"
 _NO_POSE = "this interpreter needs the pose; give it the previous block"
 
+OWN_PAST_UNTIL = 0.5
+"""Share of the run after which scheduled sampling is complete."""
+TEXT_HEAD_DROPOUT = 0.5
+"""Dropout in the text head, which would memorise the few words of a few hours."""
+
 
 @dataclass(frozen=True)
 class LstmState:
@@ -63,7 +68,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         self.register_buffer("lexemes", lexemes.clone())
         self.encode_audio = BlockLinear(frames, widths.audio, config.audio_features,
                                         bottleneck=config.audio_bottleneck)
-        self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
+        self.encode_text = BlockLinear(frames, text_width, config.text_features, 1,
                                        config.text_bottleneck) if config.text_features else None
         self.encode_pose = Linear(3 * widths.motion, config.pose_features) if config.pose_features else None
         self.text_head = None
@@ -72,7 +77,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
 
             self.text_head = TextHead(text_width, config.text_head, config.text_bottleneck or text_width,
                                       config.lexeme_features or lexemes.shape[1], speakers, len(lexemes),
-                                      config.text_head_dropout)
+                                      TEXT_HEAD_DROPOUT)
         self.frozen = False
         """All weights except the text head are frozen."""
         self.control_width = widths.control if config.use_control else 0
@@ -86,7 +91,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         width += speakers if config.use_speaker else 0
         self.dropout = nn.Dropout(config.dropout)
         self.enter = Linear(width, config.width) if self.by_block else None
-        self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, config.layers, batch_first=True)
+        self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, batch_first=True)
         self.classify = Linear((2 if self.by_block else 1) * config.width, len(lexemes))
 
     @classmethod
@@ -206,7 +211,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         previous = labels[:, :-1]
         if self.training and pose is not None and self.config.pose_noise and not self.frozen:
             pose = pose + self.config.pose_noise * torch.randn_like(pose)
-        share = self.config.own_past_most * min(progress / max(self.config.own_past_until, 1e-9), 1.0)
+        share = self.config.own_past_most * min(progress / max(OWN_PAST_UNTIL, 1e-9), 1.0)
         if self.training and share > 0 and not self.frozen:
             with torch.no_grad():
                 sampled = torch.distributions.Categorical(
@@ -221,8 +226,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         if self.training and self.config.after_dropout and not self.frozen:
             audio = without_after(audio, torch.rand(len(audio), device=audio.device) < self.config.after_dropout)
         logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control, pose)
-        each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
-                                        label_smoothing=self.config.label_smoothing)
+        each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none")
         valid = batch["valid"][:, 1:].flatten()
         return {"nll": batch_ratio((each * valid).sum(), valid.sum())}
 
@@ -299,12 +303,12 @@ class StyleInterpreter(nn.Module):
         self.config, self.frames, self.code_width, self.speakers = config, frames, code_width, speakers
         self.register_buffer("lexemes", lexemes.clone())
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
-        self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
+        self.encode_text = BlockLinear(frames, text_width, config.text_features, 1,
                                        config.text_bottleneck) if config.text_features else None
         width = config.audio_features + lexemes.shape[1] + code_width + (speakers if config.use_speaker else 0)
         width += config.text_features
         self.dropout = nn.Dropout(config.dropout)
-        self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
+        self.lstm = nn.LSTM(width, config.width, batch_first=True)
         self.to_code = Linear(config.width, code_width)
 
     @property

@@ -205,9 +205,9 @@ class UnitPlanner(nn.Module):
         return decision, PlannerState(hidden, state.speaker, decided[0], held)
 
     def bias(self, decision: UnitDecision) -> np.ndarray:
-        """[S] what the phase and the hand add to the scores of the lexemes, times `PlannerConfig.strength`."""
+        """[S] what the phase and the hand add to the scores of the lexemes: log p(phase, hand | lexeme)."""
         column = self.fit[:, decision.phase * len(HANDS) + decision.hand]
-        return np.asarray(self.config.strength * column.double().cpu().numpy())
+        return np.asarray(column.double().cpu().numpy())
 
     def count(self, lexemes: np.ndarray, units: np.ndarray, ease: float = 0.5) -> None:
         """Set `fit` from the lexemes [N] and the decisions [N, 4] of training blocks. ease: added to each count in
@@ -251,7 +251,7 @@ class UnitStyleInterpreter(nn.Module):
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
         self.dropout = nn.Dropout(config.dropout)
         self.gru = nn.GRU(frames * config.audio_features + (speakers if config.use_speaker else 0), config.width,
-                          config.layers, batch_first=True)
+                          batch_first=True)
         self.to_code = Linear(config.width, code_width)
         self.register_buffer("gain", torch.ones(code_width))
 

@@ -35,13 +35,13 @@ class MovementLearner(nn.Module):
         super().__init__()
         c = lexicon.config
         self.lexicon = lexicon
-        self.quantizer = Quantizer(c.size, c.code_width, c.codebook, c.decay, revive_below=c.revive_below)
+        self.quantizer = Quantizer(c.size, c.code_width, c.codebook, revive_below=c.revive_below)
 
     @property
     def weights(self) -> dict[str, float]:
         """Keyed like `losses`."""
         c = self.lexicon.config
-        return {"reconstruction": 1.0, "commitment": c.commitment, "codebook": c.codebook_weight}
+        return {"reconstruction": 1.0, "commitment": c.commitment, "codebook": 1.0}
 
     def losses(self, batch: dict[str, Tensor], progress: float) -> dict[str, Tensor]:
         """Sums over the dimensions, means over the blocks. batch: coefficients [B, n], known [B, n] 1 for those of the

@@ -34,6 +34,9 @@ __all__ = ["RacerCodec"]
 _LONG = 65
 """Codes of stillness, enough that the receptive field of the middle one does not reach the ends."""
 
+COMMITMENT = 0.1
+"""beta of RACER Eq. 4."""
+
 
 class ResidualBlock(nn.Module):
     """RB(d) over [B, C, T]: x + [ReLU, Conv(C, C, 3, 1, d, d), ReLU, Conv(C, C, 1, 1, 0, 1)]."""
@@ -84,9 +87,8 @@ class RacerCodec(nn.Module):
     @property
     def weights(self) -> dict[str, float]:
         """Loss weights of RACER Eq. 4 and 5, keyed like `losses`."""
-        c = self.config
-        return {"reconstruction": 1.0, "velocity": c.velocity, "acceleration": c.acceleration,
-                "commitment": c.commitment, "codebook": 1.0}
+        return {"reconstruction": 1.0, "velocity": 1.0, "acceleration": 1.0, "commitment": COMMITMENT,
+                "codebook": 1.0}
 
     @property
     def vectors(self) -> Tensor:
