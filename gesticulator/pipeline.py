@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from gesticulator.directing.directions import Shaping
     from gesticulator.directing.lexeme_names import LexemeName
     from gesticulator.directing.record import Origin
-    from gesticulator.directing.retiming import Retimed
-    from gesticulator.directing.retiming_report import RetimingReport
     from gesticulator.editing.render import Generation, PlanRenderer
+    from gesticulator.editing.retiming import Retimed
+    from gesticulator.editing.retiming_report import RetimingReport
     from gesticulator.face.motion import FaceMotion
     from gesticulator.plan.plan import GesturePlan, PlanMeaning
     from gesticulator.stream import Stream
@@ -361,15 +361,15 @@ class Gesticulator:
                 text: Text | None = None, before: SpeechInput | None = None, on_block: OnBlock | None = None
                 ) -> Retimed:
         """A plan on another export of its sound, and a report of what was kept, moved, decided anew and lost
-        (`gesticulator.directing.retiming`).
+        (`gesticulator.editing.retiming`).
 
         speech, sample_rate: the new sound, as in `__call__`; text: its text or transcript, if its words are others;
         before: the old sound, for a plan without a fingerprint. `InputError` for a sound that has too little of the old
         speech, and for a plan of another bundle.
         """
         from gesticulator.directing import directions as directing
-        from gesticulator.directing import retiming
         from gesticulator.directing.record import named, words_of
+        from gesticulator.editing import retiming
 
         directing.check_bundle_of(self.bundle, plan)
         gain = directing.planned(InferenceOptions(plan=plan))

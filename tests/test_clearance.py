@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from columns import trunk_distances
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +18,7 @@ from data_module.types import Array, Motion
 from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import elbow_behind, fastest_elbow
 from gesticulator import Gesticulator
-from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.contacts.default_body import (
     HEAD_RADIUS,
     HEM,
@@ -31,6 +30,7 @@ from gesticulator.contacts.default_body import (
     trunk_front,
 )
 from gesticulator.contacts.limbs import OURS, pose_of
+from tests.columns import trunk_distances
 
 FPS = 60.0
 

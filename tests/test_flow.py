@@ -16,7 +16,7 @@ from gesticulator.sampling.noise import Keys
 FRAMES, WIDTH, AUDIO = 4, 3, 5
 CONFIG = GeneratorConfig(motion_features=8, audio_features=4, style_width=0, position_width=4, hidden=16,
                          groups=2, classes=4, lstm_layers=1, blocks=4, context=32, lexeme_width=16, flow_width=64,
-                         flow_layers=2, dropout=0.0, past_noise=0.0, velocity_noise=0.0)
+                         dropout=0.0, past_noise=0.0, velocity_noise=0.0)
 TWO = 2
 
 

@@ -17,8 +17,8 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, FINGERED, SIDES, WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator import Gesticulator
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.body.legs import seated, with_legs
-from gesticulator.body.mirror import mirrored_motion
 from gesticulator.characters.body_surface import seated_thighs
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter

@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from columns import head_distances, trunk_distances
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTERS, FINGERED, FINGERS
 from data_module.types import Array, Motion
-from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.cli import main
 from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_arms import arm_turns, hand_rotation
@@ -26,6 +25,7 @@ from gesticulator.directing.hand_shapes import finger_turns
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE, mark_of, near_gestures
 from gesticulator.plan.plan import GestureCue
+from tests.columns import head_distances, trunk_distances
 
 FPS, AT = 60.0, 2.0
 NAMES = list(REPERTOIRE)

@@ -12,14 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from columns import trunk_distances
 
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
-from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
 from gesticulator.contacts.limbs import pose_of
 from gesticulator.directing.directions import cues_at
@@ -42,6 +41,7 @@ from gesticulator.performance import Performance
 from gesticulator.plan.plan import Block, GestureCue, GesturePlan
 from gesticulator.plan.plan_file import parse_plan
 from interpreters.base import BlockFeatures
+from tests.columns import trunk_distances
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEECH = ROOT / "examples" / "speech.flac"

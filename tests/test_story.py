@@ -21,9 +21,10 @@ from browser import OpenedPage, chromium
 from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator import Gesticulator
+from gesticulator.arguments import run_settings_of
 from gesticulator.export import html
 from gesticulator.export.writers import check_output
-from gesticulator.page.command import COMMAND, _job, _prepare
+from gesticulator.page.command import COMMAND, PageRequest, _job, _prepare
 from gesticulator.page.palette import moving_figures
 from gesticulator.page.saved_edits import SavedEdits
 from gesticulator.page.server import PageServer
@@ -91,7 +92,7 @@ def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, EditSession
     """What `gesticulator view SOUND` does from the command to Ctrl C, without a window of its own."""
     args = COMMAND.parser("gesticulator view").parse_args([str(sound), "--no-browser", *words])
     with PageServer() as server:
-        _prepare(server, _job(args), args)
+        _prepare(server, _job(args), run_settings_of(args), PageRequest())
         gc.unfreeze()  # more is done in this process after it
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()

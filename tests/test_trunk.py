@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from columns import trunk_distances
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import WHOLE_BODY
@@ -19,6 +18,7 @@ from gesticulator.contacts.limbs import MARGIN, OURS, pose_of
 from gesticulator.contacts.other_bodies import HandLimit, HandPoint, Obstacle, displacement, spread
 from gesticulator.contacts.surfaces import Outline, TrunkAxes, ellipse
 from tests.awkward import figure, write
+from tests.columns import trunk_distances
 from tests.rig_errors import inside, places_of
 from tests.rigs import Rig, draw
 

@@ -143,7 +143,7 @@ class MotionPath:
         motion = self._moved(frames)
         if not self._mirrored:
             return motion
-        from gesticulator.body.mirror import mirrored_motion
+        from gesticulator.body.clips import mirrored_motion
 
         return mirrored_motion(motion)
 

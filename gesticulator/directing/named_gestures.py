@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion.skeletons import CHARACTERS, FINGERS
 from data_module.types import Array
-from gesticulator.body.mirror import exchanged_joints
+from gesticulator.body.clips import exchanged_joints
 from gesticulator.directing.gesture_parts import Vector
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
 from gesticulator.directing.shaping import nearest_turn

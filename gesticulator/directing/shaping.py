@@ -1,7 +1,7 @@
 """Knobs applied to the generated poses: the size of gestures, and which hand makes them.
 
 All functions depend only on the poses so far and their times, so a stream gives the frames of a file. Knobs that affect
-lexemes or rest are applied while blocks are generated (`gesticulator.directing.editing`).
+lexemes or rest are applied while blocks are generated (`gesticulator.editing.render`).
 
 **Intensity** i scales strokes and leaves slow movement alone. Scaling whole poses would make hands faster than people's
 everywhere, whereas people who gesture larger are not faster between strokes. With S the displacement of an arm's pose x
@@ -32,8 +32,9 @@ from numpy.typing import NDArray
 
 from data_module.motion import rotation
 from data_module.motion.representation import Representation
+from data_module.motion.skeletons import SIDES
 from data_module.types import Array
-from gesticulator.body.mirror import SIDES, exchanged_joints
+from gesticulator.body.clips import exchanged_joints
 from gesticulator.bundle.features import Statistics
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, smooth_step
 
