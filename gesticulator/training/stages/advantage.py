@@ -24,12 +24,11 @@ from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus
-from gesticulator.training.stages.features import CORPUS
 from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
-from gesticulator.training.stages.labels import LABELS, model_sizes
-from gesticulator.training.stages.lexicon import TOKENS
+from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
 from gesticulator.training.stages.q_network import EPISODES, silent_of, takes_of
 from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD
+from gesticulator.training.stages.speech import CORPUS
 from interpreters.advantage import Critics, advantages
 from interpreters.episodes import Episode, build
 from interpreters.lstm import LstmInterpreter
