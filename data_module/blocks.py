@@ -212,14 +212,6 @@ class KnotPath:
         the last knot, less half of the kernel."""
         return min(math.ceil(limit * self.fps - 1e-9), round(last * self.fps)) - self._half
 
-    def steps(self, times: Array, count: int) -> list[int]:
-        """The numbers of frames that are given after each push of N blocks of knots at `times` [N, K], and at the end,
-        of `count` in all: [N + 1], without `prompt`."""
-        limits = np.concatenate([[0.0], times.ravel()])[times.shape[1] - 1:-1:times.shape[1]]
-        given = [max(self._certain(limit, last), 0) for limit, last in zip(limits.tolist(), times[:, -1].tolist(),
-                                                                        strict=True)]
-        return [*np.maximum.accumulate(given).tolist(), count]
-
     def finish(self, duration: float) -> Array:
         """[T, D] the remaining frames of a recording of `duration` seconds."""
         count = max(1, round(duration * self.fps))

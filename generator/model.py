@@ -28,6 +28,12 @@ if TYPE_CHECKING:
 
 __all__ = ["BlockInputs", "Generator", "GeneratorConfig"]
 
+GROUP_WIDTH = 8
+"""Width of the vector behind each class of each group."""
+TEMPERATURE = 2.0, 0.5
+"""Gumbel temperature at the start and at the end of training; it falls geometrically."""
+RECONSTRUCTION, PERCEPTUAL, STYLE = 1.0, 0.5, 1.0
+"""Weights of L_rec, L_perc and L_z (RG Eq. 9); that of L_lexeme is the setting `lexeme`, which the paper ablates."""
 _BLEND = 0.1
 """Temperature of nearly equal classes: their logits differ by a few tenths."""
 State = tuple[Tensor, Tensor]
@@ -48,39 +54,20 @@ class GeneratorConfig:
     """d_z."""
     position_width: WidthOrNone = 32
     """d_P; 0 for no positional block (Table 7)."""
-    position_direction: Annotated[str, SettingChoice(("forward", "to_beat"))] = "forward"
-    """Whether the positional block counts the frames since the last beat or until the next."""
     hidden: Width = 512
     """Width of the MLP encoder."""
     groups: Width = 64
     """H."""
     classes: Width = 128
     """C."""
-    group_width: Width = 8
-    """Width of the vector behind each class of each group."""
     lstm_width: Width = 1024
     """Units of each layer of the decoder."""
     lstm_layers: Depth = 2
     """Layers of the decoder."""
-    temperature_start: Positive = 2.0
-    """Gumbel temperature at the start of training."""
-    temperature_end: Positive = 0.5
-    """Gumbel temperature at the end; it falls geometrically."""
-    residual: bool = True
-    """Add the last pose of the previous block, fading linearly to zero over the block. It closes the seams and, unlike
-    a sum of differences, cannot drift: every block ends on the output of the network."""
-    own_past_from: Share = 0.0
-    """Share of the run before which the past is always the recorded block."""
     own_past_until: Share = 0.5
     """Share of the run after which the past is always the generated block; the probability rises linearly between."""
-    reconstruction: NotNegative = 1.0
-    """Weight of L_rec (RG Eq. 9 and 10)."""
-    perceptual: NotNegative = 0.5
-    """Weight of L_perc (RG Eq. 9 and 11)."""
     lexeme: NotNegative = 0.2
     """Weight of L_lexeme (RG Eq. 9 and 13)."""
-    style: NotNegative = 1.0
-    """Weight of L_z (RG Eq. 9 and 14)."""
     use_control: bool = False
     """Use the style control (C_i of RG 7.2.1) as input."""
     velocity: NotNegative = 0.0
@@ -88,10 +75,8 @@ class GeneratorConfig:
     style_dropout: Share = 0.0
     """Share of training windows that get the zero code instead of the learned one. A learned code contains information
     from the target; without it the generator must take its timing from the sound. Off in the paper."""
-    swaps: Annotated[int, SettingRange(0, 64)] = 1
-    """N_J, permutations of the other inputs for the lexeme loss."""
     swap_share: Share = 1.0
-    """Share of the batch's blocks in each permutation."""
+    """Share of the batch's blocks that the lexeme loss pairs with other lexemes."""
     style_rate: Positive = 1e-2
     """Learning rate of the style codes, which get only one gradient per epoch each."""
     # The remaining settings are used by the flow head only.
@@ -106,33 +91,21 @@ class GeneratorConfig:
     which must then tell them apart. What is known of the past stands beside the code in either case."""
     units: bool = False
     """Take the planner's decision for each block as input."""
-    unit_dropout: Share = 0.1
-    """Share of training windows without those decisions."""
     flow_width: Width = 384
     """Units of the head."""
-    flow_layers: Depth = 3
-    """Residual blocks of the head."""
     dropout: Annotated[float, SettingRange(0.0, 0.95)] = 0.2
     """Dropout of the context's units in training."""
-    audio_dropout: Share = 0.15
-    """Share of training windows without audio, for guidance."""
     after_dropout: Share = 0.0
     """Share of training windows without the audio, duration and silence of the next block, so that a stream need not
     wait for it."""
-    lexeme_dropout: Share = 0.15
-    """Share of training windows without lexemes, for guidance."""
     history_dropout: Share = 0.0
     """Share of training windows without previous motion (E_M, and the coefficients of the previous blocks)."""
-    added_dropout: Share = 0.15
-    """Share of blocks without the coefficients of the previous block: relying on them causes loops."""
     past_noise: NotNegative = 0.25
     """Largest deviation of the noise on the pose before a block, in standard deviations of each dimension."""
     velocity_noise: NotNegative = 0.1
     """Largest deviation of the noise on the velocity before a block, as a share of it."""
     bend: Positive = 2.0
     """b of asinh(b y / sd): nearly linear below 1 / b deviations, logarithmic above."""
-    draws: Count = 2
-    """Samples of time and noise over which the loss of each block is averaged."""
 
     @property
     def styled(self) -> bool:
@@ -141,8 +114,9 @@ class GeneratorConfig:
         return self.style_width > 0
 
     def temperature(self, progress: float) -> float:
-        """Gumbel temperature at a share of the run, geometric from `temperature_start` to `temperature_end`."""
-        return float(self.temperature_start * (self.temperature_end / self.temperature_start) ** progress)
+        """Gumbel temperature at a share of the run, geometric between the two of `TEMPERATURE`."""
+        start, end = TEMPERATURE
+        return float(start * (end / start) ** progress)
 
 
 @dataclass(frozen=True)
@@ -177,6 +151,7 @@ class StyleCodes(nn.Module):
 
     def __init__(self, blocks: int, width: int) -> None:
         super().__init__()
+        # Sparse: a step touches the codes of its windows only, out of one for every block of the corpus.
         self.table = nn.Embedding(blocks + 1, width, padding_idx=0, sparse=True)
         with torch.no_grad():
             nn.init.normal_(self.table.weight, std=0.3)
@@ -194,6 +169,7 @@ class GumbelCodes(nn.Module):
         super().__init__()
         self.groups, self.classes = groups, classes
         self.logits = Linear(width, groups * classes)
+        # Vectors of length 1 on average, whatever their width.
         self.vectors = nn.Parameter(torch.randn(groups, classes, group_width) / group_width**0.5)
 
     def forward(self, hidden: Tensor, temperature: float) -> tuple[Tensor, Tensor]:
@@ -201,9 +177,11 @@ class GumbelCodes(nn.Module):
         choice is sampled, with the gradient of the soft choice; in evaluation it is the arg max."""
         logits = self.logits(hidden).unflatten(-1, (self.groups, self.classes))
         if self.training:
+            # Straight-through: hard as in evaluation, so the decoder never sees a mixture of classes in training.
             choice = functional.gumbel_softmax(logits, tau=temperature, hard=True)
         else:
             choice = functional.one_hot(logits.argmax(-1), self.classes).to(logits.dtype)
+        # Choice (one-hot) times vectors: a look-up whose gradient reaches the choice.
         return torch.einsum("...hc,hcw->...hw", choice, self.vectors).flatten(-2), choice
 
     def best(self, hidden: Tensor) -> Tensor:
@@ -214,17 +192,12 @@ class GumbelCodes(nn.Module):
         return torch.einsum("...hc,hcw->...hw", share, self.vectors).flatten(-2)
 
 
-def positional_block(frames: int, width: int, beta: float = 10_000.0, direction: str = "forward") -> Tensor:
+def positional_block(frames: int, width: int, beta: float = 10_000.0) -> Tensor:
     """P [K, width]: p(k, 2j) = sin(k / beta^(2j / width)), p(k, 2j + 1) = cos of the same, k = 0..K-1 (RG Eq. 8). The
-    paper prints K in place of the frame index k (the literal form is the same on every frame). direction "to_beat"
-    counts the frames until the beat instead."""
-    if direction not in ("forward", "to_beat"):
-        raise ValueError(f"direction must be forward or to_beat, not {direction!r}")
+    paper prints K in place of the frame index k (the literal form is the same on every frame)."""
     if width % 2:
         raise ValueError("the positional block needs an even width")
     k = torch.arange(frames, dtype=torch.float64)
-    if direction == "to_beat":
-        k = k.flip(0)
     rates = beta ** (-torch.arange(0, width, 2, dtype=torch.float64) / width)
     angles = k[:, None] * rates
     return torch.stack([angles.sin(), angles.cos()], dim=-1).flatten(1).float()
@@ -247,8 +220,7 @@ class Generator(nn.Module):
         self.config, self.frames = config, frames
         self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
         self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)
-        position = positional_block(frames, c.position_width, direction=c.position_direction) \
-            if c.position_width else torch.zeros(frames, 0)
+        position = positional_block(frames, c.position_width) if c.position_width else torch.zeros(frames, 0)
         self.register_buffer("position", position, persistent=False)
         self.register_buffer("fade", torch.arange(frames - 1, -1, -1.0)[:, None] / frames, persistent=False)
         self.control_width = widths.control if c.use_control else 0
@@ -256,8 +228,8 @@ class Generator(nn.Module):
         width += self.control_width
         self.mlp = nn.Sequential(Linear(width, c.hidden), nn.LeakyReLU(SLOPE),
                                  Linear(c.hidden, c.hidden), nn.LeakyReLU(SLOPE))
-        self.codes = GumbelCodes(c.hidden, c.groups, c.classes, c.group_width)
-        self.lstm = nn.LSTM(c.groups * c.group_width, c.lstm_width, c.lstm_layers, batch_first=True)
+        self.codes = GumbelCodes(c.hidden, c.groups, c.classes, GROUP_WIDTH)
+        self.lstm = nn.LSTM(c.groups * GROUP_WIDTH, c.lstm_width, c.lstm_layers, batch_first=True)
         self.to_motion = Linear(c.lstm_width, widths.motion)
         self.start = nn.Sequential(Linear(widths.motion + widths.lexeme, c.hidden), nn.LeakyReLU(SLOPE),
                                    Linear(c.hidden, 2 * c.lstm_layers * c.lstm_width))
@@ -266,7 +238,7 @@ class Generator(nn.Module):
     @property
     def weights(self) -> dict[str, float]:
         c = self.config
-        return {"reconstruction": c.reconstruction, "perceptual": c.perceptual, "lexeme": c.lexeme, "style": c.style,
+        return {"reconstruction": RECONSTRUCTION, "perceptual": PERCEPTUAL, "lexeme": c.lexeme, "style": STYLE,
                 "velocity": c.velocity}
 
     def sparse_parameters(self) -> Iterator[tuple[Tensor, float]]:
@@ -278,6 +250,7 @@ class Generator(nn.Module):
         c = self.config
         both = self.start(torch.cat([pose, lexeme], dim=-1))
         hidden, cell = both.unflatten(-1, (2, c.lstm_layers, c.lstm_width)).permute(1, 2, 0, 3)
+        # The hidden state of an LSTM lies between -1 and 1, its cell state has no bounds.
         return torch.tanh(hidden).contiguous(), cell.contiguous()
 
     def step(self, past: Tensor, audio: Tensor, lexeme: Tensor, style: Tensor, state: State, temperature: float = 1.0,
@@ -297,9 +270,9 @@ class Generator(nn.Module):
         ], dim=-1)
         vectors, choice = self.codes(self.mlp(rows), temperature)
         hidden, state = run_lstm(self.lstm, vectors, state)
-        motion = self.to_motion(hidden)
-        if self.config.residual:
-            motion = motion + self.fade * past[:, -1:]
+        # The last pose fades over the block. It closes the seams and, unlike a sum of differences, cannot drift: every
+        # block ends on the output of the network.
+        motion = self.to_motion(hidden) + self.fade * past[:, -1:]
         return motion * self.present, state, choice
 
     def roll_out(self, seed: Tensor, given: BlockInputs, motion: Tensor | None = None, own_past: float = 1.0,
@@ -319,14 +292,13 @@ class Generator(nn.Module):
             past = block
             if own_past < 1.0 and motion is not None:
                 generated = torch.rand(len(seed), 1, 1, device=seed.device) < own_past
+                # Drawn per window: in one batch some windows follow the truth and others their own output.
                 past = torch.where(generated, block, motion[:, i])
         return torch.stack(blocks, 1), torch.stack(choices, 1)
 
     def own_past_probability(self, progress: float) -> float:
-        """0 before `own_past_from` of the run, 1 after `own_past_until`, linear between."""
-        c = self.config
-        span = max(c.own_past_until - c.own_past_from, 1e-9)
-        return min(max((progress - c.own_past_from) / span, 0.0), 1.0)
+        """0 at the start of the run, 1 after `own_past_until` of it, linear between."""
+        return min(progress / max(self.config.own_past_until, 1e-9), 1.0)
 
     def temperature(self, progress: float) -> float:
         return self.config.temperature(progress)
@@ -349,12 +321,14 @@ class Generator(nn.Module):
         control = batch["control"][:, 1:] if self.control_width else None
         used = style
         if self.training and self.config.style_dropout > 0:
+            # Dropped for the whole window; the divergence and the lexeme loss below still use the codes.
             used = style * (torch.rand(len(style), 1, 1, device=style.device) >= self.config.style_dropout)
         generated, _ = self.roll_out(motion[:, 0], BlockInputs(audio, lexemes, used, control), motion[:, 1:],
                                      self.own_past_probability(progress), temperature)
         valid = batch["valid"][:, 1:]
         mask = batch["mask"][:, None, None] * valid[:, :, None, None]
         real = valid > 0
+        # Velocities include that across the seam between two blocks, where jumps are most visible.
         before = torch.cat([motion[:, :1, -1], generated[:, :-1, -1]], 1)[:, :, None]
         before_true = motion[:, :-1, -1][:, :, None]
         velocity = torch.diff(torch.cat([before, generated], 2), dim=2) \
@@ -369,8 +343,8 @@ class Generator(nn.Module):
 
     def _lexeme_loss(self, motion: Tensor, audio: Tensor, lexemes: Tensor, style: Tensor, temperature: float,
                      encoder: Encoder, control: Tensor | None) -> Tensor:
-        """RG Eq. 12 and 13: past, audio, style (and control) of random blocks j of the batch with lexemes of blocks i.
-        """
+        """RG Eq. 12 and 13 with N_J = 1: past, audio, style (and control) of random blocks j of the batch with lexemes
+        of blocks i."""
         from data_module.parallel import batch_rows, draws_along, own_rows, shares
         from generator.losses import lexeme as lexeme_loss
 
@@ -381,13 +355,11 @@ class Generator(nn.Module):
         # If the pairs cannot be divided evenly, every process takes them all, with the same noise.
         divided = count % shares() == 0
         rows = own_rows(count) if divided else slice(count)
-        total = motion.new_zeros(())
-        for _ in range(self.config.swaps):
-            i = torch.randperm(len(past), device=past.device)[:count][rows]
-            j = torch.randperm(len(past), device=past.device)[:count][rows]
-            state = self.first_state(past[j, -1], wanted[i])
-            with draws_along(0 if divided else None):
-                block, _, _ = self.step(past[j], self.encode_audio(windows[j]), wanted[i], styles[j], state,
-                                        temperature, None if control is None else control[j])
-            total = total + lexeme_loss(block, wanted[i], encoder)
-        return total / max(self.config.swaps, 1)
+        i = torch.randperm(len(past), device=past.device)[:count][rows]
+        j = torch.randperm(len(past), device=past.device)[:count][rows]
+        # The decoder starts anew, because the pairs are single blocks out of their context.
+        state = self.first_state(past[j, -1], wanted[i])
+        with draws_along(0 if divided else None):
+            block, _, _ = self.step(past[j], self.encode_audio(windows[j]), wanted[i], styles[j], state,
+                                    temperature, None if control is None else control[j])
+        return lexeme_loss(block, wanted[i], encoder)

@@ -297,7 +297,7 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
         return None
     from gesticulator.characters.reading import choose
     from gesticulator.characters.retarget import Retargeter
-    from gesticulator.characters.several import note_of
+    from gesticulator.characters.rig import note_of
 
     rig, mapping = choose(character.file, character.mapping, character.save_mapping)
     note = note_of(rig, mapping.joints["Hips"])

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from gesticulator.characters.mapping import RigMapping
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import Character, CharacterMotion
-    from gesticulator.directing.retiming_report import RetimingReport
-    from gesticulator.drawing.driver import KeptDrawing
+    from gesticulator.editing.render import Generation
+    from gesticulator.editing.retiming_report import RetimingReport
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.writers import Scene
     from gesticulator.face.motion import FaceMotion
@@ -57,8 +57,8 @@ class Performance:
     """Returns the names of the lexemes."""
     retiming: RetimingReport | None = None
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
-    drawing: KeptDrawing | None = field(default=None, repr=False, compare=False)
-    """The first generation, from which edits start (`Gesticulator.keeps_drawings`)."""
+    generation: Generation | None = field(default=None, repr=False, compare=False)
+    """The first generation, from which edits start (`Gesticulator.keeps_generations`)."""
     character: CharacterMotion | None = None
     """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
     face: FaceMotion | None = None
@@ -184,7 +184,7 @@ class Performance:
         check_output(path, unit)  # before a folder is made
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         if self.clip is not None and self.clip.sound:
-            from gesticulator.export.sound_beside import write_sound
+            from gesticulator.export.sound import write_sound
 
             write_sound(Path(path), self.speech)
         return write(path, self.scene(), unit=unit)
@@ -195,7 +195,7 @@ class Performance:
 
         motion = self.motion
         if self.clip is not None and self.clip.additive:
-            from gesticulator.body.planting import added_to_rest
+            from gesticulator.body.clips import added_to_rest
 
             motion = added_to_rest(motion, self._rest_of(motion))
         return Scene(motion, self.speech, self.plan, self.character, self.clip,
@@ -209,11 +209,11 @@ class Performance:
             raise ValueError("make the clip first, then transfer it to a character")
         motion = self.motion
         if clip.changes_motion:
-            from gesticulator.body.planting import in_place, upper_alone
+            from gesticulator.body.clips import in_place, upper_alone
 
             motion = upper_alone(motion) if clip.bare else motion if clip.root else in_place(motion)
             if clip.loop:
-                from gesticulator.body.looping import looped
+                from gesticulator.body.clips import looped
 
                 motion = looped(motion)
         made = replace(self, motion=motion, clip=clip)
@@ -225,7 +225,7 @@ class Performance:
         """The resting pose on the skeleton of a motion, of the upper body alone."""
         from data_module.errors import InputError
         from data_module.motion.skeletons import resized
-        from gesticulator.body.planting import upper_alone
+        from gesticulator.body.clips import upper_alone
 
         if self.rest is None:
             raise InputError("--layer additive", "needs a resting pose, which these weights lack",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
@@ -24,15 +24,13 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for, representation_of
 from gesticulator.bundle.files import bundle_folder, lexicon_hash
-from gesticulator.drawing.driver import Driver, GeneratedMotion, KeptDrawing
 from gesticulator.options import FPS as FPS
 from gesticulator.options import HandControl, InferenceOptions, interpreter_name
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import sound_hash
 from gesticulator.sampling import loop
 from gesticulator.sampling.cutter import BlockCutter, encode_speech
-from gesticulator.sampling.loop import BlockMotion, ControlRows, OnBlock, Request, Setup, controls_at
-from gesticulator.sampling.noise import Keys
+from gesticulator.sampling.loop import BlockMotion, ControlRows, GeneratedMotion, OnBlock, Request, Setup, controls_at
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 from interpreters.base import as_interpreter
@@ -41,11 +39,11 @@ if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.directing.directions import Shaping
-    from gesticulator.directing.editing import PlanRenderer
     from gesticulator.directing.lexeme_names import LexemeName
     from gesticulator.directing.record import Origin
-    from gesticulator.directing.retiming import Retimed
-    from gesticulator.directing.retiming_report import RetimingReport
+    from gesticulator.editing.render import Generation, PlanRenderer
+    from gesticulator.editing.retiming import Retimed
+    from gesticulator.editing.retiming_report import RetimingReport
     from gesticulator.face.motion import FaceMotion
     from gesticulator.plan.plan import GesturePlan, PlanMeaning
     from gesticulator.stream import Stream
@@ -75,8 +73,8 @@ class Gesticulator:
         self._used_interpreters: dict[str, LexemeInterpreter] = {}
         self._remarked = set[str]()
         self._warm: set[bool] = set()
-        self.keeps_drawings = False
-        """Whether performances keep the state before each block (`Performance.drawing`), from which edits start."""
+        self.keeps_generations = False
+        """Whether performances keep the state before each block (`Performance.generation`), from which edits start."""
 
     @classmethod
     def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
@@ -208,44 +206,29 @@ class Gesticulator:
         """`perform` for speech that was resampled to `SAMPLE_RATE` and amplified (`_prepared`)."""
         if options.plan is not None:
             return self.render(speech, options, on_block=on_block)
-        blocks = self._performing(speech, options, encoded)
-        try:
-            while True:
-                cut, drawn = next(blocks)
-                if on_block is not None:
-                    on_block(len(drawn), len(cut))
-        except StopIteration as ended:
-            made: Performance = ended.value
-            return made
-
-    def performing(self, speech: Speech, options: InferenceOptions
-                   ) -> Generator[tuple[Blocks, Sequence[BlockMotion]], None, Performance]:
-        """`perform`, block by block: yields the blocks of the speech and those that are drawn, after each of them."""
-        return self._performing(_prepared(speech, options), options, None)
-
-    def _performing(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None
-                    ) -> Generator[tuple[Blocks, Sequence[BlockMotion]], None, Performance]:
         if any(word.marks for word in speech.words or ()):
             from gesticulator.directing.marks import with_mark_cues
 
             options = with_mark_cues(options, speech.words or ())
         cast = self.cast(options, self.reads_words_of(speech))
-        cutters: list[BlockCutter] | None = [] if self.keeps_drawings else None
+        cutters: list[BlockCutter] | None = [] if self.keeps_generations else None
         encoded = self.encode_speech(speech, cutters=cutters) if encoded is None else encoded
         state = loop.begin(self.bundle, cast, encoded.text is not None)
         states, blocks = [state], list[BlockMotion]()
         for request in self._requests(speech, options, cast, encoded):
             block, state = loop.step(self.bundle, cast, state, request)
             blocks.append(block)
-            if self.keeps_drawings:
+            if self.keeps_generations:
                 states.append(state)
-            yield encoded.blocks, blocks
+            if on_block is not None:
+                on_block(len(blocks), len(encoded))
         motion = loop.motion_of(self.bundle, cast, blocks)
-        made = self._performance(speech, options, cast, GeneratedMotion(encoded.blocks, blocks, motion))
-        if not self.keeps_drawings:
-            return made
-        drivers = [Driver(self.bundle, cast, state=each) for each in states]
-        return replace(made, drawing=KeptDrawing(encoded, blocks, drivers, cutters or ()))
+        performance = self._performance(speech, options, cast, GeneratedMotion(encoded.blocks, blocks, motion))
+        if not self.keeps_generations:
+            return performance
+        from gesticulator.editing.render import Generation
+
+        return replace(performance, generation=Generation(encoded, blocks, states, cutters or ()))
 
     def _requests(self, speech: Speech, options: InferenceOptions, setup: Setup, encoded: SpeechFeatures
                   ) -> list[Request]:
@@ -353,49 +336,40 @@ class Gesticulator:
         assert options.plan is not None
         directing.check_plan_of(self.bundle, options.plan, sound_hash(speech))
         renderer = renderer or self.plan_renderer(speech, options)
-        renderer.complete(on_block)
-        rendering = renderer.render(options.plan)
-        made = self._performance(speech, options, self.cast(options, self.reads_words_of(speech)), rendering)
-        return replace(made, drawing=renderer.drawing) if self.keeps_drawings else made
+        generated = renderer.render(options.plan, on_block)
+        performance = self._performance(speech, options, self.cast(options, self.reads_words_of(speech)), generated)
+        return replace(performance, generation=renderer.generation()) if self.keeps_generations else performance
 
-    def plan_renderer(self, speech: Speech, options: InferenceOptions, drawing: KeptDrawing | None = None
+    def plan_renderer(self, speech: Speech, options: InferenceOptions, generation: Generation | None = None
                       ) -> PlanRenderer:
         """A renderer for all plans of one first generation; each then costs only its edited blocks. speech: at 16 kHz.
 
-        options: with a plan of that generation, as returned by `directing.planned`; drawing: what was kept of it.
+        options: with a plan of that generation, as returned by `directing.planned`; generation: the first one, if it
+        was kept.
         """
-        from gesticulator.directing import directions as directing
-        from gesticulator.directing.editing import PlanRenderer, Redrawer
-        from gesticulator.drawing.recut import Recutter
+        from gesticulator.editing.render import PlanRenderer
 
         plan = options.plan
         assert plan is not None
-        cast = self.cast(options, self.reads_words_of(speech))
-        keys = Keys(cast.seed, plan.variation)
         for curve in plan.manner.curves:
             for time in curve.times:
                 self._check_activity(plan.manner.share_at(time))
-        rhythm = self.bundle.config.rhythm
-        return PlanRenderer(Redrawer(
-            lambda activity: Driver(self.bundle, replace(cast, activity=activity), keys),
-            lambda blocks, cutters: self.encode_speech(speech, blocks, cutters),
-            lambda cutters: Recutter(speech.samples, cutters),
-            lambda times: controls_at(self.bundle.levels, cast.controls, times),
-            cache(partial(directing.bias_of, self.bundle)), rhythm.frames, rhythm.fps), plan, drawing)
+        cast = self.cast(options, self.reads_words_of(speech))
+        return PlanRenderer(self.bundle, cast, speech.samples, partial(self.encode_speech, speech), plan, generation)
 
     def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
                 text: Text | None = None, before: SpeechInput | None = None, on_block: OnBlock | None = None
                 ) -> Retimed:
         """A plan on another export of its sound, and a report of what was kept, moved, decided anew and lost
-        (`gesticulator.directing.retiming`).
+        (`gesticulator.editing.retiming`).
 
         speech, sample_rate: the new sound, as in `__call__`; text: its text or transcript, if its words are others;
         before: the old sound, for a plan without a fingerprint. `InputError` for a sound that has too little of the old
         speech, and for a plan of another bundle.
         """
         from gesticulator.directing import directions as directing
-        from gesticulator.directing import retiming
         from gesticulator.directing.record import named, words_of
+        from gesticulator.editing import retiming
 
         directing.check_bundle_of(self.bundle, plan)
         gain = directing.planned(InferenceOptions(plan=plan))
@@ -409,7 +383,7 @@ class Gesticulator:
             return draft
         renderer = self.plan_renderer(directing.with_planned_words(recording, draft.plan),
                                       directing.planned(InferenceOptions(plan=draft.plan)))
-        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.complete(on_block)),
+        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.generation(on_block).blocks),
                                          self.lexeme_names()))
 
     def _performance(self, speech: Speech, options: InferenceOptions, cast: Setup, rendering: GeneratedMotion

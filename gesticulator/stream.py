@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from gesticulator.directing.meanings import MeaningTrack
     from gesticulator.directing.stream_marks import StreamMarks
     from gesticulator.face.motion import FaceMotion
-    from gesticulator.face.track import Face
+    from gesticulator.face.track import FaceTrack
 
 __all__ = ["Stream", "StreamFrames", "StreamState"]
 
@@ -140,7 +140,6 @@ class Stream:
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._face = _face_of(options)
-        self._heard_from = -1.0  # start of the utterance that the face hears
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
         self._state, self._finished, self._hurried = StreamState.IDLE, False, False
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
@@ -359,16 +358,6 @@ class Stream:
                 for name in expressions_of(word):
                     self._face.express(max(stroke_of_word(word), self.made / self.fps), name)
 
-    def _hear(self, sound: Samples) -> None:
-        """Let the face hear more of the utterance, at 16 kHz."""
-        if self._face is None:
-            return
-        if self._heard_from != self._begun:
-            self._heard_from = self._begun
-            self._face.state(self._begun, "speaking")
-            self._face.begin(self._begun)
-        self._face.hear(sound)
-
     def _utterance(self) -> BlockCutter:
         """The cutter of the current utterance. Its blocks begin after the last knot that was generated."""
         if self._cutter is None:
@@ -384,7 +373,8 @@ class Stream:
         sound = self._sound.take(samples)
         if len(samples):
             self._speak()
-            self._hear(sound)
+            if self._face is not None:
+                self._face.feed(sound, self._begun)
         if len(sound):
             yield from self._draw(self._utterance().feed(sound))
 
@@ -437,7 +427,6 @@ class Stream:
         self._state = StreamState.IDLE
         if self._face is not None:
             self._face.interrupt(at)
-            self._face.state(at, "idle")
         yield None, None  # frames are replaced from here on, even if none follows at once
         yield from self._advance(at)
 
@@ -454,7 +443,7 @@ class Stream:
             return
         cutter, sound = self._cutter, self._sound.finish()
         if self._face is not None:
-            self._hear(sound)
+            self._face.feed(sound, self._begun)
             self._face.end()
         try:
             yield from self._draw(cutter.feed(sound))
@@ -543,12 +532,12 @@ class Stream:
         return replace(frames, face=self._face.frames(frames.first, frames.motion())) if len(frames) else frames
 
 
-def _face_of(options: InferenceOptions) -> Face | None:
+def _face_of(options: InferenceOptions) -> FaceTrack | None:
     if options.face == "off":
         return None
-    from gesticulator.face.track import Face, FaceSettings
+    from gesticulator.face.track import FaceSettings, FaceTrack
 
-    face = Face(FaceSettings.of(options), LONGEST_HISTORY)
+    face = FaceTrack(FaceSettings.of(options), LONGEST_HISTORY)
     if options.cues:
         from gesticulator.directing.directions import expressions_at
 

@@ -40,9 +40,9 @@ class ActivityGate(nn.Module):
         super().__init__()
         self.config, self.frames, self.speakers = config, frames, speakers
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
-        width = config.audio_features + (speakers if config.use_speaker else 0)
+        width = config.audio_features + speakers
         self.dropout = nn.Dropout(config.dropout)
-        self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
+        self.lstm = nn.LSTM(width, config.width, batch_first=True)
         self.classify = Linear(config.width, 1)
 
     @property
@@ -53,8 +53,8 @@ class ActivityGate(nn.Module):
         """Log odds of a gesture [B, N] for audio windows [B, N, 3K, d] and speaker one-hot [B, speakers]."""
         blocks = audio.shape[1]
         rows = self.encode_audio(audio)
-        if self.config.use_speaker:
-            rows = torch.cat([rows, speaker[:, None, None].expand(-1, blocks, self.frames, -1)], dim=-1)
+        # Performers differ greatly in how often they gesture.
+        rows = torch.cat([rows, speaker[:, None, None].expand(-1, blocks, self.frames, -1)], dim=-1)
         out, hidden = run_lstm(self.lstm, self.dropout(rows).flatten(1, 2), hidden)
         last = out.unflatten(1, (blocks, self.frames))[:, :, -1]
         return self.classify(self.dropout(last))[..., 0], hidden
@@ -90,6 +90,7 @@ def opened(probability: float, activity: float) -> bool:
     never closes the gate. ValueError for a number outside 0 to 1."""
     if not (0 <= probability <= 1 and 0 <= activity <= 1):
         raise ValueError(f"probability {probability} and activity {activity} must lie in 0 to 1")
+    # At activity 0 a certain gesture (probability 1) would pass the comparison.
     return activity > 0 and probability >= 1 - activity
 
 
@@ -107,6 +108,7 @@ def follow(latch: Latch, probability: float, activity: float, hold: int = 1) -> 
     if hold < 1:
         raise ValueError(f"hold must be 1 or more, not {hold}")
     wanted = opened(probability, activity)
+    # The extremes of the setting mean always and never, without a delay.
     if wanted != latch.open and (latch.since >= hold or activity in (0, 1)):
         return Latch(wanted, 1)
     return Latch(latch.open, latch.since + 1)

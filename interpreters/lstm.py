@@ -24,6 +24,11 @@ Hidden = tuple[Tensor, Tensor]
 _NO_TEXT = "this interpreter needs text; use the audio-only one"
 _NO_POSE = "this interpreter needs the pose; give it the previous block"
 
+OWN_PAST_UNTIL = 0.5
+"""Share of the run after which scheduled sampling is complete."""
+TEXT_HEAD_DROPOUT = 0.5
+"""Dropout in the text head, which would memorise the few words of a few hours."""
+
 
 @dataclass(frozen=True)
 class LstmState:
@@ -63,7 +68,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         self.register_buffer("lexemes", lexemes.clone())
         self.encode_audio = BlockLinear(frames, widths.audio, config.audio_features,
                                         bottleneck=config.audio_bottleneck)
-        self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
+        self.encode_text = BlockLinear(frames, text_width, config.text_features, 1,
                                        config.text_bottleneck) if config.text_features else None
         self.encode_pose = Linear(3 * widths.motion, config.pose_features) if config.pose_features else None
         self.text_head = None
@@ -72,7 +77,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
 
             self.text_head = TextHead(text_width, config.text_head, config.text_bottleneck or text_width,
                                       config.lexeme_features or lexemes.shape[1], speakers, len(lexemes),
-                                      config.text_head_dropout)
+                                      TEXT_HEAD_DROPOUT)
         self.frozen = False
         """All weights except the text head are frozen."""
         self.control_width = widths.control if config.use_control else 0
@@ -86,7 +91,8 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         width += speakers if config.use_speaker else 0
         self.dropout = nn.Dropout(config.dropout)
         self.enter = Linear(width, config.width) if self.by_block else None
-        self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, config.layers, batch_first=True)
+        self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, batch_first=True)
+        # By block, the block's row of inputs reaches the classifier past the recurrence, too.
         self.classify = Linear((2 if self.by_block else 1) * config.width, len(lexemes))
 
     @classmethod
@@ -112,6 +118,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
             # Frozen weights need no regularisation.
             self.frozen, self.dropout.p = True, 0.0
             return
+        # Only the first layer has columns for the text; they lie in the middle of its input (`rows`).
         weights, reads = self.state_dict(), "enter.weight" if self.by_block else "lstm.weight_ih_l0"
         for name, value in audio_only.state_dict().items():
             if name != reads:
@@ -164,6 +171,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         if self.encode_text is not None:
             parts.append(self.encode_text(text))
         if self.control_width:
+            # Zeros are targets of value 0 whose flag says that they are not set.
             free = audio.new_zeros(*audio.shape[:2], self.frames, self.control_width)
             parts.append(free if control is None else control)
         if self.config.use_speaker:
@@ -189,6 +197,8 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         first, _ = self._read(rows[:, :memory])
         if blocks <= memory:
             return first, None
+        # Every later block is the last of its window of `memory` blocks, each window read from a zero state. The first
+        # window is that of `first`, which gives the blocks up to it as well.
         recent = rows.unfold(1, memory, 1)[:, 1:].permute(0, 1, 4, 2, 3)
         last, _ = self._read(recent.flatten(0, 1))
         return torch.cat([first, last[:, -1].unflatten(0, (len(rows), blocks - memory))], dim=1), None
@@ -206,7 +216,9 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         previous = labels[:, :-1]
         if self.training and pose is not None and self.config.pose_noise and not self.frozen:
             pose = pose + self.config.pose_noise * torch.randn_like(pose)
-        share = self.config.own_past_most * min(progress / max(self.config.own_past_until, 1e-9), 1.0)
+        # Scheduled sampling in two passes: the lexemes sampled from the first pass, moved on by a block, replace a part
+        # of the recorded past, because in inference the past consists of the model's choices.
+        share = self.config.own_past_most * min(progress / max(OWN_PAST_UNTIL, 1e-9), 1.0)
         if self.training and share > 0 and not self.frozen:
             with torch.no_grad():
                 sampled = torch.distributions.Categorical(
@@ -214,15 +226,16 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
             shifted = torch.cat([labels[:, :1], sampled[:, :-1]], 1)
             previous = torch.where(torch.rand_like(previous, dtype=torch.float32) < share, shifted, previous)
         if self.training and self.config.history_dropout and not self.frozen:
+            # A random lexeme, unlike a zero vector, is an input that also occurs in inference.
             lost = torch.rand_like(previous, dtype=torch.float32) < self.config.history_dropout
             previous = torch.where(lost, torch.randint_like(previous, len(self.lexemes)), previous)
         if self.training and self.config.audio_dropout and not self.frozen:
+            # Whole windows, because guidance (`InterpreterByEar`) runs one state without any audio.
             audio = audio * (torch.rand(len(audio), 1, 1, 1, device=audio.device) >= self.config.audio_dropout)
         if self.training and self.config.after_dropout and not self.frozen:
             audio = without_after(audio, torch.rand(len(audio), device=audio.device) < self.config.after_dropout)
         logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control, pose)
-        each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none",
-                                        label_smoothing=self.config.label_smoothing)
+        each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none")
         valid = batch["valid"][:, 1:].flatten()
         return {"nll": batch_ratio((each * valid).sum(), valid.sum())}
 
@@ -252,7 +265,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         """`step` for B states of equal age, with separate audio [B, 3K, d] and all else the same."""
         count, device = len(states), self.lexemes.device
         previous = torch.full((count, 1), previous_lexeme, device=device)
-        text, control, pose, speaker = (None if one is None else one.expand(count, *[-1] * (one.dim() - 1)) for one in (
+        text, control, pose, speaker = (None if row is None else row.expand(count, *[-1] * (row.dim() - 1)) for row in (
             None if features.text is None else features.text[None, None],
             None if features.control is None else features.control[None, None],
             self._pose(features), states[0].speaker))
@@ -260,6 +273,8 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         rows = self.rows(previous, audio[:, None], speaker, text, control, pose)
         hidden = None
         if self.config.memory:
+            # With limited memory the state is the input rows themselves: the LSTM reads them again from a zero state at
+            # every block, as in training.
             before = [state.rows for state in states if state.rows is not None]
             rows = (torch.cat([torch.cat(before), rows], 1) if before else rows)[:, -self.config.memory:]
         else:
@@ -299,12 +314,12 @@ class StyleInterpreter(nn.Module):
         self.config, self.frames, self.code_width, self.speakers = config, frames, code_width, speakers
         self.register_buffer("lexemes", lexemes.clone())
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
-        self.encode_text = BlockLinear(frames, text_width, config.text_features, config.text_blocks,
+        self.encode_text = BlockLinear(frames, text_width, config.text_features, 1,
                                        config.text_bottleneck) if config.text_features else None
         width = config.audio_features + lexemes.shape[1] + code_width + (speakers if config.use_speaker else 0)
         width += config.text_features
         self.dropout = nn.Dropout(config.dropout)
-        self.lstm = nn.LSTM(width, config.width, config.layers, batch_first=True)
+        self.lstm = nn.LSTM(width, config.width, batch_first=True)
         self.to_code = Linear(config.width, code_width)
 
     @property
@@ -333,6 +348,7 @@ class StyleInterpreter(nn.Module):
         1, 3K, d], speaker, valid [B, N + 1], text [B, N + 1, 3K, d_t + 1] if used."""
         from data_module.parallel import batch_ratio  # only training needs it
 
+        # The codes are the generator's learned ones, so it must have been trained before.
         code = batch["code"]
         previous = code[:, :-1]
         if self.training:
@@ -352,8 +368,8 @@ class StyleInterpreter(nn.Module):
 
     @torch.inference_mode()
     def step(self, state: StyleState, features: BlockFeatures, lexeme: int) -> tuple[Tensor, StyleState]:
-        played = torch.tensor([[lexeme]], device=self.lexemes.device)
-        code, hidden = self.codes(state.code[:, None], played, features.low[None, None],
+        current = torch.tensor([[lexeme]], device=self.lexemes.device)
+        code, hidden = self.codes(state.code[:, None], current, features.low[None, None],
                                   state.speaker, state.hidden,
                                   None if features.text is None else features.text[None, None])
         return code[:, 0], StyleState(hidden, code[:, 0], state.speaker)

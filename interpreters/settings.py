@@ -41,28 +41,19 @@ class LstmConfig:
     audio_bottleneck: WidthOrNone = 0
     """Width of a projection of each row of audio before E_A^lex; 0 for none (the paper)."""
     width: Width = 512
-    layers: Depth = 1
     text_features: WidthOrNone = 0
     """d_t~, width of the FC on word vectors; 0 for the audio-only interpreter (RG 6.3)."""
-    text_blocks: TextBlocks = 1
-    """Blocks of text in the input: 1 (the paper), or 3, with the previous and the next."""
     text_bottleneck: WidthOrNone = 0
     """Width of a projection of word vectors before the FC; 0 for none (the paper)."""
     text_head: WidthOrNone = 0
     """Width of a head for the words of three blocks that adds to the scores of the LSTM; 0 (the paper) makes
     `text_features` an input of the LSTM instead."""
-    text_head_dropout: Dropout = 0.5
-    """Dropout in that head, which would memorise the few words of a few hours."""
     use_control: bool = False
     """Use the style control (C_i of RG 7.2.1) as input."""
     use_speaker: bool = True
     """Use the one-hot I of Eq. 16 as input."""
     dropout: Dropout = 0.1
     """Dropout of the input and the output of the LSTM."""
-    label_smoothing: Dropout = 0.0
-    """Share of the target that is spread over all lexemes."""
-    own_past_until: Share = 0.5
-    """Share of the run after which scheduled sampling is complete."""
     own_past_most: Share = 0.5
     """The share of previous lexemes that are predictions rises from 0 to this value until `own_past_until` (scheduled
     sampling in two passes)."""
@@ -92,7 +83,7 @@ class LstmConfig:
         return self.text_features > 0 or self.text_head > 0
 
     def without_text(self) -> LstmConfig:
-        return replace(self, text_features=0, text_blocks=1, text_bottleneck=0, text_head=0)
+        return replace(self, text_features=0, text_bottleneck=0, text_head=0)
 
 
 @dataclass(frozen=True)
@@ -104,11 +95,8 @@ class StyleConfig:
     audio_bottleneck: WidthOrNone = 0
     """Width of a projection of each row of audio before that FC; 0 for none (the paper)."""
     width: Width = 256
-    layers: Depth = 1
     text_features: WidthOrNone = 0
     """d_t~ of Eq. 19; 0 for no text (RG 6.3, Table 3)."""
-    text_blocks: TextBlocks = 1
-    """Blocks of text in the input: 1 (the paper), or 3."""
     text_bottleneck: WidthOrNone = 0
     """Width of a projection of word vectors before the FC; 0 for none (the paper)."""
     use_speaker: bool = False
@@ -117,7 +105,7 @@ class StyleConfig:
     """Dropout of the input of the LSTM (of a GRU's input and output with a flow head)."""
 
     def without_text(self) -> StyleConfig:
-        return replace(self, text_features=0, text_blocks=1, text_bottleneck=0)
+        return replace(self, text_features=0, text_bottleneck=0)
 
 
 @dataclass(frozen=True)
@@ -129,11 +117,8 @@ class GateConfig:
     audio_bottleneck: WidthOrNone = 0
     """Width of a projection of each row of audio before that FC; 0 for none."""
     width: Width = 64
-    layers: Depth = 1
     dropout: Dropout = 0.1
     """Dropout of the input and the output of the LSTM."""
-    use_speaker: bool = True
-    """Use the speaker's one-hot as input: performers differ greatly in how often they gesture."""
 
 
 @dataclass(frozen=True)
@@ -151,8 +136,6 @@ class PlannerConfig:
     dropout: Dropout = 0.2
     past_dropout: Dropout = 0.2
     """Share of the blocks in training whose past decision is left out, so that the sound counts."""
-    strength: NotNegative = 1.0
-    """Factor on log p(phase, hand | lexeme) in the scores of the lexemes; 0: the phase does not matter to them."""
 
 
 @dataclass(frozen=True)
@@ -203,8 +186,6 @@ class QConfig:
     """The online network selects the next action and the target values it (Double DQN); else the target does both."""
     huber: NotNegative = 0.0
     """Error at which the squared loss becomes linear; 0 for never (the paper)."""
-    freeze_dropout: bool = False
-    """Train without dropout."""
 
 
 @dataclass(frozen=True)
@@ -225,17 +206,12 @@ class CriticConfig:
     """Width of a projection of each row of audio before that FC; 0 for none."""
     critics: Width = 2
     """J; the least of their advantages is used."""
-    heard: Share = 0.7
-    """Probability that a critic learns from a recording; on the same data the critics would agree in their errors."""
     value: NotNegative = 0.3
     """Weight of the error of the state's value, which does not affect the choice."""
     gamma: Share = 0.9
     """Discount per block. A lexeme affects the rewards of `reward.window` blocks."""
     states: Count = 24_000
     """Decisions of the episodes for which the rewards of all lexemes are computed."""
-    tried: Share = 0.12
-    """Share of them in which other lexemes are substituted for the chosen one, to measure the effect on later rewards.
-    """
     swaps: Count = 6
     """Substitutes per decision: half sampled from the behaviour policy, half at random."""
 

@@ -11,6 +11,9 @@ from lexicon.settings import LexiconConfig
 
 __all__ = ["Lexicon"]
 
+KERNEL = 3
+"""Kernel size of a convolution, frames."""
+
 
 class Lexicon(nn.Module):
     """Encoder E, codebook S and decoder D over blocks [B, K, D_m]."""
@@ -23,17 +26,15 @@ class Lexicon(nn.Module):
         self.register_buffer("present", torch.ones(motion_width) if present is None else present, persistent=False)
         self.config, self.frames, self.motion_width = config, frames, motion_width
         widths, code = config.widths, config.code_width
-        self.convolve = convolutions((motion_width, *widths), config.kernel)
+        self.convolve = convolutions((motion_width, *widths), KERNEL)
         self.to_code = nn.Linear(widths[-1] * frames, code)
-        self.quantizer = Quantizer(config.size, code, config.codebook, config.decay, revive_below=config.revive_below)
+        self.quantizer = Quantizer(config.size, code, config.codebook, revive_below=config.revive_below)
         self.from_code = nn.Linear(code, widths[-1] * frames)
-        self.deconvolve = convolutions((*reversed(widths), motion_width), config.kernel, last_linear=True)
+        self.deconvolve = convolutions((*reversed(widths), motion_width), KERNEL, last_linear=True)
 
     @property
     def weights(self) -> dict[str, float]:
-        c = self.config
-        return {"reconstruction": 1.0, "commitment": c.commitment, "codebook": c.codebook_weight,
-                "velocity": c.velocity, "acceleration": c.acceleration}
+        return {"reconstruction": 1.0, "commitment": self.config.commitment, "codebook": 1.0}
 
     @property
     def vectors(self) -> Tensor:
@@ -66,6 +67,7 @@ class Lexicon(nn.Module):
     @torch.no_grad()
     def latents(self, motion: Tensor, batch: int = 4096) -> Tensor:
         """E in evaluation mode, `batch` blocks at a time: [B, code width]."""
+        # Labels are needed in the midst of training, with the running moments of the batch normalisation.
         before = self.training
         self.eval()
         out = torch.cat([self.encode(part) for part in motion.split(batch)])
@@ -86,16 +88,11 @@ class Lexicon(nn.Module):
         latents = self.encode(motion)
         zero = latents.new_zeros(())
         if progress < self.config.warm_up:
+            # A plain autoencoder, until k-means places the codes on latents that mean something (`start_codebook`).
             codes, commitment, codebook = latents, zero, zero
         else:
             quantised = self.quantizer(latents)
             codes, commitment, codebook = quantised.codes, quantised.commitment, quantised.codebook
+        # Differences are linear, so the error of a velocity is the difference of the errors.
         error = self.decode(codes) - motion
-        velocity = torch.diff(error, dim=1)
-        return {
-            "reconstruction": masked_mean(error.pow(2), mask),
-            "commitment": commitment,
-            "codebook": codebook,
-            "velocity": masked_mean(velocity.abs(), mask),
-            "acceleration": masked_mean(torch.diff(velocity, dim=1).abs(), mask),
-        }
+        return {"reconstruction": masked_mean(error.pow(2), mask), "commitment": commitment, "codebook": codebook}

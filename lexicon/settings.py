@@ -38,24 +38,14 @@ class LexiconConfig:
     """Width of a lexeme."""
     widths: Widths = (64, 128, 156, 192)
     """Channels of the four convolutions."""
-    kernel: Width = 3
-    """Kernel size of a convolution, frames."""
     hidden: Width = 256
     """Units of the hidden layers of the VQ-VAE over movements, which has no convolutions."""
     codebook: Codebook = "ema"
     """"ema", or "gradient" for the literal third term of Eq. 3."""
-    decay: Share = 0.99
-    """Decay of the moving average of a lexeme, per step."""
     revive_below: NotNegative = 1.0
     """A lexeme used less often than this per batch, on average, is revived."""
     commitment: NotNegative = 1.0
     """w_alpha of Eq. 3."""
-    codebook_weight: NotNegative = 1.0
-    """w_beta of Eq. 3 (only the gradient codebook has that term)."""
-    velocity: NotNegative = 0.0
-    """Weight of the L1 error of velocities; off in the paper."""
-    acceleration: NotNegative = 0.0
-    """Weight of the L1 error of accelerations; off in the paper."""
     warm_up: Share = 0.3
     """Share of the training run as a plain autoencoder, before k-means starts the codebook."""
 
@@ -75,12 +65,6 @@ class RacerConfig:
     """N, codes in the codebook."""
     dilations: Widths = (1, 3, 9)
     """Dilations of the residual blocks of a stage, in the encoder's order; the decoder reverses them."""
-    velocity: NotNegative = 1.0
-    """alpha_1 of Eq. 5."""
-    acceleration: NotNegative = 1.0
-    """alpha_2 of Eq. 5."""
-    commitment: NotNegative = 0.1
-    """beta of Eq. 4."""
     codebook: Codebook = "ema"
     """"ema", or "gradient" for the literal second term of Eq. 4."""
     decay: Share = 0.99

@@ -162,7 +162,7 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
         "lexicon.trunk_components=6", "lexicon.arm_components=10", "lexicon.finger_components=3",
         "generator.motion_features=12", "generator.audio_features=8", "generator.audio_bottleneck=8",
         "generator.hidden=32", "generator.groups=4", "generator.classes=8", "generator.blocks=8",
-        "generator.context=48", "generator.lexeme_width=12", "generator.flow_width=48", "generator.flow_layers=1",
+        "generator.context=48", "generator.lexeme_width=12", "generator.flow_width=48",
         "interpreter.audio_bottleneck=8", "interpreter.pose_features=12", "interpreter.lexeme_features=8",
         "interpreter.width=32", "interpreter.memory=4", "gate.width=16", "gate.audio_features=4",
         "gate.audio_bottleneck=8", *(f"{of}.{size}" for of in ("reward", "judge")

@@ -9,7 +9,7 @@ import json
 import re
 import threading
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -479,13 +479,13 @@ class _Client:
 
 def _read_request(file: Path) -> object:
     """The answer of a server whose rendering reads the plan; AssertionError where it says that the program failed."""
+    from gesticulator.page.server import _PageHandler
     from gesticulator.plan.plan_file import plan_from
-    from gesticulator.serve.page_server import _PageHandler
 
-    def render(request: dict[str, Any], abandoned: Callable[[], bool]) -> Iterator[bytes]:
+    def render(request: dict[str, Any], abandoned: Callable[[], bool], report: Callable[[bytes], object]) -> bytes:
         if not isinstance(request.get("plan"), dict):
             raise InputError("the request", "holds no plan", "send one")
-        return iter([json.dumps(plan_from(request["plan"]).to_dict()).encode()])
+        return json.dumps(plan_from(request["plan"]).to_dict()).encode()
 
     server = SimpleNamespace(
         hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0, figures=None, export=None,
@@ -560,7 +560,7 @@ def _read_lips(file: Path) -> object:
 
 def _read_sent_character(file: Path) -> object:
     from data_module.files import read_json
-    from gesticulator.serve.page_export import _character
+    from gesticulator.page.export import _character
 
     return _character(read_json(file, "send it again"), file.parent)
 
@@ -637,7 +637,7 @@ def _read_edges(file: Path) -> object:
 
 
 def _read_place(file: Path) -> object:
-    from gesticulator.serve.page_place import place_in
+    from gesticulator.page.page_place import place_in
 
     return place_in(file)
 

@@ -28,7 +28,7 @@ from gesticulator.body.clearance import (
     shirt_at,
     trunk_front,
 )
-from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.characters.contacts import OURS, our_distances, pose_of
 
 FPS = 60.0

@@ -25,8 +25,7 @@ from data_module.motion.standing_legs import with_standing_legs
 from data_module.types import Array, Motion
 from gesticulator import infer
 from gesticulator.arguments import infer_arguments, jobs_of
-from gesticulator.body.looping import looped
-from gesticulator.body.planting import added_to_rest, in_place, upper_alone
+from gesticulator.body.clips import added_to_rest, in_place, looped, upper_alone
 from gesticulator.export.clip import ClipLayout, parse_keys
 from gesticulator.export.key_reduction import METRES_PER_DEGREE, SPAN, STEADY_SHARE, kept_frames, rotation_errors
 from gesticulator.jobs import Job

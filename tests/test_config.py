@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from data_module.errors import InputError
-from generator.model import Generator, GeneratorWidths
+from generator.model import PERCEPTUAL, RECONSTRUCTION, STYLE, Generator, GeneratorWidths
 from gesticulator.bundle.config import Config, digest, from_dict, to_dict, with_settings
 from gesticulator.training.presets import PRESETS, preset
 from lexicon.autoencoder import Lexicon
@@ -29,7 +29,7 @@ def test_paper_presets_carry_the_papers_numbers() -> None:
     assert (g.motion_features, g.audio_features, g.style_width, g.position_width, g.groups, g.classes) \
         == (128, 128, 32, 32, 64, 128)
     assert g.motion_features + g.audio_features + trinity.lexicon.code_width + g.style_width + g.position_width == 512
-    assert (g.reconstruction, g.perceptual, g.lexeme, g.style) == (1.0, 0.5, 0.2, 1.0)
+    assert (RECONSTRUCTION, PERCEPTUAL, g.lexeme, STYLE) == (1.0, 0.5, 0.2, 1.0)
     assert all(s.rate == 3e-4 and s.betas == (0.9, 0.999) for s in
                (trinity.schedules.lexicon, trinity.schedules.generator, trinity.schedules.interpreter))
 
@@ -39,7 +39,7 @@ def test_the_other_paper_presets_differ_where_the_paper_says() -> None:
     assert (ted.motion.representation, ted.rhythm.fps, ted.lexicon.size, ted.rhythm.frames) == ("positions", 15.0, 100,
                                                                                                 8)
     assert (trinity.encoder.width, trinity.encoder.temperature) == (512, 0.1)
-    assert trinity.interpreter.text_blocks == 1 and trinity.interpreter.text_features == 128
+    assert trinity.interpreter.text_features == 128
     for config in (trinity, ted, preset("paper-chinese")):
         assert (config.front_end.name, config.selection.temperature, config.selection.activity) == ("vqwav2vec", 0, 1)
         assert config.generator.velocity == 0 and config.interpreter.audio_bottleneck == 0

@@ -1,4 +1,4 @@
-"""Edits on the page: the frames that come back are those of the whole plan rendered, bit for bit, and few are made."""
+"""Edits on the page: the frames that come back are those of the whole plan rendered, bit for bit, and few are sent."""
 
 from __future__ import annotations
 
@@ -17,22 +17,20 @@ import soundfile
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from data_module.blocks import KnotPath
 from data_module.errors import InputError
 from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator import Gesticulator
 from gesticulator.body.life import Shifts, ShiftStyle
-from gesticulator.body.stance import Stance
 from gesticulator.directing.directions import LONGEST_GESTURE
 from gesticulator.directing.named_gestures import span_of_gesture
-from gesticulator.drawing.driver import Driver
-from gesticulator.drawing.recut import Recutter
+from gesticulator.editing.recut import Recutter
 from gesticulator.export.html import describe
+from gesticulator.page.server import AbandonedError
+from gesticulator.page.session import EditSession
 from gesticulator.performance import Performance
 from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan_file import parse_plan
-from gesticulator.serve.edits import LivePlans, plan_with
-from gesticulator.serve.page_server import AbandonedError, UnknownRenderingError
+from gesticulator.sampling import loop
 
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SECONDS, SEED = 6.0, 1
@@ -42,7 +40,7 @@ Plain = dict[str, Any]
 @pytest.fixture(scope="module")
 def system() -> Gesticulator:
     system = Gesticulator.from_pretrained()
-    system.keeps_drawings = True
+    system.keeps_generations = True
     return system
 
 
@@ -80,57 +78,36 @@ class Page:
     """What the page does with the answers."""
 
     def __init__(self, system: Gesticulator, first: Performance) -> None:
-        self.plans = LivePlans(system, first)
+        self.session = EditSession(system, first)
         self.plan: Plain = describe(first.scene())["plan"]
         self.frames, self.roots = frames_of_take(first).copy(), roots_of_take(first).copy()
-        self.have = self.plans.opened(first, self.plan)
-        self.sent = 0
+        self.have = self.session.opened(first)
+        self.sent, self.progress = 0, list[float]()
+
+    def abandon(self, plan: Plain, checks: int) -> None:
+        """Ask for a plan, and for something else when the renderer has looked for that some times."""
+        calls = iter([False] * checks)
+        with contextlib.suppress(AbandonedError):
+            self.session.answer(self.request(plan), lambda: next(calls, True))
 
     def request(self, plan: Plain) -> Plain:
-        plan = json.loads(json.dumps(plan))  # what comes over the network is not shared
-        parts = {name: plan.get(name) for name in {*self.plan, *plan} if name != "blocks"
-                 and plan.get(name) != self.plan.get(name)}
-        return {"have": self.have, "view": [2.0, 4.0], "changes": {
-            "blocks": [[0, len(self.plan["blocks"]), plan["blocks"]]], "parts": parts}}
-
-    def abandon(self, plan: Plain, checks: int) -> int:
-        """Ask for a plan, and for something else when the renderer has looked for that some times; the messages that
-        came until then."""
-        calls, got = iter([False] * checks), list[bytes]()
-        with contextlib.suppress(AbandonedError):
-            got.extend(self.plans.answer(self.request(plan), lambda: next(calls, True)))
-        return len(got)
+        return {"have": self.have, "plan": json.loads(json.dumps(plan))}  # what comes over the network is not shared
 
     def edit(self, plan: Plain) -> None:
-        self.take(messages(self.plans.answer(self.request(plan))), plan)
-
-    def take(self, answer: Iterable[tuple[Plain, bytes]], plan: Plain) -> None:
         """Put the frames and the plan of an answer in the place of what was there."""
-        self.sent = 0
-        for header, data in answer:
-            shape, rows, whole = header.get("shape"), header.get("roots", 0), header.get("root", 0)
-            if shape and self.frames.shape[:2] != (shape["frames"], len(shape["skeleton"]["names"])):
-                self.frames = np.zeros((shape["frames"], len(shape["skeleton"]["names"]), 4), np.int16)
-            tail = len(data) - rows - whole
-            numbers = np.frombuffer(data[:tail], "<i2").reshape(-1, *self.frames.shape[1:])
-            if whole:
-                self.roots = np.frombuffer(data[tail:], "<f4").reshape(-1, 3)
-            at = 0
-            for begin, end in header["ranges"]:
-                self.frames[begin:end] = numbers[at:at + end - begin]
-                at += end - begin
-            assert at == len(numbers)
-            self.sent += at
-            if rows:
-                self.put_roots(header["ranges"], np.frombuffer(data[tail:], "<f4").reshape(-1, 3))
-            if header["kind"] == "done":
-                self.have, self.plan = header["rendering"], plan_with(plan, header["changes"])
-
-    def put_roots(self, ranges: list[tuple[int, int]], rows: np.ndarray) -> None:
-        """The path of the root in these frames."""
-        roots = self.roots.copy() if len(self.roots) == len(self.frames) else np.tile(rows[:1], (len(self.frames), 1))
-        roots[np.concatenate([np.arange(*one) for one in ranges])] = rows
-        self.roots = roots
+        parts = list[bytes]()
+        answer = self.session.answer(self.request(plan), report=parts.append)
+        *progress, (header, data) = messages([*parts, answer])
+        self.progress = [told["share"] for told, _ in progress]
+        if header["shape"]:
+            joints = len(header["shape"]["skeleton"]["names"])
+            self.frames = np.zeros((header["shape"]["frames"], joints, 4), np.int16)
+        first, last = header["range"]
+        tail = len(data) - header["root"]
+        self.frames[first:last] = np.frombuffer(data[:tail], "<i2").reshape(-1, *self.frames.shape[1:])
+        if header["root"]:
+            self.roots = np.frombuffer(data[tail:], "<f4").reshape(-1, 3)
+        self.sent, self.have, self.plan = last - first, header["rendering"], header["plan"]
 
 
 def _halved(blocks: list[Plain], at: int) -> None:
@@ -217,12 +194,6 @@ EDITS = st.lists(st.tuples(st.sampled_from(
 """What is edited, where, how, and after how many looks it is abandoned for the same again; 20 and more: never."""
 
 
-@pytest.fixture(autouse=True)
-def _short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The recording of these tests is short: it is sent in as many stretches as a long one."""
-    monkeypatch.setattr("gesticulator.serve.edits.REPORTS", 5)
-
-
 def _edited_as_anew(system: Gesticulator, speech: Speech, page: Page, edits: list[tuple[str, int, int, int]],
                     most: int) -> Performance:
     """Edit a page, and before each edit abandon it if its last number is below `most`: the page has the frames of the
@@ -265,23 +236,13 @@ def test_legs_after_any_edits_are_those_of_the_plan_rendered_anew(
 def test_a_long_recordings_edits_at_half_the_rate_are_those_of_the_plan_rendered_anew(
         system: Gesticulator, speech: Speech, monkeypatch: pytest.MonkeyPatch, fps: float, legs: bool) -> None:
     monkeypatch.setattr("gesticulator.export.html.LONG", 2.0)
-    page, stood = Page(system, system(speech, seed=SEED, fps=fps, legs=legs)), list[int]()
+    page = Page(system, system(speech, seed=SEED, fps=fps, legs=legs))
     assert len(page.frames) == 180, "the page has 30 frames a second"
-    original, frames, roots, put = page.plan, page.frames.copy(), page.roots, KnotPath.frames
-
-    def counted(self: KnotPath, first: int, last: int, count: int | None = None) -> np.ndarray:
-        stood.append(last - first)
-        return put(self, first, last, count)
-
+    original, frames, roots = page.plan, page.frames.copy(), page.roots
     edits = [("swap", 9, 3), ("pin", 7, 2), ("move", 12, 0), ("intensity", 0, 2), ("mirror", 5, 0), ("join", 3, 0)]
     for what, at, value in edits:
-        monkeypatch.setattr(KnotPath, "frames", counted)
-        stood.clear()
         page.edit(edited(page.plan, what, at, value))
-        # Pins, and strokes under another intensity, act on seconds: all of this short recording.
-        assert what != "swap" or sum(stood) < 0.6 * SECONDS * fps, "an edit makes its stretch alone"
-        monkeypatch.setattr(KnotPath, "frames", put)
-        made = page.plans.render(parse_plan(json.dumps(page.plan)))
+        made = page.session.perform(parse_plan(json.dumps(page.plan)))
         np.testing.assert_array_equal(page.frames, frames_of_take(made))
         np.testing.assert_array_equal(page.roots, roots_of_take(made))
     page.edit(original)
@@ -289,64 +250,28 @@ def test_a_long_recordings_edits_at_half_the_rate_are_those_of_the_plan_rendered
     np.testing.assert_array_equal(page.roots, roots)
 
 
-def test_frames_in_memory_are_bounded_and_a_page_goes_on(system: Gesticulator, first: Performance,
-                                                         monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.serve.edits.RENDERED", 0)
-    monkeypatch.setattr("gesticulator.serve.edits.LEAST_RENDERINGS", 3)
-    monkeypatch.setattr("gesticulator.body.page_frames.BUDGET", 0)
+def test_renderings_in_memory_are_bounded_and_a_page_goes_on(system: Gesticulator, first: Performance,
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gesticulator.page.session.MOST_RENDERINGS", 3)
     page = Page(system, first)
-    numbers, before = [page.have], page.frames.copy()
-    original = page.plan
+    opened, before, original = page.have, page.frames.copy(), page.plan
     for at in range(5):
         page.edit(edited(page.plan, "size", 9 + at % 2, at))
-        numbers.append(page.have)
-    with pytest.raises(UnknownRenderingError):
-        list(page.plans.answer({**page.request(page.plan), "have": numbers[0]}))
+    page.have = opened  # which is forgotten, so that all frames are sent
     page.edit(original)
+    assert page.sent == len(before)
     np.testing.assert_array_equal(page.frames, before)
-
-
-def test_legs_after_a_change_show_the_visible_stretch_first_and_are_forgotten_by_undo(
-        system: Gesticulator, speech: Speech, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.serve.edits.FIRST_SHOWN", 5)
-    monkeypatch.setattr("gesticulator.serve.edits.STRETCH", 5)
-    page, stood = Page(system, system(speech, seed=SEED, legs=True)), list[int]()
-    original, frames, roots, put = page.plan, page.frames.copy(), page.roots, Stance.stood
-
-    def counted(self: Stance, turns: np.ndarray, *rest: Any) -> Any:
-        stood.append(len(turns))
-        return put(self, turns, *rest)
-
-    page.plans.render(parse_plan(json.dumps(original)))
-    monkeypatch.setattr(Stance, "stood", counted)
-    (draft, data), *others = messages(page.plans.answer(page.request(edited(original, "intensity", 0, 2))))
-    (begin, end), = draft["ranges"]
-    assert begin <= 2.0 * 60 and end >= 4.0 * 60 and draft["roots"] == (end - begin) * 3 * 4
-    shown = np.frombuffer(data[:-draft["roots"]], "<i2").reshape(-1, 54, 4)
-    page.edit(edited(original, "intensity", 0, 2))
-    exact = page.frames[begin:end]
-    cosine = np.abs(np.sum(shown * exact.astype(float), axis=-1)) / 32767.0**2
-    apart = 2.0 * np.degrees(np.arccos(np.clip(cosine, 0.0, 1.0)))
-    assert apart.max() < 20.0 and np.median(apart) < 1.0, "what is shown first is nearly there"
-    assert [one["kind"] for one, _ in others][-1] == "done" and len(others) > 2
-    stood.clear()
-    page.edit(original)
-    assert not stood, "what was there is remembered"
-    np.testing.assert_array_equal(page.frames, frames)
-    np.testing.assert_array_equal(page.roots, roots)
-    page.edit(edited(original, "swap", 14, 9))
-    assert sum(stood) < len(frames) - 200, "what was before stays"
 
 
 def _counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Counts the blocks that are drawn from now on."""
-    count, draw = [0], Driver.draw
+    count, step = [0], loop.step
 
-    def counted(self: Driver, request: Any) -> Any:
+    def counted(*args: Any) -> Any:
         count[0] += 1
-        return draw(self, request)
+        return step(*args)
 
-    monkeypatch.setattr(Driver, "draw", counted)
+    monkeypatch.setattr(loop, "step", counted)
     return count
 
 
@@ -356,7 +281,7 @@ def test_an_edit_sends_its_stretch_and_undo_draws_nothing(system: Gesticulator, 
     original, frames = page.plan, page.frames.copy()
     drawn = _counted(monkeypatch)
     page.edit(edited(original, "swap", 8, 77))
-    assert drawn == [1], "the block, and not the recording: its drawing was kept"
+    assert drawn == [1], "the block, and not the recording: its generation was kept"
     swapped = page.plan
     assert 0 < page.sent < 60 * 3.5, "frames of the block, its blend, and the blocks beside them"
     page.edit(original)
@@ -424,7 +349,7 @@ def test_activity_falls_where_its_curve_does(system: Gesticulator, speech: Speec
     # A curve that changes later keeps what comes before.
     drawn = _counted(monkeypatch)
     rises = _curved(original, "activity", (at - 0.01, 1.0), (at, 0.0), (at + 1.2, 0.0), (at + 1.3, 1.0))
-    page.plans.render(parse_plan(json.dumps(rises)))
+    page.session.perform(parse_plan(json.dumps(rises)))
     assert 0 < drawn[0] <= sum(block["start"] >= at + 1.2 for block in original["blocks"])
     for block in falls["blocks"]:
         block["locked"] = True
@@ -477,127 +402,18 @@ def test_curves_of_the_hands_draw_the_recording_again_with_its_lexemes(
         page.edit({**page.plan, "curves": [{"knob": "radius", "times": [0.0], "values": [7.0]}]})
 
 
-def test_the_visible_stretch_comes_first_and_a_new_wish_ends_the_old(system: Gesticulator, first: Performance,
-                                                                     monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.serve.edits.FIRST_SHOWN", 2)
-    page = Page(system, first)
-    louder = edited(page.plan, "intensity", 0, 2)
-    request = {"have": page.have, "view": [2.0, 3.0], "changes": {"blocks": [], "parts": {"knobs": louder["knobs"]}}}
-    got = messages(page.plans.answer(request))
-    assert [header["kind"] for header, _ in got] == ["frames"] * 3 + ["done"]
-    seen = got[0][0]["ranges"]
-    assert seen[0][0] <= 2.0 * 60 and seen[-1][1] >= 3.0 * 60 and seen[-1][1] - seen[0][0] < 2.2 * 60
-    page.edit(louder)
-    full = page.plans.render(parse_plan(json.dumps(page.plan)))
-    np.testing.assert_array_equal(page.frames, frames_of_take(full))
-    # Where all has to be drawn again, a draft of the visible stretch comes before that, and then how far it is.
-    calm = edited(page.plan, "activity", 0, 0)
-    parts = page.plans.answer({"have": page.have, "view": [2.0, 3.0],
-                               "changes": {"blocks": [], "parts": {"knobs": calm["knobs"]}}})
-    drawn = _counted(monkeypatch)
-    (draft, numbers), = messages([next(parts)])
-    assert draft["kind"] == "frames" and drawn[0] < len(calm["blocks"]) - 4
-    at = slice(*draft["ranges"][0])
-    shown = np.frombuffer(numbers, "<i2").reshape(-1, *page.frames.shape[1:])[:at.stop - at.start]
-    assert np.abs(np.diff(shown.astype(int), axis=0)).max() < 32767 * 0.25, "without a jump"
-    assert np.abs(shown.astype(int) - page.frames[at]).mean() < 32767 * 0.1, "from the pose that is there"
-    rest = [header for header, _ in messages(parts)]
-    assert [one["kind"] for one in rest[:3]] == ["frames"] * 3 and rest[-1]["kind"] == "done"
-    assert [one["share"] for one in rest[:3]] == sorted(one["share"] for one in rest[:3])
-    assert [one["ranges"][0][0] for one in rest[:3]] == sorted(one["ranges"][0][0] for one in rest[:3]), "as drawn"
-    with pytest.raises(AbandonedError):
-        list(page.plans.answer({**request, "changes": {"blocks": [], "parts": {"knobs": {
-            **louder["knobs"], "activity": 0.3}}}}, lambda: True))
-    with pytest.raises(UnknownRenderingError):
-        list(page.plans.answer({**request, "have": 10_000}))
-    for wrong in ({"blocks": [[0, 999, []]]}, {"blocks": 3}, {"blocks": [[0, 1]]}, {"parts": [3]}):
-        with pytest.raises(InputError):
-            list(page.plans.answer({**request, "changes": wrong}))
-
-
-def test_the_rest_of_a_take_is_sent_as_it_is_made_the_nearest_stretch_first(
+def test_a_whole_take_reports_its_progress_and_goes_on_where_it_was_abandoned(
         system: Gesticulator, first: Performance, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.serve.edits.FIRST_SHOWN", 2)
-    monkeypatch.setattr("gesticulator.serve.edits.STRETCH", 3)
-    page = Page(system, first)
-    louder = edited(page.plan, "intensity", 0, 2)
-    request = {"have": page.have, "view": [2.0, 3.0], "changes": {"blocks": [], "parts": {"knobs": louder["knobs"]}}}
-    parts = page.plans.answer(request)
-    frames, shown, shares, begins = page.frames.copy(), np.zeros(len(page.frames), int), [], []
-    for header, data in messages(parts):
-        numbers, at = np.frombuffer(data, "<i2").reshape(-1, *frames.shape[1:]), 0
-        for begin, end in header["ranges"]:
-            frames[begin:end] = numbers[at:at + end - begin]
-            shown[begin:end] += 1
-            at += end - begin
-        if header["kind"] == "frames":
-            shares.append(header["share"])
-            begins.append((header["ranges"][0][0], header["ranges"][-1][1]))
-            assert len(header["ranges"]) == 1, "neighbours"
-        else:
-            assert header["kind"] == "done"
-    assert len(begins) >= 5 and shares == sorted(shares) and shares[-1] == 1.0
-    low, high = begins[0]
-    far = [begin - high if begin >= high else 2 * (low - end) for begin, end in begins[1:]]
-    # They are ordered by blocks, which are up to half a second long.
-    assert np.diff(far).min() > -30 and min(begin for begin, _ in begins) < low, "to both sides, the nearest first"
-    assert (shown >= 1).all() and np.mean(shown > 1) < 0.2, "frames are sent twice where only a sign differs"
-    made = page.plans.render(parse_plan(json.dumps(louder)))
-    np.testing.assert_array_equal(frames, frames_of_take(made))
-    # The next wish ends it between two stretches.
-    calls = iter([False] * 4)
-    page = Page(system, first)
-    answer, got = page.plans.answer({**request, "have": page.have}, lambda: next(calls, True)), list[bytes]()
-    with pytest.raises(AbandonedError):
-        got.extend(answer)
-    assert 0 < len(got) < len(begins)
-
-
-@pytest.mark.parametrize("what", ["speaker", "variation", "height", "interpreter", "legs"])
-def test_a_change_of_the_whole_take_shows_the_visible_stretch_first_and_then_what_is_drawn(
-        system: Gesticulator, speech: Speech, first: Performance, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
-    page = Page(system, first)
-    original = page.plan
-    settings_of = original["made_by"]["settings"]
-    asked = {**original, **{
-        "speaker": {"speaker": "garza"}, "variation": {"variation": 2},
-        "height": {"curves": [{"knob": "height", "times": [0.0], "values": [0.35]}]},
-        "interpreter": {"interpreter": "statistical"},
-        "legs": {"made_by": {**original["made_by"], "settings": {**settings_of, "legs": "standing"}}}}[what]}
-    drawn, count = _counted(monkeypatch), len(original["blocks"])
-    answer = page.plans.answer(page.request(asked))
-    (header, data), = messages([next(answer)])
-    (begin, end), = header["ranges"]
-    assert begin <= 2.0 * 60 and end >= 4.0 * 60 and end - begin < 3.2 * 60, "the visible stretch"
-    assert drawn[0] <= (0 if what == "legs" else 12) < count
-    joints = len(header["shape"]["skeleton"]["names"]) if header.get("shape") else len(first.joints)
-    draft = np.frombuffer(data[:len(data) - header.get("roots", 0)], "<i2").reshape(-1, joints, 4).astype(int)
-    assert len(draft) == end - begin
-    steps = np.abs(np.diff(draft, axis=0)).max(axis=(1, 2))
-    assert steps.max() < 32767 * 0.25, "without a jump"
-    rest = [told for told, _ in messages(answer)]
-    assert rest[-1]["kind"] == "done"
-    if what != "legs":
-        shares = [told["share"] for told in rest[:3]]
-        assert shares == sorted(shares) and all(told["kind"] == "frames" for told in rest[:3]), "as it is drawn"
-        assert rest[0]["ranges"][0][0] == 0
-        assert drawn[0] <= 12 + count
-    # The next wish ends it; asked for again, it goes on where it was, and is the plan rendered anew.
-    again = Page(system, first)
-    drawn[0] = 0
-    assert again.abandon(asked, 9) >= 1
-    begun = drawn[0]
-    assert begun < 12 + count
-    again.edit(edited(again.plan, "swap", 8, 77))
-    again.edit(original)
-    np.testing.assert_array_equal(again.frames, frames_of_take(first))
-    if what == "legs":
-        return
-    before = drawn[0]
-    again.edit(asked)
-    assert what == "interpreter" or drawn[0] - before < 12 + count - 5, "what was drawn is known"
-    made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(again.plan)))
-    np.testing.assert_array_equal(again.frames, frames_of_take(made))
+    monkeypatch.setattr("gesticulator.page.session.REPORTS", 3)
+    page, drawn = Page(system, first), _counted(monkeypatch)
+    count, asked = len(page.plan["blocks"]), edited(page.plan, "activity", 0, 0)
+    page.abandon(asked, 9)
+    assert drawn == [10], "it ends with the block at which something else was asked for"
+    page.edit(asked)
+    assert drawn == [count], "what was sampled is known"
+    assert page.progress == sorted(page.progress) and 0.3 < page.progress[0] < page.progress[-1] < 1.0
+    with pytest.raises(InputError):
+        page.edit({**asked, "blocks": asked["blocks"][:-1]})
 
 
 def test_performer_variation_interpreter_and_legs_are_edits(system: Gesticulator, speech: Speech, first: Performance
@@ -652,29 +468,20 @@ def test_performer_variation_interpreter_and_legs_are_edits(system: Gesticulator
         page.edit({**page.plan, "speaker": "nobody"})
 
 
-def test_legs_are_an_edit_and_draw_nothing(system: Gesticulator, first: Performance, monkeypatch: pytest.MonkeyPatch
-                                           ) -> None:
+def test_legs_are_an_edit_and_sample_nothing(system: Gesticulator, first: Performance, monkeypatch: pytest.MonkeyPatch
+                                             ) -> None:
     page = Page(system, first)
     original, before = page.plan, page.frames.copy()
-    drawn, shape = _counted(monkeypatch), {}
+    drawn = _counted(monkeypatch)
     for legs in ("standing", "seated"):
-        made_by = {**original["made_by"], "settings": {**original["made_by"]["settings"], "legs": legs}}
-        have, plan = page.have, {**original, "made_by": made_by}
-        got = messages(page.plans.answer({"have": have, "view": [2.0, 3.0], "changes": {
-            "blocks": [], "parts": {"made_by": made_by}}}))
-        *drafts, (header, _) = got
-        assert bool(drafts) == (legs == "standing"), "seated, each frame stays as it is from the hips up"
-        shape = got[0][0].get("shape") or shape  # the same body sits down
-        assert {"LeftFoot", "RightUpLeg"} <= set(shape["skeleton"]["names"])
-        page.take(got, plan)
-        made = page.plans.render(parse_plan(json.dumps(plan)))
-        np.testing.assert_array_equal(page.frames, frames_of_take(made))
-        np.testing.assert_array_equal(page.roots, roots_of_take(made))
-    back = messages(page.plans.answer({"have": page.have, "view": [2.0, 3.0], "changes": {
-        "blocks": [], "parts": {"made_by": original["made_by"]}}}))
-    (header, data), = back
-    frames = np.frombuffer(data[:len(data) - header["root"]], "<i2").reshape(-1, *before.shape[1:])
-    np.testing.assert_array_equal(frames, before)
+        settings_of = {**original["made_by"]["settings"], "legs": legs}
+        page.edit({**original, "made_by": {**original["made_by"], "settings": settings_of}})
+        assert page.frames.shape[1] == 54
+        whole = page.session.perform(parse_plan(json.dumps(page.plan)))
+        np.testing.assert_array_equal(page.frames, frames_of_take(whole))
+        np.testing.assert_array_equal(page.roots, roots_of_take(whole))
+    page.edit(original)
+    np.testing.assert_array_equal(page.frames, before)
     assert drawn == [0]
 
 

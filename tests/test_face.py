@@ -24,7 +24,7 @@ from gesticulator.face.lips import REACH, SHIPPED, Lips, load_weights, with_domi
 from gesticulator.face.motion import FaceMotion, at_rest
 from gesticulator.face.network import LOOK_AHEAD, STACKED, LipFeatures, VisemeNet, VisemeStepper, rows_of, stacked
 from gesticulator.face.shapes import ARKIT, arkit, curves, find_shapes, is_lips, oculus, summed, vrm
-from gesticulator.face.track import Face, FaceSettings, in_head
+from gesticulator.face.track import FaceSettings, FaceTrack, in_head
 from gesticulator.face.visemes import (
     CLOSED,
     OPENINGS,
@@ -246,7 +246,7 @@ def test_eyes_hold_their_target_while_the_head_turns() -> None:
 
 
 def test_lips_alone_leave_the_rest_of_the_face() -> None:
-    face = Face(FaceSettings("lips"))
+    face = FaceTrack(FaceSettings("lips"))
     shown = face.frames(0, _head(20.0))
     assert shown.lips_only and not shown.blink.any() and not shown.gaze.any()
 
@@ -316,11 +316,11 @@ def test_a_mood_follows_its_curve_in_a_file(tmp_path: Path) -> None:
     path.write_text("time,mood\n0,-1\n1,0\n2,1\n")
     settings_ = FaceSettings.of(InferenceOptions(face="full", mood=path))
     motion = _head(0.0, 180)
-    smile = Face(settings_).frames(0, motion).smile  # in silence
+    smile = FaceTrack(settings_).frames(0, motion).smile  # in silence
     np.testing.assert_allclose(smile[::30], np.interp(np.arange(6) / 2, [0, 1, 2], [-1, 0, 1]), atol=1e-9)
-    plain = Face(FaceSettings.of(InferenceOptions(face="full", mood=0.5))).frames(0, motion)
+    plain = FaceTrack(FaceSettings.of(InferenceOptions(face="full", mood=0.5))).frames(0, motion)
     assert np.array_equal(plain.smile, np.full(180, 0.5))
-    assert Face(settings_).frames(0, motion).brows[0] == pytest.approx(-0.25)
+    assert FaceTrack(settings_).frames(0, motion).brows[0] == pytest.approx(-0.25)
 
 
 @pytest.mark.parametrize(("rows", "told"), [("0,2\n", "out of range"), ("1,0\n0,1\n", "goes back"), ("", "empty")])

@@ -21,9 +21,9 @@ from performances import perform, write
 
 from data_module.types import Array, Speech
 from gesticulator.export import film
-from gesticulator.export.figure import figure_points
+from gesticulator.export.figure import LIP, MOUTH, face_points, figure_points
 from gesticulator.face.motion import FaceMotion
-from gesticulator.face.mouth import face_points, lip_curves
+from gesticulator.face.mouth import lip_curves
 from gesticulator.face.shapes import vrm
 from gesticulator.face.visemes import OPENINGS, VISEMES, VisemeSpan
 from gesticulator.live.limits import ServerLimits
@@ -120,31 +120,16 @@ def _near(pictures: Array, colour: str, far: int = 30) -> Array:
     return np.asarray((np.abs(pictures - film.rgb(colour)).max(-1) < far).sum((1, 2)))
 
 
-def test_a_films_mouth_opens_and_its_eyes_shut_and_turn() -> None:
-    from gesticulator.face.mouth import MOUTH
-
+def test_a_films_mouth_opens() -> None:
     pytest.importorskip("PIL")
-    shut, wide, blink, left = (_drawn(posed(**parts)) for parts in (
-        {}, {"aa": 1.0}, {"blink": 1.0}, {"left": 0.4}))  # type: ignore[arg-type]
+    shut, wide = _drawn(posed()), _drawn(posed(aa=1.0))
     assert _near(wide, MOUTH)[0] > 3 * _near(shut, MOUTH)[0] > 0, "a shut one is a line"
-    nose = film.Camera().project(figure_points(still(0.1), np.zeros(1))["Nose"], film.SIZE)[0][0]
-    column, row = np.rint(nose).astype(int)
-
-    def eyes(pictures: Array) -> Array:
-        """Rows and columns of the dark pixels between the brows and the nose."""
-        return np.argwhere(pictures[0, row - 9:row - 2, column - 18:column + 18].sum(-1) < 400)
-
-    assert len(eyes(shut)) > len(eyes(blink)) + 10
-    assert eyes(left)[:, 1].mean() > eyes(shut)[:, 1].mean() + 0.5, "the character's left is on the right"
 
 
-def test_without_a_face_a_film_is_drawn_as_before() -> None:
+def test_a_mouth_is_drawn_only_with_a_face() -> None:
     pytest.importorskip("PIL")
-    points = figure_points(still(0.1), np.zeros(1))
-    plain = np.asarray(next(iter(film.pictures(points)))).astype(int)[None]
-    from gesticulator.face.mouth import IRIS, LIP
-
-    assert not _near(plain, LIP, 12)[0] and not _near(plain, IRIS, 6)[0]
+    plain = np.asarray(next(iter(film.pictures(figure_points(still(0.1), np.zeros(1)))))).astype(int)[None]
+    assert not _near(plain, LIP, 12)[0] and _near(_drawn(posed()), LIP, 12)[0]
 
 
 # ---------------------------------------------------------------------------------------------------------------- pages
@@ -275,8 +260,6 @@ def test_the_live_page_shows_a_face_where_it_is_asked_for(browser: Any) -> None:
 def _lags(film_: Path, starts: list[float]) -> Array:
     """Seconds from the sound of each syllable to the mouth that opens for it, as both are in a film."""
     import av
-
-    from gesticulator.face.mouth import MOUTH
 
     with av.open(str(film_)) as container:
         pictures = np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]).astype(int)

@@ -34,7 +34,6 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("data_module", "gesticulator", "eval", "lexicon", "interpreters", "generator")
 NO_CASE = {
     "a table of the program itself": "gesticulator/plan/gestures.py:_read_table",
-    "makes a number of a hash": "gesticulator/serve/edits.py:whole_motion",
     "an option of the command line, tested with what is no number": "gesticulator/export/clip.py:parse_keys",
     "a build's own work folder, where a file that is cut counts as missing": """
         data_module/build*.py:* data_module/store.py:StoreWriter.*""",
@@ -44,8 +43,8 @@ NO_CASE = {
         eval/ablate/*:* eval/context.py:* eval/renderings.py:*""",
     "calls a reader that has a case": """
         data_module/corpora/base.py:load
-        data_module/corpora/ted.py:Ted.read gesticulator/serve/edits.py:* gesticulator/live/*:*
-        gesticulator/serve/page_export.py:exported gesticulator/bundle/models.py:StoredParts.__getitem__
+        data_module/corpora/ted.py:Ted.read gesticulator/page/session.py:* gesticulator/live/*:*
+        gesticulator/page/export.py:exported gesticulator/bundle/models.py:StoredParts.__getitem__
         gesticulator/serve/connection.py:* gesticulator/serve/session.py:Session._add_words interpreters/base.py:opened
         eval/probes/stability.py:_words_changed""",
     "the bytes are hashed, copied or thrown away, not parsed": """

@@ -52,7 +52,6 @@ def test_positional_block_follows_equation_8_by_hand() -> None:
 def test_positional_rows_differ_and_to_beat_is_the_reverse() -> None:
     forward = positional_block(10, 32)
     assert len({tuple(row.tolist()) for row in forward}) == 10
-    assert torch.equal(positional_block(10, 32, direction="to_beat"), forward.flip(0))
 
 
 def test_gumbel_is_one_hot_with_a_gradient_in_training_and_arg_max_in_evaluation() -> None:
@@ -164,7 +163,7 @@ def test_a_block_depends_on_its_own_audio_window_and_not_on_later_ones() -> None
 
 
 def test_teacher_forcing_sees_the_truth_and_the_own_past_does_not() -> None:
-    model, b = make(residual=True).eval(), batch()
+    model, b = make().eval(), batch()
     style, other = model.styles(b["style"][:, 1:]), b["motion"][:, 1:].clone()
     other[:, 0] += 5.0
 
@@ -258,7 +257,7 @@ def test_the_velocity_term_is_the_difference_of_frames_by_hand() -> None:
 
 
 def test_the_last_pose_fades_out_over_the_block() -> None:
-    model = make(residual=True).eval()
+    model = make().eval()
     with torch.no_grad():
         model.to_motion.weight.zero_()
         model.to_motion.bias.zero_()
@@ -270,13 +269,13 @@ def test_the_last_pose_fades_out_over_the_block() -> None:
 
 
 def test_schedules() -> None:
-    model = make(own_past_from=0.2, own_past_until=0.6, temperature_start=2.0, temperature_end=0.5)
-    assert [model.own_past_probability(p) for p in (0, 0.2, 0.4, 0.6, 1)] == pytest.approx([0, 0, 0.5, 1, 1])
+    model = make(own_past_until=0.4)
+    assert [model.own_past_probability(p) for p in (0, 0.1, 0.2, 0.4, 1)] == pytest.approx([0, 0.25, 0.5, 1, 1])
     assert model.temperature(0) == pytest.approx(2) and model.temperature(0.5) == pytest.approx(1)
 
 
 def test_it_learns_to_draw_each_lexeme() -> None:
-    model = make(blocks=40, style=0.0)
+    model = make(blocks=40)
     torch.manual_seed(4)
     vectors = torch.randn(2, LEXEME)
     shapes = torch.stack([torch.sin(torch.linspace(0, 3, FRAMES)), torch.linspace(0, -1, FRAMES)])[..., None]

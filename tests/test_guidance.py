@@ -11,10 +11,9 @@ from untrained import SILENT, untrained
 from data_module.types import Speech
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import with_settings
-from gesticulator.drawing.driver import GeneratedMotion
 from gesticulator.pipeline import Gesticulator
 from gesticulator.sampling import loop
-from gesticulator.sampling.loop import Request, Setup
+from gesticulator.sampling.loop import GeneratedMotion, Request, Setup
 
 
 @pytest.fixture(scope="module")

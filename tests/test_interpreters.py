@@ -194,7 +194,7 @@ def test_contract(name: str) -> None:
 
 
 @pytest.mark.parametrize("changes", [{}, {"text_features": 4, "use_control": True}, {"text_head": 6},
-                                     {"text_features": 4, "text_blocks": 3, "text_bottleneck": 2, "layers": 2},
+                                     {"text_features": 4, "text_bottleneck": 2},
                                      {"reads_by": "block", "lexeme_features": 3, "text_features": 4,
                                       "use_control": True},
                                      {"reads_by": "block", "text_head": 6}])
@@ -237,13 +237,12 @@ def test_lstm_without_text_is_deaf_to_text_and_control() -> None:
         np.testing.assert_array_equal(bare, told)
 
 
-@pytest.mark.parametrize("blocks", [1, 3])
-def test_lstm_reads_its_own_block_and_the_next_only_when_it_is_to(blocks: int) -> None:
-    model = lstm(text_features=4, text_blocks=blocks).eval()
+def test_lstm_reads_the_words_of_its_own_block_alone() -> None:
+    model = lstm(text_features=4).eval()
     text = windows(3, 1)[0, 0]
     base, _ = model.step(model.start(0, 0), hear(text=text), 0)
-    for part, heard in ((slice(0, FRAMES), blocks == 3), (slice(FRAMES, 2 * FRAMES), True),
-                        (slice(2 * FRAMES, 3 * FRAMES), blocks == 3)):
+    for part, heard in ((slice(0, FRAMES), False), (slice(FRAMES, 2 * FRAMES), True),
+                        (slice(2 * FRAMES, 3 * FRAMES), False)):
         other = text.clone()
         other[part] += 1.0
         scores, _ = model.step(model.start(0, 0), hear(text=other), 0)
@@ -253,7 +252,7 @@ def test_lstm_reads_its_own_block_and_the_next_only_when_it_is_to(blocks: int) -
 @pytest.mark.parametrize("by", ["frame", "block"])
 def test_one_that_reads_begins_as_the_one_that_does_not(by: str) -> None:
     deaf = lstm(use_control=True, reads_by=by).eval()
-    reads = lstm(use_control=True, text_features=5, text_blocks=3, reads_by=by).eval()
+    reads = lstm(use_control=True, text_features=5, reads_by=by).eval()
     reads.init_from_audio_only(deaf)
     arguments = (torch.tensor([[0, 3, 2]]), windows(1, 3, AUDIO), torch.tensor([[0.0, 1.0]]), None)
     texts = [windows(seed, 3) for seed in (2, 3)]
@@ -407,7 +406,7 @@ def test_rows_that_do_not_sum_to_one_are_refused() -> None:
         StatisticalInterpreter(np.ones((1, 3)) / 3, np.ones((3, 3)))
 
 
-@pytest.mark.parametrize("changes", [{}, {"text_features": 4, "text_blocks": 3, "text_bottleneck": 2}])
+@pytest.mark.parametrize("changes", [{}, {"text_features": 4, "text_bottleneck": 2}])
 def test_style_streams_as_it_runs_and_starts_from_the_code_of_stillness(changes: dict[str, object]) -> None:
     model = style(**changes)
     text = windows(4, 3)

@@ -144,7 +144,6 @@ _OTHERS = {
     "data_module/files.py": "the reader itself",
     "gesticulator/characters/blender.py": "the outcome of a job that its own Blender has just written",
     "gesticulator/characters/blender_jobs.py": "runs in Blender, on the job that its parent has just written",
-    "gesticulator/plan/exchange.py": "a copy of values that it has just written as text",
 }
 
 

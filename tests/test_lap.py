@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,13 +18,13 @@ from data_module.motion.skeletons import CHARACTER, FINGERED, SIDES, WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator import Gesticulator
 from gesticulator.body.clearance import cleared
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.body.lap import is_seated
-from gesticulator.body.mirror import mirrored_motion
-from gesticulator.body.stance import seated, with_legs
+from gesticulator.body.legs import seated, with_legs
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
-from gesticulator.characters.thighs import OUR_RADII, Thigh, seated_thighs, tapering, thigh_margins
-from gesticulator.characters.trunk import ANGLES, Outline
+from gesticulator.characters.thighs import OUR_RADII, Thigh, seated_thighs, tapering
+from gesticulator.characters.trunk import ANGLES
 from tests.awkward import figure, write
 from tests.rig_errors import places_of
 from tests.rigs import Rig, draw
@@ -189,30 +186,3 @@ def test_a_character_that_sits_in_its_file_keeps_its_hands_off_its_thighs() -> N
         moved = sitting(swung(WAY))
         gaps.append(out_of_thighs(places_of(rig, moved), rig.truth, tuple(0.9 * r * rig.size for r in OUR_RADII)).min())
     assert gaps[0] < -0.01 and gaps[1] > -0.002
-
-HEIGHTS = """import { depthIn, marginAbove, thighOf } from "./src/thighs.js";
-import { readFileSync } from "node:fs";
-const { hip, knee, outline, points } = JSON.parse(readFileSync(0, "utf8"));
-const thigh = thighOf(hip, knee, outline);
-console.log(JSON.stringify(points.map((point) => {
-  const { depth, up } = depthIn(thigh, point);
-  return [depth, ...up, marginAbove(thigh, point), marginAbove(null, point)];
-})));"""
-
-
-def test_the_page_measures_heights_over_thighs_as_python_does() -> None:
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("install Node.js (apt-get install nodejs npm), and run npm ci --prefix viewer")
-    rng = np.random.default_rng(3)
-    outline = Outline(np.array([-0.1, 0.3, 0.6, 0.9]), rng.uniform(0.06, 0.12, (4, 36)))
-    hip, knee = np.array([0.1, -0.05, 0.02]), np.array([0.16, -0.08, 0.41])
-    points = rng.uniform([-0.3, -0.3, -0.3], [0.5, 0.5, 0.7], (500, 3))
-    asked = {"hip": hip.tolist(), "knee": knee.tolist(), "points": points.tolist(),
-             "outline": {"steps": outline.steps.tolist(), "reach": outline.reach.tolist()}}
-    done = subprocess.run([node, "--input-type=module", "-e", HEIGHTS], cwd=VIEWER, check=True, capture_output=True,
-                          input=json.dumps(asked), text=True)
-    thigh = Thigh(hip[None], knee[None], outline)
-    depth, up = thigh.depth(points)
-    margins = [thigh_margins((thigh,), ours, points, 1.0)[0] for ours in ((thigh,), ())]
-    np.testing.assert_allclose(json.loads(done.stdout), np.column_stack([depth, up, *margins]), atol=1e-9)

@@ -15,7 +15,7 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTERS, FINGERED, FINGERS
 from data_module.types import Array, Motion
-from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.characters.contacts import MARGIN, head_distances, our_distances, pose_of
 from gesticulator.cli import main
 from gesticulator.directing.gesture_arms import arm_turns, hand_rotation

@@ -13,7 +13,7 @@ from small_characters import write_character
 from data_module.errors import InputError
 from gesticulator.characters.retarget import Retargeter
 from gesticulator.export.writers import WRITERS
-from gesticulator.serve.page_export import exported, formats
+from gesticulator.page.export import exported, formats
 
 SECONDS = 1.0
 

@@ -1,25 +1,19 @@
-"""Gestures that are dragged along the timeline or moved with keys, what snaps, what is read aloud, and a page that goes
-on when its server is started again."""
+"""Gestures that are dragged along the timeline or moved with keys, what snaps, and what is read aloud."""
 
 from __future__ import annotations
 
 import os
-import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from browser import OpenedPage, chromium, opened_page
+from browser import opened_page
 from test_story import PATIENCE, _is, _rendered, _rotations, first, served  # noqa: F401
-from test_two_pages import _has, _Window
 
-from gesticulator import Gesticulator
-from gesticulator.export import html
-from gesticulator.performance import Performance
-from gesticulator.serve.edits import LivePlans, directions_of, levels_of
-from gesticulator.serve.page_place import page_place, served_again
-from gesticulator.serve.page_server import PageServer
+from gesticulator.page.page_place import page_place, served_again
+from gesticulator.page.server import PageServer
+from gesticulator.page.session import EditSession
 
 PICTURES = Path(os.environ["PICTURES"]) if "PICTURES" in os.environ else None
 
@@ -49,7 +43,7 @@ def _gestures(blocks: list[dict[str, Any]], begin: int, end: int) -> list[tuple[
 
 
 def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
-        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
     server, plans, folder = served
     with opened_page(server.url, 1280, 860) as opened:
         page = opened.page
@@ -114,7 +108,7 @@ def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
 
 
 def test_what_is_dragged_snaps_to_beats_and_with_alt_it_does_not(
-        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
     server, _, _ = served
     with opened_page(server.url, 1280, 860) as opened:
         page = opened.page
@@ -134,7 +128,7 @@ def test_what_is_dragged_snaps_to_beats_and_with_alt_it_does_not(
 
 
 def test_a_curve_is_set_with_keys_and_what_plays_is_read_aloud(
-        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
     server, plans, _ = served
     with opened_page(server.url, 1280, 860) as opened:
         page = opened.page
@@ -169,7 +163,7 @@ def test_a_curve_is_set_with_keys_and_what_plays_is_read_aloud(
 
 
 def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
-        served: tuple[PageServer, LivePlans, Path]) -> None:  # noqa: F811
+        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
     server, plans, folder = served
     with opened_page(server.url, 1280, 900) as opened:
         page = opened.page
@@ -212,63 +206,6 @@ def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
         assert _rotations(page).tobytes() == seen[1]
         _is(page, plans, opened.plan())
         opened.check_quiet(server.url)
-
-
-def _server(system: Gesticulator, performance: Performance, port: int = 0) -> tuple[PageServer, threading.Thread]:
-    """A program that serves the page of one place."""
-    server, plans = PageServer(port), LivePlans(system, performance)
-    scene = performance.scene()
-    number = plans.opened(performance, html.describe(scene)["plan"])
-    live = {"token": server.token, "renderings": [number], "levels": levels_of(system.bundle),
-            "directions": directions_of(system), "place": "here", "since": 0}
-    server.page, server.render = html.page({"lstm": scene}, "talk", more={"live": live}).encode(), plans.answer
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    return server, thread
-
-
-def _ended(server: PageServer, thread: threading.Thread) -> None:
-    server.shutdown()
-    server.server_close()
-    thread.join(10)
-
-
-def test_a_page_goes_on_when_its_server_has_died_and_is_started_again(
-        first: tuple[Gesticulator, Performance]) -> None:  # noqa: F811
-    server, thread = _server(*first)
-    port, old = server.server_port, server.secret
-    try:
-        with chromium() as browser:
-            window = _Window(browser)
-            opened = OpenedPage(window, server.url)
-            page = opened.page
-            opened.go_to(2.1)
-            page.keyboard.press("2")
-            _rendered(page)
-            one = opened.plan()["blocks"]
-            _ended(server, thread)
-            # An edit that cannot be rendered stays, is announced, and is kept.
-            opened.go_to(4.1)
-            page.keyboard.press("3")
-            page.wait_for_function("() => document.getElementById('notice').textContent.includes('does not answer')",
-                                   timeout=30_000)
-            both = opened.plan()["blocks"]
-            assert both != one
-            page.wait_for_timeout(600)
-            server, thread = _server(*first, port=port)
-            assert server.secret != old
-            # The page that it opens has both edits, and so has the old one, which is rendered again.
-            new = OpenedPage(window, server.url)
-            _has(new, both)
-            _rendered(new.page)
-            _rendered(page)
-            assert page.locator("#notice").is_hidden(), "the fault is over"
-            np.testing.assert_array_equal(_rotations(page), _rotations(new.page))
-            page.keyboard.press("Control+z")
-            _rendered(page)
-            _has(new, one)
-    finally:
-        _ended(server, thread)
 
 
 def test_a_page_is_served_at_its_place_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,8 +20,7 @@ from data_module.errors import InputError
 from data_module.motion import kinematics
 from data_module.motion.skeletons import standing
 from gesticulator.export import html
-from gesticulator.serve.edits import frames_of, message, plan_with, whole_motion
-from gesticulator.serve.page_server import MOST_BYTES, MOST_CONNECTIONS, TOKEN_HEADER, PageServer
+from gesticulator.page.server import MOST_BYTES, MOST_CONNECTIONS, TOKEN_HEADER, PageServer, message
 
 SECONDS = 3.0
 
@@ -36,8 +35,9 @@ class Renderer:
         self.begun = threading.Event()
         self.plan: dict[str, Any] = html.describe(self.first.scene())["plan"]
 
-    def __call__(self, request: dict[str, Any], abandoned: Callable[[], bool]) -> Iterator[bytes]:
-        plan = request["plan"] if "plan" in request else plan_with(self.plan, request["changes"])
+    def __call__(self, request: dict[str, Any], abandoned: Callable[[], bool], report: Callable[[bytes], object]
+                 ) -> bytes:
+        plan = request["plan"]
         self.begun.set()
         assert self.may_go_on.wait(20)
         if "blocks" not in plan:
@@ -49,10 +49,9 @@ class Renderer:
         made = replace(self.first, motion=(self.first if same else self.other).motion, lexemes=lexemes)
         self.plan = plan
         motion = html.shown(made.scene())
-        pieces, root = whole_motion(motion), html.root_path(motion)
-        ranges, data = frames_of(pieces, range(len(pieces.pieces)))
-        yield message({"kind": "done", "rendering": 1, "shape": html.describe_shape(motion, SECONDS), "changes": {
-            "blocks": [], "parts": {}}, "ranges": ranges, "root": len(root)}, data + root)
+        frames, root = np.round(motion.rotations * html.QUATERNION_STEPS).astype("<i2"), html.root_path(motion)
+        return message({"kind": "done", "rendering": 1, "shape": html.describe_shape(motion, SECONDS), "plan": plan,
+                        "range": [0, len(frames)], "root": len(root)}, frames.tobytes() + root)
 
 
 @pytest.fixture

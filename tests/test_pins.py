@@ -21,7 +21,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, standing
 from data_module.types import Array, Motion, Speech
 from gesticulator import Gesticulator
-from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.body.pins import REACH, pinned
 from gesticulator.cli import main
 from gesticulator.performance import Performance

@@ -8,7 +8,6 @@ import pstats
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,11 +18,10 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
-from gesticulator.body.mirror import mirrored_motion
+from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
 from gesticulator.characters.contacts import our_distances, pose_of
 from gesticulator.directing.directions import cues_at
-from gesticulator.directing.editing import BLEND
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.directing.shaping import (
     FADE,
@@ -36,11 +34,12 @@ from gesticulator.directing.shaping import (
     rest_share,
 )
 from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
+from gesticulator.editing.render import BLEND
 from gesticulator.options import InferenceOptions
+from gesticulator.page.session import EditSession
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import Block, GestureCue, GesturePlan
 from gesticulator.plan.plan_file import parse_plan
-from gesticulator.serve.edits import LivePlans
 from interpreters.base import BlockFeatures
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -72,8 +71,8 @@ def plan(drawn: Performance) -> GesturePlan:
 
 
 @pytest.fixture(scope="module")
-def plans(system: Gesticulator, drawn: Performance) -> LivePlans:
-    return LivePlans(system, drawn)
+def plans(system: Gesticulator, drawn: Performance) -> EditSession:
+    return EditSession(system, drawn)
 
 
 def changed(one: Performance, other: Performance) -> tuple[float, float]:
@@ -103,7 +102,7 @@ def test_a_plan_that_nobody_edited_gives_the_same_bytes_whatever_the_seed(
 
 
 @pytest.mark.parametrize("what", ["lexeme", "silence", "draw", "intensity", "none", "mirror", "moved", "deleted"])
-def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: LivePlans, drawn: Performance,
+def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: EditSession, drawn: Performance,
                                                        plan: GesturePlan) -> None:
     at = 8
     block, after = plan.blocks[at], plan.blocks[at + 1]
@@ -125,7 +124,7 @@ def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: LivePla
         two = [replace(block, end=middle), replace(after, start=middle)] if what == "moved" \
             else [replace(block, end=after.end)]
         edited = replace(plan, blocks=(*plan.blocks[:at], *two, *plan.blocks[at + 2:]))
-    made = plans.render(edited)
+    made = plans.perform(edited)
     first, last = changed(made, drawn)
     assert begin - REACH <= first < block.end and first < last <= end + blend + REACH
     # A hand that was fast is faster by the intensity, and by the way there and back.
@@ -135,19 +134,19 @@ def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: LivePla
         inside = slice(round((block.start + 0.3) * 60), round(block.end * 60))
         assert hand_speeds(made)[inside].mean() < 0.5 * hand_speeds(drawn)[inside].mean()
     # What was made can be written and made again.
-    np.testing.assert_array_equal(plans.render(made.plan()).rotations, made.rotations)
+    np.testing.assert_array_equal(plans.perform(made.plan()).rotations, made.rotations)
 
 
-def test_edits_do_not_know_of_each_other(plans: LivePlans, plan: GesturePlan) -> None:
+def test_edits_do_not_know_of_each_other(plans: EditSession, plan: GesturePlan) -> None:
     def lexeme(block: Block) -> int:
         return next(one.lexeme for one in block.alternatives if one.lexeme != block.lexeme)
 
     early = with_block(plan, 5, lexeme=lexeme(plan.blocks[5]))
     both = with_block(early, 15, lexeme=lexeme(plan.blocks[15]))
-    one, two = plans.render(early), plans.render(both)
+    one, two = plans.perform(early), plans.perform(both)
     first, _ = changed(one, two)
     assert first >= plan.blocks[15].start - REACH
-    late = plans.render(with_block(plan, 15, lexeme=lexeme(plan.blocks[15])))
+    late = plans.perform(with_block(plan, 15, lexeme=lexeme(plan.blocks[15])))
     after = round((plan.blocks[5].end + BLEND + REACH) * 60) + 1
     np.testing.assert_array_equal(late.rotations[after:], two.rotations[after:])
 
@@ -162,26 +161,6 @@ def calls_of(run: Callable[[], object]) -> tuple[int, int]:
         project += count * (file.startswith(str(ROOT)) and "site-packages" not in file)
         in_json += count * ("/json/" in file or "_json" in name)
     return project, in_json
-
-
-def swapped(block: dict[str, Any]) -> dict[str, Any]:
-    """A block with its next best lexeme."""
-    return {**block, "lexeme": next(one["lexeme"] for one in block["alternatives"] if one["lexeme"] != block["lexeme"])}
-
-
-def test_an_edit_calls_few_functions_and_no_json_reader(system: Gesticulator, drawn: Performance,
-                                                        plan: GesturePlan) -> None:
-    plain, plans = plan.to_dict(), LivePlans(system, drawn)
-    have = plans.opened(drawn, plain)
-
-    def edit(at: int) -> list[bytes]:
-        changes = {"blocks": [[at, at + 1, [swapped(plain["blocks"][at])]]], "parts": {}}
-        return list(plans.answer({"have": have, "changes": changes}))
-
-    edit(5)
-    project, in_json = calls_of(lambda: edit(8))
-    # 38,796 and 34,436 where plans went by way of their text.
-    assert project + in_json < 6000 and in_json < 100
 
 
 def test_locked_blocks_stay_whatever_knob_is_turned(system: Gesticulator, speech: Speech, drawn: Performance,
@@ -486,7 +465,7 @@ def test_the_plan_of_somebody_elses_interpreter_is_rendered_again(system: Gestic
         np.testing.assert_array_equal(played.rotations, made.rotations)
         assert played.plan() == plan
     free = with_block(again, 9, lexeme=None)
-    assert LivePlans(system, made).render(free).lexemes[9] == made.lexemes[9], "its object chooses"
+    assert EditSession(system, made).perform(free).lexemes[9] == made.lexemes[9], "its object chooses"
 
 
 def test_an_interpreter_object_that_is_not_at_hand_is_asked_for(system: Gesticulator, speech: Speech) -> None:

@@ -18,7 +18,7 @@ from data_module.speech.audio import amplified, load_speech, resample, write_fla
 from data_module.speech.sound_map import SoundMap, Stretch
 from data_module.types import Speech, Word
 from gesticulator import Gesticulator, infer
-from gesticulator.directing.moved_beats import BeatMap
+from gesticulator.editing.moved_beats import BeatMap
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import (

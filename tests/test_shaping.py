@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Motion
-from gesticulator.body.mirror import exchanged_joints, mirrored_motion
+from gesticulator.body.clips import exchanged_joints, mirrored_motion
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.directing.shaping import levels_at
 from gesticulator.plan.plan import GestureCue

@@ -26,7 +26,7 @@ NO_FASTER = 1.05
 @pytest.fixture(scope="module")
 def system() -> Gesticulator:
     system = Gesticulator.from_pretrained()
-    system.keeps_drawings = True
+    system.keeps_generations = True
     return system
 
 
@@ -64,7 +64,7 @@ def test_with_a_lift_that_changes_within_a_stroke_one_is_half_as_fast_again(
     settings = ["selection.noise=0.9", "selection.reach=0"]
     bundle = replace(system.bundle, config=with_settings(system.bundle.config, settings))
     sampled = Gesticulator(bundle)
-    sampled.keeps_drawings = True
+    sampled.keeps_generations = True
     first = sampled(speech, seed=6, speaker="lesson")
     monkeypatch.setattr(shaping, "CALM", 1e-6)
     assert (peaks(halved(sampled, first)) / peaks(first)).max() > 1.4

@@ -16,11 +16,8 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
 from data_module.types import Array, Motion, Skeleton
 from eval.clip.standing import slide
-from gesticulator.body.feet import SIDES
+from gesticulator.body.legs import CROSSES, SIDES, Stance, seated, with_legs
 from gesticulator.body.life import noise, weight_shifts
-from gesticulator.body.stance import LEGGED, Follower, Stance, course_of, seated, with_legs
-from gesticulator.body.standing_pieces import STEEPEST, STEEPEST_ROOT
-from gesticulator.body.weight import CROSSES
 from tests.performances import perform
 
 SEEDS = range(4)
@@ -266,36 +263,6 @@ def test_a_stream_stands_like_a_file() -> None:
 def smaller(share: float) -> Skeleton:
     return replace(WHOLE_BODY, offsets=share * WHOLE_BODY.offsets,
                    end_sites={joint: share * tip for joint, tip in WHOLE_BODY.end_sites.items()})
-
-
-def test_steps_at_once_give_the_bits_of_one_after_the_other() -> None:
-    motion, rng = drawn(6, seconds=70.0), np.random.default_rng(0)
-    cuts = [0, *np.unique(rng.integers(1, len(motion), 120)).tolist(), len(motion)]
-    stance, whole = Stance(6, motion.fps), Stance(6, motion.fps)
-    parts = [stance.step(motion.crop(a, b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
-    body = resized(motion, WHOLE_BODY)
-    course = course_of([(whole.course(a, b), slice(None)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)])
-    signals, follower, leads = whole.signals(body), Follower(6, motion.fps), []
-    for a, b in ((0, 1), (1, 700), (700, 701), (701, len(motion))):  # elsewhere than steps end
-        rows = slice(a, b)
-        ends = [cut - a for cut in cuts if a < cut <= b]
-        leads.append(follower.step(signals.part(rows), course_of([(course, rows)]), whole.scale, ends))
-        follower = follower.fork()
-    turns, root = whole.stood(signals.turns, course, np.concatenate(leads))
-    np.testing.assert_array_equal(np.concatenate([part.root_positions for part in parts]), root)
-    np.testing.assert_array_equal(np.concatenate([part.rotations for part in parts])[:, LEGGED],
-                                  rotation.continuous(turns))
-
-
-def test_no_leg_turns_faster_with_its_lead_than_is_counted_on() -> None:
-    body, stance, rng = resized(drawn(1), WHOLE_BODY), Stance(1, 30.0), np.random.default_rng(1)
-    course, signals, tiny = stance.course(0, len(body)), stance.signals(body), 1e-6
-    lead = Follower(1, 30.0).step(signals, course, stance.scale)
-    turns, root = stance.stood(signals.turns, course, lead)
-    for _ in range(30):
-        moved = stance.stood(signals.turns, course, lead + rng.choice([-tiny, tiny], lead.shape))
-        assert np.abs(moved[0] - turns).max() < STEEPEST / 4.0 * tiny
-        assert np.abs(moved[1] - root).max() < STEEPEST_ROOT / 4.0 * tiny
 
 
 def test_a_child_stands_as_its_legs_are_long() -> None:

@@ -21,15 +21,16 @@ from browser import OpenedPage, chromium
 from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator import Gesticulator
-from gesticulator.directing.moving_figures import moving_figures
+from gesticulator.arguments import run_settings_of
 from gesticulator.export import html
 from gesticulator.export.writers import check_output
+from gesticulator.page.command import COMMAND, PageRequest, _job, _prepare
+from gesticulator.page.palette import moving_figures
+from gesticulator.page.saved_edits import SavedEdits
+from gesticulator.page.server import PageServer
+from gesticulator.page.session import EditSession, directions_of, levels_of
 from gesticulator.performance import Performance
 from gesticulator.plan.plan_file import parse_plan, read_plan
-from gesticulator.serve.edits import LivePlans, directions_of, levels_of
-from gesticulator.serve.page_server import PageServer
-from gesticulator.serve.saved_edits import SavedEdits
-from gesticulator.serve.view_command import COMMAND, _job, _prepare
 
 PICTURES = Path(os.environ["PICTURES"]) if "PICTURES" in os.environ else None
 """The folder to keep the pictures in; those of docs/viewer.md are made so."""
@@ -43,16 +44,16 @@ SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 def first() -> tuple[Gesticulator, Performance]:
     samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
     system = Gesticulator.from_pretrained()
-    system.keeps_drawings = True
+    system.keeps_generations = True
     return system, system(Speech(samples, rate), seed=1).labelled("talk.wav")
 
 
 @pytest.fixture
-def served(first: tuple[Gesticulator, Performance], tmp_path: Path) -> Iterator[tuple[PageServer, LivePlans, Path]]:
+def served(first: tuple[Gesticulator, Performance], tmp_path: Path) -> Iterator[tuple[PageServer, EditSession, Path]]:
     system, performance = first
-    server, plans = PageServer(), LivePlans(system, performance)
+    server, plans = PageServer(), EditSession(system, performance)
     scene = performance.scene()
-    number = plans.opened(performance, html.describe(scene)["plan"])
+    number = plans.opened(performance)
     live = {"token": server.token, "renderings": [number], "levels": levels_of(system.bundle),
             "directions": directions_of(system)}
     server.page = html.page({"lstm": scene}, "talk", more={"live": live}).encode()
@@ -81,17 +82,17 @@ def _rendered(page: Any) -> None:
                            "document.getElementById('status').dataset.state === 'same'", timeout=PATIENCE)
 
 
-def _is(page: Any, plans: LivePlans, plan: dict[str, Any]) -> None:
-    made = html.describe_motion(plans.render(parse_plan(json.dumps(plan))).scene())
+def _is(page: Any, plans: EditSession, plan: dict[str, Any]) -> None:
+    made = html.describe_motion(plans.perform(parse_plan(json.dumps(plan))).scene())
     np.testing.assert_array_equal(_rotations(page), np.frombuffer(base64.b64decode(made["rotations"]), "<i2"))
 
 
 @contextmanager
-def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, LivePlans]]:
+def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, EditSession]]:
     """What `gesticulator view SOUND` does from the command to Ctrl C, without a window of its own."""
     args = COMMAND.parser("gesticulator view").parse_args([str(sound), "--no-browser", *words])
     with PageServer() as server:
-        _prepare(server, _job(args), args)
+        _prepare(server, _job(args), run_settings_of(args), PageRequest())
         gc.unfreeze()  # more is done in this process after it
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
@@ -150,7 +151,7 @@ def _pin(page: Any) -> None:
     page.mouse.up()
 
 
-def _exported(page: Any, plans: LivePlans, plan: dict[str, Any], folder: Path) -> None:
+def _exported(page: Any, plans: EditSession, plan: dict[str, Any], folder: Path) -> None:
     """The menu hands out the file of the command line: FBX where Blender is there to make it, else GLB."""
     try:
         check_output(folder / "talk.fbx")
@@ -164,7 +165,7 @@ def _exported(page: Any, plans: LivePlans, plan: dict[str, Any], folder: Path) -
     made = Path(got.value.path()).read_bytes()
     assert got.value.suggested_filename == f"talk{suffix}"
     if suffix == ".glb":
-        assert made == plans.performance(plan).save(folder / "wanted.glb").read_bytes()
+        assert made == plans.exported(plan).save(folder / "wanted.glb").read_bytes()
     else:
         assert made.startswith(b"Kaydara FBX Binary")
     page.keyboard.press("Escape")

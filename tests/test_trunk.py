@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -25,42 +22,6 @@ from tests.rigs import Rig, draw
 
 STOUT = (0.24, 0.25)
 LENGTH, FPS = 0.5, 60.0
-VIEWER = Path(__file__).parent.parent / "viewer"
-LIMITS = """import { limit } from "./src/contacts.js";
-import { readFileSync } from "node:fs";
-const { outline, size, cases } = JSON.parse(readFileSync(0, "utf8"));
-console.log(JSON.stringify(cases.map(([our, their, long]) => {
-  const { x, z, lack } = limit(our, their, outline, long, size);
-  return [x, z, lack];
-})));"""
-
-SPREADS = """import { spread } from "./src/contacts.js";
-import { readFileSync } from "node:fs";
-const { pushes, moments, trunk, fps, around } = JSON.parse(readFileSync(0, "utf8"));
-const at = (rows, t) => [...Array(2 * around + 1).keys()].map(
-  (k) => rows[Math.min(Math.max(t + k - around, 0), rows.length - 1)]);
-console.log(JSON.stringify([spread(pushes, moments, trunk, fps),
-  pushes.map((_, t) => spread(at(pushes, t), at(moments, t), trunk, fps)[around])]));"""
-
-
-FOLLOWS = """import { Contacts } from "./src/contacts.js";
-import { readFileSync } from "node:fs";
-const { pushes, moments, arm, outline, known, fps } = JSON.parse(readFileSync(0, "utf8"));
-const contacts = Object.assign(Object.create(Contacts.prototype), { outline, arm });
-const frames = new Map(), take = {}, source = {};
-// Both hands of a frame are as its moment says; the probe carries the number of the frame.
-contacts.moment = ({ at }) => {
-  const hand = { push: pushes[at], ...moments[at] };
-  return { Left: hand, Right: hand };
-};
-const probe = { towards: ({ at }) => { probe.at = at; } };
-console.log(JSON.stringify(moments.map((_, k) => {
-  for (let j = 0; j <= Math.min(k + known, moments.length - 1); j++) frames.has(j) || frames.set(j, { at: j });
-  for (const j of frames.keys()) if (j < k) frames.set(j, undefined); // let go of
-  const coming = { source, time: k / fps + 1e-6, frame: (time) => frames.get(Math.round(time * fps)), probe };
-  contacts.follow(coming, take, () => {});
-  return contacts.followed(coming).Left;
-})));"""
 
 
 def limited(our: Array, their: Array, outline: Outline, size: float = 1.0, length: Array | float = LENGTH) -> HandLimit:
@@ -211,85 +172,6 @@ def test_an_arm_swung_across_a_stout_body_stays_outside_and_is_not_faster(
     speeds, changes = zip(*(peaks(rig, one) for one in (bare, moved, framed)), strict=True)
     assert speeds[1] < 1.0 * speeds[0] < 1.04 * speeds[0] < speeds[2]
     assert changes[1] < 0.9 * changes[0] < changes[2]
-
-
-@pytest.fixture
-def node() -> str:
-    """The program that runs the page's sources."""
-    program = shutil.which("node")
-    if program is None or not (VIEWER / "node_modules").is_dir():
-        pytest.skip("install Node.js (apt-get install nodejs npm), and run npm ci --prefix viewer")
-    return program
-
-
-def test_the_page_limits_hands_as_python_does(node: str) -> None:
-    rng = np.random.default_rng(7)
-    outline = Outline(np.array([-0.3, 0.1, 0.5, 0.8]), rng.uniform(0.1, 0.3, (4, 36)))
-    our, their = rng.uniform(-0.4, 0.4, (2, 3, 500)) + np.array([[0.0], [0.2], [0.0]])
-    length, size = rng.uniform(0.3, 0.7, 500), 0.8
-    cases = [[*map(list, case)] for case in zip(our.T.tolist(), their.T.tolist(), strict=True)]
-    asked = {"outline": {"steps": outline.steps.tolist(), "reach": outline.reach.tolist()}, "size": size,
-             "cases": [[*case, long] for case, long in zip(cases, length.tolist(), strict=True)]}
-    done = subprocess.run([node, "--input-type=module", "-e", LIMITS], cwd=VIEWER, check=True, capture_output=True,
-                          input=json.dumps(asked), text=True)
-    limit = limited(our, their, outline, size, length)
-    expected = np.stack([limit.normal[:, 0], limit.normal[:, 2], limit.lack], axis=1)
-    np.testing.assert_allclose(json.loads(done.stdout), expected, atol=1e-9)
-
-
-class Sweep:
-    """A hand that sweeps through a stout trunk in four seconds, by Python and as the page's sources take it."""
-
-    fps, arm, count = 30.0, 1.5 * 0.53, 120
-
-    def __init__(self) -> None:
-        across = 0.35 - 0.55 / (1.0 + np.exp(-12.0 * (np.arange(self.count) / self.fps - 2.0)))
-        our = np.stack([across, np.full(self.count, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125
-                                                                    - 0.5 * (np.abs(across) - OURS[0]))])
-        self.their = our * np.array([[0.9], [1.0], [0.5]])
-        stout = ellipse(*STOUT)
-        limit = limited(our, self.their, stout)
-        self.framed = limit.lack[:, None] * limit.normal
-        upright = TrunkAxes(np.tile(np.eye(3), (self.count, 1, 1)), np.full(self.count, LENGTH))
-        self.wanted = spread(self.framed, [HandPoint(self.their.T, limit.margin)], Obstacle(upright, stout, 1.5),
-                             (self.their.T, self.arm), self.fps)
-        moments = [{"reached": place, "side": [1, 0, 0], "up": [0, 1, 0], "ahead": [0, 0, 1], "long": LENGTH,
-                    "points": [{"place": place, "margin": margin}]}
-                   for place, margin in zip(self.their.T.tolist(), limit.margin.tolist(), strict=True)]
-        self.outline = {"steps": stout.steps.tolist(), "reach": stout.reach.tolist()}
-        self.given = {"pushes": self.framed.tolist(), "moments": moments, "fps": self.fps}
-
-    def fastest(self, push: Array) -> float:
-        """Metres a frame."""
-        return float(np.linalg.norm(np.diff(self.their.T + push, axis=0), axis=1).max())
-
-
-def test_the_page_spreads_displacements_as_python_does_and_needs_only_the_moments_around(node: str) -> None:
-    sweep = Sweep()
-    given = {**sweep.given, "trunk": {"outline": sweep.outline, "size": 1.5}, "around": 18}
-    done = subprocess.run([node, "--input-type=module", "-e", SPREADS], cwd=VIEWER, input=json.dumps(given),
-                          capture_output=True, text=True, check=True)
-    whole, local = (np.array(rows) for rows in json.loads(done.stdout))
-    np.testing.assert_allclose(whole[10:-10], sweep.wanted[10:-10], atol=1e-3)
-    np.testing.assert_allclose(local[10:-10], sweep.wanted[10:-10], atol=0.01)
-    assert beside((sweep.their.T + local).T, *STOUT).min() > 0.99
-    assert sweep.fastest(local) < 1.05 * sweep.fastest(sweep.wanted) < sweep.fastest(sweep.framed)
-
-
-def test_the_page_of_a_stream_sets_out_early_for_the_frames_that_have_come(node: str) -> None:
-    """The control knows no frame to come."""
-    sweep, speeds = Sweep(), {}
-    for known in (0, 6, 30):
-        given = {**sweep.given, "arm": sweep.arm, "known": known, "outline": sweep.outline}
-        done = subprocess.run([node, "--input-type=module", "-e", FOLLOWS], cwd=VIEWER, input=json.dumps(given),
-                              capture_output=True, text=True, check=True)
-        push = np.array(json.loads(done.stdout))
-        assert beside((sweep.their.T + push).T, *STOUT).min() > 0.98, "outside, however little is known"
-        speeds[known] = sweep.fastest(push)
-        if known == 30:
-            np.testing.assert_allclose(push[10:-10], sweep.wanted[10:-10], atol=0.012)
-    by_itself = sweep.fastest(sweep.framed)
-    assert speeds[30] < speeds[6] < by_itself and speeds[0] < 1.05 * by_itself, speeds
 
 
 def test_the_outline_of_a_figure_of_few_large_triangles_has_no_gaps(

@@ -18,15 +18,15 @@ from small_characters import write_character
 
 from gesticulator import Gesticulator
 from gesticulator.options import InferenceOptions
+from gesticulator.page.command import COMMAND, PageRequest, _job, _way_in, _with_saved_edits
+from gesticulator.page.saved_edits import SavedEdits, place_of
+from gesticulator.page.server import TOKEN_HEADER
 from gesticulator.plan.plan_file import read_plan
-from gesticulator.serve.page_server import TOKEN_HEADER
-from gesticulator.serve.saved_edits import SavedEdits, place_of
-from gesticulator.serve.view_command import COMMAND, PageRequest, _job, _way_in, _with_saved_edits
 
 ROOT = Path(__file__).resolve().parents[1]
 # A shell that starts the tests in its background has its children ignore the interruption that ends the page.
 CODE = ("import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from "
-        "gesticulator.serve.view_command import COMMAND; sys.exit(COMMAND.main('gesticulator view', sys.argv[1:]))")
+        "gesticulator.page.command import COMMAND; sys.exit(COMMAND.main('gesticulator view', sys.argv[1:]))")
 
 
 @pytest.fixture(scope="module")
@@ -133,25 +133,22 @@ def test_an_edit_comes_back_and_leaves_the_rest_as_it_was(recording: Path, tmp_p
                 start = 4 + int.from_bytes(data[:4], "little")
                 header = json.loads(data[4:start])
                 numbers = np.frombuffer(data[start:start + header["bytes"] - header.get("root", 0)], "<i2")
-                numbers, at = numbers.reshape(-1, *poses.shape[1:]), 0
-                for begin, end in header["ranges"]:
-                    poses[begin:end] = numbers[at:at + end - begin]
-                    at += end - begin
+                poses[slice(*header["range"])] = numbers.reshape(-1, *poses.shape[1:])
                 data = data[start + header["bytes"]:]
             return answer.status, header, poses
 
         assert told["live"]["renderings"][0] == 1
         status, made, poses = ask(plan)
-        assert status == 200 and made["kind"] == "done" and "drawn" not in made["changes"]["parts"]
+        assert status == 200 and made["kind"] == "done" and made["plan"]["drawn"] == plan["drawn"]
         moved = np.abs(poses.astype(int) - _poses(first)).max(axis=(1, 2))
         times = np.arange(len(moved)) / first["fps"]
         arms = (times > block["start"] + 0.1) & (times < block["end"] - 0.1)
         assert moved[times < block["start"] - 0.5].max() <= 1, "before it nothing changes, but for the last bit"
         assert moved[arms].max() > 300, "the block is another one"
-        assert ask(first["plan"])[1]["ranges"] == [], "and the way back is the same motion"
+        assert ask(first["plan"])[1]["range"] == [0, 0], "and the way back is the same motion"
         block["end"] += 3.0
         status, wrong, _ = ask(plan)
-        assert status == 400 and "line" in wrong["error"] and str(len(plan["blocks"]) // 2) in wrong["error"]
+        assert status == 400 and f'blocks[{len(plan["blocks"]) // 2}].end' in wrong["error"]
     finally:
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0

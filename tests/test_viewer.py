@@ -19,18 +19,10 @@ from scipy.spatial.transform import Rotation
 from small_characters import write_character
 
 from data_module.motion import kinematics
-from data_module.motion.relaxed_hands import with_relaxed_hands
-from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, resized, standing
-from gesticulator.body.clearance import cleared
-from gesticulator.body.stance import seated
-from gesticulator.characters.reading import choose, read_character
-from gesticulator.characters.retarget import Retargeter
+from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, standing
 from gesticulator.export import html
 from gesticulator.export.clip import EVERY_FRAME
 from gesticulator.export.vrma import vrm_animation
-from tests.awkward import figure
-from tests.awkward import write as write_figure
-from tests.sitting import swung
 
 SECONDS = 4.0
 
@@ -426,74 +418,6 @@ def test_a_character_of_the_users_makes_the_gestures(opened: OpenedPage, tmp_pat
         assert _direction((played[names[a]], played[names[b]])) @ faces.apply(_direction((truth[a], truth[b]))) > 0.999
     page.evaluate("() => document.getElementById('own-figure').click()")
     page.wait_for_function("() => preview.stage.performers[0].character === null")
-
-
-@pytest.mark.parametrize("kind", ["GLB", "VRM 1.0"])
-def test_hands_are_kept_out_of_a_wide_trunk_as_the_command_does(browser: Any, tmp_path: Path, kind: str) -> None:
-    # A spine of fewer nodes than ours is shared out otherwise there and here: it is kept straight.
-    made = perform(seconds=SECONDS)
-    spine = [j for j, name in enumerate(made.joints) if name.startswith(("Spine", "Neck"))]
-    turns = made.rotations.copy()
-    turns[:, spine] = [1.0, 0.0, 0.0, 0.0]
-    # Knuckles are kept outside, too, and the page does not make up those that a take lacks.
-    made = replace(made, motion=with_relaxed_hands(resized(replace(made.motion, rotations=turns), FINGERED)))
-    opened = OpenedPage(browser, write(tmp_path / "talk.html", made).as_uri())
-    page = opened.page
-    rig = tmp_path / ("rig.vrm" if "VRM" in kind else "rig.glb")
-    write_character(rig, vrm=kind.removeprefix("VRM ") if "VRM" in kind else "")
-    character, mapping = choose(rig)
-    names = {joint: character.names[node] for joint, node in mapping.joints.items()}
-    page.set_input_files("#pick-character", str(rig))
-    page.wait_for_function("() => preview.stage.performers[0].character !== null")
-    moved = {}
-    for torso in (None, (0.6, 0.55)):  # the figure's, and one that reaches to its wrists
-        page.evaluate("""(torso) => {
-            const row = [...Array(36).keys()].map((k) => k * Math.PI / 18).map(
-                (turn) => Math.hypot(torso?.[0] * Math.cos(turn), torso?.[1] * Math.sin(turn)));
-            if (torso) preview.worn.first.contacts.outline = { steps: [0, 1], reach: [row, row] };
-        }""", torso)
-        opened.go_to(1.0)
-        page.evaluate("() => preview.stage.draw(1.0)")
-        places = page.evaluate(PLACES, list(BONES.items()))
-        target = tmp_path / "theirs.glb"
-        made.on(character, replace(mapping, torso=torso)).save(target)
-        theirs = _places(GlbFile.parse(target.read_bytes()))
-        for a, b in ARMS:
-            straight = _direction((places[a], places[b])) @ _direction((theirs[names[a]], theirs[names[b]]))
-            assert straight > 0.9995, f"{a} points {np.degrees(np.arccos(straight)):.1f} degrees elsewhere"
-        moved[torso] = np.array([places[side + "Hand"] for side in ("Left", "Right")])
-    assert np.linalg.norm(moved[None] - moved[0.6, 0.55], axis=1).max() > 0.05, "it had something to do"
-    opened.check_quiet()
-    page.close()
-
-
-def test_hands_are_kept_on_the_thighs_of_a_character_as_the_command_does(browser: Any, tmp_path: Path) -> None:
-    """The page sees 0.6 s of the motion before and after a moment, the command all of it."""
-    made = perform(seconds=SECONDS)
-    frames, fps = len(made.motion), made.motion.fps
-    motion = seated(cleared(replace(swung(0.3 - 0.9 * np.cos(2.0 * np.pi * np.arange(frames) / frames)), fps=fps),
-                            sits=True))
-    body = figure(lambda key: f"mixamorig:{key}", "A", fingers=("Middle",))
-    body.widths |= {side + "UpLeg": 0.12 for side in ("Left", "Right")}
-    rig = write_figure(tmp_path / "boxes.glb", body)
-    opened = OpenedPage(browser, write(tmp_path / "talk.html", replace(made, motion=motion)).as_uri())
-    page = opened.page
-    page.set_input_files("#pick-character", str(rig))
-    page.wait_for_function("() => preview.stage.performers[0].character !== null")
-    character = read_character(rig)
-    free, kept = (Retargeter(character, contacts=contacts)(motion) for contacts in (False, True))
-    hand, lifted = character.names.index("mixamorig:LeftHand"), []
-    for time in (1.0, 1.2, 1.5, 3.0):
-        opened.go_to(time)
-        page.evaluate("(time) => preview.stage.draw(time)", time)
-        places = page.evaluate(PLACES, list(BONES.items()))
-        frame = round(time * fps)
-        bare, theirs = (moved.world_matrices()[frame, hand, :3, 3] for moved in (free, kept))
-        assert np.linalg.norm(places["LeftHand"] - theirs) < 0.015
-        lifted.append(np.linalg.norm(places["LeftHand"] - bare))
-    assert max(lifted) > 0.1, "it had something to do"
-    opened.check_quiet()
-    page.close()
 
 
 def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> None:

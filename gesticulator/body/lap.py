@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion.skeletons import CHARACTER, SIDES
 from data_module.types import Array, Motion
-from gesticulator.body.stance import seated
+from gesticulator.body.legs import seated
 from gesticulator.characters.contacts import LEAST, POLE_OF_ELBOW, BelowShoulder, Pose, pose_of, soft, write_turns
 from gesticulator.characters.inverse_kinematics import bend, swivel
 from gesticulator.characters.thighs import FINGERTIPS, Thigh, is_level, our_thighs

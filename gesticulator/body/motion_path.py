@@ -21,7 +21,7 @@ from gesticulator.bundle.features import representation_of
 from gesticulator.options import InferenceOptions
 
 if TYPE_CHECKING:
-    from gesticulator.body.stance import Stance
+    from gesticulator.body.legs import Stance
 
 HISTORY, LONGEST_HISTORY = 60.0, 600.0
 """Seconds of generated motion that can be taken back: by default, and at most (a long answer delivered at once and
@@ -45,7 +45,7 @@ class MotionPath:
         self._stance: Stance | None = None
         self.skeleton = self._representation.motion(first[None], float(options.fps)).skeleton
         if options.legs or options.seated:
-            from gesticulator.body.stance import WHOLE_BODY, Stance
+            from gesticulator.body.legs import WHOLE_BODY, Stance
 
             self.skeleton = WHOLE_BODY
             self._stance = None if options.seated else Stance(int(options.seed), float(options.fps))
@@ -81,7 +81,11 @@ class MotionPath:
 
         With joint positions all frames come at the end, because rotations are computed from the whole motion.
         """
-        frames = self._knots.push(times, self._poses(times, features), until)
+        return self.push_poses(times, self._poses(times, features), until)
+
+    def push_poses(self, times: Array, poses: Array, until: int | None = None) -> Motion | None:
+        """`push` of poses [K, D_m] that are not normalised and have the knobs and gestures applied."""
+        frames = self._knots.push(times, self._cleared(poses), until)
         if self._whole is None:
             return self._motion(frames)
         self._whole.append(frames)
@@ -93,8 +97,7 @@ class MotionPath:
 
     def rewind(self, times: Array, features: NDArray[np.floating], first: int) -> None:
         """Go back to frame `first`, see `KnotPath.rewind`; features [M, D_m] at times [M] of the remembered past."""
-        self._knots.rewind(times, self._poses(times, features), first)
-        self._last = None
+        self.rewind_poses(times, self._poses(times, features), first)
         if self._stance is not None:
             while len(self._stances) > 1 and self._stances[-1][0] > first:
                 self._stances.pop()
@@ -103,12 +106,35 @@ class MotionPath:
             if number < first:
                 self._stance.step(self._representation.motion(self._knots.frames(number, first), self._knots.fps))
 
+    def rewind_poses(self, times: Array, poses: Array, first: int) -> None:
+        """`rewind` with poses [M, D_m] as in `push_poses`; the legs stay as they are (`stand_on`)."""
+        self._knots.rewind(times, self._cleared(poses), first)
+        self._last = None
+
+    @property
+    def has_legs(self) -> bool:
+        """Whether the motion is on standing legs, which depend on everything before."""
+        return self._stance is not None
+
+    def legs(self) -> Stance:
+        """A copy of the state of the legs before frame `next`. ValueError without standing legs."""
+        if self._stance is None:
+            raise ValueError("the motion has no standing legs")
+        return self._stance.fork()
+
+    def stand_on(self, legs: Stance) -> None:
+        """Go on with a copy of the legs (`legs`) after `rewind_poses` to its frame."""
+        self._stance = legs.fork()
+
     def _poses(self, times: Array, features: NDArray[np.floating]) -> Array:
         poses = self._statistics.denormalise(features.astype(np.float64), self._speaker)
         if not len(poses):
             return poses
-        poses = poses if self._shaping is None else self._shaping(poses, times)
-        return poses if self._whole is not None else \
+        return poses if self._shaping is None else self._shaping(poses, times)
+
+    def _cleared(self, poses: Array) -> Array:
+        """Poses [K, D_m] with the hands out of the body."""
+        return poses if self._whole is not None or not len(poses) else \
             cleared_poses(poses, self._representation, self._options.seated)
 
     def _motion(self, frames: Array) -> Motion | None:
@@ -117,7 +143,7 @@ class MotionPath:
         motion = self._moved(frames)
         if not self._mirrored:
             return motion
-        from gesticulator.body.mirror import mirrored_motion
+        from gesticulator.body.clips import mirrored_motion
 
         return mirrored_motion(motion)
 
@@ -132,7 +158,7 @@ class MotionPath:
                 self._stances.popleft()
             return self._stance.step(body)
         if self._options.seated:
-            from gesticulator.body.stance import seated
+            from gesticulator.body.legs import seated
 
             body = seated(body)
         # A quaternion and its negative are the same rotation; take the one nearer to the frame before.

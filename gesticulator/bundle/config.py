@@ -66,8 +66,6 @@ class FitSettings:
     """Adam's decay rates of the running mean and square of the gradient."""
     schedule: Annotated[str, SettingChoice(("constant", "cosine"))] = "constant"
     """"constant", or "cosine": warm-up over 2 % of the steps, then decay to 1 % of the rate."""
-    clip: NotNegative = 1.0
-    """Largest gradient norm; 0 does not clip."""
     weight_decay: Share = 0.0
     """Weight decay of AdamW; 0 is Adam."""
     validations: Count = 10
@@ -139,8 +137,6 @@ class SilenceConfig:
     """In silent blocks, train the lexeme interpreter on the silent lexeme nearest to the block's own."""
     augmentation: Annotated[float, SettingRange(0.0, 0.9)] = 0.05
     """Share of inserted silent blocks in the generator's training set; 0 inserts none."""
-    longest_insert: Count = 10
-    """Longest inserted run of silence, in blocks (5 s at most)."""
     mask: bool = True
     """At inference, silent blocks choose among silent lexemes only."""
     rest_decay: Share = 0.5

@@ -16,11 +16,9 @@ import numpy as np
 from data_module.motion.skeletons import FINGERS, NAME_TABLES
 from data_module.types import Array
 from gesticulator.characters import shape
-from gesticulator.characters.conventions import conventional
 from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
-from gesticulator.characters.names import Label
-from gesticulator.characters.rig import UPS, Character
-from gesticulator.characters.several import chosen, skeletons_of
+from gesticulator.characters.names import Label, character_labels
+from gesticulator.characters.rig import UPS, Character, chosen, skeletons_of
 
 _VRM_PARTS = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
               "Leg": "LowerLeg", "Foot": "Foot", "ToeBase": "Toes"}
@@ -77,7 +75,7 @@ def find_joints(character: Character) -> RigMapping:
     """
     if character.humanoid:
         return _from_vrm(character)
-    labels = conventional(character)
+    labels = character_labels(character)
     places = shape.bind_matrices(character)[:, :3, 3]
     # glTF and Blender define the up axis; BVH does not.
     ups = list(np.eye(3)[[1, 2, 0]])

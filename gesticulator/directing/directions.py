@@ -16,7 +16,6 @@ from data_module.types import Array, Speech, Word
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
 from gesticulator.bundle.files import lexicon_hash
-from gesticulator.directing.editing import still_frames
 from gesticulator.directing.shaping import (
     FADE,
     MIRROR_FADE,
@@ -53,6 +52,13 @@ _BROKEN_OFF = 1.2
 _VOWEL_SHARE, _EARLY = 0.3, 0.11
 """A stroke falls at this share of its word, less this many seconds. Measured on two read sonnets: the vowel of the
 loudest syllable begins there, and a beat of the hand leads the voice by .075 s in the median."""
+
+
+def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.bool_] | None:
+    """[K] whether the knobs require the hands to rest, in the frames at `times` [K] of a block that begins at `start`;
+    None if in no frame."""
+    ranges = knobs.still_at(start, float(times[-1]))
+    return np.any([(times > begin) & (times <= stop) for begin, stop in ranges], axis=0) if ranges else None
 
 
 def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:
@@ -289,19 +295,6 @@ class ShapeLevels:
     arms: ArmScales
     mirrored: Array
 
-    def rows(self, rows: slice) -> ShapeLevels:
-        """The levels of some of the times."""
-        arms = self.arms
-        return ShapeLevels(ArmScales(arms.intensity[rows], arms.share[rows], arms.both[rows]), self.mirrored[rows])
-
-    @staticmethod
-    def joined(parts: Sequence[ShapeLevels]) -> ShapeLevels:
-        """The levels of consecutive times."""
-        arms = [part.arms for part in parts]
-        scales = ArmScales(*(np.concatenate(rows) for rows in (
-            [each.intensity for each in arms], [each.share for each in arms], [each.both for each in arms])))
-        return ShapeLevels(scales, np.concatenate([part.mirrored for part in parts]))
-
 
 class Shaping:
     """Applies intensity, mirroring and named gestures to generated poses [M, D_m] at rising seconds [M]."""
@@ -320,8 +313,7 @@ class Shaping:
         self._shares = [eased_levels(edges, rest_share(side), REST_FADE, self._locked) for side in self._sizes.T]
         cues = cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle))
         self._cues = sorted([(cue.cue, cue.time) for cue in cues if cue.lexeme is None], key=_by_time)
-        self.new_shaper = lambda: Shaper(bundle.statistics, representation, speaker)
-        self._shaper = self.new_shaper()
+        self._shaper = Shaper(bundle.statistics, representation, speaker)
 
     def levels(self, times: Array) -> ShapeLevels:
         """The levels at `times` [M]."""
@@ -349,13 +341,9 @@ class Shaping:
 
     def __call__(self, poses: Array, times: Array) -> Array:
         """The next poses."""
-        return self.shaped(self._shaper, poses, times, self.levels(times), self.named(times))
-
-    def shaped(self, shaper: Shaper, poses: Array, times: Array, levels: ShapeLevels,
-               named: Sequence[MeantCue]) -> Array:
-        """Poses with these levels and gestures; shaper: has been given all poses before."""
-        poses = shaper.mirrored(shaper.shaped(poses, times, levels.arms), levels.mirrored)
-        return _with_gestures(poses, times, named, self._seed)
+        levels = self.levels(times)
+        poses = self._shaper.mirrored(self._shaper.shaped(poses, times, levels.arms), levels.mirrored)
+        return _with_gestures(poses, times, self.named(times), self._seed)
 
 
 def gestures_over(meant: MeantCues, seed: int) -> Callable[[Array, Array], Array]:

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
-from data_module.motion.skeletons import CHARACTERS, FINGERS
+from data_module.motion.skeletons import CHARACTERS, FINGERS, SIDES
 from data_module.types import Array, Motion
-from gesticulator.body.mirror import SIDES, exchanged_joints
+from gesticulator.body.clips import exchanged_joints
 from gesticulator.characters.contacts import (
     MARGIN,
     head_distances,

@@ -1,7 +1,7 @@
 """Knobs applied to the generated poses: the size of gestures, and which hand makes them.
 
 All functions depend only on the poses so far and their times, so a stream gives the frames of a file. Knobs that affect
-lexemes or rest are applied while blocks are generated (`gesticulator.directing.editing`).
+lexemes or rest are applied while blocks are generated (`gesticulator.editing.render`).
 
 **Intensity** i scales strokes and leaves slow movement alone. Scaling whole poses would make hands faster than people's
 everywhere, whereas people who gesture larger are not faster between strokes. With S the displacement of an arm's pose x
@@ -32,8 +32,9 @@ from numpy.typing import NDArray
 
 from data_module.motion import rotation
 from data_module.motion.representation import Representation
+from data_module.motion.skeletons import SIDES
 from data_module.types import Array
-from gesticulator.body.mirror import SIDES, exchanged_joints
+from gesticulator.body.clips import exchanged_joints
 from gesticulator.bundle.features import Statistics
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, smooth_step
 
@@ -165,21 +166,12 @@ class Shaper:
         self._trunk = _columns([j for j, name in enumerate(names) if name.startswith(("Spine", "Neck", "Head"))])
         self._mean = mean
 
-    def push(self, poses: Array, times: Array) -> None:
-        """Take note of the next poses [M, 3 J] at rising seconds [M]."""
-        for arm in self._arms:
-            arm.large.push(times, poses)
-            arm.fine.push(times, poses)
-
-    def ways(self, before: Array, poses: Array, times: Array) -> tuple[float, ...]:
-        """By how much large strokes of each arm lengthen its path in poses [K, 3 J] after another one [1, 3 J]; times:
-        [1 + K] seconds of all of them (`strokes`)."""
-        return tuple([arm.large.way(before, poses, times) for arm in self._arms])
-
     def shaped(self, poses: Array, times: Array, scales: ArmScales) -> Array:
         """Scale the next poses [M, 3 J] at rising seconds [M]. Poses without change stay the same bit for bit. If the
         times go back, later poses are forgotten."""
-        self.push(poses, times)
+        for arm in self._arms:
+            arm.large.push(times, poses)
+            arm.fine.push(times, poses)
         at = scales.changed
         if not len(at):
             return poses

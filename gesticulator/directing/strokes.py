@@ -83,11 +83,6 @@ class StrokeMemory:
             (rows.times, times), (rows.paths, paths), (rows.moved, moved))))
         self._poses = np.concatenate([self._poses[stored], arm])
 
-    def way(self, before: Array, poses: Array, times: Array) -> float:
-        """How far the path goes in poses [K, 3 J] after another one, [1, 3 J]; times: [1 + K] seconds of all of them.
-        Nothing is added to the memory."""
-        return float(self._movement(before[:, self._columns], poses[:, self._columns], times)[1].sum())
-
     def _movement(self, before: Array, arm: Array, times: Array) -> tuple[Array, Array]:
         """w [K, D] and |w| [K] of an arm's poses [K, D] after another one, [1, D], at times [1 + K]."""
         steps = np.diff(np.concatenate([before, arm]), axis=0)

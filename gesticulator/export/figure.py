@@ -17,19 +17,27 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.types import Array, Motion
+from gesticulator.face.mouth import lip_curves
+from gesticulator.face.visemes import VISEMES, opening
 
 if TYPE_CHECKING:
-    from gesticulator.face.mouth import Patch
+    from gesticulator.face.motion import FaceMotion
 
 INK, SOFT, FLOOR = "#262a31", "#8d8578", "#d9d0c2"
 SHIRT, TROUSERS, SKIN, HAIR, NOSE = "#3d7a85", "#4a4f5c", "#dcb999", "#5b493d", "#c79d7a"
 HANDS = {"Left": "#1f8a8a", "Right": "#c8553d"}
+LIP, MOUTH, TOOTH = "#b3685d", "#4a1f22", "#f3eee4"
 HALO = 0.009
 """Width of the outline around a part, metres."""
 ROUND = 18
 """Vertices of each half of a limb's outline."""
 _NOSE = np.array([0.0, 0.075, 0.125])
 """Position relative to the head joint, metres."""
+_MOUTH_HEIGHT, _MOUTH_SCALE, _MOUTH_COLUMNS = -0.045, 1.5, 17
+"""Height of the mouth over the middle of the face, metres, its scale, and the points of each curve. It is larger than
+in life: a head is 50 pixels wide in films."""
+_OPEN_TEETH, _BITING_TEETH = 0.08, 0.3
+"""Opening of the mouth and weight of the viseme FF from which the teeth show."""
 
 Look = Callable[[Array], tuple[Array, Array, Array]]
 """Points [..., 3] in metres -> positions [..., 2], scale [...], and depth [...] in metres, larger towards the
@@ -92,6 +100,25 @@ def figure_points(motion: Motion, times: Array, legs: bool = False, fingers: boo
     head = skeleton.index("Head")
     points["Nose"] = places[:, head] + rotation.rotate(world[:, head], _NOSE)
     return points
+
+
+def face_points(face: FaceMotion, motion: Motion, times: Array) -> dict[str, Array]:
+    """Entries that a face adds to `figure_points` of the same motion and times: "Face" [T, 20], `FaceMotion.values`,
+    and "HeadLeft", "HeadAhead" [T, 3], unit vectors from the head to its left and ahead."""
+    frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
+    first = int(frames.min())
+    near = skeletons.facing(skeletons.to_character(motion.crop(first, int(np.ceil(frames.max())) + 1)))
+    turns = rotation.interpolate(near.rotations, frames - first)
+    head = kinematics.global_rotations(near.skeleton, turns)[:, near.skeleton.index("Head")]
+    return {"Face": face.at(times), "HeadLeft": rotation.rotate(head, np.array([1.0, 0.0, 0.0])),
+            "HeadAhead": rotation.rotate(head, np.array([0.0, 0.0, 1.0]))}
+
+
+class Patch(NamedTuple):
+    """A filled outline: points [T, K, 3] in metres, and a colour."""
+
+    points: Array
+    colour: str
 
 
 class Limb(NamedTuple):
@@ -184,12 +211,36 @@ def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
     ahead = look(now["Nose"])[2] - look(centre)[2] > -0.04
     hair = Limb(centre, centre, 0.216, 0.216, HAIR)
     front = (Limb(face, face, 0.2, 0.2, SKIN), Limb(now["Nose"], now["Nose"], 0.034, 0.034, NOSE))
-    patches: tuple[Patch, ...] = ()
-    if "Face" in now:
-        from gesticulator.face.mouth import features
-
-        patches = features(now, look, (face, 0.1), HAIR)
+    patches = _mouth(now, look, face, 0.1) if "Face" in now else ()
     return [BodyPart((hair,), 0.05, shown=~ahead), BodyPart((hair, *front), 0.05, shown=ahead, patches=patches)]
+
+
+def _mouth(now: Mapping[str, Array], look: Look, centre: Array, radius: float) -> tuple[Patch, ...]:
+    """The inside of the mouth, the teeth and the lips, from back to front, on a ball: its centre [T, 3] and radius in
+    metres. Points beyond the edge of the ball in this view lie on the edge."""
+    left, ahead = now["HeadLeft"], now["HeadAhead"]
+    view = np.stack([look(centre + axis)[2] - look(centre)[2] for axis in np.eye(3)], axis=-1)
+    view /= np.linalg.norm(view, axis=-1, keepdims=True)
+    up = np.cross(ahead, left)
+    curves = lip_curves(now["Face"], _MOUTH_COLUMNS) * _MOUTH_SCALE
+    x, upper, top, teeth, bottom, lower = np.moveaxis(curves, -1, 0)
+
+    def between(above: Array, below: Array, colour: str) -> Patch:
+        """The area between two curves [T, K], heights over the middle of the mouth."""
+        u = np.concatenate([x, x[:, ::-1]], axis=1)
+        v = _MOUTH_HEIGHT + np.concatenate([above, below[:, ::-1]], axis=1)
+        deep = np.sqrt(np.maximum(radius ** 2 - u ** 2 - v ** 2, 0.0))
+        away = u[..., None] * left[:, None] + v[..., None] * up[:, None] + deep[..., None] * ahead[:, None]
+        near = np.einsum("tkc,tc->tk", away, view)
+        edge = away - near[..., None] * view[:, None]
+        edge *= radius / np.maximum(np.linalg.norm(edge, axis=-1, keepdims=True), 1e-9)
+        return Patch(centre[:, None] + np.where(near[..., None] < 0.0, edge, away), colour)
+
+    visemes = now["Face"][:, :len(VISEMES)]
+    shown = (opening(visemes) > _OPEN_TEETH) | (visemes[:, VISEMES.index("FF")] > _BITING_TEETH)
+    # Teeth that do not show lie under the edge of the upper lip, which is drawn over them.
+    return (between(top, bottom, MOUTH), between(top, np.where(shown[:, None], teeth, top), TOOTH),
+            between(upper, top, LIP), between(bottom, lower, LIP))
 
 
 class FlatLimb(NamedTuple):

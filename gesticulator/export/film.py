@@ -32,7 +32,7 @@ from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.motion import skeletons
 from data_module.types import Array, Samples, Speech
-from gesticulator.export.figure import FLOOR, FlatPart, body, figure_points, flattened, legs
+from gesticulator.export.figure import FLOOR, FlatPart, body, face_points, figure_points, flattened, legs
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
@@ -328,8 +328,6 @@ def _moments(scene: Scene, fps: int) -> dict[str, Array]:
     motion, times = scene.motion, np.arange(max(1, math.floor(scene.duration * fps + 1e-9))) / fps
     points = figure_points(motion, times, skeletons.has_legs(motion), fingers=True)
     if scene.face is not None:
-        from gesticulator.face.mouth import face_points
-
         points |= face_points(scene.face, motion, times)
     return points
 

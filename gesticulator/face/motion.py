@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_module.types import Array
 from gesticulator.face.visemes import SILENT, VISEMES, opening
+
+_PARTS = ("visemes", "blink", "brows", "smile", "gaze")
+"""Fields over time, in the order of `FaceMotion.values`."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,7 @@ class FaceMotion:
         shapes = self.visemes.shape, self.blink.shape, self.brows.shape, self.smile.shape, self.gaze.shape
         if shapes != ((count, len(VISEMES)), (count,), (count,), (count,), (count, 2)):
             raise ValueError(f"{shapes} are not the shapes of one face")
-        if not all(np.isfinite(part).all() for part in (self.visemes, self.blink, self.brows, self.smile, self.gaze)):
+        if not all(np.isfinite(getattr(self, name)).all() for name in _PARTS):
             raise ValueError("a face needs finite numbers")
 
     def __len__(self) -> int:
@@ -52,8 +57,7 @@ class FaceMotion:
 
     def values(self) -> Array:
         """[T, 20] everything in one table: visemes, blink, brows, smile, and gaze to the left and up."""
-        return np.concatenate([self.visemes, self.blink[:, None], self.brows[:, None], self.smile[:, None], self.gaze],
-                              axis=1)
+        return np.column_stack([getattr(self, name) for name in _PARTS])
 
     def at(self, times: Array) -> Array:
         """[K, 20] `values` at times [K] in seconds, in proportion between frames; the last frame is held."""
@@ -65,24 +69,16 @@ class FaceMotion:
 
     def fitted(self, count: int) -> FaceMotion:
         """The first `count` frames, the last one held where there are fewer."""
-        if count == len(self):
-            return self
-        frames = np.minimum(np.arange(count), len(self) - 1)
-        parts = [part[frames] for part in (self.visemes, self.blink, self.brows, self.smile, self.gaze)]
-        visemes, blink, brows, smile, gaze = parts
-        return FaceMotion(visemes, blink, brows, smile, gaze, self.fps, self.lips_only)
+        return self if count == len(self) else self[np.minimum(np.arange(count), len(self) - 1)]
 
-    def __getitem__(self, frames: slice) -> FaceMotion:
+    def __getitem__(self, frames: slice | NDArray[np.int64]) -> FaceMotion:
         """Some of the frames."""
-        return FaceMotion(self.visemes[frames], self.blink[frames], self.brows[frames], self.smile[frames],
-                          self.gaze[frames], self.fps, self.lips_only)
+        return replace(self, **{name: getattr(self, name)[frames] for name in _PARTS})
 
 
-def joined(faces: list[FaceMotion]) -> FaceMotion:
-    """Successive parts of one face as a whole; at least one."""
-    visemes, blink, brows, smile, gaze = (np.concatenate([getattr(face, name) for face in faces])
-                                          for name in ("visemes", "blink", "brows", "smile", "gaze"))
-    return FaceMotion(visemes, blink, brows, smile, gaze, faces[0].fps, faces[0].lips_only)
+def joined(faces: Sequence[FaceMotion]) -> FaceMotion:
+    """Successive parts of a face as a whole; at least one part."""
+    return replace(faces[0], **{name: np.concatenate([getattr(face, name) for face in faces]) for name in _PARTS})
 
 
 def at_rest(count: int, fps: float) -> FaceMotion:

@@ -7,14 +7,15 @@ times, give or take `SLACK`. A word that the sound contradicts is left to the so
 
 from __future__ import annotations
 
+import itertools
 import re
 import shutil
 import subprocess
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,8 @@ In readings with their text it is under 0.15, with the text of others over 0.5."
 _SHARE = 0.75
 """Share of the phones in the weights where they are known; the rest is the sound's, which says how clear a vowel is."""
 
-Way = tuple[int, ...]
+Pronunciation: TypeAlias = tuple[int, ...]
+"""The visemes of a word in order, no two neighbours equal."""
 
 
 @dataclass(frozen=True)
@@ -52,28 +54,18 @@ class PhonedWord:
 
     start: float
     end: float
-    ways: tuple[Way, ...]
+    ways: tuple[Pronunciation, ...]
 
 
-@dataclass
-class _States:
-    """States of a path: viseme (-1 for any), number of the word (-1 for silence), first and last frame, and the states
-    that may come before."""
+class _State(NamedTuple):
+    """A state of a path: viseme, -1 for any; number of the word, -1 for silence; first and last frame, the last one
+    excluded; and the states that may come before."""
 
-    visemes: list[int] = field(default_factory=list)
-    words: list[int] = field(default_factory=list)
-    first: list[int] = field(default_factory=list)
-    last: list[int] = field(default_factory=list)
-    before: list[list[int]] = field(default_factory=list)
-
-    def add(self, viseme: int, word: int, frames: tuple[int, int], before: list[int]) -> int:
-        """The number of the new state."""
-        self.visemes.append(viseme)
-        self.words.append(word)
-        self.first.append(frames[0])
-        self.last.append(frames[1])
-        self.before.append(before)
-        return len(self.visemes) - 1
+    viseme: int
+    word: int
+    first: int
+    last: int
+    before: list[int]
 
 
 class PhonesWarning(UserWarning):
@@ -107,29 +99,15 @@ def spoken_weights(weights: Array, words: Sequence[Word]) -> Array:
                    key=lambda word: word.start)
     if not words:
         return weights
-    spoken = phoned(words)
-    if spoken is None:
-        _warn("no pronunciations for these words (English needs pocketsphinx or espeak-ng, German and Spanish "
-              "espeak-ng; other languages have none)")
-        return weights
-    followed = with_phones(weights, spoken)
-    if followed is None:
-        _warn("the words are not heard at their times")
-    return weights if followed is None else followed
-
-
-def _warn(reason: str) -> None:
-    warnings.warn(PhonesWarning(f"{reason}; the lips follow the sound alone"), stacklevel=1)
-
-
-def phoned(words: Sequence[Word]) -> list[PhonedWord] | None:
-    """The words with their visemes; None if no source of pronunciations knows their language."""
-    from gesticulator.face.phones import pronunciations
-
     ways = pronunciations([word.text for word in words])
-    if ways is None:
-        return None
-    return [PhonedWord(word.start, word.end, way) for word, way in zip(words, ways, strict=True)]
+    followed = None if ways is None else with_phones(weights, [
+        PhonedWord(word.start, word.end, way) for word, way in zip(words, ways, strict=True)])
+    if followed is None:
+        reason = ("the words are not heard at their times" if ways is not None else
+                  "no pronunciations for these words (English needs pocketsphinx or espeak-ng, German and Spanish "
+                  "espeak-ng; other languages have none)")
+        warnings.warn(PhonesWarning(f"{reason}; the lips follow the sound alone"), stacklevel=1)
+    return weights if followed is None else followed
 
 
 def _runs(words: Sequence[PhonedWord]) -> Iterator[tuple[int, int]]:
@@ -155,8 +133,8 @@ def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64
     states = _chained(words, begin, end)
     scores = np.log(np.concatenate([weights[begin:end] + _FLOOR, np.full((max(end - begin, 0), 1), _FREE)], axis=1))
     path = _best(states, scores, begin)
-    frames = np.arange(begin, begin + len(path))
-    visemes, owners = (np.array(rows, np.int64)[path] for rows in (states.visemes, states.words))
+    visemes = np.array([state.viseme for state in states], np.int64)[path]
+    owners = np.array([state.word for state in states], np.int64)[path]
     likely = scores[np.arange(len(path)), visemes]  # -1 is the last column
     heard = 0
     for word in np.unique(owners[owners >= 0]):
@@ -165,43 +143,46 @@ def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64
             visemes[inside] = -1
         else:
             heard += 1
-    return frames, visemes, heard
+    return np.arange(begin, begin + len(path)), visemes, heard
 
 
-def _chained(words: Sequence[PhonedWord], begin: int, end: int) -> _States:
-    """The states of words and of the silences around them, in order. Lips stay shut for two frames at least."""
-    states = _States()
+def _chained(words: Sequence[PhonedWord], begin: int, end: int) -> list[_State]:
+    """The states of words and of the silences around them, in order, within frames `begin` to `end`."""
+    states: list[_State] = []
 
-    def frames(start: float, stop: float) -> tuple[int, int]:
-        return max(int((start - SLACK) * RATE), begin), min(int((stop + SLACK) * RATE) + 1, end)
+    def add(viseme: int, word: int, start: float, stop: float, before: list[int]) -> int:
+        """Add a state that may last from `start` to `stop` seconds; its number."""
+        states.append(_State(viseme, word, max(int((start - SLACK) * RATE), begin),
+                             min(int((stop + SLACK) * RATE) + 1, end), before))
+        return len(states) - 1
 
     ends: list[int] = []
     edge = words[0].start
     for number, word in enumerate(words):
-        silence = states.add(SILENT, -1, frames(min(edge, word.start), word.start), list(ends))
-        starts = [*ends, silence]
-        room, ends = frames(word.start, word.end), []
+        silence = add(SILENT, -1, min(edge, word.start), word.start, list(ends))
+        starts, ends = [*ends, silence], []
         for way in word.ways or ((-1,),):
             before = starts
             for viseme in way:
-                for _ in range(2 if viseme == CLOSED else 1):
-                    before = [states.add(viseme, number, room, before)]
+                for _ in range(2 if viseme == CLOSED else 1):  # lips stay shut for two frames at least
+                    before = [add(viseme, number, word.start, word.end, before)]
             ends += before
         edge = word.end
-    states.add(SILENT, -1, frames(edge, edge), ends)
+    add(SILENT, -1, edge, edge, ends)
     return states
 
 
-def _best(states: _States, scores: Array, begin: int) -> NDArray[np.int64]:
-    """[T] the state at each frame of `scores` [T, 16], on the best path; [0] if there is none."""
-    count, most = len(states.visemes), max(map(len, states.before), default=0)
+def _best(states: Sequence[_State], scores: Array, begin: int) -> NDArray[np.int64]:
+    """[T] the state at each frame of `scores` [T, 16], on the best path (Viterbi); [0] if there is none."""
+    count, most = len(states), max(len(state.before) for state in states)
     before = np.full((count, most + 1), -1)
     before[:, 0] = np.arange(count)
-    for number, row in enumerate(states.before):
-        before[number, 1:1 + len(row)] = row
-    visemes, first, last = (np.array(rows) for rows in (states.visemes, states.first, states.last))
+    for number, state in enumerate(states):
+        before[number, 1:1 + len(state.before)] = state.before
+    visemes, first, last = (np.array([getattr(state, name) for state in states]) for name in (
+        "viseme", "first", "last"))
+    begins = [number for number, state in enumerate(states) if not state.before or state.before[0] == 0]
     now = np.full(count + 1, -np.inf)  # the last entry is of no state
-    begins = [number for number in range(count) if not states.before[number] or before[number, 1] == 0]
     steps = []
     for frame, row in enumerate(scores):
         inside = np.flatnonzero((first <= begin + frame) & (begin + frame < last))
@@ -217,7 +198,7 @@ def _best(states: _States, scores: Array, begin: int) -> NDArray[np.int64]:
         step = np.full(count, -1)
         step[inside] = before[inside, chosen]
         steps.append(step)
-    ends = [count - 1, *states.before[count - 1]]
+    ends = [count - 1, *states[-1].before]
     at = max(ends, key=lambda number: now[number])
     if not len(scores) or not np.isfinite(now[at]):
         return np.zeros(0, np.int64)
@@ -228,9 +209,6 @@ def _best(states: _States, scores: Array, begin: int) -> NDArray[np.int64]:
     return path
 
 
-Pronunciation: TypeAlias = tuple[int, ...]
-"""The visemes of a word in order, no two neighbours equal."""
-
 _VOICES = {"en": "en-us", "de": "de", "es": "es"}
 """Language -> voice of espeak-ng."""
 _LISTED = re.compile(r"[^\w'’ ]+|_+")
@@ -239,9 +217,9 @@ _ONCE = 200
 
 
 def pronunciations(words: Sequence[str]) -> list[tuple[Pronunciation, ...]] | None:
-    """For each word the ways to say it, () for a word without any; None if no source knows their language.
+    """For each word its pronunciations, () for a word without any; None if no source knows the language.
 
-    words: as they are written, in one language. The language is found by its commonest words.
+    words: as they are written, in one language, which is recognised by its commonest words.
     """
     language, text = language_of(words), " ".join(words)
     if language == "en" and not can_follow(text):
@@ -255,7 +233,8 @@ def pronunciations(words: Sequence[str]) -> list[tuple[Pronunciation, ...]] | No
 
 
 def _merged(visemes: Sequence[int]) -> Pronunciation:
-    return tuple(one for place, one in enumerate(visemes) if place == 0 or one != visemes[place - 1])
+    """The visemes with neighbours that are equal merged."""
+    return tuple(viseme for viseme, _ in itertools.groupby(visemes))
 
 
 @lru_cache(maxsize=20000)
@@ -265,26 +244,28 @@ def _in_dictionary(word: str) -> tuple[Pronunciation, ...]:
     if not parts:
         return ()
     ways = parts[0] if len(parts) == 1 else [[phone for part in parts for phone in part[0]]]
-    said = (_merged([one for phone in way for one in of_arpabet(phone)]) for way in ways)
+    said = (_merged([viseme for phone in way for viseme in of_arpabet(phone)]) for way in ways)
     return tuple(dict.fromkeys(way for way in said if way))
 
 
 def _by_espeak(words: Sequence[str], voice: str) -> Iterator[tuple[str, tuple[Pronunciation, ...]]]:
+    """Each word with its pronunciation by espeak-ng."""
     for first in range(0, len(words), _ONCE):
-        some = words[first:first + _ONCE]
-        plain = [" ".join(_LISTED.sub(" ", word).split()) for word in some]
+        batch = words[first:first + _ONCE]
+        plain = [" ".join(_LISTED.sub(" ", word).split()) for word in batch]
         spoken = [word for word in plain if word]
         lines = _printed(spoken, voice)
         if len(lines) != len(spoken):  # the program took a word for several clauses
             lines = [" ".join(_printed([word], voice)) for word in spoken]
         phones = iter(lines)
-        for word, there in zip(some, plain, strict=True):
-            way = _merged([one for phone in next(phones).split() for one in of_ipa(phone)]) if there else ()
+        for word, letters in zip(batch, plain, strict=True):
+            line = next(phones) if letters else ""
+            way = _merged([viseme for phone in line.split() for viseme in of_ipa(phone)])
             yield word, (way,) if way else ()
 
 
 def _printed(words: Sequence[str], voice: str) -> list[str]:
     """The IPA of each word, its phones separated by spaces."""
-    done = subprocess.run(["espeak-ng", "-q", "--ipa", "--sep= ", "-v", voice, "--stdin"], capture_output=True,
-                          input="\n\n".join(words) + "\n\n", text=True, timeout=120, encoding="utf-8")
-    return [line.strip() for line in done.stdout.split("\n") if line.strip()] if done.returncode == 0 else []
+    result = subprocess.run(["espeak-ng", "-q", "--ipa", "--sep= ", "-v", voice, "--stdin"], capture_output=True,
+                            input="\n\n".join(words) + "\n\n", text=True, timeout=120, encoding="utf-8")
+    return [line.strip() for line in result.stdout.split("\n") if line.strip()] if result.returncode == 0 else []

@@ -1,7 +1,7 @@
-"""One face over media time, for a file and a stream alike: it takes sound, states and blocks, and gives frames.
+"""The face over media time, for a file and a stream alike: sound, states and blocks in, frames out.
 
-The mouth follows the sound (`lips`), lids, brows and eyes have a life of their own (`life`), and the eyes
-hold their target while the head, which the body moves, turns: what the head does is subtracted from where they look.
+The mouth follows the sound (`lips`); lids, brows and eyes move by themselves (`life`); expressions come at cues and
+marks. The eyes hold their target while the body turns the head: the turn of the head is subtracted from the gaze.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _MOUTH_SMILES = 0.5
 
 @dataclass(frozen=True)
 class FaceSettings:
-    """What is asked of a face. kind: "lips" or "full"; mouth: strength of the lips, 0 to 2; mood: -1 (sad) to 1 (a
+    """The settings of a face. kind: "lips" or "full"; mouth: strength of the lips, 0 to 2; mood: -1 (sad) to 1 (a
     smile), or a curve of it over media time; seed: of lids, brows and eyes."""
 
     kind: str
@@ -43,7 +43,7 @@ class FaceSettings:
 
     @classmethod
     def of(cls, options: InferenceOptions) -> FaceSettings:
-        """What a performance asks for; `InputError` for a broken file of a mood."""
+        """The settings in the options of a performance; `InputError` for a broken file of a mood."""
         mood = options.mood
         if isinstance(mood, str | os.PathLike):
             mood = read_curve(mood, MOOD)
@@ -57,7 +57,7 @@ class FaceSettings:
         return np.full(len(times), self.mood)
 
 
-class Face:
+class FaceTrack:
     """The face of one character; memory does not grow with time."""
 
     def __init__(self, settings: FaceSettings, history: float = math.inf) -> None:
@@ -72,29 +72,29 @@ class Face:
 
     # ------------------------------------------------------------------------------------------------------ input
 
-    def state(self, at: float, name: str, side: float = 0.0) -> None:
-        """From `at` seconds of media time on the character is "speaking", "listening", "thinking" or "idle". side: of a
-        thinker, where the head turns to: 1 to the left, -1 to the right, 0 for either."""
-        if side:
-            name += " left" if side > 0 else " right"
-        if self._states[-1][1] != name:
-            self._states.append((at, name))
-
-    def begin(self, at: float) -> None:
-        """Sound that is fed from now on begins at `at` seconds."""
-        self._lips.append(Lips(at))
-
-    def hear(self, samples: Samples) -> None:
-        """Take more of the character's speech at 16 kHz."""
+    def feed(self, samples: Samples, start: float) -> None:
+        """Take more of the character's speech at 16 kHz. start: media time of the first sample of this utterance,
+        seconds; another value than before begins another utterance."""
+        if not self._lips or self._lips[-1].start != start:
+            self.state(start, "speaking")
+            self._lips.append(Lips(start))
         self._lips[-1].feed(samples)
 
     def end(self, words: Sequence[Word] = ()) -> None:
-        """The speech that was fed is over. words: what was spoken, with times from the start of its sound, if they are
-        known; the mouth follows their phones."""
+        """End the utterance. words: its words with times from the start of its sound, if they are known; the mouth
+        follows their phones."""
         if self._lips:
             self._lips[-1].finish()
             if words:
                 self._lips[-1].follow(words)
+
+    def state(self, at: float, name: str, side: float = 0.0) -> None:
+        """From media time `at` on the character is "speaking", "listening", "thinking" or "idle". side: where the head
+        of a thinker turns to: positive to the left, negative to the right, 0 for either."""
+        if side:
+            name += " left" if side > 0 else " right"
+        if self._states[-1][1] != name:
+            self._states.append((at, name))
 
     def blocks(self, blocks: Iterable[Block]) -> None:
         """The next blocks of the body; brows rise on beats at which the hands gesture."""
@@ -103,11 +103,12 @@ class Face:
                 self._life.accent(block.start, 1.0)
 
     def express(self, time: float, name: str, lasting: bool = False) -> None:
-        """A cue of `plan.gestures.EXPRESSIONS` at media time `time`. lasting: an interruption leaves it."""
+        """Add a cue of `plan.gestures.EXPRESSIONS` at media time `time`. lasting: an interruption keeps it."""
         self._cues.add(time, name, lasting)
 
     def interrupt(self, at: float) -> None:
-        """The speech stops at `at` seconds, which may be in the past: what was fed for later is forgotten."""
+        """The speech stops at media time `at`, which may be in the past: later sound is forgotten, and the character is
+        idle."""
         while self._lips and self._lips[-1].start >= at:
             self._lips.pop()
         if self._lips:
@@ -115,11 +116,12 @@ class Face:
         while len(self._states) > 1 and self._states[-1][0] >= at:
             self._states.pop()
         self._cues.interrupt(at)
+        self.state(at, "idle")
 
     # ----------------------------------------------------------------------------------------------------- output
 
     def frames(self, first: int, motion: Motion) -> FaceMotion:
-        """The face for frames of the body's motion, of which the first has the number `first`."""
+        """The face at the frames of the body's `motion`. first: the number of its first frame in the media."""
         count = len(motion)
         times = (first + np.arange(count)) / motion.fps
         visemes = self._visemes(times) if count else np.zeros((0, len(VISEMES)))
@@ -128,7 +130,7 @@ class Face:
         if lips or not count:
             return FaceMotion(visemes, none, none, none, np.zeros((count, 2)), motion.fps, lips)
         steps = self._stepped(times)
-        mood, lifted = self._cues(times, self._settings.mood_at(times))
+        mood, lifted = self._cues.at(times, self._settings.mood_at(times))
         smile = mood * (1.0 - (1.0 - _MOUTH_SMILES) * (1.0 - visemes[:, SILENT]))
         brows = np.clip(steps[:, 1] + lifted + 0.25 * np.minimum(mood, 0.0), -1.0, 1.0)
         face = FaceMotion(visemes, np.clip(steps[:, 0], 0.0, 1.0), brows, smile, in_head(steps[:, 2:], motion),
@@ -137,16 +139,13 @@ class Face:
         return face
 
     def _visemes(self, times: Array) -> Array:
-        """[T, 15] at rising times: of the latest utterance that had begun at each of them."""
+        """[T, 15] weights at rising times [T], each of the latest utterance that had begun by then."""
         out = np.zeros((len(times), len(VISEMES)))
         out[:, SILENT] = 1.0
-        starts = [lips.start for lips in self._lips]
-        edges = np.searchsorted(times, [*starts[1:], math.inf]) if starts else ()
-        begin = int(np.searchsorted(times, starts[0])) if starts else 0
-        for lips, end in zip(self._lips, edges, strict=True):
-            if end > begin:
-                out[begin:end] = lips.at(times[begin:end])
-            begin = max(begin, int(end))
+        edges = [*np.searchsorted(times, [lips.start for lips in self._lips]), len(times)]
+        for lips, first, last in zip(self._lips, edges, edges[1:], strict=False):
+            if last > first:
+                out[first:last] = lips.at(times[first:last])
         return out
 
     def _stepped(self, times: Array) -> Array:
@@ -196,15 +195,13 @@ def face_of(settings: FaceSettings, samples: Samples, blocks: Iterable[Block], m
             words: Sequence[Word] = (), cues: Iterable[tuple[float, str]] = ()) -> FaceMotion:
     """The face of a whole recording at 16 kHz, for the body's `motion`. words: with their times, if they are known;
     cues: time and name of expressions."""
-    face = Face(settings)
-    face.state(0.0, "speaking")
-    face.begin(0.0)
-    face.hear(samples)
-    face.end(words)
-    face.blocks(blocks)
+    track = FaceTrack(settings)
+    track.feed(samples, 0.0)
+    track.end(words)
+    track.blocks(blocks)
     for time, name in cues:
-        face.express(time, name)
-    return face.frames(0, motion)
+        track.express(time, name)
+    return track.frames(0, motion)
 
 
 _MOOD_CHANGES = 0.6
@@ -242,8 +239,8 @@ class FaceCues:
         self._lasting: set[tuple[float, str]] = set()
 
     def add(self, time: float, name: str, lasting: bool = False) -> None:
-        """An expression of `EXPRESSIONS` from media time `time` on; KeyError for another name. lasting: an interruption
-        leaves it."""
+        """Add an expression of `EXPRESSIONS` from media time `time` on; KeyError for an unknown name. lasting: an
+        interruption keeps it."""
         _EXPRESSIONS[name]
         if lasting:
             self._lasting.add((time, name))
@@ -251,34 +248,35 @@ class FaceCues:
             self._cues = sorted([*self._cues, (time, name)])
 
     def interrupt(self, at: float) -> None:
-        """Forget what begins at `at` seconds or later, but for what is lasting."""
+        """Forget the expressions that begin at media time `at` or later, except lasting ones."""
         self._cues = [cue for cue in self._cues if cue[0] < at or cue in self._lasting]
 
     def forget(self, oldest: float) -> None:
-        """Forget what no longer shows at `oldest` seconds: past moments, and moods before the last."""
+        """Forget the expressions that no longer show at media time `oldest`: moments, and moods before the last."""
         moods = [time for time, name in self._cues if np.isinf(_EXPRESSIONS[name].lasts)
                  and time + _MOOD_CHANGES <= oldest]
         last = max(moods, default=-np.inf)
         self._cues = [(time, name) for time, name in self._cues
                       if (time >= last if np.isinf(_EXPRESSIONS[name].lasts) else _end(time, name) > oldest)]
 
-    def __call__(self, times: Array, mood: Array) -> tuple[Array, Array]:
-        """[T] the mood, -1 to 1, and [T] what is added to the brows, at media times [T]. mood: of the settings."""
+    def at(self, times: Array, mood: Array) -> tuple[Array, Array]:
+        """[T] the mood, -1 to 1, and [T] what is added to the brows, at media times [T]. mood: [T] of the settings."""
         now, brows = mood, np.zeros(len(times))
-        # Moods first: a smile passes over whichever lasts.
+        # Moods first: a smile passes over the mood that lasts.
         for time, name in sorted(self._cues, key=lambda cue: np.isfinite(_EXPRESSIONS[cue[1]].lasts)):
-            one = _EXPRESSIONS[name]
-            share = eased((times - time) / one.rises)
-            if np.isfinite(one.lasts):
-                share = share - eased((times - time - one.rises - one.lasts) / one.falls)
-            if one.mood is not None:
-                now = now + (one.mood - now) * share
-            elif np.isinf(one.lasts):
+            expression = _EXPRESSIONS[name]
+            share = eased((times - time) / expression.rises)
+            if np.isfinite(expression.lasts):
+                share = share - eased((times - time - expression.rises - expression.lasts) / expression.falls)
+            if expression.mood is not None:
+                now = now + (expression.mood - now) * share
+            elif np.isinf(expression.lasts):
                 now = now + (mood - now) * share
-            brows = brows + one.brows * share
+            brows = brows + expression.brows * share
         return np.asarray(now), np.asarray(brows)
 
 
 def _end(time: float, name: str) -> float:
-    one = _EXPRESSIONS[name]
-    return time + one.rises + one.lasts + one.falls
+    """Media time at which an expression of a moment has passed."""
+    expression = _EXPRESSIONS[name]
+    return time + expression.rises + expression.lasts + expression.falls

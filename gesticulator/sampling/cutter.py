@@ -407,7 +407,7 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
     """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too.
 
     blocks: cut the speech into these instead of detecting beats. cutters: receives a copy of the cutter before every
-    `CUTTER_EVERY` samples, from which parts can be cut again (`gesticulator.drawing.recut`).
+    `CUTTER_EVERY` samples, from which parts can be cut again (`gesticulator.editing.recut`).
     """
     read = words if speech.words is not None else None
     cutter = BlockCutter(config, front, read)

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from data_module.controls import Controls, Levels
 from data_module.layers import without_after
-from data_module.types import Array
+from data_module.types import Array, Blocks
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Flags, Span, SpeechBlock, control_rows, representation_of
@@ -139,6 +139,16 @@ class BlockMotion:
     motion: NDArray[np.float32]
     code: NDArray[np.float32]
     unit: UnitDecision | None = None
+
+
+@dataclass(frozen=True)
+class GeneratedMotion:
+    """A recording's N generated blocks and their normalised motion [N, K, D_m], K frames per block. cut: the N blocks
+    of its speech."""
+
+    cut: Blocks
+    blocks: Sequence[BlockMotion]
+    motion: NDArray[np.float32]
 
 
 class Sampler(Protocol):

@@ -154,6 +154,9 @@ def _step_of(line: str) -> int:
     except (InputError, KeyError, TypeError, ValueError):
         return 2**62  # a line cut short by a kill
 
+LARGEST_GRADIENT = 1.0
+"""Largest gradient norm; longer gradients are clipped."""
+
 
 @dataclass(frozen=True)
 class Task:
@@ -309,8 +312,6 @@ class _Learner:
             return {key: term.float() for key, term in self.losses(batch, progress).items()}
 
     def _clipped(self) -> float:
-        """The gradient's norm before clipping; 0 without clipping."""
-        if not self.settings.clip:
-            return 0.0
+        """The gradient's norm before clipping."""
         dense = [p for group in self.optimisers[0][0].param_groups for p in group["params"] if p.grad is not None]
-        return float(nn.utils.clip_grad_norm_(dense, self.settings.clip))
+        return float(nn.utils.clip_grad_norm_(dense, LARGEST_GRADIENT))

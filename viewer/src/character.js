@@ -6,9 +6,8 @@ import { VRMLoaderPlugin, VRMUtils } from "@pixiv/three-vrm";
 
 import { showFace } from "../../integrations/gesticulator-client/src/face.js";
 import { chains, jointsByName } from "./bone_names.js";
-import { Contacts } from "./contacts.js";
 import { CharacterFace } from "./character_face.js";
-import { BONES, bonesOf, humanoidPose } from "./humanoid.js";
+import { bonesOf, humanoidPose } from "./humanoid.js";
 
 /** Bytes of a file at most. */
 export const LARGEST = 200 * 2 ** 20;
@@ -62,15 +61,6 @@ class VrmCharacter extends Character {
     this.hipsHeight = vrm.humanoid.getRawBoneNode("hips").getWorldPosition(new Vector3()).y;
     this.group.add(vrm.scene);
     this.before = null;
-    const bones = new Map(), trunk = ["hips", "spine", "chest", "upperChest"], raw = (bone) => vrm.humanoid.getRawBoneNode(bone);
-    for (const [bone, [, , joint]] of Object.entries(BONES)) {
-      const node = vrm.humanoid.getNormalizedBoneNode(bone);
-      if (node) bones.set(joint, node);
-    }
-    this.group.updateWorldMatrix(true, true);
-    this.contacts = new Contacts(vrm.scene, bones, trunk.map(raw).filter(Boolean),
-      Object.keys(vrm.humanoid.humanBones).filter((bone) => !trunk.includes(bone)).map(raw).filter(Boolean),
-      ["leftUpperLeg", "rightUpperLeg"].map(raw).filter(Boolean));
   }
 
   get root() { return this.vrm.humanoid.getRawBoneNode("hips"); }
@@ -104,9 +94,7 @@ class VrmCharacter extends Character {
   }
 
   show(poser) {
-    this.contacts.foresee(poser, (other) => this.pose(other));
     this.pose(poser);
-    this.contacts.repair(poser);
     if (poser.face) showFace(this.vrm, poser.face);
     const now = performance.now();
     // Hair and cloth swing on after what they hang on.
@@ -175,9 +163,6 @@ class NamedCharacter extends Character {
     // Hips without feet beneath them are taken to stand as high as ours.
     this.size = this.restHips.y - low > 0.05 ? this.restHips.y : null;
     this.group.updateWorldMatrix(true, true);
-    const trunk = this.nodes.filter((node) => /^(Hips|Spine\d?)$/.test(this.joints.get(node) ?? ""));
-    this.contacts = new Contacts(scene, this.byJoint, trunk, this.moving().filter((node) => !trunk.includes(node)),
-      this.nodes.filter((node) => /UpLeg$/.test(this.joints.get(node) ?? "")));
   }
 
   get root() { return this.hips; }
@@ -236,9 +221,7 @@ class NamedCharacter extends Character {
   }
 
   show(poser) {
-    this.contacts.foresee(poser, (other) => this.pose(other));
     this.pose(poser);
-    this.contacts.repair(poser);
     this.face?.show(poser.face);
   }
 }

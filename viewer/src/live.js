@@ -1,6 +1,6 @@
 // With `gesticulator view` behind the page: what was edited goes there, and the frames that changed come back.
 
-import { changesBetween, countChanges, readJson, withChanges } from "./plan.js";
+import { countChanges, readJson } from "./plan.js";
 
 /** Milliseconds after an edit before it is sent, so that edits of one moment are one rendering. */
 const PAUSE = 15;
@@ -8,7 +8,7 @@ const PAUSE = 15;
 const LATER = 1000;
 /** Milliseconds before an edit is sent again after the renderer did not answer, and how often it may end an answer. */
 const AWAY = 2000, BROKEN = 3;
-const BUSY = 503, CONFLICT = 409, GONE = 410, STRANGE = [403, 404];
+const BUSY = 503, CONFLICT = 409, STRANGE = [403, 404];
 
 /** The renderer does not answer. */
 class AwayError extends Error {}
@@ -59,10 +59,9 @@ const base64Of = (bytes) => new Promise((resolve, reject) => {
 });
 
 export class Live {
-  /** told: { token } from the server, or null for a page without one. say(state, text): what the user is told.
-   *  view(): the visible stretch, seconds. */
-  constructor(session, told, say, view = () => [0, 0]) {
-    Object.assign(this, { session, told, say, view, waiting: 0, number: 0, asking: null, away: false, broken: 0, path: "" });
+  /** told: { token } from the server, or null for a page without one. say(state, text): shows the state of rendering. */
+  constructor(session, told, say) {
+    Object.assign(this, { session, told, say, waiting: 0, number: 0, asking: null, away: false, broken: 0, path: "" });
     this.page = Math.random().toString(36).slice(2);
     session.lanes.forEach((lane, k) => { lane.known = { plan: lane.rendered, rendering: told?.renderings?.[k] ?? null, take: lane.take }; });
     session.on("edited", () => this.edited());
@@ -111,7 +110,9 @@ export class Live {
     try {
       const answer = await this.ask(plan, known, trying.signal, true);
       if (!answer.ok) return;
-      for await (const { header, data } of messagesOf(answer)) if (!trying.signal.aborted) this.session.patch(lane, header, data);
+      for await (const { header, data } of messagesOf(answer)) {
+        if (!trying.signal.aborted && header.kind === "done") this.session.show(lane, lane.take.patched(header, data));
+      }
       if (!trying.signal.aborted) this.say("busy", "a try: click to take it");
     } catch { /* a try that fails shows nothing */ } finally {
       if (this.asking === trying) this.asking = null;
@@ -148,11 +149,6 @@ export class Live {
         this.waiting = setTimeout(() => this.send(), LATER);
         return;
       }
-      if (answer.status === GONE && known.rendering !== null) {
-        lane.known = { plan: null, rendering: null, take: lane.take };
-        this.send();
-        return;
-      }
       if (STRANGE.includes(answer.status)) throw new AwayError(AWAY_TEXT);
       if (!answer.ok) throw new Error(readJson(await answer.text()).error ?? answer.statusText);
       await this.receive(lane, asked, answer, asking, begin);
@@ -184,23 +180,19 @@ export class Live {
     return new Uint8Array(await answer.arrayBuffer());
   }
 
-  ask(asked, { plan, rendering }, signal, trial = false) {
-    const body = rendering === null ? { plan: asked } : { have: rendering, changes: changesBetween(plan, asked) };
+  /** Send a plan, with the number of the rendering that the page has. */
+  ask(plan, { rendering }, signal, trial = false) {
     return reached(fetch(`${this.path}render`, {
       method: "POST", signal, headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
-      body: JSON.stringify({ page: this.page, number: ++this.number, trial, view: this.view(), ...body }),
+      body: JSON.stringify({ page: this.page, number: ++this.number, trial, have: rendering, plan }),
     }));
   }
 
   async receive(lane, asked, answer, asking, begin) {
-    let ended = false, take = lane.known?.take ?? lane.take;
+    let ended = false;
     for await (const { header, data } of messagesOf(answer)) {
       if (asking.signal.aborted) return;
       if (header.kind === "failed") throw new Error(header.error);
-      if (data.length || header.shape) {
-        take = take.patched(header, data);
-        this.session.show(lane, take);
-      }
       if (header.kind !== "done") {
         this.say("busy", header.share ? `drawing … ${Math.round(header.share * 100)} %` : "drawing …");
         continue;
@@ -208,7 +200,8 @@ export class Live {
       ended = true;
       this.away = false;
       this.broken = 0;
-      const plan = withChanges(asked, header.changes);
+      const { plan } = header, take = (lane.known?.take ?? lane.take).patched(header, data);
+      this.session.show(lane, take);
       lane.known = { plan, rendering: header.rendering, take };
       this.news = `rendered in ${((performance.now() - begin) / 1000).toFixed(2)} s`;
       this.session.rendered(lane, plan, asked);

@@ -459,7 +459,7 @@ session.on("edited", refresh);
 session.on("selected", refresh);
 session.on("takes", performers);
 session.on("refused", () => notice("A motion from a file has no plan to edit: choose the other take."));
-const live = new Live(session, data.live, status, () => [timeline.left, timeline.left + timeline.span]);
+const live = new Live(session, data.live, status);
 if (data.live) followAddress(live, data.live.place ?? data.live.token);
 const kept = session.lanes.length === 1 && session.plan.sound?.sha256
   ? new Kept(session, `${data.live?.place ?? data.live?.token ?? "file"} ${session.plan.sound.sha256.slice(0, 16)} ${session.plan.seed}`, notice, data.live?.since ?? 0) : null;

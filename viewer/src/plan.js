@@ -222,37 +222,6 @@ export function countChanges(plan, original) {
   return here + parts.length;
 }
 
-/** What leads from one plan to another: { blocks: [[first, last + 1, new blocks]], parts }. */
-export function changesBetween(from, to) {
-  const old = from.blocks, now = to.blocks, least = Math.min(old.length, now.length), parts = {}, blocks = [];
-  if (old.length === now.length) {
-    for (let last = old.length; last > 0; last--) {
-      if (old[last - 1] === now[last - 1]) continue;
-      let first = last - 1;
-      while (first > 0 && old[first - 1] !== now[first - 1]) first--;
-      blocks.push([first, last, now.slice(first, last)]);
-      last = first + 1;
-    }
-  } else {
-    let head = 0, tail = 0;
-    while (head < least && old[head] === now[head]) head++;
-    while (tail < least - head && old[old.length - 1 - tail] === now[now.length - 1 - tail]) tail++;
-    blocks.push([head, old.length - tail, now.slice(head, now.length - tail)]);
-  }
-  for (const name of new Set([...Object.keys(from), ...Object.keys(to)])) {
-    if (name !== "blocks" && from[name] !== to[name]) parts[name] = to[name] ?? null;
-  }
-  return { blocks, parts };
-}
-
-/** A plan with changes; the blocks that did not change are the same objects. */
-export function withChanges(plan, { blocks, parts }) {
-  const made = { ...plan, ...parts, blocks: [...plan.blocks] };
-  for (const [first, last, now] of blocks) made.blocks.splice(first, last - first, ...now);
-  for (const [name, value] of Object.entries(parts)) if (value === null) delete made[name];
-  return made;
-}
-
 /** What is wrong with a plan that somebody opens, in words; null where nothing is. */
 export function fault(plan, original) {
   if (!plan || typeof plan !== "object" || !Array.isArray(plan.blocks) || !plan.blocks.length) {

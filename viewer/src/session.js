@@ -74,12 +74,6 @@ export class Session {
     this.tell("edited");
   }
 
-  /** A lane's motion with the frames of a message (see `Take.patched`). */
-  patch(lane, header, data) {
-    lane.take = lane.take.patched(header, data);
-    this.tell("takes");
-  }
-
   /** Show another motion in a lane. */
   show(lane, take) {
     lane.take = take;

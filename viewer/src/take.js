@@ -26,49 +26,16 @@ export class Take {
     return this;
   }
 
-  /** The take with other frames. header: { ranges: [[first, last + 1]], shape, root, roots }; data: their rotations as
-   *  int16 [T, J, 4], then `root` bytes of float32, the path of the root, or `roots`, its path in these frames. shape:
-   *  fps, frames and so on, where they are others. */
-  patched({ ranges, shape, root = 0, roots: rows = 0 }, data) {
-    const told = shape ?? this, joints = told.skeleton.names.length, fresh = told.frames !== this.frames || joints !== this.joints;
-    const rotations = fresh ? this.carriedOver(told) : this.rotations.slice();
-    const steps = new Int16Array(data.buffer, data.byteOffset, (data.length - root - rows) / 2);
-    let from = 0;
-    for (const [first, last] of ranges) {
-      const to = first * joints * 4, count = (last - first) * joints * 4;
-      for (let i = 0; i < count; i++) rotations[to + i] = steps[from + i] / STEPS;
-      from += count;
-    }
-    let roots = root ? new Float32Array(data.slice(data.length - root).buffer) : this.roots;
-    if (rows) roots = this.rootsWith(ranges, new Float32Array(data.slice(data.length - rows).buffer), told.frames);
+  /** The take with other frames. header: { range: [first, last + 1], shape, root }; data: their rotations as int16
+   *  [T, J, 4], then `root` bytes of float32, the path of the root where it is another one. shape: fps, frames and so on,
+   *  where they are others; then the frames are all. */
+  patched({ range: [first, last], shape, root = 0 }, data) {
+    const joints = (shape ?? this).skeleton.names.length;
+    const rotations = shape ? new Float32Array(shape.frames * joints * 4) : this.rotations.slice();
+    const steps = new Int16Array(data.buffer, data.byteOffset, (data.length - root) / 2), to = first * joints * 4;
+    for (let i = 0; i < (last - first) * joints * 4; i++) rotations[to + i] = steps[i] / STEPS;
+    const roots = root ? new Float32Array(data.slice(data.length - root).buffer) : this.roots;
     return Take.of({ ...this, ...(shape ?? {}), name: this.name, rotations, roots });
-  }
-
-  /** The path of the root [T * 3] with that of some frames. A root that was still, or of another motion, stays where it
-   *  is for the first of them. */
-  rootsWith(ranges, rows, frames) {
-    const out = new Float32Array(frames * 3), same = this.roots.length === out.length;
-    for (let i = 0; i < out.length; i++) out[i] = same ? this.roots[i] : rows[i % 3];
-    let from = 0;
-    for (const [first, last] of ranges) {
-      out.set(rows.subarray(from, from + (last - first) * 3), first * 3);
-      from += (last - first) * 3;
-    }
-    return out;
-  }
-
-  /** Rotations of these frames for another skeleton, [T * J * 4]: joints of the same name turn as here, others do not. */
-  carriedOver({ frames, skeleton: { names } }) {
-    const out = new Float32Array(frames * names.length * 4);
-    names.forEach((name, j) => {
-      const from = this.rows.get(name) ?? -1;
-      for (let t = 0; t < frames; t++) {
-        const to = (t * names.length + j) * 4, at = (t * this.joints + from) * 4;
-        if (from < 0 || t >= this.frames) out[to] = 1;
-        else for (let c = 0; c < 4; c++) out[to + c] = this.rotations[at + c];
-      }
-    });
-    return out;
   }
 
   has(joint) { return this.rows.has(joint); }

@@ -24,12 +24,11 @@ from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus
-from gesticulator.training.stages.features import CORPUS
 from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
-from gesticulator.training.stages.labels import LABELS, model_sizes
-from gesticulator.training.stages.lexicon import TOKENS
+from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
 from gesticulator.training.stages.q_network import EPISODES, silent_of, takes_of
 from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD
+from gesticulator.training.stages.speech import CORPUS
 from interpreters.advantage import Critics, advantages
 from interpreters.episodes import Episode, build
 from interpreters.lstm import LstmInterpreter
@@ -43,6 +42,12 @@ _CHECKS, _WINDOWS = 4, 64
 """Validation batches, and windows in each."""
 _TOGETHER = 2_048
 """Windows of swapped lexemes scored at a time, to bound memory."""
+
+LEARNED_FROM = 0.7
+"""Probability that a critic learns from a recording; on the same data the critics would agree in their errors."""
+TRIED = 0.12
+"""Share of the decisions in which other lexemes are substituted for the chosen one, to measure the effect on later
+rewards."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +157,7 @@ def counterfactual(episodes: Sequence[Episode], table: EnsembleReward | Centred,
         noise = rng.gumbel(size=(len(swap), half, size))
         swap[:, :half] = (log_prior[:, None] + noise).argmax(-1)
         gained = np.full(swap.shape, np.nan, np.float32)
-        tried = np.flatnonzero(rng.random(len(swap)) < config.tried)
+        tried = np.flatnonzero(rng.random(len(swap)) < TRIED)
         gained[tried] = gains(table, actions, blocks, tried + 1, swap[tried], config.gamma)
         every = table.sequence_every(actions, blocks)[1:].float().numpy()
         earned = every[np.arange(len(every)), episode.actions[1:]]
@@ -201,14 +206,14 @@ def _train(run: Run, model: Critics, folder: Path) -> Figures:
     config, corpus, data = run.config.advantage, run.get(CORPUS), run.get(COUNTERFACTUALS)
     labelled, unit = run.get(LABELS), data.unit
     rng = np.random.default_rng(run.seed(ADVANTAGE))
-    heard = (rng.random((len(data.lengths), config.critics)) < config.heard).astype(np.float32)
+    heard = (rng.random((len(data.lengths), config.critics)) < LEARNED_FROM).astype(np.float32)
     heard[heard.sum(1) == 0] = 1.0
     takes = takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train")
     literal = build(takes, LITERAL, lambda lexemes, blocks: torch.zeros(len(lexemes)),
                     silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
     held = counterfactual(literal.episodes, run.get(TAUGHT_REWARD), run.get(INTERPRETER), corpus,
-                          CriticConfig(states=min(_CHECKED, config.states), tried=config.tried, swaps=config.swaps,
-                                       gamma=config.gamma), 1)
+                          CriticConfig(states=min(_CHECKED, config.states), swaps=config.swaps, gamma=config.gamma),
+                          1)
     everything = np.ones((len(held.lengths), config.critics), np.float32)
     checks = [critic_batch(corpus, held, held.windows(fitting.generator_for(4, i), _WINDOWS, config.decisions), unit,
                            everything) for i in range(_CHECKS)]

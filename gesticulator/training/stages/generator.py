@@ -17,15 +17,16 @@ from gesticulator.bundle.config import Config
 from gesticulator.systems import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
-from gesticulator.training.stages.features import CORPUS
-from gesticulator.training.stages.labels import LABELS, model_sizes
-from gesticulator.training.stages.lexicon import LEXICON
-from gesticulator.training.stages.planner import UNITS
-from gesticulator.training.stages.unit_styles import UNIT_CODES
+from gesticulator.training.stages.heads import UNIT_CODES, UNITS
+from gesticulator.training.stages.lexicon import LABELS, LEXICON, model_sizes
+from gesticulator.training.stages.speech import CORPUS
 from gesticulator.training.stages.windows import Windows, sequences, validation, with_silence
 from interpreters.planner import one_hot
 from lexicon.autoencoder import Lexicon
 from lexicon.movement import MovementLexicon
+
+LONGEST_INSERT = 10
+"""Longest inserted run of silence, in blocks (5 s at most)."""
 
 
 def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
@@ -82,7 +83,7 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
     if config.silence.augmentation > 0:
         parts = with_silence(parts, corpus, labelled.nearest, config.silence.augmentation,
-                             config.silence.longest_insert, np.random.default_rng([run.seed(GENERATOR), 7]))
+                             LONGEST_INSERT, np.random.default_rng([run.seed(GENERATOR), 7]))
     windows = Windows(corpus, parts, config.window, control=config.control if config.generator.use_control else None)
     lexicon = copy.deepcopy(cast(Lexicon, run.get(LEXICON))).to(run.device)
     freeze(lexicon)
@@ -117,7 +118,7 @@ def _unit_nodes(config: Config) -> tuple[Node[Any], ...]:
 
 GENERATOR: Stage[Generator | FlowGenerator] = Stage(
     "generator",
-    settings=("system", "generator", "window", "control", "silence.augmentation", "silence.longest_insert"),
+    settings=("system", "generator", "window", "control", "silence.augmentation"),
     needs=lambda config: (CORPUS, LEXICON, LABELS, *_unit_nodes(config)), schedule="generator", part="generator",
     build=_build,
     train=lambda run, model, folder: (_train_flow if isinstance(model, FlowGenerator) else _train_regression)(

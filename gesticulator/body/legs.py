@@ -1,19 +1,35 @@
-"""Stance: legs, standing or seated, for a performance generated from the hips up.
+"""Legs, standing or seated, for a performance generated from the hips up.
 
 A person who stands and talks bears on one leg, the hips over it, that side of the pelvis higher, the other knee bent;
 changes legs from time to time; turns the hips with the trunk; moves them against quick leans; gives in the knees under
 strokes and dips of the trunk; and now and then sets the free foot down elsewhere. All of it is a function of the seed,
 the time and the generated motion up to that time, so stream and file are identical.
 
-The weight w of `weight.LegWeight` is combined with the low-passed roll r of the generated hips:
+The weight w of `LegWeight` is combined with the low-passed roll r of the generated hips:
 
     u = (w + (r - habit of r) / r0) / u0        g(u) = u / sqrt(1 + u^2), between -1 (right leg) and 1 (left leg)
 
 The hips travel sideways by A g, roll and turn with g instead of their habitual roll, and take a share of the yaw of the
 chest; the spine compensates, so that everything from the chest up keeps its rotation in the room. They are as high as
 both legs reach with soft knees (a soft minimum, since a fully stretched knee snaps), less what the knees give. Feet are
-placed (`feet.Steps`) and legs follow by inverse kinematics, so a planted foot does not slide. docs/legs.md
+placed (`Steps`) and legs follow by inverse kinematics, so a planted foot does not slide. docs/legs.md
 compares the result with people.
+
+**Weight**: the idle motion rolls the hips every few seconds (`life.weight_shifts`, postures p_n at times t_n). People
+stand on one leg and change legs less often than that, so the leg changes only where the roll is marked:
+
+    s_n = sign(p_n) if |p_n| > c, else s_(n-1)         w_n = s_n (a + b min(|p_n|, p_max))
+
+They change legs while the trunk moves, so a shift advances with the movement of the trunk. It runs on a clock of its
+own, C(t), the integral of a rate that is low while the trunk is still and grows with its speed:
+
+    w(t) = w_-1 + sum over n of (w_n - w_(n-1)) f((C(t) - C(t_n)) / tau),    f(a) = 1 - (1 + a + a^2 / 2) exp(-a)
+
+Which shifts there are depends on the seed and the time alone. The motion decides only how fast each runs, and that
+continuously, so that a small change of the motion is a small change of the weight and is forgotten with the shift.
+
+**Feet** are placed, and a foot that is free is set down elsewhere in a small step: a function of the seed and the time
+alone. The ball of a foot is placed; the ankle is behind and above it.
 """
 
 from __future__ import annotations
@@ -21,7 +37,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +46,212 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import LEG_JOINTS, WHOLE_BODY, resized
 from data_module.motion.standing_legs import bent_leg, leg_lengths
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.body.feet import FOOT_BACK, SIDES, SOLE, UP, FootPath, Steps, abouts
-from gesticulator.body.life import breath, noise, weight_shifts
-from gesticulator.body.weight import LegWeight
+from gesticulator.body.life import breath, eased, noise, normal, uniform, weight_shifts
 
 __all__ = ["Stance", "seated", "with_legs"]
+
+# ------------------------------------------------------------------------------------------------- the weight
+
+CROSSES = 0.55
+"""Roll of an idle posture in degrees above which it changes the leg that bears."""
+_LEAST, _MORE, _MOST = 0.60, 0.40, 1.5
+"""Weight on the bearing leg: at no roll, for each degree of it, and the largest roll that counts."""
+_TAU = 0.45
+"""Time constant of a shift on its clock, seconds."""
+_STILL, _MOVING = 0.40, 0.04
+"""Rate of the clock while the trunk is still, and speed of the chest in m/s that adds 1 to it."""
+_QUICKEST = 2.0
+"""Largest addition to that rate."""
+_DONE = 40.0
+"""Time constants after which a shift is complete to the last bit."""
+_FIRST_CHANNEL = (1 << 10) + 6
+
+
+class LegWeight:
+    """The weight of one performance, in pieces: positive on the left leg, about -1 to 1."""
+
+    def __init__(self, seed: int) -> None:
+        self._shifts = weight_shifts(seed)
+        self._side = 1.0 if uniform(seed, _FIRST_CHANNEL, np.zeros(1, np.int64))[0] < 0.5 else -1.0
+        self._settled = self._target = self._side * (_LEAST + _MORE)
+        self._next, self._clock, self._time = 0, 0.0, 0.0
+        self._running: list[tuple[float, float]] = []
+        """Of every shift that began and is not complete: its start on the clock, and the change of weight."""
+
+    def step(self, times: Array, speed: Array) -> Array:
+        """[T] the weight at the next `times` [T] seconds. speed: [T] m/s of the chest over the hips, smoothed."""
+        before = self._time
+        rate = _STILL + _QUICKEST * np.tanh(speed / _MOVING / _QUICKEST)
+        clock = np.cumsum(np.concatenate([[self._clock], rate * np.diff(times, prepend=before)]))
+        self._begin(np.concatenate([[before], times]), clock)
+        self._time, self._clock = float(times[-1]), float(clock[-1])
+        weight = np.full(len(times), self._settled)
+        running = self._running
+        self._running = []
+        for begin, change in running:
+            start = int(np.searchsorted(clock[1:], begin, side="right"))
+            a = np.maximum(clock[1 + start:] - begin, 0.0) / _TAU
+            weight[start:] += change * (1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a))
+            if self._clock - begin > _DONE * _TAU:
+                self._settled += change  # from the next step on
+            else:
+                self._running.append((begin, change))
+        return weight
+
+    def _begin(self, times: Array, clock: Array) -> None:
+        """Start the shifts whose time has come."""
+        while (begin := float(self._shifts.begins(np.array([self._next]))[0])) <= times[-1]:
+            roll = float(self._shifts.posture(self._next)[0])
+            if abs(roll) > CROSSES:
+                self._side = float(np.sign(roll))
+            target = self._side * (_LEAST + _MORE * min(abs(roll), _MOST))
+            self._running.append((float(np.interp(begin, times, clock)), target - self._target))
+            self._target, self._next = target, self._next + 1
+
+
+# --------------------------------------------------------------------------------------------------- the feet
+
+SIDES = (("Left", 1.0), ("Right", -1.0))
+"""Each foot, and the sign of its side (the character's left is +X)."""
+UP = np.array([0.0, 1.0, 0.0])
+SOLE = 0.020
+"""Height of the joint in the ball of the foot above the floor, metres."""
+FOOT_BACK = 0.030
+"""Metres that a foot rests behind its hip socket: the body's weight is ahead of the ankles."""
+
+_FOOT_OUT, _TOES_OUT = 0.008, 15.0
+"""Resting place of a foot: metres outside its hip socket, and degrees that the toes point outwards."""
+_SPREAD = (0.016, 0.030, 4.0)
+"""Standard deviation of foot placements about it: metres sideways and ahead, degrees."""
+_STEPS = 0.45
+"""Share of the foot-freeing weight shifts that are followed by a step."""
+_STEP_AFTER, _STEP_LASTS = 1.35, 0.68
+"""Seconds from the start of the shift to the start of the step, and duration of the step."""
+_STEP_NEEDS = 4.4
+"""Least time to the next shift for a step to be made, seconds."""
+_OVER_IN, _OVER_OUT = 1.5, 2.2
+"""Seconds in which the hips move over the standing foot before a step, and back after it."""
+_NEAR, _WIDE = 0.030, 0.085
+"""Least and greatest distance of a step, metres."""
+_LIFT, _HEEL = 0.028, 17.0
+"""Lift of the ball of the foot in metres, and rise of the heel before it in degrees."""
+_LIFTED, _LANDED, _HEEL_DOWN = 0.20, 0.95, 0.85
+"""Shares of a step at which the ball leaves the floor, is back, and the heel is level again."""
+_TRIES = 8
+
+_CHANNEL = 1 << 10
+"""First random channel, distinct from those of idle motion and phrases."""
+_STEP_CHANNEL, _PLACE_CHANNEL = _CHANNEL, _CHANNEL + 1
+
+
+@dataclass(frozen=True)
+class FootPath:
+    """A foot over time. ankles: [T, 3] metres; yaw, heel: [T] radians of the toes to the character's left, and of the
+    heel raised over the ball; middle: [T, 2] metres along X and Z, the foot's place as the hips follow it."""
+
+    ankles: Array
+    yaw: Array
+    heel: Array
+    middle: Array
+
+
+class Steps:
+    """Placement of the feet over time, a function of seed and time."""
+
+    def __init__(self, seed: int, scale: float, socket: float, foot: Array) -> None:
+        """scale: of all lengths; socket: metres from the middle to a hip socket; foot: [3] metres from the ankle to the
+        ball of a foot whose toes point ahead."""
+        self.seed, self.scale, self.socket, self.foot = seed, scale, socket, foot
+        self._weight = weight_shifts(seed)
+        self._next_shift = 0
+        self._placed = [[(-1, self._places(foot, -1)[0])] for foot in range(len(SIDES))]
+
+    def begins(self, shift: int) -> float:
+        """Start of the step after a weight shift, seconds."""
+        return float(self._weight.begins(np.array([shift]))[0]) + _STEP_AFTER
+
+    def over(self, times: Array) -> tuple[Array, Array]:
+        """[T] how far the hips are over one leg, 0 to 1, and [T] over which (the sign of its side)."""
+        self._extend(float(times.max()))
+        held, side = np.zeros(len(times)), np.zeros(len(times))
+        for foot, (_, sign) in enumerate(SIDES):
+            for shift, _ in self._placed[foot][1:]:
+                begin = self.begins(shift)
+                early, late = begin + 0.1 - _OVER_IN, begin + _STEP_LASTS + _OVER_OUT
+                near = slice(*np.searchsorted(times, [early, late]))
+                way = eased((times[near] - early) / _OVER_IN) - eased((times[near] - late + _OVER_OUT) / _OVER_OUT)
+                held[near], side[near] = way, -sign
+        return held, side
+
+    def path(self, foot: int, times: Array) -> FootPath:
+        """Foot 0 (left) or 1 (right) at rising `times` [T], seconds."""
+        self._extend(float(times.max()))
+        placed = self._placed[foot]
+        ball = np.tile(placed[0][1], (len(times), 1))  # along X and Z, yaw
+        slow, lift, heel = ball.copy(), np.zeros(len(times)), np.zeros(len(times))
+        for (_, before), (shift, after) in zip(placed[:-1], placed[1:], strict=True):
+            begin = self.begins(shift)
+            s = (times - begin) / _STEP_LASTS
+            flight = (s - _LIFTED) / (_LANDED - _LIFTED)
+            ball += eased(flight)[:, None] * (after - before)
+            slow += eased((times - begin) / (_STEP_LASTS + _OVER_OUT))[:, None] * (after - before)
+            lift += _bump(flight)
+            heel += _bump(s / _HEEL_DOWN)
+        yaw, heel = np.radians(ball[:, 2]), np.radians(_HEEL) * heel
+        turn = rotation.multiply(abouts(UP, yaw), abouts(np.array([1.0, 0.0, 0.0]), heel))
+        flat = np.stack([ball[:, 0], SOLE * self.scale + _LIFT * self.scale * lift, ball[:, 1]], -1)
+        # The ball is placed; the ankle is behind and above it, higher with the heel raised.
+        return FootPath(flat - rotation.rotate(turn, self.foot), yaw, heel,
+                        slow[:, :2] - rotation.rotate(abouts(UP, np.radians(slow[:, 2])), self.foot)[:, [0, 2]])
+
+    def forget(self, before: float) -> None:
+        """Drop steps completed before this time in seconds, so that memory stays bounded."""
+        for placed in self._placed:
+            while len(placed) > 1 and self.begins(placed[1][0]) + _STEP_LASTS + _OVER_OUT < before:
+                del placed[0]
+
+    def _extend(self, until: float) -> None:
+        """Generate the steps that begin by `until` seconds."""
+        style = self._weight.style
+        while (self._next_shift - style.jitter) * style.every <= until + _STEP_NEEDS:
+            shift, self._next_shift = self._next_shift, self._next_shift + 1
+            begin, following = self._weight.begins(np.array([shift, shift + 1]))
+            weight = float(self._weight.posture(shift)[0])
+            chance = float(uniform(self.seed, _STEP_CHANNEL, np.array([shift]))[0])
+            if abs(weight) < CROSSES or following - begin < _STEP_NEEDS or begin < 1.0 or chance > _STEPS:
+                continue
+            foot = 1 if weight > 0 else 0
+            before = self._placed[foot][-1][1]
+            tries = self._places(foot, shift)
+            away = np.linalg.norm((tries - before)[:, :2], axis=1) / self.scale
+            fits = np.flatnonzero((away >= _NEAR) & (away <= _WIDE))
+            if len(fits):
+                self._placed[foot].append((shift, tries[fits[0]]))
+
+    def _places(self, foot: int, number: int) -> Array:
+        """[_TRIES, 3] candidate places of the ball of a foot: metres along X and Z, and degrees of yaw."""
+        sign = SIDES[foot][1]
+        where = (2 * (number + 1) + foot) * _TRIES + np.arange(_TRIES)
+        offsets = np.clip(normal(self.seed, _PLACE_CHANNEL, where[:, None] * 3 + np.arange(3)), -2.0, 2.0) * _SPREAD
+        yaw = sign * (_TOES_OUT + offsets[:, 2])
+        ankle = np.stack([sign * (self.socket + self.scale * (_FOOT_OUT + offsets[:, 0])), np.zeros(_TRIES),
+                          self.scale * (offsets[:, 1] - FOOT_BACK)], axis=-1)
+        ball = ankle + rotation.rotate(abouts(UP, np.radians(yaw)), self.foot)
+        return np.stack([ball[:, 0], ball[:, 2], yaw], axis=-1)
+
+
+def _bump(share: Array) -> Array:
+    """0 to 1 and back with continuous acceleration: 64 s^3 (1 - s)^3."""
+    s = np.clip(share, 0.0, 1.0)
+    return np.asarray(64.0 * (s * (1.0 - s)) ** 3)
+
+
+def abouts(axis: Array, angles: Array) -> Array:
+    """[..., 4] rotations about an axis by angles [...] in radians."""
+    return np.concatenate([np.cos(angles / 2.0)[..., None], np.sin(angles / 2.0)[..., None] * axis], axis=-1)
+
+
+# --------------------------------------------------------------------------------------------------- the legs
 
 _LEG = 0.825
 """Distance from hip to ankle of the character that the lengths below are for, metres; others are scaled."""
@@ -103,8 +320,6 @@ LEGGED = [0, int(_TRUNK[0, 0]), *_LEGS.ravel().tolist()]
 """The joints of the whole body that legs turn: the hips, the lowest one of the spine, and the legs'."""
 _PLACES = np.arange(2, len(LEGGED)).reshape(_LEGS.shape)
 """The legs' joints among those."""
-_COARSE, _MOVING_LITTLE = 0.5, 0.02
-"""Seconds between two times, and speed of the chest in m/s, with which a rough beginning is gone on to."""
 
 
 def with_legs(motion: Motion, seed: int, skeleton: Skeleton = WHOLE_BODY) -> Motion:
@@ -145,12 +360,6 @@ class _LowPass:
     def __init__(self, seconds: float, fps: float) -> None:
         self._share = 1.0 - math.exp(-1.0 / (fps * seconds))
         self._states: list[Array] | None = None
-
-    def fork(self) -> _LowPass:
-        """A copy that continues independently."""
-        twin = copy.copy(self)
-        twin._states = None if self._states is None else list(self._states)
-        return twin
 
     def __call__(self, values: Array) -> Array:
         """[T, D] the filtered next values [T, D]; the state starts at the first value."""
@@ -193,20 +402,6 @@ class Signals:
     places: Array
     turns: Array
 
-    @property
-    def size(self) -> int:
-        """Bytes in memory."""
-        return self.roll.nbytes + self.yaw.nbytes + self.places.nbytes + self.turns.nbytes
-
-    def part(self, rows: slice) -> Signals:
-        """Those of some of the frames."""
-        return Signals(self.roll[rows], self.yaw[rows], self.places[rows], self.turns[rows])
-
-
-def joined(parts: Sequence[Signals]) -> Signals:
-    """The signals of successive frames."""
-    return Signals(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Signals)))
-
 
 class _Drive:
     """Follows the generated body in pieces."""
@@ -216,13 +411,6 @@ class _Drive:
         self._roll, self._habit = _LowPass(_FOLLOWS, fps), _LowPass(_HABIT, fps)
         self._quick, self._slow = _LowPass(_QUICKLY, fps), _LowPass(_SLOWLY, fps)
         self._last: Array | None = None
-
-    def fork(self) -> _Drive:
-        """A copy that continues independently."""
-        twin = copy.copy(self)
-        twin._roll, twin._habit, twin._quick, twin._slow = (
-            one.fork() for one in (self._roll, self._habit, self._quick, self._slow))
-        return twin
 
     def step(self, signals: Signals) -> _Drives:
         roll, yaw, places = signals.roll, signals.yaw, signals.places
@@ -248,49 +436,6 @@ class Course:
     side: Array
     pitch: Array
     breath: Array
-
-
-def course_of(parts: Sequence[tuple[Course, slice]]) -> Course:
-    """The course of frames that are parts of others, one after the other."""
-    def put(values: Sequence[Array]) -> Array:
-        return np.concatenate([value[rows] for value, (_, rows) in zip(values, parts, strict=True)])
-
-    courses = [course for course, _ in parts]
-    feet = [FootPath(*(put([getattr(course.feet[foot], one.name) for course in courses]) for one in fields(FootPath)))
-            for foot in range(len(SIDES))]
-    rest = {one.name: put([getattr(course, one.name) for course in courses]) for one in fields(Course)
-            if one.name != "feet"}
-    return Course(feet=(feet[0], feet[1]), **rest)
-
-
-class Follower:
-    """How the legs of one performance follow its body: all of their state, but for the signs of quaternions."""
-
-    def __init__(self, seed: int, fps: float) -> None:
-        self._weight, self._drive = LegWeight(seed), _Drive(fps)
-
-    def fork(self) -> Follower:
-        """A copy that continues independently."""
-        twin = copy.copy(self)
-        twin._weight, twin._drive = self._weight.fork(), self._drive.fork()
-        return twin
-
-    def step(self, signals: Signals, course: Course, scale: float, ends: Sequence[int] | None = None) -> Array:
-        """[T, 5] the lead of the hips in the next frames: degrees by which they are rolled and yawed, their place along
-        X and Z, and by how much the knees give, metres. ends: see `LegWeight.step`."""
-        drives, times = self._drive.step(signals), course.times
-        u = (self._weight.step(times, drives.speed, ends) + (drives.slow_roll - drives.habit) / _ROLL_UNIT) / _BOTH
-        g = (1.0 - course.held) * u / np.sqrt(1.0 + u * u) + course.held * course.side
-        rolled = _ROLLED * g + _ROLLS[0] * course.random[:, 6] - drives.habit - _QUICK * (
-            drives.roll - drives.slow_roll)
-        yawed = _TURNED * g + _within(_YAWS * drives.yaw, _FARTHEST_YAW)
-        return np.column_stack([rolled, yawed, _travelled(course, g, drives, scale), _given(course, drives, scale)])
-
-    def begin(self, until: float) -> None:
-        """Begin at a time in seconds, roughly: as if the body had hardly moved until then."""
-        times = np.arange(0.0, until, _COARSE)
-        if len(times):
-            self._weight.step(times, np.full(len(times), _MOVING_LITTLE))
 
 
 def _travelled(course: Course, g: Array, drives: _Drives, scale: float) -> Array:
@@ -330,7 +475,7 @@ class Stance:
         self._pitch = weight_shifts(seed)
         lengths = np.array([leg_lengths(skeleton, side) for side, _ in SIDES])
         self._lengths = lengths[:, :1], lengths[:, 1:]
-        self._follower = Follower(seed, fps)
+        self._weight, self._drive = LegWeight(seed), _Drive(fps)
         self._frames = 0
         self._last = np.zeros((0, len(WHOLE_BODY), 4))
 
@@ -344,20 +489,31 @@ class Stance:
         first, self._frames = self._frames, self._frames + len(body)
         self.steps.forget(first / self.fps - 1.0)
         course, signals = self.course(first, self._frames), self.signals(body)
-        turns, root = self.stood(signals.turns, course, self._follower.step(signals, course, self.scale))
+        turns, root = self.stood(signals.turns, course, self._lead(signals, course))
         rotations = body.rotations.copy()
         rotations[:, LEGGED] = turns
         motion = on_legs(body, rotations, root, self.skeleton, self._last)
         self._last = motion.rotations[-1:]
         return motion
 
+    def _lead(self, signals: Signals, course: Course) -> Array:
+        """[T, 5] the lead of the hips in the next frames: degrees by which they are rolled and yawed, their place along
+        X and Z, and by how much the knees give, metres."""
+        drives = self._drive.step(signals)
+        u = (self._weight.step(course.times, drives.speed) + (drives.slow_roll - drives.habit) / _ROLL_UNIT) / _BOTH
+        g = (1.0 - course.held) * u / np.sqrt(1.0 + u * u) + course.held * course.side
+        rolled = _ROLLED * g + _ROLLS[0] * course.random[:, 6] - drives.habit - _QUICK * (
+            drives.roll - drives.slow_roll)
+        yawed = _TURNED * g + _within(_YAWS * drives.yaw, _FARTHEST_YAW)
+        return np.column_stack([rolled, yawed, _travelled(course, g, drives, self.scale),
+                                _given(course, drives, self.scale)])
+
     def course(self, first: int, last: int) -> Course:
-        """What is decided for the frames `first` to `last` - 1 of a step; of the past, what was not forgotten."""
+        """What seed and time decide for the frames `first` to `last` - 1."""
         times = (first + np.arange(last - first)) / self.fps
-        steps = self.steps.since(float(times[0]) - 1.0, float(times[-1]))
         random = noise(self.seed, _SWAY_CHANNEL + np.arange(len(_NOISE_STEPS)), times, _NOISE_STEPS)
-        held, side = steps.over(times)
-        return Course(times, random, (steps.path(0, times), steps.path(1, times)), held, side,
+        held, side = self.steps.over(times)
+        return Course(times, random, (self.steps.path(0, times), self.steps.path(1, times)), held, side,
                       self._pitch.at(times)[:, 1], breath(self.seed, times))
 
     def signals(self, body: Motion) -> Signals:
@@ -387,7 +543,7 @@ class Stance:
 
     def stood(self, turns: Array, course: Course, lead: Array) -> tuple[Array, Array]:
         """[T, 10, 4] rotations of the joints `LEGGED`, and [T, 3] positions of the root. turns: [T, 2, 4] rotations of
-        the hips and of the lowest joint of the spine; lead: [T, 5] of the hips, see `Follower.step`."""
+        the hips and of the lowest joint of the spine; lead: [T, 5] of the hips, see `_lead`."""
         rolled, yawed = lead[:, 0], lead[:, 1]
         turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * rolled, yawed, rolled], -1)))
         hips = rotation.multiply(turn, turns[:, 0])
@@ -452,4 +608,3 @@ def on_legs(body: Motion, rotations: Array, root: Array, skeleton: Skeleton, bef
     return replace(body, skeleton=skeleton, rotations=rotations, root_positions=root,
                    absent=tuple(name for name in body.absent if name not in LEG_JOINTS),
                    filled=tuple(name for name in WHOLE_BODY.names if name in filled))
-

@@ -1,7 +1,7 @@
 """A server for one page and one user: it listens on this machine only, and renders the plans sent by its page.
 
 `GET /SECRET/` is the page; `POST /SECRET/render` takes the page's request and answers with the messages of
-`gesticulator.serve.edits`, or with `{"error": ...}`; `POST /SECRET/export` answers with a file, and `GET
+`gesticulator.page.session`, or with `{"error": ...}`; `POST /SECRET/export` answers with a file, and `GET
 /SECRET/figures` with the figures of the palette. Other users of this machine can find the port, so the address holds a
 secret. Any page open in a browser can send requests to a local server; so a request must name this server as its host
 (which a foreign name resolved to this machine does not), and a rendering must come from its own page and carry the
@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -28,7 +28,7 @@ from data_module.errors import InputError, one_line
 from data_module.files import parse_json
 
 if TYPE_CHECKING:
-    from gesticulator.serve.saved_edits import SavedEdits
+    from gesticulator.page.saved_edits import SavedEdits
 
 HOST = "127.0.0.1"
 TOKEN_HEADER = "X-Gesticulator-Token"
@@ -51,17 +51,20 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 
-Render = Callable[[dict[str, Any], Callable[[], bool]], Iterator[bytes]]
-"""A request as JSON, and whether it has been abandoned -> the parts of the answer; `InputError` for an invalid request,
-`AbandonedError` for an abandoned one."""
+Render = Callable[[dict[str, Any], Callable[[], bool], Callable[[bytes], object]], bytes]
+"""A request as JSON, whether it has been abandoned, and what takes messages of progress -> the last message of the
+answer; `InputError` for an invalid request, `AbandonedError` for an abandoned one."""
+
+
+def message(header: Mapping[str, Any], data: bytes = b"") -> bytes:
+    """A message of an answer: the length of a header (4 bytes, little-endian), the header as JSON with the number of
+    `bytes` of the data, and the data."""
+    text = json.dumps({**header, "bytes": len(data)}, allow_nan=False).encode()
+    return len(text).to_bytes(4, "little") + text + data
 
 
 class AbandonedError(Exception):
     """The page has asked for something else."""
-
-
-class UnknownRenderingError(InputError):
-    """The page builds on a rendering that is not known (any more)."""
 
 
 class PageServer(ThreadingHTTPServer):
@@ -185,6 +188,8 @@ class _PageHandler(BaseHTTPRequestHandler):
     server_version = "gesticulator"
     sys_version = ""
     timeout = PATIENCE
+    _begun = False
+    """Whether a part of an answer was sent (`_part`)."""
 
     def handle_one_request(self) -> None:
         """Serve one request; the connection is silent until it has proven valid."""
@@ -253,7 +258,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
             return
         request = request if isinstance(request, dict) else {}
-        if not any(isinstance(request.get(name), dict) for name in ("plan", "changes")) or self.server.render is None:
+        if not isinstance(request.get("plan"), dict) or self.server.render is None:
             self._refuse(HTTPStatus.BAD_REQUEST, "the request holds no plan")
             return
         page, number = request.get("page"), request.get("number")
@@ -266,11 +271,9 @@ class _PageHandler(BaseHTTPRequestHandler):
             if place == "export" and self.server.export is not None:
                 self._answer(HTTPStatus.OK, self.server.export(request), "application/octet-stream")
             else:
-                self._stream(self.server.render(request, abandoned))
+                self._part(self.server.render(request, abandoned, self._part))
         except AbandonedError:
             self._refuse(HTTPStatus.CONFLICT, "the page has asked for something else")
-        except UnknownRenderingError as error:
-            self._refuse(HTTPStatus.GONE, one_line(error))
         except (InputError, OSError) as error:
             self._refuse(HTTPStatus.BAD_REQUEST, one_line(error))
         except Exception as error:  # noqa: BLE001 - one plan that fails must not end the session
@@ -280,18 +283,19 @@ class _PageHandler(BaseHTTPRequestHandler):
         finally:
             self.server.rendering.release()
 
-    def _stream(self, parts: Iterator[bytes]) -> None:
-        """Answer with parts as they come. A failure after the first one ends the answer early."""
-        first = next(parts)
-        self._head(HTTPStatus.OK, "application/octet-stream")
-        with suppress(AbandonedError):
-            self.wfile.write(first)
-            for part in parts:
-                self.wfile.write(part)
+    def _part(self, part: bytes) -> None:
+        """Send a part of an answer, which ends with the connection."""
+        if not self._begun:
+            self._head(HTTPStatus.OK, "application/octet-stream")
+            self._begun = True
+        self.wfile.write(part)
 
     def _refuse(self, status: HTTPStatus, why: str) -> None:
         self.close_connection = True
-        self._answer(status, json.dumps({"error": why}).encode(), "application/json")
+        if not self._begun:
+            self._answer(status, json.dumps({"error": why}).encode(), "application/json")
+        elif status != HTTPStatus.CONFLICT:  # the answer has begun with messages of progress
+            self.wfile.write(message({"kind": "failed", "error": why}))
 
     def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
         self._head(status, kind, len(body))

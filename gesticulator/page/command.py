@@ -24,15 +24,15 @@ from gesticulator.arguments import (
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.jobs import STDIN, Job, load, performed, retargeter_for
-from gesticulator.serve.page_export import exported, formats
-from gesticulator.serve.saved_edits import SavedEdits, place_of, put_aside, read_saved
+from gesticulator.page.export import exported, formats
+from gesticulator.page.saved_edits import SavedEdits, place_of, put_aside, read_saved
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
+    from gesticulator.page.server import PageServer
     from gesticulator.performance import Performance
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.serve.page_server import PageServer
 
 SHOWN = (".glb", ".gltf", ".vrm")
 """Suffixes of characters that the page can show."""
@@ -52,8 +52,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
-    from gesticulator.serve.page_place import served_again
-    from gesticulator.serve.page_server import PageServer
+    from gesticulator.page.page_place import served_again
+    from gesticulator.page.server import PageServer
 
     settings = run_settings_of(args)
     if settings.listing:
@@ -108,19 +108,18 @@ def _job(args: argparse.Namespace) -> Job:
 def _prepare(server: PageServer, job: Job, settings: RunSettings, request: PageRequest) -> None:
     """Generate one or two performances, and give the server its page and the renderer of edited plans."""
     from gesticulator.export import html
+    from gesticulator.page.session import EditSession, directions_of, levels_of
     from gesticulator.pipeline import Gesticulator
-    from gesticulator.serve.edits import LivePlans, directions_of, levels_of
 
     chosen, stands = _character(job)
     system = Gesticulator.from_pretrained(settings.bundle)
-    system.keeps_drawings = True
+    system.keeps_generations = True
     job, since = _with_saved_edits(system, job, request)
     job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
     takes = _takes(system, job, request.beside, settings.quiet)
-    plans = LivePlans(system, *takes.values())
+    session = EditSession(system, *takes.values())
     scenes = {name: take.scene() for name, take in takes.items()}
-    described = [html.describe(scene) for scene in scenes.values()]
-    numbers = [plans.opened(take, one["plan"]) for take, one in zip(takes.values(), described, strict=True)]
+    numbers = [session.opened(take) for take in takes.values()]
     assert job.source is not None
     live = {"token": server.token, "renderings": numbers, "formats": formats(), "levels": levels_of(system.bundle),
             "directions": directions_of(system), "since": since}
@@ -131,23 +130,23 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, request: PageR
     report = {} if moved is None else {"notice": "The edits were moved onto the new sound. " + " ".join(moved.lines())}
     more = {"live": live, **report, **character}
     server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1, more=more).encode()
-    if job.source is not None and request.beside is None:
+    if request.beside is None:
         saved = server.saved = SavedEdits(place_of(job.source))
         # What is only tried is not saved.
-        plans.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(lambda: plan)
-    server.render = plans.answer
+        session.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(lambda: plan)
+    server.render = session.answer
     # What stays for the whole session need not be looked through for garbage, which would delay edits by a third of a
     # second now and then.
     gc.collect()
     gc.freeze()
     retargeter = retargeter_for(job.character, settings.quiet)
-    server.export = partial(exported, rendered=plans.performance, retargeter=retargeter)
+    server.export = partial(exported, rendered=session.exported, retargeter=retargeter)
     server.figures = cache(partial(_figures, system, takes))
 
 
 def _figures(system: Gesticulator, takes: dict[str, Performance]) -> bytes:
     """The figures of the palette as JSON."""
-    from gesticulator.directing.moving_figures import moving_figures
+    from gesticulator.page.palette import moving_figures
 
     speaker = system.speaker_index(next(iter(takes.values())).decided.speaker)
     return json.dumps(moving_figures(system.bundle, speaker)).encode()

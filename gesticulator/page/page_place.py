@@ -13,7 +13,7 @@ from pathlib import Path
 
 from data_module.errors import InputError
 from data_module.files import read_object, write_text
-from gesticulator.serve.page_server import PageServer
+from gesticulator.page.server import PageServer
 
 _LARGEST = 1000
 """Bytes of a place."""

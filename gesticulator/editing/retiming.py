@@ -21,9 +21,9 @@ from data_module.speech.fingerprint import RATE, Frames, fingerprint, fingerprin
 from data_module.speech.sound_map import SoundMap, Stretch, aligned
 from data_module.types import Array, BeatFlag, Speech
 from gesticulator.bundle.features import SpeechFeatures
-from gesticulator.directing.moved_beats import BeatMap
-from gesticulator.directing.moved_sections import moved_knobs, moved_sections
-from gesticulator.directing.retiming_report import MovedItem, RetimingReport, runs_of
+from gesticulator.editing.moved_beats import BeatMap
+from gesticulator.editing.moved_sections import moved_knobs, moved_sections
+from gesticulator.editing.retiming_report import MovedItem, RetimingReport, runs_of
 from gesticulator.plan.checks import LONGEST, SHORTEST
 from gesticulator.plan.plan import (
     Block,

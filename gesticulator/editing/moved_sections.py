@@ -9,8 +9,8 @@ from typing import Any
 
 from data_module.controls import FEATURES
 from gesticulator.directing.directions import plain_word
-from gesticulator.directing.moved_beats import BeatMap
-from gesticulator.directing.retiming_report import MovedItem
+from gesticulator.editing.moved_beats import BeatMap
+from gesticulator.editing.retiming_report import MovedItem
 from gesticulator.plan.plan import (
     GestureCue,
     GesturePhase,

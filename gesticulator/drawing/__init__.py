@@ -1,1 +1,0 @@
-"""Drawn blocks that edits start from."""

@@ -1,0 +1,236 @@
+"""Frames of an edited plan: those around the change are computed again, the others are taken from the last rendering.
+
+A frame depends on the poses at the knots around it, a pose on the strokes of the last `REMEMBERED` seconds where knobs
+scale them, and legs on everything before. So the poses are compared knot by knot with those of the last rendering; the
+first and the last knot that differ bound what is computed. The result is that of the whole plan, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.types import Array, Motion
+from gesticulator.body.legs import Stance
+from gesticulator.body.motion_path import MotionPath
+from gesticulator.body.pins import pinned
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.directing.directions import MeantCue, Shaping
+from gesticulator.directing.named_gestures import span_of_gesture
+from gesticulator.directing.shaping import CALM, LAG
+from gesticulator.directing.strokes import REMEMBERED
+from gesticulator.options import InferenceOptions
+from gesticulator.plan.plan import GesturePlan
+from gesticulator.sampling.loop import GeneratedMotion
+
+_MEMORY = REMEMBERED + LAG + CALM
+"""Seconds of strokes on which the size of a pose depends, with what the lift of an arm is averaged over."""
+_MARGIN = 6
+"""Knots before a window of frames, more than the slope of the path needs."""
+_LEGS_EVERY = 32
+"""Blocks between two copies of the state of the legs: about ten seconds, which are computed in a tenth of one."""
+_TOGETHER = 64
+"""Blocks whose frames are computed at once, for bounded memory."""
+_UNSCALED = (1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
+"""The columns of `_inputs` that knobs fill, where none is set."""
+
+
+@dataclass(frozen=True)
+class EditedFrames:
+    """The frames of a rendered plan, with what they were computed from.
+
+    times: [M] seconds of the knots; inputs: [M, D_m + 6] the generated poses, normalised, and what the knobs ask for;
+    gestures: the named ones; poses: [M, D_m] with knobs and gestures applied. unpinned, motion: without and with the
+    pins of the plan. legs: number of a block, of its first frame, and the legs before it, now and then."""
+
+    times: Array
+    inputs: Array
+    gestures: tuple[MeantCue, ...]
+    poses: Array
+    unpinned: Motion
+    motion: Motion
+    legs: tuple[tuple[int, int, Stance], ...] = ()
+
+
+@dataclass(frozen=True)
+class FrameRenderer:
+    """Computes the frames of plans of one performer with the same rate, legs and side (`InferenceOptions`)."""
+
+    bundle: Bundle
+    speaker: int
+    options: InferenceOptions
+
+    def render(self, generated: GeneratedMotion, shaping: Shaping | None, plan: GesturePlan,
+               before: EditedFrames | None) -> EditedFrames:
+        """The frames of a plan's blocks. before: those of another plan of the same recording and renderer."""
+        times = generated.cut.knot_times.ravel()
+        features = generated.motion.reshape(len(times), -1)
+        inputs, gestures = _inputs(times, features, shaping)
+        poses = self._poses(times, features, inputs, gestures, shaping, before)
+        knots = generated.cut.knot_times.size // len(generated.cut)
+        unpinned, legs = self._frames(times, poses, knots, float(generated.cut.edges[-1]), before)
+        motion = pinned(unpinned, plan) if plan.pins else unpinned
+        return EditedFrames(times, inputs, gestures, poses, unpinned, motion, legs)
+
+    def of_motion(self, generated: GeneratedMotion, shaping: Shaping | None, motion: Motion) -> EditedFrames:
+        """The frames of a plan without pins whose motion is known."""
+        times = generated.cut.knot_times.ravel()
+        features = generated.motion.reshape(len(times), -1)
+        inputs, gestures = _inputs(times, features, shaping)
+        poses = self._poses(times, features, inputs, gestures, shaping, None)
+        return EditedFrames(times, inputs, gestures, poses, motion, motion)
+
+    def _poses(self, times: Array, features: NDArray[np.float32], inputs: Array, gestures: tuple[MeantCue, ...],
+               shaping: Shaping | None, before: EditedFrames | None) -> Array:
+        """[M, D_m] poses with knobs and gestures."""
+        def plain(first: int, last: int) -> Array:
+            return self.bundle.statistics.denormalise(features[first:last].astype(np.float64), self.speaker)
+
+        if before is None:
+            return plain(0, len(times)) if shaping is None else shaping(plain(0, len(times)), times)
+        first, last = changed_rows(_timed(before.times, before.inputs), _timed(times, inputs))
+        for cue in {*gestures} ^ {*before.gestures}:
+            early, late = span_of_gesture(cue.cue.gesture)
+            first = min(first, int(np.searchsorted(times, cue.time - early)))
+            last = max(last, int(np.searchsorted(times, cue.time + late, side="right")))
+        if first >= last and len(times) == len(before.times):
+            return before.poses
+        last = max(first, last)
+        if shaping is None:
+            window = plain(first, last)
+        else:
+            # Later strokes remember what has changed, and these depend on those before.
+            last = int(np.searchsorted(times, times[min(last, len(times) - 1)] + _MEMORY, side="right"))
+            begin = max(int(np.searchsorted(times, times[min(first, len(times) - 1)] - _MEMORY)) - 2, 0)
+            window = shaping(plain(begin, last), times[begin:last])[first - begin:]
+        return np.concatenate([before.poses[:first], window, before.poses[len(before.poses) - len(times) + last:]])
+
+    def _frames(self, times: Array, poses: Array, knots: int, duration: float, before: EditedFrames | None
+                ) -> tuple[Motion, tuple[tuple[int, int, Stance], ...]]:
+        """The motion without pins, and copies of the state of the legs. knots: of a block."""
+        path = MotionPath(self.bundle, self.speaker, self.options)
+        if before is None:
+            return self._whole(path, times, poses, knots, duration)
+        first, last = changed_rows(_timed(before.times, before.poses), _timed(times, poses))
+        if first >= last and len(times) == len(before.times):
+            return before.unpinned, before.legs
+        count, half = max(1, round(duration * path.fps)), round(path.reach * path.fps)
+        begin = 0
+        if first >= 2:
+            begin = min(math.ceil(times[first - 2] * path.fps - 1e-9), round(times[first - 1] * path.fps)) - half
+        begin = max(min(begin, count - 2 * half - 3), 0)
+        if path.has_legs:
+            return self._on_legs(path, times, poses, knots, duration, before, begin)
+        low = int(np.searchsorted(times, (begin - half) / path.fps)) - _MARGIN
+        if low <= 0:
+            begin = low = 0
+        else:
+            # The knots up to the last one before the window; what follows is pushed.
+            known = max(int(np.searchsorted(times, begin / path.fps)), low + 2)
+            path.rewind_poses(times[low:known], poses[low:known], begin)
+            low = known
+        stop = count
+        if last + 1 < len(times):
+            stop = min(math.ceil(times[last + 1] * path.fps) + half + 1, count)
+        if stop >= count - 2 * half - 3:
+            parts, stop = [path.push_poses(times[low:], poses[low:]), path.finish(duration)], count
+        else:
+            high = int(np.searchsorted(times, (stop + half + 1) / path.fps)) + _MARGIN
+            parts = [path.push_poses(times[low:high], poses[low:high])]
+            if path.next < stop:
+                parts, stop = [*parts, path.push_poses(times[high:], poses[high:]), path.finish(duration)], count
+        return spliced(before.unpinned, _joined(parts), begin, stop), ()
+
+    def _whole(self, path: MotionPath, times: Array, poses: Array, knots: int, duration: float
+               ) -> tuple[Motion, tuple[tuple[int, int, Stance], ...]]:
+        if path.has_legs:
+            return self._stepped(path, times, poses, knots, duration, 0)
+        step = _TOGETHER * knots
+        parts = [path.push_poses(times[at:at + step], poses[at:at + step]) for at in range(0, len(times), step)]
+        return _joined([*parts, path.finish(duration)]), ()
+
+    def _on_legs(self, path: MotionPath, times: Array, poses: Array, knots: int, duration: float,
+                 before: EditedFrames, begin: int) -> tuple[Motion, tuple[tuple[int, int, Stance], ...]]:
+        """The frames on legs, which are computed from the last copy of their state before frame `begin` on."""
+        known = [one for one in before.legs if one[1] <= begin and one[0] * knots >= _MARGIN]
+        if not known:
+            return self._stepped(path, times, poses, knots, duration, 0)
+        block, frame, legs = known[-1]
+        low = max(int(np.searchsorted(times, frame / path.fps - path.reach)) - _MARGIN, 0)
+        if low == 0:
+            return self._stepped(path, times, poses, knots, duration, 0)
+        path.rewind_poses(times[low:block * knots], poses[low:block * knots], frame)
+        path.stand_on(legs)
+        motion, later = self._stepped(path, times, poses, knots, duration, block)
+        whole = replace(motion, rotations=np.concatenate([before.unpinned.rotations[:frame], motion.rotations]),
+                        root_positions=np.concatenate([before.unpinned.root_positions[:frame], motion.root_positions]))
+        return whole, (*known[:-1], *later)
+
+    def _stepped(self, path: MotionPath, times: Array, poses: Array, knots: int, duration: float, block: int
+                 ) -> tuple[Motion, tuple[tuple[int, int, Stance], ...]]:
+        """The frames from a block on, block by block, as legs are computed in a file and in a stream: the bits of a
+        shift of the weight depend on where its steps end."""
+        parts, legs = list[Motion | None](), list[tuple[int, int, Stance]]()
+        for at in range(block, len(times) // knots):
+            if (at - block) % _LEGS_EVERY == 0 and path.next > 0:
+                legs.append((at, path.next, path.legs()))
+            rows = slice(at * knots, (at + 1) * knots)
+            parts.append(path.push_poses(times[rows], poses[rows]))
+        return _joined([*parts, path.finish(duration)]), tuple(legs)
+
+
+def changed_rows(before: Array, now: Array) -> tuple[int, int]:
+    """The rows (first, last + 1) of `now` [M, D] that differ from those of `before` [L, D], whose first rows are equal
+    to the first ones and whose last rows to the last ones; first = last if rows were only left out."""
+    count = min(len(before), len(now))
+    differs = np.flatnonzero((before[:count] != now[:count]).any(axis=1))
+    first = int(differs[0]) if len(differs) else count
+    differs = np.flatnonzero((before[len(before) - count:] != now[len(now) - count:]).any(axis=1))
+    last = len(now) - count + int(differs[-1]) + 1 if len(differs) else len(now) - count
+    return first, max(first, last)
+
+
+def spliced(before: Motion, window: Motion, begin: int, stop: int) -> Motion:
+    """A motion with the frames `begin` to `stop` - 1 of another one. A quaternion and its negative are the same
+    rotation; each joint has the sign nearer to that of the frame before, in the window and after it."""
+    turns, tail = window.rotations[:stop - begin], before.rotations[stop:]
+    if begin > 0:
+        turns = turns * _signs(before.rotations[begin - 1], turns[0])
+    if len(tail):
+        signs = _signs(turns[-1], tail[0])
+        tail = tail if (signs > 0.0).all() else tail * signs
+    return replace(before, rotations=np.concatenate([before.rotations[:begin], turns, tail]),
+                   root_positions=np.concatenate([before.root_positions[:begin], window.root_positions[:stop - begin],
+                                                  before.root_positions[stop:]]))
+
+
+def _signs(one: Array, other: Array) -> Array:
+    """[J, 1] 1.0 where quaternions [J, 4] are on the same side, else -1.0."""
+    return np.where(np.sum(one * other, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+
+
+def _inputs(times: Array, features: NDArray[np.float32], shaping: Shaping | None
+            ) -> tuple[Array, tuple[MeantCue, ...]]:
+    """[M, D_m + 6] what poses are made from, and the named gestures."""
+    if shaping is None:
+        return np.column_stack([features, np.tile(_UNSCALED, (len(times), 1))]), ()
+    levels = shaping.levels(times)
+    arms = levels.arms
+    return np.column_stack([features, arms.intensity, arms.share, arms.both, levels.mirrored]), \
+        tuple(shaping.named(times))
+
+
+def _timed(times: Array, rows: Array) -> Array:
+    """[M, 1 + D] rows with their times before them."""
+    return np.column_stack([times, rows])
+
+
+def _joined(parts: Sequence[Motion | None]) -> Motion:
+    """Successive parts of one motion, of which some may be missing."""
+    given = [part for part in parts if part is not None]
+    return replace(given[0], rotations=np.concatenate([part.rotations for part in given]),
+                   root_positions=np.concatenate([part.root_positions for part in given]))

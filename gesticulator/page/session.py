@@ -1,0 +1,279 @@
+"""Rendering of one recording's plans while they are edited on a page.
+
+A page has a motion and its plan, a *rendering* with a number. After each edit it sends the whole plan and that number,
+and gets the plan with what was decided in it, and the frames that differ from those that it has (`server.message`).
+Where the recording is generated again, messages with the share that is done come before that.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_module.controls import FEATURES
+from data_module.motion import kinematics
+from data_module.motion.skeletons import standing
+from gesticulator.bundle.features import representation_of
+from gesticulator.directing.directions import check_plan_of, planned
+from gesticulator.directing.record import fingerprinted, named, rendered_plan
+from gesticulator.editing.frames import EditedFrames, FrameRenderer
+from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps, root_path
+from gesticulator.options import InferenceOptions
+from gesticulator.page.server import AbandonedError, message
+from gesticulator.performance import Performance
+from gesticulator.plan.plan import Block, GesturePlan, sound_hash
+from gesticulator.plan.plan_file import plan_from
+
+if TYPE_CHECKING:
+    from data_module.types import Motion
+    from gesticulator.bundle.bundle import Bundle
+    from gesticulator.directing.directions import Shaping
+    from gesticulator.editing.render import Generation, PlanRenderer
+    from gesticulator.pipeline import Gesticulator
+    from gesticulator.sampling.loop import GeneratedMotion
+
+MOST_GENERATIONS = 4
+"""First generations in memory: for the takes of a page, and for plans that were opened from files since."""
+MOST_RENDERINGS = 8
+"""Renderings in memory that a page may have, and that undo finds: ten minutes at 60 frames a second take 14 MB each."""
+MOST_FRAMES = 2
+"""Renderings whose frames the next one may share: ten minutes take 60 MB each. Two, for the takes of a page."""
+REPORTS = 12
+"""Blocks between two reports of progress: about half a second."""
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A motion that a page may have. plan: as it was sent, and as it was rendered; shape: the description of the motion
+    apart from its numbers; frames: [T, J, 4] rotations in whole steps; root: its path, as bytes."""
+
+    number: int
+    sent: GesturePlan
+    plan: GesturePlan
+    shape: Mapping[str, Any]
+    frames: NDArray[np.int16]
+    root: bytes
+
+
+class EditSession:
+    """Renders plans of the recording of performances. Not thread-safe."""
+
+    def __init__(self, gesticulator: Gesticulator, *performances: Performance) -> None:
+        """performances: one or more of the recording; the sound and words of the first are used, and the generations
+        that they kept (`Gesticulator.keeps_generations`)."""
+        first = performances[0]
+        self._gesticulator, self._speech, self._name = gesticulator, first.speech, first.sound_name
+        self._sound = sound_hash(first.speech)
+        self._generations = [(_identity(one.decided), one.generation) for one in performances
+                             if one.generation is not None]
+        self._renderers: OrderedDict[str, PlanRenderer] = OrderedDict()
+        self._renderings: OrderedDict[int, Rendering] = OrderedDict()
+        self._frames: OrderedDict[int, tuple[Hashable, EditedFrames]] = OrderedDict()
+        self._count = 0
+        self.on_edit: Callable[[Mapping[str, Any], GesturePlan], None] = lambda request, plan: None
+        """Called with the request and the rendered plan before each answer."""
+
+    @property
+    def speakers(self) -> tuple[str, ...]:
+        """The names of the performers."""
+        return self._gesticulator.speakers
+
+    def perform(self, plan: GesturePlan) -> Performance:
+        """The performance of a plan; `InputError` with the line if it is invalid or of another recording."""
+        options = planned(InferenceOptions(plan=plan))
+        performance = self._gesticulator.render(self._speech, options, self._renderer(options))
+        return performance.labelled(self._name, plan.notes)
+
+    def exported(self, plain: Mapping[str, Any]) -> Performance:
+        """The performance of a plan in plain values; `InputError` as in `perform`."""
+        return self.perform(plan_from(plain))
+
+    def opened(self, performance: Performance) -> int:
+        """The number of the rendering that a page begins with."""
+        rendering = self._whole(performance, plan_from(performance.plan().to_dict()))
+        options = planned(InferenceOptions(plan=rendering.sent))
+        if self._renders_parts and options.plan is not None and not options.plan.pins:
+            generated = self._renderer(options).render(options.plan)
+            self._share(rendering, options, self._frame_renderer(options).of_motion(
+                generated, self._shaping(options, generated), performance.motion))
+        return rendering.number
+
+    def answer(self, request: Mapping[str, Any], abandoned: Callable[[], bool] = lambda: False,
+               report: Callable[[bytes], object] = lambda message: None) -> bytes:
+        """The message that answers a page.
+
+        request: `plan`, and `have`, the number of the rendering that the page has, or null. abandoned: called now and
+        then, ends the rendering with `AbandonedError`; what was generated until then is remembered. report: takes
+        messages of progress. `InputError` for an invalid plan.
+        """
+        have = self._renderings.get(request["have"]) if isinstance(request.get("have"), int) else None
+
+        def on_block(done: int, total: int) -> None:
+            if abandoned():
+                raise AbandonedError
+            if done % REPORTS == 0 and done < total:
+                report(message({"kind": "progress", "share": round(done / total, 3)}))
+
+        rendering = self.render(plan_from(request["plan"]), have, on_block)
+        self.on_edit(request, rendering.plan)
+        return _answer(rendering, have)
+
+    def render(self, plan: GesturePlan, have: Rendering | None = None,
+               on_block: Callable[[int, int], None] | None = None) -> Rendering:
+        """The rendering of a plan, which shares what it can with the one that the page has. on_block: see
+        `PlanRenderer.render`."""
+        known = next((one for one in reversed(self._renderings.values()) if plan in (one.sent, one.plan)), None)
+        if known is not None:
+            self._renderings.move_to_end(known.number)
+            return known
+        options = planned(InferenceOptions(plan=plan))
+        assert options.plan is not None
+        check_plan_of(self._gesticulator.bundle, options.plan, self._sound)
+        sent = plan
+        if have is not None and plan.interpreter != have.plan.interpreter and plan.drawn == have.plan.drawn:
+            plan = self._with_lexemes_chosen_anew(plan, options, on_block)
+            options = planned(InferenceOptions(plan=plan))
+            assert options.plan is not None
+        if not self._renders_parts:
+            return self._whole(self.perform(plan), sent)
+        generated = self._renderer(options).render(options.plan, on_block)
+        shared = self._frames.get(-1 if have is None else have.number) or next(reversed(self._frames.values()), None)
+        before = shared[1] if shared is not None and shared[0] == self._framing(options) else None
+        frames = self._frame_renderer(options).render(generated, self._shaping(options, generated), options.plan,
+                                                      before)
+        rendering = self._kept(sent, self._decided(options, generated), frames.motion)
+        self._share(rendering, options, frames)
+        return rendering
+
+    @property
+    def _renders_parts(self) -> bool:
+        """Whether the bundle samples block by block, and poses give frames one by one."""
+        bundle = self._gesticulator.bundle
+        return bundle.system.BLOCKS and representation_of(bundle.config).name == "rotations"
+
+    def _frame_renderer(self, options: InferenceOptions) -> FrameRenderer:
+        return FrameRenderer(self._gesticulator.bundle, self._gesticulator.speaker_index(options.speaker), options)
+
+    def _framing(self, options: InferenceOptions) -> Hashable:
+        """The options on which frames depend, apart from their poses (`MotionPath`)."""
+        return options.speaker, options.fps, options.legs, options.seated, options.mirrored, options.seed
+
+    def _shaping(self, options: InferenceOptions, generated: GeneratedMotion) -> Shaping | None:
+        assert options.plan is not None
+        return self._gesticulator.shaping(self._speech, options, self._gesticulator.speaker_index(options.speaker),
+                                          generated.cut.edges, options.plan.meanings)
+
+    def _share(self, rendering: Rendering, options: InferenceOptions, frames: EditedFrames) -> None:
+        """Let the next renderings share the frames of one."""
+        self._frames[rendering.number] = self._framing(options), frames
+        while len(self._frames) > MOST_FRAMES:
+            self._frames.popitem(last=False)
+
+    def _whole(self, performance: Performance, sent: GesturePlan) -> Rendering:
+        """The rendering of a whole performance."""
+        return self._kept(sent, performance.plan(), performance.motion)
+
+    def _kept(self, sent: GesturePlan, plan: GesturePlan, motion: Motion) -> Rendering:
+        """The rendering of a motion, from now on in memory."""
+        whole = standing(motion)
+        page = kinematics.resample(whole, page_fps(self._speech.duration, whole.fps))
+        self._count += 1
+        rendering = Rendering(self._count, sent, plan, describe_shape(page, self._speech.duration),
+                              np.round(page.rotations * QUATERNION_STEPS).astype("<i2"), root_path(page))
+        self._renderings[self._count] = rendering
+        while len(self._renderings) > MOST_RENDERINGS:
+            self._renderings.popitem(last=False)
+        return rendering
+
+    def _decided(self, options: InferenceOptions, generated: GeneratedMotion) -> GesturePlan:
+        """The plan of the options with what was decided in its blocks."""
+        plan, gesticulator = options.plan, self._gesticulator
+        assert plan is not None
+        cast = gesticulator.cast(options, gesticulator.reads_words_of(self._speech))
+        origin = gesticulator.origin(self._speech, options, cast, plan.meanings)
+        rendered = rendered_plan(plan, self._speech, generated.blocks, origin)
+        rendered = replace(rendered, notes=plan.notes, sound=replace(rendered.sound, name=self._name))
+        return named(fingerprinted(rendered, self._speech), gesticulator.lexeme_names())
+
+    def _with_lexemes_chosen_anew(self, plan: GesturePlan, options: InferenceOptions,
+                                  on_block: Callable[[int, int], None] | None) -> GesturePlan:
+        """The plan with the lexemes that its interpreter chooses. Locked blocks, and the size and side of the others,
+        stay where the beats are those that were detected."""
+        performance = self._gesticulator.perform(self._speech, replace(
+            options, plan=None, cues=(), interpreter=plan.interpreter, variation=plan.variation, temperature=None,
+            beta=None, gain=0.0, legs=False, seated=False), on_block=on_block)
+        chosen = performance.plan()
+        settings = {**plan.made_by["settings"], **{
+            name: value for name, value in chosen.made_by["settings"].items() if name in ("temperature", "beta")}}
+        if "beta" not in chosen.made_by["settings"]:
+            settings.pop("beta", None)
+        before = {(block.start, block.end): block for block in plan.blocks}
+
+        def as_edited(block: Block) -> Block:
+            old = before.get((block.start, block.end))
+            if old is None or old.locked:
+                return old or block
+            return replace(block, intensity=old.intensity, mirror=old.mirror)
+
+        decided = replace(chosen, made_by={**plan.made_by, "settings": settings}, sound=plan.sound, knobs=plan.knobs,
+                          blocks=tuple([as_edited(block) for block in chosen.blocks]), cues=plan.cues,
+                          meanings=plan.meanings, pins=plan.pins, curves=plan.curves, notes=plan.notes,
+                          alignment=plan.alignment)
+        if performance.generation is not None:
+            self._generations = [*self._generations, (_identity(decided), performance.generation)][-MOST_GENERATIONS:]
+        return decided
+
+    def _renderer(self, options: InferenceOptions) -> PlanRenderer:
+        """The renderer of the first generation of the options' plan."""
+        plan = options.plan
+        assert plan is not None
+        key = _identity(plan)
+        if key in self._renderers:
+            self._renderers.move_to_end(key)
+        else:
+            generation: Generation | None = next((one for known, one in self._generations if known == key), None)
+            self._renderers[key] = self._gesticulator.plan_renderer(self._speech, options, generation)
+            while len(self._renderers) > MOST_GENERATIONS:
+                self._renderers.popitem(last=False)
+        return self._renderers[key]
+
+
+def levels_of(bundle: Bundle) -> dict[str, list[float]] | None:
+    """Feature of the hands -> its low, middle and high value, in its unit; None if they cannot be controlled."""
+    levels = bundle.levels
+    return None if levels is None else {name: [round(float(value), 3) for value in row]
+                                        for name, row in zip(FEATURES, levels.table, strict=True)}
+
+
+def directions_of(gesticulator: Gesticulator) -> dict[str, list[str]]:
+    """What the page offers as settings of the whole take: the names of performers and interpreters."""
+    return {"speakers": list(gesticulator.speakers), "interpreters": list(gesticulator.interpreters)}
+
+
+def _answer(rendering: Rendering, have: Rendering | None) -> bytes:
+    """The message with a rendering for a page that has another one, or none: the header `rendering` (its number),
+    `shape` (null for the same one), `plan`, `range` of the frames (first, last + 1) and `root`, the bytes of the root's
+    path after those of the frames."""
+    alike = have is not None and have.shape == rendering.shape
+    first, last = 0, len(rendering.frames)
+    if alike and have is not None:
+        differs = np.flatnonzero((rendering.frames != have.frames).any(axis=(1, 2)))
+        first, last = (int(differs[0]), int(differs[-1]) + 1) if len(differs) else (0, 0)
+    root = b"" if alike and have is not None and have.root == rendering.root else rendering.root
+    return message({"kind": "done", "rendering": rendering.number, "shape": None if alike else rendering.shape,
+                    "plan": rendering.plan.to_dict(), "range": [first, last], "root": len(root)},
+                   rendering.frames[first:last].tobytes() + root)
+
+
+def _identity(plan: GesturePlan) -> str:
+    """Everything that identifies a first generation. Legs are added to what was generated."""
+    controls = [curve for curve in plan.curves if curve.knob in FEATURES]
+    generated_by = {name: value for name, value in plan.made_by.items() if name != "settings"}
+    settings = {name: value for name, value in plan.made_by.get("settings", {}).items() if name != "legs"}
+    return repr((generated_by, settings, plan.seed, plan.variation, plan.speaker, plan.interpreter, plan.drawn,
+                 plan.words, controls))
