@@ -187,6 +187,7 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, sh
     with Manifest(manifest) as notes:
         waiting: dict[int, ManifestRow] = {}
         for task, row in zip(chosen, _read(BatchTask.row, chosen), strict=True):
+            # A row counts as done only if recording, program, bundle, settings and outputs are those of now.
             before = notes.rows.get(str(task.source))
             if task.fault is not None:
                 notes.add(replace(row, status=FAILED, error=one_line(task.fault)))

@@ -136,6 +136,7 @@ def _read_table(path: Path) -> list[Any]:
     try:
         with parquet.ParquetFile(path) as file:
             about, schema = file.metadata, _schema()
+            # Uncompressed sizes from the footer, before anything is decompressed.
             size = sum(about.row_group(group).total_byte_size for group in range(about.num_row_groups))
             if not 0 <= about.num_rows <= _MOST_ROWS or not 0 <= size <= _MOST_BYTES:
                 raise ValueError(f"it claims {about.num_rows} rows of {size} bytes")
@@ -184,6 +185,7 @@ def _is_kind(kind: Any, wanted: Any) -> bool:
 def _schema() -> Any:
     import pyarrow
 
+    # Columns without an entry are strings.
     kinds = {"seconds": pyarrow.float64(), "time": pyarrow.float64(), "output": pyarrow.list_(pyarrow.string())}
     return pyarrow.schema([(column.name, kinds.get(column.name, pyarrow.string())) for column in fields(ManifestRow)])
 
@@ -227,6 +229,7 @@ class Manifest:
     def __enter__(self) -> Manifest:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as held:
+            # Two batches with one manifest would overwrite each other's rows.
             held.enter_context(lock(self.path, "a batch", beside=True))
             if self.path.exists() or self._journal_path.exists():
                 self.rows = read_manifest(self.path)

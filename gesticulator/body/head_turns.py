@@ -95,7 +95,7 @@ class HeadTurns:
                      if turn.end is None and turn.degrees[1]), 0.0)
 
     def listen(self, samples: Samples, at: float) -> None:
-        """Take more of another's voice, at 16 kHz; reactions begin at `at` seconds or later."""
+        """Take more of the other speaker's voice, at 16 kHz; reactions begin at `at` seconds or later."""
         if self._loudness is None:
             self._loudness = LoudnessTracker()
         sound, size, step = np.concatenate([self._rest, samples]), round(STEP * FRAME * SAMPLE_RATE), STEP * FRAME
@@ -106,6 +106,7 @@ class HeadTurns:
             self._quiet = self._quiet + step if silent else 0.0
             self._spoken += 0.0 if silent else step
             now = at + start / SAMPLE_RATE
+            # A nod answers the end of a phrase: enough speech, then a short silence.
             if self._quiet >= _BREATH - 1e-9 and self._spoken >= _SPOKEN:
                 self._spoken = 0.0
                 for after, degrees in _NOD:
@@ -113,6 +114,7 @@ class HeadTurns:
             if self._listened >= _TILT_EVERY:
                 self._listened = 0.0
                 self._add(_Turn(now, _TURNS, now + _TURNS + _TILT_HOLDS, _TURNS, (0.0, 0.0, _TILT * self._side())))
+        # Samples that do not fill a step wait for the next call, so the size of packets changes nothing.
         self._rest = sound[len(sound) - len(sound) % size:]
 
     def _side(self) -> float:

@@ -104,6 +104,7 @@ class Pauses:
             steps = np.concatenate([steps, np.full(len(span.ahead), span.ahead_duration / len(span.ahead))])
         rests = self._rests(quiet, steps, open_end=span.ahead is not None)
         resting = rests[:count].copy()
+        # Frames of silence at the end of the block: they count for a pause that continues in the next.
         trailing = span.quiet[::-1].argmin() if not span.quiet.all() else count
         self._resting = bool(resting[-1])
         if self._resting:
@@ -122,6 +123,7 @@ class Pauses:
         bounds = [0, *turns.tolist(), len(quiet)]
         resting, out = self._resting, np.zeros(len(quiet), bool)
         for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+            # 1e-9: sums of frame durations must not miss a threshold by rounding.
             length = float(steps[first:last].sum()) + 1e-9
             goes_on = last == len(quiet)
             if quiet[first]:
@@ -180,6 +182,7 @@ class Phrases:
         """Take another activity; True where the phrase cannot go on with it. What was spoken until now counts with the
         activity of then."""
         before, self.activity = self.activity, activity
+        # Speech so far keeps the activity of its time: the balance stays continuous.
         self._owed += (before - activity) * self._spoken
         return before != activity and (activity in (0.0, 1.0) or before == 0.0)
 
@@ -187,10 +190,12 @@ class Phrases:
         # In milliseconds: the block's start on the clock of the audio.
         chance = float(uniform(self.seed, 1 << 20, np.array([round(start * 1000)]))[0])
         rank, weight = chance, 0.0
+        # Without a gate the choice is random alone.
         if not math.isnan(score):
             if self._ranked:
                 below, at_most = bisect_left(self._ranked, score), bisect_right(self._ranked, score)
                 rank = (below + (at_most - below) * chance) / len(self._ranked)
+                # A rank among few phrases says little: trust grows as n / (n + 4).
                 weight = len(self._ranked) / (len(self._ranked) + _TRUSTED)
             insort(self._ranked, score)
             self._order.append(score)
@@ -281,6 +286,8 @@ class RestingPart:
                 # A generator that uses its past starts from the frame before; one that ignores it is extrapolated.
                 before = generated[k - 1] if k else 2.0 * generated[0] - generated[1]
                 now, pose = self._last[1]
+                # The join removes the difference in position and in velocity, so the motion is once continuously
+                # differentiable.
                 jump = self._velocity() - (generated[k] - before) / (float(time) - now)
                 self._join, self._stop = _Join(now, float(times[-1]), pose - before, jump), None
             if self._stop is not None:
@@ -296,6 +303,7 @@ class RestingPart:
         interruption in seconds, a little earlier."""
         self._last, self._join = last, None
         now, pose = last[1]
+        # The speed falls as v (1 - t / T)^2, whose integral is v T / 3.
         stopped = np.clip(pose + self._velocity() * BREAKS_OFF / 3.0, *self.bounds)
         self._stop = _Stop(now, pose, self._velocity(), stopped, np.full(len(pose), BREAKS_OFF), self.rest,
                            HANGS - LETS_DOWN, max(word + LETS_DOWN - now, 0.0), evenly=True)
@@ -327,12 +335,14 @@ class _Way:
             return pose + velocity * seconds / 3.0, seconds
         tiny = 1e-3
         now, then, end = self._hands_of(np.stack([pose, pose + velocity * tiny, rest]))
+        # Velocity of the hands by a finite difference: the chain from angles to places is not linear.
         moves, ahead = (then - now) / tiny, end - now
         speeds, ways = np.linalg.norm(moves, axis=-1), np.linalg.norm(ahead, axis=-1)
         seconds[:] = np.clip(3.0 * _STOP_WITHIN / max(float(speeds.max()), 1e-6), _SHORTEST_STOP, LONGEST_STOP)
         stopped = pose + velocity * seconds / 3.0
         for side, columns in enumerate(self._hands_of.arms):
             cosine = float(moves[side] @ ahead[side]) / max(float(speeds[side] * ways[side]), 1e-9)
+            # 0 to 1: how surely the hand is on its way to rest.
             comes = min(max((cosine - _TOWARDS[0]) / (_TOWARDS[1] - _TOWARDS[0]), 0.0), 1.0)
             goes = min(_REACH * float(speeds[side]) * _RETRACTS, _FARTHEST)
             near = min(goes / max(float(ways[side]), 1e-9), 1.0)
@@ -440,6 +450,7 @@ class Rest:
 
     def rest(self, span: Span) -> None:
         """Instead of `hear`, for a block without sound: rest throughout."""
+        # A new `Pauses` starts at rest, as after a long silence.
         self._pauses, self._span, self._asked = Pauses(), span, False
         self._rests = [np.ones(len(span.quiet), bool)] * 2
 

@@ -33,6 +33,7 @@ def kept_scene(file: Path) -> Path:
     """Where Blender keeps the scene that it imports a file into, as long as it runs and the file does not change.
     `InputError` without Blender."""
     status = file.stat()
+    # Path, time and size: an edited file must not use the scene of its earlier version.
     name = hashlib.sha256(repr((str(file.resolve()), status.st_mtime_ns, status.st_size)).encode()).hexdigest()[:16]
     return start_blender(file) / f"{name}.blend"
 

@@ -64,6 +64,7 @@ def unpacked_view(extension: dict[str, Any], data: bytes, size: int, subject: ob
     package = decoder(MESHOPT, subject)
     try:
         if mode == "ATTRIBUTES":
+            # A void type of `stride` bytes: the decoder needs the size alone, whatever the components.
             raw = package.decode_vertex_buffer(count, stride, data, dtype=np.dtype(f"V{stride}"))
             out = raw.view(np.uint8).copy()
             if _FILTERS[name]:

@@ -85,6 +85,7 @@ def find_joints(character: Character) -> RigMapping:
     for up in ups:
         search = Search(character, labels, places, up)
         candidates.append(_found(search))
+        # The first axis that gives a plausible body is up; the others are tried only for doubtful ones.
         if candidates[-1].confidence >= 0.9:
             break
     best = max(candidates, key=_worth)
@@ -294,6 +295,7 @@ def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str], 
     used: tuple[str, ...] = ()
     shorter = parts[1:] if arm else parts[:-1]
     for wanted in (tuple(parts), tuple(shorter)):
+        # At most C(14, 4) = 1001 choices, so all of them are scored.
         for nodes in combinations(path, len(wanted)):
             score = sum(_name_score(search.labels[node], part, side) for node, part in zip(nodes, wanted, strict=True))
             score += _shape_score(search, nodes, wanted, path)
@@ -327,8 +329,10 @@ def _shape_score(search: Search, nodes: Sequence[int], parts: Sequence[str], pat
     upper, lower, end = (at[part] for part in (ARM_PARTS[1:] if "Hand" in at else LEG_PARTS[:3]))
     first, second = search.length(upper, lower), search.length(lower, end)
     whole = sum(search.length(a, b) for a, b in zip(path, path[1:], strict=False)) or 1.0
+    # A bone of almost no length is a helper at the joint, not a limb.
     if min(first, second) < 0.02 * whole:
         return -6.0
+    # Upper and lower arm, thigh and shin differ in length by less than a fifth in people.
     score = -abs(float(np.log(first / second))) + 2.0 * (first + second) / whole
     if "Hand" in at:
         branches = sum(parent == end for parent in search.character.parents)
@@ -386,6 +390,7 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
 def _distinct(search: Search, chain: Sequence[int]) -> list[int]:
     """A chain without nodes that coincide with their predecessor; the first is always kept."""
     out = list(chain[:1])
+    # Some exporters double a joint in the same place, for a constraint.
     small = 1e-4 * float(np.ptp(search.places @ search.up))
     out += [node for above, node in zip(chain, chain[1:], strict=False) if search.length(above, node) > small]
     return out
@@ -456,6 +461,7 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
             value *= 0.7
     arm, trunk = (search.length(joints["LeftArm"], joints["LeftForeArm"]),
                   abs(float((search.places[joints["Head"]] - search.places[joints["Hips"]]) @ search.up)))
+    # About a half in an adult; the range leaves room for stylised proportions.
     if not 0.15 < arm / max(trunk, 1e-9) < 1.2:
         doubts.append(f"an upper arm is {arm / trunk:.2f} of the height from hips to head" if trunk > 0.1 * arm else
                       "its head is no higher than its hips")
@@ -472,5 +478,6 @@ def _family(names: Sequence[str], used: Sequence[int]) -> str:
     plain = {names[node].rsplit(":", 1)[-1].replace(" ", "_").lower() for node in used}
     share = {family: len(plain & {name.lower() for name in table.values()}) / max(len(plain), 1)
              for family, table in NAME_TABLES.items()}
+    # Nearly all, as tools add bones of their own to a known convention.
     best = max(share, key=lambda family: share[family])
     return best if share[best] >= 0.8 else ""

@@ -92,6 +92,7 @@ _EASTERN = {word: english for english, words in {
     "shin": "すね 小腿", "knee": "ひざ 膝 膝盖", "ankle": "足首 脚踝 踝", "foot": "脚 脚掌", "toe": "つま先 脚趾 趾",
     "hair": "髪 头发 頭髮", "twist": "捩", "eye": "目 眼 眼睛", "helper": "キャンセル",
 }.items() for word in words.split()}
+# The longest words first, so that a compound is not read as its first character.
 _EAST = re.compile("|".join(sorted(map(re.escape, _EASTERN), key=len, reverse=True)))
 _CYRILLIC = re.compile("[а-яё]+", re.IGNORECASE)
 
@@ -198,6 +199,7 @@ def labels(names: Sequence[str]) -> tuple[Label, ...]:
     firsts = Counter(parts[0] for parts in map(words, names) if parts)
     word, count = firsts.most_common(1)[0] if firsts else ("", 0)
     known = word in _SIDES or word in _PARTS or word in _DOUBLE or word in _FINGERS or word in WORDS
+    # A common first word that is itself a side or a part ("Left") is no name of a character.
     noise = frozenset() if known or count < max(4, _MOST * len(names)) else frozenset((word,))
     sided = [set(parts) for parts in map(words, names) if set(parts) & set(_FRENCH)]
     french = sum(bool(parts & set(WORDS)) for parts in sided) >= _FEW
@@ -237,8 +239,10 @@ def label(name: str, noise: frozenset[str] = frozenset(), french: bool = False) 
             which = str(int(after[0]) - 1) + after[1]
         return Label((tuple(dict.fromkeys(_FINGERS.values()))[min(int(which[0]), 4)],), side, which[1:], tip, aid)
     for short, finger in _FINGERS.items():
+        # A finger without a side is an ornament or part of a glove.
         if side and key in (short, "hand" + short, short + "finger", "finger" + short, "f" + short, "in" + short):
             return Label((finger,), side, number, tip, aid)
+    # Ambiguous names first: the search decides by bone lengths which meaning fits.
     parts = _DOUBLE.get(key, ()) if side else ()
     parts = parts or _PARTS.get(key, ())
     if parts and (parts[0] in ("Hips", "Spine", "Neck", "Head")) == bool(side):

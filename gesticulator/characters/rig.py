@@ -37,6 +37,7 @@ class Skin:
 
     def posed(self, bind: Array, world: Array) -> Array:
         """[T, V, 3] where the points are when the nodes, bound at `bind` [N, 4, 4], are at `world` [T, N, 4, 4]."""
+        # Only the joints that move a vertex: a rig has many more nodes.
         used = np.unique(self.joints)
         moves = np.zeros((len(world), world.shape[1], 4, 4))
         moves[:, used] = world[:, used] @ np.linalg.inv(bind[used])
@@ -147,7 +148,9 @@ def decomposed(matrices: Array) -> tuple[Array, Array, Array]:
     The first scale of a mirrored matrix (determinant below 0) is negative.
     """
     scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
+    # A reflection has no rotation; moving it into one scale keeps the rest a proper rotation.
     scales[..., 0] *= np.where(np.linalg.det(matrices[..., :3, :3]) < 0.0, -1.0, 1.0)
+    # The polar decomposition: the nearest rotation to a matrix that may be sheared.
     left, _, right = np.linalg.svd(matrices[..., :3, :3] * np.where(scales < 0.0, -1.0, 1.0)[..., None, :])
     quaternions = Rotation.from_matrix((left @ right).reshape(-1, 3, 3)).as_quat(scalar_first=True)
     return matrices[..., :3, 3], quaternions.reshape(*matrices.shape[:-2], 4), scales
@@ -250,6 +253,7 @@ def chosen(character: Character, name: str) -> Character:
     inside[skeletons[name]] = True
     for node, parent in enumerate(character.parents):
         inside[node] |= parent >= 0 and inside[parent]
+    # Widths are measured on the mesh, so that of the other characters must go.
     near = inside[character.flesh_nodes]
     table = {bone: node for bone, node in character.humanoid.items() if inside[node]}
     # Joints are found by their names, too: those of the others must not be read.

@@ -89,6 +89,7 @@ def roll(turns: dict[int, Array], forearm: Forearm) -> Array:
     """
     apart = np.swapaxes(turns[forearm.node], -1, -2) @ turns[forearm.hand] @ forearm.base.T
     q = Rotation.from_matrix(apart).as_quat(scalar_first=True)
+    # The twist of a swing-twist decomposition: the part of the quaternion along the axis.
     angle = 2.0 * np.arctan2(q[:, 1:] @ forearm.axis, q[:, 0])
     angle = np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
     left = np.clip((np.pi - np.abs(angle)) / (np.pi - _FARTHEST), 0.0, 1.0)

@@ -113,6 +113,7 @@ def keys(action: Any, owner: Any, path: str, values: Any) -> None:
             curve = action.fcurve_ensure_for_datablock(owner, path, index=index)
         else:
             curve = action.fcurves.new(path, index=index)
+        # All points in one call, since Blender sorts and reallocates for each single one.
         curve.keyframe_points.add(len(track))
         curve.keyframe_points.foreach_set("co", [number for pair in enumerate(track) for number in pair])
         curve.keyframe_points.foreach_set("interpolation", [1] * len(track))  # linear
@@ -226,5 +227,6 @@ def needed(row: Any, bound: float) -> Any:
 if __name__ == "__main__":
     # Blender passes the arguments after "--"; a Python with bpy passes all.
     given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
+    # Omitted arguments take the defaults of `convert`.
     numbers = [float(number) for number in given[2:4]] + [30.0, 0.0][len(given[2:4]):]
     convert(given[0], given[1], numbers[0], numbers[1], *given[4:])

@@ -103,6 +103,7 @@ class GltfDocument:
         # The order of first use: times before the values that need them.
         numbers: dict[int, tuple[NDArray[Any], bool]] = {}
         for _, _, times, values in tracks:
+            # By identity: tracks that share an array of times share its accessor.
             numbers.setdefault(id(times), (times, True))
             numbers[id(values)] = values, False
         accessors = dict(zip(numbers, self._packed(list(numbers.values())), strict=True))
@@ -141,6 +142,7 @@ class GltfDocument:
         self._append(bytes(-self._size % 4))
         self.document.setdefault("buffers", [{}])[0]["byteLength"] = self._size
         text = json.dumps(self.document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+        # Chunks of a GLB are padded to 4 bytes: JSON with spaces, binary with zeros.
         text += b" " * (-len(text) % 4)
         size = 12 + 8 + len(text) + 8 + self._size
         if size > LARGEST:

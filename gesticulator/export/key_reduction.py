@@ -39,10 +39,12 @@ Error: TypeAlias = Callable[[Array, Array, Array, Array], Array]
 
 def rotation_errors(turns: Array, before: Array, after: Array, share: Array) -> Array:
     """[...] radians between unit quaternions [..., 4] and the shortest arc from `before` to `after` at `share`."""
+    # q and -q are the same rotation: take the nearer one, as players do.
     cosine = np.sum(before * after, axis=-1)
     after = np.where(cosine[..., None] < 0.0, -after, after)
     angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
     sine = np.sin(angle)
+    # For nearly equal keys slerp divides 0 by 0: interpolate linearly.
     straight = sine < 1e-9
     sine = np.where(straight, 1.0, sine)
     first = np.where(straight, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
@@ -82,6 +84,7 @@ def _kept_in_span(values: Array, bounds: Array, errors: Error) -> NDArray[np.boo
         tracks = np.broadcast_to(np.arange(len(todo)), before.shape)
         np.maximum.at(worst, (before, tracks), off)
         has_key[:, todo] |= bad & (off == worst[before, tracks])
+        # Tracks within their bound are done.
         todo = todo[bad.any(axis=0)]
     for _ in range(_ROUNDS):
         removed = [_thin(values, has_key, bounds, errors, parity) for parity in (0, 1)]

@@ -140,6 +140,7 @@ def pose(moved: CharacterMotion) -> dict[str, Any]:
     """
     character = moved.character
     nodes = [node for node in moved.moved if node]  # node 0 is the armature's object
+    # Blender's pose is relative to rest: q_pose = q_rest^-1 q_local.
     back = rotation.conjugate(character.rotations[nodes])
     shifts = np.zeros((0, 3))
     if moved.translations is not None:

@@ -88,6 +88,7 @@ def vrm_animation(motion: Motion, clip: ClipLayout, face: FaceMotion | None = No
         from gesticulator.export.face import vrma_tracks
 
         more = vrma_tracks(gltf, gltf.document["extensions"][EXTENSION], face)
+    # Errors of hips and legs add up at the feet, so their keys are held tighter.
     steady = frozenset(node for node, bone in enumerate(nodes.names) if BONES[bone][2] in ("Hips", *LEG_JOINTS))
     gltf.animate(clip, nodes, {node: node for node in range(len(nodes.names)) if not (clip.bare and node in steady)},
                  steady, more)
