@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +74,8 @@ class FaceMotion:
 
     def __getitem__(self, frames: slice | NDArray[np.int64]) -> FaceMotion:
         """Some of the frames."""
-        return replace(self, **{name: getattr(self, name)[frames] for name in _PARTS})
+        parts: dict[str, Any] = {name: getattr(self, name)[frames] for name in _PARTS}
+        return replace(self, **parts)
 
 
 def joined(faces: Sequence[FaceMotion]) -> FaceMotion:
