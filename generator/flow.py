@@ -85,7 +85,7 @@ class Circumstances:
         silence, and the speech, have lasted. And the state after the block."""
         quiet, speech = (self.quiet + 1, 0) if silent[1] else (0, self.speech + 1)
         # In single precision, as the durations in the training data.
-        logs = [math.log(np.float32(np.float32(one) / np.float32(_TEMPO))) for one in durations]
+        logs = [math.log(np.float32(np.float32(seconds) / np.float32(_TEMPO))) for seconds in durations]
         place = torch.tensor([*logs, *map(float, silent), math.log1p(quiet), math.log1p(speech) / 3],
                              dtype=torch.float32)
         return place, Circumstances(quiet, speech)
@@ -111,10 +111,10 @@ def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
 class FlowInputs:
     """Inputs of N blocks: audio windows [B, N, 3K, d], lexemes [B, N] (S for none), the previous blocks
     [B, N, K, D_m] with the ratios of durations [B, N], circumstances [B, N, 8], the speaker one-hot [B, P], and the
-    style control [B, N, K, 2 F], None without. deaf: [B] the audio is left out. forgets: [B] the previous motion is
-    left out, except for the last frames. unit: [B, N, U] the planner's decisions, one-hot and side by side, or None.
-    style: [B, N, d_z] the style codes of the blocks' units, or None. All but the lexemes may have 1 in place of B if
-    they are the same for all B.
+    style control [B, N, K, 2 F], None without. without_audio: [B] the audio is left out. without_history: [B] the
+    previous motion is left out, except for the last frames. unit: [B, N, U] the planner's decisions, one-hot and side
+    by side, or None. style: [B, N, d_z] the style codes of the blocks' units, or None. All but the lexemes may have 1
+    in place of B if they are the same for all B.
     """
 
     audio: Tensor
@@ -124,8 +124,8 @@ class FlowInputs:
     circumstances: Tensor
     speaker: Tensor
     control: Tensor | None = None
-    deaf: Tensor | None = None
-    forgets: Tensor | None = None
+    without_audio: Tensor | None = None
+    without_history: Tensor | None = None
     unit: Tensor | None = None
     style: Tensor | None = None
 
@@ -188,10 +188,13 @@ class FlowGenerator(nn.Module):
 
     def squeeze(self, coefficients: Tensor) -> Tensor:
         """y [..., n] to u = asinh(b y / sd) / sd_u."""
+        # The division by the deviation of u in the training data makes u a variable of variance 1, as `FlowHead`
+        # assumes.
         return torch.asinh(self.config.bend * coefficients / self.basis.scale) / self.deviation
 
     def stretch(self, squeezed: Tensor) -> Tensor:
         """The inverse of `squeeze`, clipped to the range of the training data."""
+        # Limited before and after: sinh would overflow, and an outlier in u is exponentially far in y.
         y = torch.sinh((squeezed * self.deviation).clamp(-_MOST, _MOST)) / self.config.bend * self.basis.scale
         return torch.maximum(torch.minimum(y, self.basis.limits[1]), self.basis.limits[0])
 
@@ -211,22 +214,24 @@ class FlowGenerator(nn.Module):
         them; added: [B, N, n] u of the previous blocks."""
         batch, blocks = given.lexeme.shape
         audio = self.encode_audio(given.audio)
-        if given.deaf is not None:
-            audio = torch.where(given.deaf[:, None, None, None], self.unheard, audio)
+        if given.without_audio is not None:
+            audio = torch.where(given.without_audio[:, None, None, None], self.unheard, audio)
         name = self.name(given.lexeme)
         moved = self.encode_motion(given.before.flatten(0, 1).transpose(1, 2)).transpose(1, 2).unflatten(
             0, given.before.shape[:2])
-        if given.forgets is not None:
-            remembers = (~given.forgets)[:, None, None].to(added.dtype)
+        if given.without_history is not None:
+            remembers = (~given.without_history)[:, None, None].to(added.dtype)
             moved, added = moved * remembers[..., None], added * remembers
         rows = [moved, audio, repeat_frames(name, self.frames), self.position.expand(1, blocks, -1, -1)]
         pose, velocity, acceleration = given.past.state()
         beside = [self.hear(audio.flatten(-2)), name] if self.bypassed else []
+        # A velocity (per frame) is a small part of a pose in size: the factors bring the three nearer to each other.
         known = [*beside, pose, 4.0 * velocity, 6.0 * acceleration, added,
                  given.circumstances, given.speaker[:, None].expand(-1, blocks, -1)]
         if self.control_width:
             free = audio.new_zeros(1, blocks, self.frames, self.control_width)
             rows.append(free if given.control is None else given.control)
+            # The LSTM steps by block, so it takes the mean over the frames of what the code has frame by frame.
             known.append(rows[-1].mean(-2))
         for width, given_rows in ((self.unit_width, given.unit), (self.style_width, given.style)):
             known.append(added.new_zeros(1, blocks, width) if given_rows is None else given_rows)
@@ -245,45 +250,52 @@ class FlowGenerator(nn.Module):
 
         batch: motion [B, N + 1, K, D_m], audio [B, N + 1, 3K, d], ratio [B, N + 1], circumstances [B, N + 1, 8],
         speaker [B, P], mask [B, D_m], valid [B, N + 1], control [B, N + 1, K, 2 F], unit [B, N + 1, U] and code [B, N +
-        1, d_z] if used. nearest: the lexicon's arg
-        min over coefficients; a shifted past changes the coefficients of a block, and so its lexeme. left_out:
-        probabilities of dropping audio, lexeme and previous motion of a window, and the previous coefficients of a
-        block; those of the settings by default.
+        1, d_z] if used. nearest: the lexicon's arg min over coefficients; a shifted past changes the coefficients of a
+        block, and so its lexeme. left_out: probabilities of dropping audio, lexeme and previous motion of a window,
+        and the previous coefficients of a block; those of the settings by default.
         """
         from data_module.parallel import batch_ratio, draws_along, full_precision  # only training needs them
 
         c, motion = self.config, batch["motion"]
-        deaf, unnamed, forgetful, untold = left_out or (AUDIO_DROPOUT, LEXEME_DROPOUT, c.history_dropout,
-                                                        ADDED_DROPOUT)
+        no_audio, no_lexeme, no_history, no_added = left_out or (AUDIO_DROPOUT, LEXEME_DROPOUT, c.history_dropout,
+                                                                 ADDED_DROPOUT)
         before, true = self._shifted(motion[:, :-1]), motion[:, 1:]
         ratio = batch["ratio"][:, 1:]
         past = Pasts(before[..., -PAST:, :], ratio)
         fading = _fade(self.frames, motion)[:, None]
+        # The target leads from the shifted past back to the recorded motion within the block: what the generator has to
+        # do after an error of its own.
         back = true + (before[..., -1:, :] - motion[:, :-1, -1:]) * fading
         y = full_precision(self.basis.coefficients)(back, past)
         u = self.squeeze(y)
+        # The coefficients of the seed block are not known: they depend on a past before the window.
         added = torch.cat([torch.zeros_like(u[:, :1]), u[:, :-1]], 1)
         share = torch.rand(*u.shape[:2], 1, device=u.device)
-        added = torch.where(share < untold, torch.zeros_like(added), added)
+        added = torch.where(share < no_added, torch.zeros_like(added), added)
+        # Labels anew from the shifted blocks, so that a lexeme always names the movement that is to be made.
         lexeme = full_precision(nearest)(y.flatten(0, 1)).unflatten(0, y.shape[:2])
         with draws_along(1):
+            # One number for each window and input: guidance runs whole performances without an input, not single
+            # blocks.
             some = torch.rand(5, len(motion), device=u.device)
-        lexeme = torch.where((some[0] < unnamed)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
+        lexeme = torch.where((some[0] < no_lexeme)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
         control = batch["control"][:, 1:] if self.control_width and "control" in batch else None
         audio, place = batch["audio"][:, 1:], batch["circumstances"][:, 1:]
         if self.training and c.after_dropout:
             hidden = torch.rand(len(motion), device=u.device) < c.after_dropout
             audio = without_after(audio, hidden)
             place = torch.where(hidden[:, None, None], alone(place), place)
-        given = FlowInputs(audio, lexeme, before, ratio, place, batch["speaker"], control, some[1] < deaf,
-                           some[2] < forgetful, *(
+        given = FlowInputs(audio, lexeme, before, ratio, place, batch["speaker"], control, some[1] < no_audio,
+                           some[2] < no_history, *(
                                None if key not in batch else batch[key][:, 1:] * (some[k] >= share)[:, None, None]
                                for k, key, share in ((3, "unit", UNIT_DROPOUT * self.training),
                                                      (4, "code", c.style_dropout * self.training))))
         context, _ = self.contexts(given, added, temperature=self.temperature(progress))
         conditions = self.head.conditions(context)
+        # No loss on parts of the body that the source lacks, nor on padding.
         weight = self.basis.known(batch["mask"])[:, None] * self.component_weights() * batch["valid"][:, 1:, None]
         total = u.new_zeros(())
+        # The context costs most of a step and does not depend on time or noise, so several samples share it.
         for _ in range(DRAWS):
             time, noise = torch.rand(*u.shape[:2], 1, device=u.device), torch.randn_like(u)
             v = self.head((1 - time) * noise + time * u, FlowTime.of(time), conditions)
@@ -325,6 +337,7 @@ class FlowGenerator(nn.Module):
         of five of these, which take six."""
         head, rows = self.head.sampling(), len(noise)
         guidance = Guidance(gains[:, None], 1 if shared else rows)
+        # Row -> context: every sample with all inputs, then the guided rows once for each left-out input.
         of = torch.tensor([0] * rows + [context for context in range(1, len(contexts)) for _ in range(guidance.guided)],
                           device=noise.device)
         conditions = [(scale[of], shift[of]) for scale, shift in self.head.conditions(contexts)]
@@ -350,6 +363,7 @@ def _fade(frames: int, like: Tensor) -> Tensor:
 
 
 _FREQUENCIES = 8
+"""F, frequencies of the sines and cosines that tell the head the time t."""
 
 
 @dataclass(frozen=True)
@@ -405,6 +419,7 @@ class FlowHead(nn.Module):
 
     def forward(self, noisy: Tensor, time: FlowTime, conditions: list[tuple[Tensor, Tensor]]) -> Tensor:
         """v [..., n] of noisy u_t [..., n]; conditions: as of `conditions`."""
+        # Scaled to variance 1 at every t, so that the layers need not learn the scale of the noise.
         x = self.enter(torch.cat([noisy / time.deviation, time.waves.expand(*noisy.shape[:-1], -1)], -1))
         for (scale, shift), inner, outer in zip(conditions, self.inner, self.outer, strict=True):
             x = x + outer(functional.gelu(inner(functional.layer_norm(x, x.shape[-1:]) * scale + shift)))

@@ -24,6 +24,7 @@ def reconstruction(generated: Tensor, motion: Tensor, mask: Tensor | None = None
 def perceptual(generated: Tensor, motion: Tensor, encoder: Encoder) -> Tensor:
     """L_perc = |E(M*) - E(M)|^2 with the frozen encoder, before quantisation, over [B, K, D_m] (RG Eq. 11)."""
     with torch.no_grad():
+        # The truth is a constant here: a gradient through it has nothing to train, as E is frozen.
         target = encoder(motion)
     return batch_mean((encoder(generated) - target).pow(2))
 
@@ -43,5 +44,6 @@ def style_divergence(codes: Tensor, eps: float = 1e-6) -> Tensor:
     mean, variance, count = batch_moments(codes)
     if count == 0 or codes.shape[1] == 0:
         return codes.new_zeros(())
+    # Keeps the logarithm finite for a single code, whose variance is 0.
     variance = variance + eps
     return 0.5 * (variance + mean.pow(2) - 1.0 - variance.log()).mean()

@@ -151,6 +151,7 @@ class StyleCodes(nn.Module):
 
     def __init__(self, blocks: int, width: int) -> None:
         super().__init__()
+        # Sparse: a step touches the codes of its windows only, out of one for every block of the corpus.
         self.table = nn.Embedding(blocks + 1, width, padding_idx=0, sparse=True)
         with torch.no_grad():
             nn.init.normal_(self.table.weight, std=0.3)
@@ -168,6 +169,7 @@ class GumbelCodes(nn.Module):
         super().__init__()
         self.groups, self.classes = groups, classes
         self.logits = Linear(width, groups * classes)
+        # Vectors of length 1 on average, whatever their width.
         self.vectors = nn.Parameter(torch.randn(groups, classes, group_width) / group_width**0.5)
 
     def forward(self, hidden: Tensor, temperature: float) -> tuple[Tensor, Tensor]:
@@ -175,9 +177,11 @@ class GumbelCodes(nn.Module):
         choice is sampled, with the gradient of the soft choice; in evaluation it is the arg max."""
         logits = self.logits(hidden).unflatten(-1, (self.groups, self.classes))
         if self.training:
+            # Straight-through: hard as in evaluation, so the decoder never sees a mixture of classes in training.
             choice = functional.gumbel_softmax(logits, tau=temperature, hard=True)
         else:
             choice = functional.one_hot(logits.argmax(-1), self.classes).to(logits.dtype)
+        # Choice (one-hot) times vectors: a look-up whose gradient reaches the choice.
         return torch.einsum("...hc,hcw->...hw", choice, self.vectors).flatten(-2), choice
 
     def best(self, hidden: Tensor) -> Tensor:
@@ -246,6 +250,7 @@ class Generator(nn.Module):
         c = self.config
         both = self.start(torch.cat([pose, lexeme], dim=-1))
         hidden, cell = both.unflatten(-1, (2, c.lstm_layers, c.lstm_width)).permute(1, 2, 0, 3)
+        # The hidden state of an LSTM lies between -1 and 1, its cell state has no bounds.
         return torch.tanh(hidden).contiguous(), cell.contiguous()
 
     def step(self, past: Tensor, audio: Tensor, lexeme: Tensor, style: Tensor, state: State, temperature: float = 1.0,
@@ -287,6 +292,7 @@ class Generator(nn.Module):
             past = block
             if own_past < 1.0 and motion is not None:
                 generated = torch.rand(len(seed), 1, 1, device=seed.device) < own_past
+                # Drawn per window: in one batch some windows follow the truth and others their own output.
                 past = torch.where(generated, block, motion[:, i])
         return torch.stack(blocks, 1), torch.stack(choices, 1)
 
@@ -315,12 +321,14 @@ class Generator(nn.Module):
         control = batch["control"][:, 1:] if self.control_width else None
         used = style
         if self.training and self.config.style_dropout > 0:
+            # Dropped for the whole window; the divergence and the lexeme loss below still use the codes.
             used = style * (torch.rand(len(style), 1, 1, device=style.device) >= self.config.style_dropout)
         generated, _ = self.roll_out(motion[:, 0], BlockInputs(audio, lexemes, used, control), motion[:, 1:],
                                      self.own_past_probability(progress), temperature)
         valid = batch["valid"][:, 1:]
         mask = batch["mask"][:, None, None] * valid[:, :, None, None]
         real = valid > 0
+        # Velocities include that across the seam between two blocks, where jumps are most visible.
         before = torch.cat([motion[:, :1, -1], generated[:, :-1, -1]], 1)[:, :, None]
         before_true = motion[:, :-1, -1][:, :, None]
         velocity = torch.diff(torch.cat([before, generated], 2), dim=2) \
@@ -349,6 +357,7 @@ class Generator(nn.Module):
         rows = own_rows(count) if divided else slice(count)
         i = torch.randperm(len(past), device=past.device)[:count][rows]
         j = torch.randperm(len(past), device=past.device)[:count][rows]
+        # The decoder starts anew, because the pairs are single blocks out of their context.
         state = self.first_state(past[j, -1], wanted[i])
         with draws_along(0 if divided else None):
             block, _, _ = self.step(past[j], self.encode_audio(windows[j]), wanted[i], styles[j], state,

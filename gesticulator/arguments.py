@@ -136,7 +136,7 @@ def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionF
         return
     if field.name == "interpreter":
         more["choices"] = tuple(INTERPRETERS)
-        text += ": " + ", ".join(f"{one} ({entry.about})" for one, entry in INTERPRETERS.items())
+        text += ": " + ", ".join(f"{key} ({entry.about})" for key, entry in INTERPRETERS.items())
     elif flag.choices:
         more["choices"] = flag.choices
     else:
@@ -242,7 +242,7 @@ def check_cues(gesticulator: Gesticulator, options: InferenceOptions) -> None:
     if unknown:
         from gesticulator.directing.lexeme_names import lexeme_names
 
-        names = [one.name for one in lexeme_names(gesticulator.bundle)]
+        names = [lexeme.name for lexeme in lexeme_names(gesticulator.bundle)]
         for gesture in unknown:
             if gesture not in names:
                 raise InputError(f"--cue {shown(gesture)}", "is the name of no gesture", near_gestures(gesture, names))

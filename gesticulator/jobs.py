@@ -86,8 +86,8 @@ class Job:
     def digest(self) -> str:
         """SHA-256 of what decides the bytes of the output, but for the recording itself and the names of the files. A
         file that a setting names counts by its content, so that a moved folder changes nothing."""
-        parts = [(one.name, _content(getattr(self, one.name))) for one in fields(self)
-                 if one.name not in ("source", "targets", "any_length", "retime_report", "fault")]
+        parts = [(entry.name, _content(getattr(self, entry.name))) for entry in fields(self)
+                 if entry.name not in ("source", "targets", "any_length", "retime_report", "fault")]
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -104,10 +104,10 @@ class BatchRequest:
 def _content(value: Any) -> object:
     """A value of a setting; of the path of a file the SHA-256 of its bytes, also inside dataclasses."""
     if isinstance(value, InferenceOptions | CharacterRequest):
-        return [(one.name, _content(getattr(value, one.name))) for one in fields(value)]
+        return [(entry.name, _content(getattr(value, entry.name))) for entry in fields(value)]
     if isinstance(value, str | os.PathLike) and Path(value).is_file():
-        found = Path(value).stat()
-        return _file_hash(Path(value), found.st_mtime_ns, found.st_size)
+        status = Path(value).stat()
+        return _file_hash(Path(value), status.st_mtime_ns, status.st_size)
     return value
 
 
@@ -297,7 +297,7 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
         return None
     from gesticulator.characters.reading import choose
     from gesticulator.characters.retarget import Retargeter
-    from gesticulator.characters.several import note_of
+    from gesticulator.characters.rig import note_of
 
     rig, mapping = choose(character.file, character.mapping, character.save_mapping)
     note = note_of(rig, mapping.joints["Hips"])

@@ -184,7 +184,7 @@ class Performance:
         check_output(path, unit)  # before a folder is made
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         if self.clip is not None and self.clip.sound:
-            from gesticulator.export.sound_beside import write_sound
+            from gesticulator.export.sound import write_sound
 
             write_sound(Path(path), self.speech)
         return write(path, self.scene(), unit=unit)

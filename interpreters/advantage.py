@@ -144,6 +144,7 @@ class Critics(nn.Module):
         target = advantages(batch["every"].unsqueeze(-2), batch["log_prior"]).unsqueeze(-2)
         mean = (values.reward * prior.unsqueeze(-2)).sum(-1, keepdim=True)
         error = (values.reward - mean - target).square() * weight.unsqueeze(-2)
+        # Substitutions are measured for a part of the decisions only; NaN marks the rest.
         tried = ~torch.isnan(batch["gained"])
         taken = values.future.gather(-1, _each(batch["action"].unsqueeze(-1), values.future))
         other = values.future.gather(-1, _each(batch["swap"], values.future))
@@ -152,6 +153,7 @@ class Critics(nn.Module):
         with torch.no_grad():
             spread = self.advantage(values, batch["log_prior"]).square() * prior
             now = masked_mean(spread.sum(-1), batch["valid"]).sqrt()
+            # The first steps replace the initial spread at once; later ones follow slowly.
             self.spread.lerp_(now, _MOMENTUM if progress > _MOMENTUM else 1.0)
         share = batch_mean(tried.float()).clamp_min(1e-3)
         return {"reward": masked_mean(error.sum(-1), valid),
@@ -228,5 +230,6 @@ class AdvantageInterpreter(InterpreterDefaults):
         after = AdvantageState(prior, critics, log_prior, advantage)
         if self.beta == 0:
             return log_prior, after
+        # `select` divides by T: times T here, beta scales the advantage at any temperature as in the equation above.
         scores = log_prior + (self.temperature or 1.0) * self.beta * advantage
         return scores - np.logaddexp.reduce(scores), after

@@ -191,6 +191,7 @@ def as_interpreter(given: object) -> Interpreter:
     kind = type(given).__name__
     if not isinstance(given, LexemeInterpreter):
         raise InputError(f"interpreter {kind}", "has no start and step", "see interpreters.base.LexemeInterpreter")
+    # A class with `needs` but without `guided`, say, would silently lose what it has.
     partly = sorted(_OPTIONAL & set(dir(given)))
     if partly:
         raise InputError(f"interpreter {kind}", f"has {', '.join(partly)} but not all of the protocol",
@@ -247,10 +248,13 @@ def select(scores: Scores, *, allowed: NDArray[np.int64] | None = None, temperat
     if temperature == 0 or (rng is None and noise is None):
         return int(np.argmax(masked))
     if top is not None and top < len(masked):
+        # Scores equal to the last of the best stay in, whatever their number: none of them is better.
         masked[masked < np.sort(masked)[-top]] = -np.inf
     if noise is not None:
+        # The Gumbel-max trick: a sample of the softmax, reproducible block by block from the given noise.
         return int(np.argmax(masked / temperature + noise))
     assert rng is not None
+    # The largest exponent is 0, so that exp cannot overflow.
     weights = np.exp((masked - masked.max()) / temperature)
     return int(rng.choice(len(weights), p=weights / weights.sum()))
 
@@ -309,7 +313,9 @@ class InterpreterByEar(InterpreterDefaults):
 
     def step(self, state: tuple[Any, Any], features: BlockFeatures, previous_lexeme: int
              ) -> tuple[Scores, tuple[Any, Any]]:
-        (audible, with_audio), (deaf, without) = self.inner.step_with_and_without_sound(state, features,
-                                                                                        previous_lexeme)
-        scores = audible + self.guidance * (audible - deaf)
+        (guided, with_audio), (unguided, without) = self.inner.step_with_and_without_sound(state, features,
+                                                                                           previous_lexeme)
+        # Both states take the same previous lexeme, the one that was chosen from the guided scores.
+        scores = guided + self.guidance * (guided - unguided)
+        # Extrapolated log-probabilities do not sum to 1 any more.
         return scores - np.logaddexp.reduce(scores), (with_audio, without)

@@ -69,6 +69,7 @@ class QNetwork(nn.Module, InterpreterDefaults):
         self.layers = nn.ModuleList(Layer(config.width, config.heads, config.dropout) for _ in range(config.layers))
         self.head = Head(config.width, lexemes)
         self.apply(begin_small)
+        # A lexicon without silent lexemes must not leave a silent block without any action.
         allowed = [index in set(silent) or not len(silent) for index in range(lexemes)]
         self.register_buffer("when_silent", torch.tensor(allowed), persistent=False)
 
@@ -140,16 +141,19 @@ class QNetwork(nn.Module, InterpreterDefaults):
                            state.speaker, torch.tensor([[features.silent]], device=device))
         filled, window = state.tokens.shape[2], self.config.decisions
         tokens = torch.cat([state.tokens, pair], dim=2)[:, :, -window:]
+        # Positions count from the start of the window. Once it slides, every token moves to another position, and
+        # cached keys and values no longer hold.
         resumes = state.past is not None and filled < window
         new, first = (pair, filled) if resumes else (tokens, 0)
         out, present = self.through(self.placed(new, first), self.layers, state.past if resumes else None)
+        # A full window slides at the next step, which could not use the cache.
         keep = self.cached and tokens.shape[2] < window
         scores = self.head(out[0, 1, -1]).double().cpu().numpy()
         return scores, QState(state.speaker, tokens, present if keep else None, features.high)
 
 
 class LiteralQNetwork(QNetwork):
-    """The Q-network that learned from recorded lexemes only and whose best lexeme is played, as published."""
+    """The Q-network as published: trained on recorded lexemes only, and the lexeme of the highest value is taken."""
 
     name = "cql-literal"
 
@@ -159,6 +163,7 @@ def data_nll(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
     action: [...]. It is the cross-entropy of softmax(Q) over the allowed actions. 0 if the data's action is not
     allowed, because its value is not in the sum and would grow without bound."""
     taken = action.unsqueeze(-1)
+    # Only allowed actions compete: pressing down the values of others would have no effect on a choice.
     everything = values.masked_fill(~allowed, -torch.inf).logsumexp(-1)
     known = allowed.gather(-1, taken).squeeze(-1)
     return (everything - values.gather(-1, taken).squeeze(-1)) * known
@@ -187,10 +192,12 @@ class DecisionBatch:
 def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch, gamma: float, huber: float = 0.0
                         ) -> tuple[Tensor, Tensor]:
     """The terms of RACER Eq. 11, unweighted: E[log sum_a exp Q(s, a) - Q(s, a_data)] and E[(Q(s, a_data) - y)^2] / 2.
-    values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'. Both means are over valid steps."""
+    values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'. The first mean is over valid steps, the
+    second over those of them whose next value is known."""
     conservative = data_nll(values, done.action, done.allowed)
     chosen = values.gather(-1, done.action.unsqueeze(-1)).squeeze(-1)
     target = backed_up(done.reward, done.terminal, next_value, gamma).detach()
+    # Both forms are e^2 / 2 for small errors, so `huber` does not change the balance of the two terms there.
     error = functional.huber_loss(chosen, target, reduction="none", delta=huber) if huber else (
         0.5 * (chosen - target).square())
     return masked_mean(done.cloned * conservative, done.valid), masked_mean(error, done.valid * done.known)
@@ -223,6 +230,7 @@ class ConservativeQ(nn.Module):
     def __init__(self, online: QNetwork) -> None:
         super().__init__()
         self.config, self.online = online.config, online
+        # A delayed copy: regression on targets of the network itself would chase its own changes (Mnih 2015).
         self.target = copy.deepcopy(online)
         freeze(self.target)
 
@@ -235,6 +243,7 @@ class ConservativeQ(nn.Module):
     def train(self, mode: bool = True) -> ConservativeQ:
         super().train(mode)
         self.online.train(mode)
+        # The target never has dropout: the maximum over actions would turn its noise into a bias upwards.
         self.target.eval()
         return self
 
@@ -253,6 +262,8 @@ class ConservativeQ(nn.Module):
         states = batch["previous"], batch["audio"], batch["speaker"], batch["silent"]
         values = self.target.values(*states)[:, 1:]
         judge = values
+        # Selected by one network and valued by the other, an action that one of them overestimates does not raise the
+        # target (Double DQN, van Hasselt 2016).
         if self.config.double:
             with without_dropout(self.online):
                 judge = self.online.values(*states)[:, 1:]
@@ -266,6 +277,7 @@ class ConservativeQ(nn.Module):
         one-hot [B, P]. The last decision is for bootstrapping only, because a window cut from a longer take does not
         end it. Before `warm_up` of the run (progress, 0 to 1) there is the conservative term only.
         """
+        # The last position serves as s' of the one before it only.
         now = {key: batch[key][:, :-1] for key in DECISIONS}
         values = self.online.values(now["previous"], now["audio"], batch["speaker"], now["silent"])
         learns = bool(self.config.temporal) and progress >= self.config.warm_up

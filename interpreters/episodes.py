@@ -113,6 +113,8 @@ class Episodes:
         """
         if self.stretch not in (0, decisions):
             raise ValueError(f"these rewards are of stretches of {self.stretch} decisions, not of {decisions}")
+        # Every process samples all windows from the same numbers and takes its rows, so the batch does not depend on
+        # how many processes there are.
         episode, start = draw_starts(rng, self.lengths, count, decisions, self.stretch)
         rows = own_rows(count)
         return self.cut(episode[rows], start[rows], decisions)
@@ -121,9 +123,11 @@ class Episodes:
         last = self.lengths[episode, None] - 1
         index = start[:, None] + 1 + np.arange(decisions + 1)
         valid = index <= last
+        # Columns are the episodes end to end; indices past the end of an episode repeat its last block.
         at = self._offsets[episode, None] + np.minimum(index, last)
         before = self._offsets[episode, None] + np.minimum(index - 1, last)
         rows = {name: column[at] for name, column in self._columns.items()}
+        # The data term imitates people; actions of other policies are there to compare values.
         weights = np.where(rows["behaviour"] == 0, 1.0, self.cloned)
         batch = {
             "block": rows["blocks"], "previous": self._columns["actions"][before], "action": rows["actions"],
@@ -169,10 +173,13 @@ def draw_starts(rng: np.random.Generator, lengths: Integers, count: int, decisio
     if stretch:
         choices = -(-(lengths - 1) // stretch)
     else:
+        # A sequence of L blocks holds L - 1 decisions, so L - T windows of T; a shorter one is padded and has one
+        # start, or none without a decision.
         choices = np.where(lengths > 1, np.maximum(lengths - decisions, 1), 0)
     until = np.cumsum(choices)
     sampled = rng.integers(until[-1], size=count)
     which = np.searchsorted(until, sampled, side="right")
+    # The place of the sample among the starts of its sequence.
     return which, (sampled - until[which] + choices[which]) * max(stretch, 1)
 
 
@@ -187,6 +194,7 @@ def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
     digest = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
+        # Equal bytes can be different arrays, so name, type and shape are hashed, too.
         digest.update(json.dumps([name, array.dtype.str, arrays[name].shape]).encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
@@ -229,6 +237,7 @@ def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward,
     order = _by_distance(np.asarray(vectors, dtype=np.float64))
     takes = [replace(take, lexemes=silent.relabel(take)) for take in takes]
     base = sum(len(take.blocks) - 1 for take in takes)
+    # `truth` is the share of the recordings, each taken once, so it determines the size of the whole.
     total = base / config.truth if config.truth > 0 else base
     episodes = [_episode(take, take.lexemes, np.zeros(len(take.blocks)), 0, config, reward)
                 for take in takes] if config.truth > 0 else []
@@ -316,6 +325,7 @@ def perturbed_chances(truth: int, order: Integers, allowed: Integers | None, con
 
 def _by_distance(vectors: NDArray[np.float64]) -> Integers:
     distances = ((vectors[:, None] - vectors[None]) ** 2).sum(axis=-1)
+    # Stable, because codewords can coincide and the same seed must give the same bits.
     return np.argsort(distances, axis=1, kind="stable")
 
 
@@ -324,6 +334,7 @@ def _episode(take: Demonstration, actions: Integers, logs: NDArray[np.float64], 
     """The episode of actions [m] on the first m blocks of a take; actions within the prefix are the truth."""
     length = len(actions)
     terminal = np.zeros(length, dtype=np.bool_)
+    # A prefix of a recording is cut off, not ended: its last state has a future value.
     terminal[-1] = length == len(take.blocks)
     blocks = take.blocks[:length].astype(np.int64)
     behaviours = np.where(np.arange(length) < config.prefix, 0, behaviour).astype(np.int8)
@@ -347,6 +358,7 @@ def step_rewards(scheme: str, reward: Reward, lexemes: Integers, blocks: Integer
     if scheme == "window":
         return rewards(slice(None))
     out = np.zeros(len(lexemes), dtype=np.float32)
+    # From the second block on, as the first lexeme is given and no decision.
     for begin in range(1, len(lexemes), stretch):
         part = slice(begin, min(begin + stretch, len(lexemes)))
         prefix = rewards(part)

@@ -90,6 +90,7 @@ def opened(probability: float, activity: float) -> bool:
     never closes the gate. ValueError for a number outside 0 to 1."""
     if not (0 <= probability <= 1 and 0 <= activity <= 1):
         raise ValueError(f"probability {probability} and activity {activity} must lie in 0 to 1")
+    # At activity 0 a certain gesture (probability 1) would pass the comparison.
     return activity > 0 and probability >= 1 - activity
 
 
@@ -107,6 +108,7 @@ def follow(latch: Latch, probability: float, activity: float, hold: int = 1) -> 
     if hold < 1:
         raise ValueError(f"hold must be 1 or more, not {hold}")
     wanted = opened(probability, activity)
+    # The extremes of the setting mean always and never, without a delay.
     if wanted != latch.open and (latch.since >= hold or activity in (0, 1)):
         return Latch(wanted, 1)
     return Latch(latch.open, latch.since + 1)

@@ -92,6 +92,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         self.dropout = nn.Dropout(config.dropout)
         self.enter = Linear(width, config.width) if self.by_block else None
         self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, batch_first=True)
+        # By block, the block's row of inputs reaches the classifier past the recurrence, too.
         self.classify = Linear((2 if self.by_block else 1) * config.width, len(lexemes))
 
     @classmethod
@@ -117,6 +118,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
             # Frozen weights need no regularisation.
             self.frozen, self.dropout.p = True, 0.0
             return
+        # Only the first layer has columns for the text; they lie in the middle of its input (`rows`).
         weights, reads = self.state_dict(), "enter.weight" if self.by_block else "lstm.weight_ih_l0"
         for name, value in audio_only.state_dict().items():
             if name != reads:
@@ -169,6 +171,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         if self.encode_text is not None:
             parts.append(self.encode_text(text))
         if self.control_width:
+            # Zeros are targets of value 0 whose flag says that they are not set.
             free = audio.new_zeros(*audio.shape[:2], self.frames, self.control_width)
             parts.append(free if control is None else control)
         if self.config.use_speaker:
@@ -194,6 +197,8 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         first, _ = self._read(rows[:, :memory])
         if blocks <= memory:
             return first, None
+        # Every later block is the last of its window of `memory` blocks, each window read from a zero state. The first
+        # window is that of `first`, which gives the blocks up to it as well.
         recent = rows.unfold(1, memory, 1)[:, 1:].permute(0, 1, 4, 2, 3)
         last, _ = self._read(recent.flatten(0, 1))
         return torch.cat([first, last[:, -1].unflatten(0, (len(rows), blocks - memory))], dim=1), None
@@ -211,6 +216,8 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         previous = labels[:, :-1]
         if self.training and pose is not None and self.config.pose_noise and not self.frozen:
             pose = pose + self.config.pose_noise * torch.randn_like(pose)
+        # Scheduled sampling in two passes: the lexemes sampled from the first pass, moved on by a block, replace a part
+        # of the recorded past, because in inference the past consists of the model's choices.
         share = self.config.own_past_most * min(progress / max(OWN_PAST_UNTIL, 1e-9), 1.0)
         if self.training and share > 0 and not self.frozen:
             with torch.no_grad():
@@ -219,9 +226,11 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
             shifted = torch.cat([labels[:, :1], sampled[:, :-1]], 1)
             previous = torch.where(torch.rand_like(previous, dtype=torch.float32) < share, shifted, previous)
         if self.training and self.config.history_dropout and not self.frozen:
+            # A random lexeme, unlike a zero vector, is an input that also occurs in inference.
             lost = torch.rand_like(previous, dtype=torch.float32) < self.config.history_dropout
             previous = torch.where(lost, torch.randint_like(previous, len(self.lexemes)), previous)
         if self.training and self.config.audio_dropout and not self.frozen:
+            # Whole windows, because guidance (`InterpreterByEar`) runs one state without any audio.
             audio = audio * (torch.rand(len(audio), 1, 1, 1, device=audio.device) >= self.config.audio_dropout)
         if self.training and self.config.after_dropout and not self.frozen:
             audio = without_after(audio, torch.rand(len(audio), device=audio.device) < self.config.after_dropout)
@@ -256,7 +265,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         """`step` for B states of equal age, with separate audio [B, 3K, d] and all else the same."""
         count, device = len(states), self.lexemes.device
         previous = torch.full((count, 1), previous_lexeme, device=device)
-        text, control, pose, speaker = (None if one is None else one.expand(count, *[-1] * (one.dim() - 1)) for one in (
+        text, control, pose, speaker = (None if row is None else row.expand(count, *[-1] * (row.dim() - 1)) for row in (
             None if features.text is None else features.text[None, None],
             None if features.control is None else features.control[None, None],
             self._pose(features), states[0].speaker))
@@ -264,6 +273,8 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         rows = self.rows(previous, audio[:, None], speaker, text, control, pose)
         hidden = None
         if self.config.memory:
+            # With limited memory the state is the input rows themselves: the LSTM reads them again from a zero state at
+            # every block, as in training.
             before = [state.rows for state in states if state.rows is not None]
             rows = (torch.cat([torch.cat(before), rows], 1) if before else rows)[:, -self.config.memory:]
         else:
@@ -337,6 +348,7 @@ class StyleInterpreter(nn.Module):
         1, 3K, d], speaker, valid [B, N + 1], text [B, N + 1, 3K, d_t + 1] if used."""
         from data_module.parallel import batch_ratio  # only training needs it
 
+        # The codes are the generator's learned ones, so it must have been trained before.
         code = batch["code"]
         previous = code[:, :-1]
         if self.training:
@@ -356,8 +368,8 @@ class StyleInterpreter(nn.Module):
 
     @torch.inference_mode()
     def step(self, state: StyleState, features: BlockFeatures, lexeme: int) -> tuple[Tensor, StyleState]:
-        played = torch.tensor([[lexeme]], device=self.lexemes.device)
-        code, hidden = self.codes(state.code[:, None], played, features.low[None, None],
+        current = torch.tensor([[lexeme]], device=self.lexemes.device)
+        code, hidden = self.codes(state.code[:, None], current, features.low[None, None],
                                   state.speaker, state.hidden,
                                   None if features.text is None else features.text[None, None])
         return code[:, 0], StyleState(hidden, code[:, 0], state.speaker)

@@ -46,7 +46,7 @@ APEXES = ("none", "now", "next", "later")
 """Whether the apex of that stroke lies in this block, in the next one, or later."""
 CLASSES = (len(PHASES), len(HANDS), len(SIZES), len(APEXES))
 LEAST_HOLD = 0.6
-"""Seconds of a hold, at least."""
+"""Shortest hold, seconds."""
 
 
 def one_hot(decisions: Tensor) -> Tensor:
@@ -99,15 +99,15 @@ class PlannerState:
     held: float = 0.0
 
     def begins(self) -> PlannerState:
-        """The state without what was heard before the last decision, as at the start of a window of training."""
+        """The state with the audio before the last decision forgotten, as at the start of a training window."""
         return replace(self, hidden=None)
 
 
 class UnitPlanner(nn.Module):
     """Three blocks of low-level audio, the speaker and the decision before to the next decision.
 
-    fit: [S, phases x hands] log p(phase, hand | lexeme) - log p(phase, hand), counted on the training blocks: what a
-    lexeme is worth in a phase beyond its frequency (`bias`).
+    fit: [S, phases x hands] log p(phase, hand | lexeme) - log p(phase, hand), counted on the training blocks: how
+    much more likely a lexeme is in a phase than by its frequency (`bias`).
     """
 
     fit: Tensor
@@ -136,14 +136,14 @@ class UnitPlanner(nn.Module):
     def weights(self) -> dict[str, float]:
         return dict.fromkeys(("phase", "hand", "size", "apex"), 1.0)
 
-    def hear(self, audio: Tensor, speaker: Tensor, before: Tensor, hidden: Tensor | None = None
-             ) -> tuple[Tensor, Tensor]:
+    def encode_speech(self, audio: Tensor, speaker: Tensor, before: Tensor, hidden: Tensor | None = None
+                      ) -> tuple[Tensor, Tensor]:
         """[B, N, width] the state in which each block is decided, from audio windows [B, N, 3K, d], speaker one-hot
         [B, speakers] and the decisions before [B, N, 4]; and the GRU's state."""
-        heard = self.encode_audio(audio).flatten(-2)
+        speech = self.encode_audio(audio).flatten(-2)
         past = [table(before[..., k]) for k, table in enumerate(self.past)]
         who = speaker[:, None].expand(-1, audio.shape[1], -1)
-        out, hidden = self.gru(self.dropout(torch.cat([heard, *past, who], dim=-1)), hidden)
+        out, hidden = self.gru(self.dropout(torch.cat([speech, *past, who], dim=-1)), hidden)
         return self.dropout(out), hidden
 
     def logits(self, state: Tensor, level: int, decided: Tensor) -> Tensor:
@@ -159,9 +159,11 @@ class UnitPlanner(nn.Module):
         units, valid = batch["units"], batch["valid"][:, 1:].to(batch["audio_low"])
         before = units[:, :-1]
         if self.training and self.config.past_dropout > 0:
+            # All decisions of a block are dropped together; the index after the last class is the row for a missing
+            # past.
             gone = torch.rand(before.shape[:2], device=before.device) < self.config.past_dropout
             before = torch.where(gone[..., None], torch.tensor(CLASSES, device=before.device), before)
-        state, _ = self.hear(batch["audio_low"][:, 1:], batch["speaker"], before)
+        state, _ = self.encode_speech(batch["audio_low"][:, 1:], batch["speaker"], before)
         out = {}
         for level, name in enumerate(self.weights):
             each = functional.cross_entropy(self.logits(state, level, units[:, 1:]).flatten(0, 1),
@@ -173,6 +175,7 @@ class UnitPlanner(nn.Module):
         """Before the first block."""
         device = self.fit.device
         who = functional.one_hot(torch.tensor([speaker], device=device), self.speakers).float()
+        # The same row for a missing past stands before the first block.
         return PlannerState(None, who, torch.tensor([CLASSES], device=device))
 
     @torch.inference_mode()
@@ -182,22 +185,25 @@ class UnitPlanner(nn.Module):
         likeliest at temperature 0. noise: [`choices`] standard Gumbel numbers. bias: [5] added to the logits of the
         phases, that of a hold only after a stroke or a hold, where hands are up. A hold lasts at least `LEAST_HOLD`
         seconds: a hand takes half of that to stop, so a shorter one is not visible."""
-        heard, hidden = self.hear(features.low[None, None], state.speaker, state.last[:, None], state.hidden)
+        context, hidden = self.encode_speech(features.low[None, None], state.speaker, state.last[:, None],
+                                             state.hidden)
         seconds = 0.0 if features.durations is None else features.durations[1]
+        # The GRU has read this block's audio all the same, so its state is that of training.
         if 0.0 < state.held < LEAST_HOLD:
-            kept = UnitDecision(*state.last[0].tolist())
-            return kept, replace(state, hidden=hidden, held=state.held + seconds)
+            same = UnitDecision(*state.last[0].tolist())
+            return same, replace(state, hidden=hidden, held=state.held + seconds)
         after = int(state.last[0, 0])
         raised = after < len(PHASES) and PHASES[after] in ("stroke", "hold")
-        decided = torch.zeros((1, 1, 0), dtype=torch.long, device=heard.device)
+        decided = torch.zeros((1, 1, 0), dtype=torch.long, device=context.device)
         each = np.split(noise, np.cumsum(CLASSES)[:-1])
         for level in range(len(CLASSES)):
-            scores = self.logits(heard, level, decided)[0, 0].double().cpu().numpy()
+            scores = self.logits(context, level, decided)[0, 0].double().cpu().numpy()
             if level == 0 and bias is not None:
                 scores += np.where(raised | (np.array(PHASES) != "hold"), bias, 0.0)
             if temperature > 0:
+                # The Gumbel-max trick: the arg max is a sample of the softmax, decided by the given noise alone.
                 scores = scores / temperature + each[level]
-            chosen = torch.full((1, 1, 1), int(scores.argmax()), device=heard.device)
+            chosen = torch.full((1, 1, 1), int(scores.argmax()), device=context.device)
             decided = torch.cat([decided, chosen], dim=-1)
         phase, hand, size, apex = decided[0, 0].tolist()
         decision = UnitDecision(phase, hand, size, apex)
@@ -216,6 +222,7 @@ class UnitPlanner(nn.Module):
         counts = np.zeros((size, kinds))
         np.add.at(counts, (lexemes, units[:, 0] * len(HANDS) + units[:, 1]), 1.0)
         overall = (counts.sum(axis=0) + ease) / (counts.sum() + ease * kinds)
+        # Each lexeme's distribution is shrunk towards the overall one, so that a rare lexeme has a bias near 0.
         weight = ease * kinds
         shares = (counts + weight * overall) / (counts.sum(axis=1, keepdims=True) + weight)
         self.fit.copy_(torch.as_tensor(np.log(shares) - np.log(overall)))
@@ -274,6 +281,7 @@ class UnitStyleInterpreter(nn.Module):
         from data_module.parallel import batch_ratio  # only training needs it
 
         predicted, _ = self.predict(batch["audio_low"], batch["speaker"])
+        # At rest there is no unit to measure a code on.
         weight = (batch["valid"] * batch["acting"])[..., None].expand_as(predicted)
         return {"code": batch_ratio(((predicted - batch["code"]).pow(2) * weight).sum(), weight.sum())}
 
@@ -282,9 +290,10 @@ class UnitStyleInterpreter(nn.Module):
         """Set the gain from predictions and measured codes [n, d_z] of blocks that were not trained on: the ratio of
         their deviations, less for a dimension of which less than `_HEARD` is explained, and 0 if nothing is."""
         deviation = predicted.std(0).clamp_min(1e-6)
+        # Pearson's r for each dimension; r^2 is the share of the variance that the prediction explains.
         r = ((predicted - predicted.mean(0)) * (measured - measured.mean(0))).mean(0) / (deviation * measured.std(0))
-        heard = (r.clamp_min(0.0).square() / _HEARD).clamp(max=1.0)
-        self.gain.copy_(heard * (measured.std(0) / deviation).clamp(max=_MOST_GAIN))
+        audible = (r.clamp_min(0.0).square() / _HEARD).clamp(max=1.0)
+        self.gain.copy_(audible * (measured.std(0) / deviation).clamp(max=_MOST_GAIN))
 
     def start(self, speaker: int) -> UnitStyleState:
         """Before the first block."""
@@ -299,6 +308,7 @@ class UnitStyleInterpreter(nn.Module):
         the next unit starts anew and the code is 0."""
         predicted, hidden = self.predict(features.low[None, None], state.speaker, state.hidden)
         if resting:
+            # The GRU goes on through rests: it measures the voice, not the unit.
             return torch.zeros_like(state.total), UnitStyleState(hidden, state.speaker, state.total * 0, 0)
         total, count = state.total + predicted[:, 0], state.count + 1
         code = (self.gain * total / count).clamp(-_MOST, _MOST)

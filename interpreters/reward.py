@@ -78,6 +78,7 @@ class CausalLayer(nn.Module):
 
     def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
         """[B, W, C] to [B, W, C]; valid: [B, W, 1], 0 for padding, which has no effect on later tokens."""
+        # Masked after the norm, whose bias would give padding a value.
         inputs = (self.norm(tokens) * valid).transpose(1, 2)
         rows = self.convolve(functional.pad(inputs, ((self.kernel - 1) * self.dilation, 0))).transpose(1, 2)
         return tokens + self._respond(rows)
@@ -86,6 +87,8 @@ class CausalLayer(nn.Module):
         """The output of `forward` at the last position for each candidate token there, [B, S, C]. history: [B, W - 1,
         C] the tokens before; valid: [B, W - 1, 1]; candidates: [B, S, C]. The contribution of the history is the same
         for all candidates."""
+        # The convolution at the last position is a sum over its taps. Those on the history are summed once; only the
+        # newest tap meets all S candidates.
         taps = self.convolve.weight.unbind(-1)
         assert self.convolve.bias is not None
         past: Tensor = self.convolve.bias
@@ -125,6 +128,7 @@ class WindowEncoder(nn.Module):
         """[B, W, C] to unit vectors [B, P]; valid: [B, W], 0 at padding, which is on the left."""
         mask = valid.to(tokens.dtype)[..., None]
         rows = self.features(tokens, valid) * mask
+        # Padding is on the left, so the last row is always a token.
         return self._finish(rows.sum(1), mask.sum(1), rows[:, -1])
 
     def every_last(self, history: Tensor, valid: Tensor, candidates: Tensor) -> Tensor:
@@ -135,6 +139,7 @@ class WindowEncoder(nn.Module):
         for layer in self.layers:
             assert isinstance(layer, CausalLayer)
             candidates = layer.last(history, before, candidates)
+            # The history is causal and has no candidate in it, so one pass through the layer serves all of them.
             if history.shape[1]:
                 history = layer(history, before)
         last = candidates * mask[:, -1:]
@@ -157,11 +162,13 @@ class RewardModel(nn.Module):
         super().__init__()
         self.config, self.frames = config, frames
         self.read_motion = nn.Linear(frames * motion_width, config.width)
+        # Without a bias a block of 1 s, whose log duration is 0, keeps its token, and so does a still block below.
         self.read_tempo = nn.Linear(1, config.width, bias=False) if config.tempo else None
         parts = min(SPEED_PARTS, frames - 1)
         self.read_speeds = nn.Linear(parts * motion_width, config.width, bias=False) if config.speeds else None
         self.read_audio = nn.Linear(frames * audio_width, config.width)
         self.encode_motion, self.encode_audio = WindowEncoder(config), WindowEncoder(config)
+        # Learned as a logarithm, which keeps the temperature positive.
         self.log_temperature = nn.Parameter(torch.tensor(math.log(config.temperature)))
 
     @property
@@ -197,6 +204,7 @@ class RewardModel(nn.Module):
         if self.read_speeds is None:
             return self.block_motion(base, log_duration)[:, None] + functional.linear(added.flatten(-2),
                                                                                       self.read_motion.weight)
+        # The logarithm of a speed is not linear, so the speeds of each sum are computed anew.
         return self.block_motion(base[:, None] + added, log_duration[:, None].expand(-1, len(added)))
 
     def tempo(self, log_duration: Tensor) -> Tensor:
@@ -244,9 +252,12 @@ class RewardModel(nn.Module):
         rivals = None
         if "rival" in batch:
             against = self.against_rivals(batch, audio) / temperature
+            # Captured windows have no wrong versions; -inf takes their places out of the softmax.
             rivals = against.masked_fill(~batch["rivalled"].bool()[:, None], -math.inf)
         terms = {"contrast": contrast(motion, audio, temperature, batch["group"], rivals)}
         if self.config.choice:
+            # Adding the log odds of the lexeme given the previous one leaves to the audio only what those odds do not
+            # explain.
             odds = self.against_all(batch, audio) / temperature + batch["prior"]
             nll = functional.cross_entropy(odds, batch["last"], reduction="none")
             terms["choice"] = masked_mean(nll, batch["rivalled"].to(nll))
@@ -333,6 +344,7 @@ class RewardEnsemble(nn.Module):
         return self.models[0].weights
 
     def before_step(self, step: int) -> None:
+        # One member per step: each sees other windows than the rest, so that their errors differ.
         self.turn = step % len(self.members)
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
@@ -340,12 +352,12 @@ class RewardEnsemble(nn.Module):
 
     @torch.no_grad()
     def window_rewards(self, motion: Tensor, log_duration: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
-        return torch.stack([one.window_rewards(motion, log_duration, audio, valid) for one in self.models]).mean(0)
+        return torch.stack([model.window_rewards(motion, log_duration, audio, valid) for model in self.models]).mean(0)
 
     @torch.no_grad()
     def figures(self, batch: dict[str, Tensor]) -> dict[str, float]:
         """The members' mean loss, retrieval and, with rivals, share of windows preferred to all of them."""
-        rows = [{"contrast": float(one.losses(batch)["contrast"]), **one.retrieval(batch),
-                 **({"right_one": one.right_one(batch)} if "rival" in batch else {}),
-                 **(one.choices(batch) if "prior" in batch else {})} for one in self.models]
+        rows = [{"contrast": float(model.losses(batch)["contrast"]), **model.retrieval(batch),
+                 **({"right_one": model.right_one(batch)} if "rival" in batch else {}),
+                 **(model.choices(batch) if "prior" in batch else {})} for model in self.models]
         return {key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}

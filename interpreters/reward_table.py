@@ -55,6 +55,7 @@ class CorpusRewards(ABC):
     def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
         """Rewards [M, S] of each lexeme at each block of one recording, after the lexemes [M] before that block."""
         at, valid = self.trailing(len(blocks), blocks.device)
+        # Every row becomes S candidate windows.
         rows = max(1, _AT_ONCE // self.size)
         return torch.cat([self.every(lexemes[part[:, :-1]], blocks[part], real)
                           for part, real in zip(at.split(rows), valid.split(rows), strict=True)])
@@ -85,6 +86,7 @@ class RewardTable(CorpusRewards):
         self.window, self.bases = model.config.window, bases
         with torch.no_grad():
             self._log_duration, self._audio = log_duration, self.model.block_audio(audio)
+            # Everything that depends on a block or a lexeme alone is computed once: queries only add and encode.
             self._tempo = self.model.tempo(log_duration)
             self._lexemes: Tensor | None = None
             self._added: Tensor | None = None
@@ -93,6 +95,7 @@ class RewardTable(CorpusRewards):
                 size, self._added = len(decoded), decoded
             elif decoded is not None:
                 size = len(decoded)
+                # Log duration 0 has no tempo; that of the block is added with `_tempo`.
                 self._lexemes = self.model.block_motion(decoded, log_duration.new_zeros(size))
                 if bases is not None:  # the bias comes with the base
                     self._lexemes = self._lexemes - self.model.read_motion.bias
@@ -235,6 +238,7 @@ class Centred(CorpusRewards):
         for blocks in recordings:
             for _ in range(draws):
                 lexemes = torch.randint(self.size, (len(blocks),), generator=generator).to(blocks.device)
+                # A baseline of the block, not of the lexeme: it cancels in every comparison of lexemes.
                 self.baseline[blocks] += table.sequence(lexemes, blocks) / draws
 
     def rewards(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:

@@ -50,6 +50,7 @@ class StatisticalInterpreter(InterpreterDefaults):
         """[S] probabilities of the next lexeme."""
         frequencies = state.counts / max(state.counts.sum(), 1.0)
         lift = self.config.gain * (state.target - frequencies)
+        # Less the maximum, so that exp cannot overflow; the softmax is the same.
         weights = np.exp(lift - lift.max())
         weights /= weights.sum()
         if self.config.condition_on_current:
@@ -63,4 +64,5 @@ class StatisticalInterpreter(InterpreterDefaults):
         counts = state.counts.copy()
         counts[previous_lexeme] += 1
         after = StatisticalState(counts, state.target)
+        # Clamped: log 0 would be -inf, and differences of scores NaN.
         return np.log(np.maximum(self.distribution(after, previous_lexeme), 1e-300)), after

@@ -31,6 +31,7 @@ class TextHead(nn.Module):
         self.hidden = Linear(_PARTS * bottleneck, width)
         self.weigh = Linear(lexeme_width + speakers, width)
         self.out = Linear(width, size)
+        # Training starts from the scores of the audio-only interpreter.
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
@@ -41,6 +42,7 @@ class TextHead(nn.Module):
         parts = functional.adaptive_avg_pool1d(rows, _PARTS).transpose(1, 2).unflatten(0, text.shape[:2])
         words = functional.gelu(self.hidden(self.dropout(self.narrow(self.dropout(parts)).flatten(-2))))
         speakers = speaker[:, None].expand(-1, previous.shape[1], -1)
+        # The gate depends on who speaks and on what the hands do, not on the words: it weighs features of words.
         weight = torch.sigmoid(self.weigh(torch.cat([previous, speakers], dim=-1)))
         scores: Tensor = self.out(self.dropout(words) * weight)
         return scores

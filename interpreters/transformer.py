@@ -16,13 +16,15 @@ KeyValue = tuple[Tensor, Tensor]
 """Cached keys and values [B, heads, tokens, C / heads] of a layer."""
 
 INITIAL = 0.02
-"""Standard deviation of every weight at the start."""
+"""Standard deviation of every weight at the start, that of GPT-2."""
 
 
 def two_stream_mask(steps: int, device: torch.device | None = None) -> Tensor:
     """The mask M of RACER Eq. 12, additive: [2 T', 2 T'], 0 where a token attends to another and -inf elsewhere. A
     lower triangular block of size T' = `steps` repeated 2 x 2: token j of either stream attends to tokens 0..j of both,
     so the action half at j depends on a_0..a_j and u_1..u_{j+1}, which is exactly the state s_{j+1}."""
+    # Strictly above the diagonal: a token attends to the one at its own time in both streams, since u_{j+1} is known
+    # when action j + 1 is decided.
     block = torch.full((steps, steps), -torch.inf, device=device).triu(1)
     return block.repeat(2, 2)
 
@@ -37,6 +39,7 @@ def sliding(tokens: Tensor, window: int, read: Callable[[Tensor], Tensor]) -> Te
     batch, steps = tokens.shape[0], tokens.shape[2]
     if steps <= window:
         return read(tokens)
+    # Each window is read whole from its own first position, as `QNetwork.step` does once its window slides.
     every = tokens.unfold(2, window, 1).permute(0, 2, 1, 4, 3)  # [B, M - window + 1, 2, window, C]
     out = read(every.flatten(0, 1)).unflatten(0, (batch, -1))
     return torch.cat([out[:, 0], out[:, 1:, -1]], dim=1)
@@ -58,6 +61,8 @@ class Attention(nn.Module):
         query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2)
                              for part in self.project(x).chunk(3, dim=-1))
         if past is not None:
+            # The new pair comes after all cached tokens, so the order in the cache is by time and not [U; A]; attention
+            # does not depend on it, as positions are in the tokens.
             key, value = torch.cat([past[0], key], dim=2), torch.cat([past[1], value], dim=2)
         attended = functional.scaled_dot_product_attention(query, key, value, mask,
                                                        dropout_p=self.dropout if self.training else 0.0)
@@ -69,6 +74,7 @@ class Layer(nn.Module):
 
     def __init__(self, width: int, heads: int, dropout: float) -> None:
         super().__init__()
+        # Norms stand before the sublayers (pre-norm), so the residual path carries the tokens unchanged.
         self.before_attention, self.before_feed = nn.LayerNorm(width), nn.LayerNorm(width)
         self.attention = Attention(width, heads, dropout)
         self.feed = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))

@@ -67,6 +67,7 @@ class Lexicon(nn.Module):
     @torch.no_grad()
     def latents(self, motion: Tensor, batch: int = 4096) -> Tensor:
         """E in evaluation mode, `batch` blocks at a time: [B, code width]."""
+        # Labels are needed in the midst of training, with the running moments of the batch normalisation.
         before = self.training
         self.eval()
         out = torch.cat([self.encode(part) for part in motion.split(batch)])
@@ -87,9 +88,11 @@ class Lexicon(nn.Module):
         latents = self.encode(motion)
         zero = latents.new_zeros(())
         if progress < self.config.warm_up:
+            # A plain autoencoder, until k-means places the codes on latents that mean something (`start_codebook`).
             codes, commitment, codebook = latents, zero, zero
         else:
             quantised = self.quantizer(latents)
             codes, commitment, codebook = quantised.codes, quantised.commitment, quantised.codebook
+        # Differences are linear, so the error of a velocity is the difference of the errors.
         error = self.decode(codes) - motion
         return {"reconstruction": masked_mean(error.pow(2), mask), "commitment": commitment, "codebook": codebook}

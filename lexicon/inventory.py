@@ -27,12 +27,14 @@ def count(sequences: Iterable[tuple[str, Labels]], size: int, smoothing: float =
     moves = np.full((size, size), smoothing, dtype=np.float64)
     for speaker, labels in sequences:
         totals[speaker] = totals.get(speaker, np.zeros(size)) + np.bincount(labels, minlength=size)
+        # `add.at` counts repeated pairs, which an indexed += would count once.
         np.add.at(moves, (labels[:-1], labels[1:]), 1.0)
     frequencies = {speaker: total / max(total.sum(), 1.0) for speaker, total in totals.items()}
     return Inventory(frequencies, moves / moves.sum(axis=1, keepdims=True))
 
 
 def usage(labels: Labels, size: int) -> float:
+    """Share of the `size` lexemes that occur in the labels [N]."""
     return float((np.bincount(labels, minlength=size) > 0).mean())
 
 
@@ -49,7 +51,9 @@ def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, 
     size = len(speeds)
     everywhere = np.bincount(labels, minlength=size) / max(len(labels), 1)
     in_silence = np.bincount(labels[silent], minlength=size) / max(int(silent.sum()), 1)
+    # How over-represented a lexeme is in silence: 1 for one that ignores the speech.
     ratio = in_silence / np.maximum(everywhere, 1e-12)
+    # Interpolating between two infinite speeds gives NaN, which is handled below.
     with np.errstate(invalid="ignore"):
         limit = np.quantile(speeds, slow_share)
     if not np.isfinite(limit):  # most lexemes have no block: the slowest of those that have

@@ -61,6 +61,7 @@ class MovementLexicon(nn.Module):
     def code_distances(self, latents: Tensor) -> Tensor:
         """Squared distances [B, S] of latents [B, D_s] from the lexemes."""
         codes = self.vectors
+        # |a|^2 - 2 a.b + |b|^2 is a matrix product and needs no [B, S, D_s] differences; rounding can make it negative.
         return (latents.pow(2).sum(-1, keepdim=True) - 2 * latents @ codes.T + codes.pow(2).sum(-1)).clamp_min(0)
 
     def nearest(self, coefficients: Tensor) -> Tensor:
@@ -76,6 +77,7 @@ class MovementLexicon(nn.Module):
     def ranks(self, motion: Tensor, past: Pasts, lexemes: Tensor) -> Tensor:
         """[B] number of lexemes nearer to each block than the requested one; 0 if the request was met."""
         away = self.distances(self.basis.coefficients(motion, past))
+        # Strictly nearer, so that ties do not count against the request.
         return (away < away.gather(-1, lexemes[:, None])).sum(-1)
 
     @torch.no_grad()
@@ -85,6 +87,7 @@ class MovementLexicon(nn.Module):
         for part, at in enumerate(self.basis.slices()):
             for level in range(len(self.config.levels) if levels is None else levels):
                 book = self.get_buffer(f"level_{part}_{level}")
+                # Residual quantisation: each level encodes what the lexeme and the levels above it left over.
                 out[:, at] += book[torch.cdist(coefficients[:, at] - out[:, at], book).argmin(-1)]
         return out
 
@@ -115,6 +118,7 @@ class MovementLexicon(nn.Module):
     @torch.no_grad()
     def fit_levels(self, coefficients: Tensor, past: Pasts, seed: int) -> None:
         """Fit the residual codebooks to coefficients [N, n] and choose the examples, once there are lexemes."""
+        # The rest after the lexeme of each block; every level below takes its share off in place.
         rest = coefficients - self.added(self.nearest(coefficients))
         for part, at in enumerate(self.basis.slices()):
             for level, size in enumerate(self.config.levels):
@@ -122,6 +126,7 @@ class MovementLexicon(nn.Module):
                 self.get_buffer(f"level_{part}_{level}").copy_(book)
                 rest[:, at] -= book[torch.cat([torch.cdist(rows, book).argmin(-1)
                                                for rows in rest[:, at].split(_TOGETHER)])]
+        # Arg min over the blocks (dimension 0): the block that shows each lexeme best.
         nearest = torch.cat([self.distances(part) for part in coefficients.split(_TOGETHER)]).argmin(0)
         self.examples.copy_(past.frames[nearest])
 
@@ -159,6 +164,8 @@ class BentMap(nn.Module):
         """hidden: units of each of the two hidden layers."""
         super().__init__()
         self.straight = Linear(width, out, bias=False)
+        # An orthogonal map keeps distances as far as the widths allow, so that at the start near latents are near
+        # movements.
         nn.init.orthogonal_(self.straight.weight)
         last = Linear(hidden, out)
         nn.init.zeros_(last.weight)

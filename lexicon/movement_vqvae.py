@@ -49,13 +49,15 @@ class MovementLearner(nn.Module):
         unquantised."""
         from data_module.parallel import batch_mean  # only training needs it
 
-        own, width = self.lexicon, self.lexicon.config.code_width
-        latents = own.latents(batch["coefficients"])
+        lexicon, width = self.lexicon, self.lexicon.config.code_width
+        latents = lexicon.latents(batch["coefficients"])
         codes, commitment, codebook = latents, latents.new_zeros(()), latents.new_zeros(())
-        if progress >= own.config.warm_up:
+        if progress >= lexicon.config.warm_up:
             quantised = self.quantizer(latents)
             codes, commitment, codebook = quantised.codes, quantised.commitment, quantised.codebook
-        error = (own.decode(codes) - batch["coefficients"]) * own.basis.weight * batch["known"]
+        # In the units of x = w y; the mask leaves out parts that the source does not have.
+        error = (lexicon.decode(codes) - batch["coefficients"]) * lexicon.basis.weight * batch["known"]
+        # The quantiser's terms are means over dimensions; times D_s they are sums, like the first one.
         return {"reconstruction": batch_mean(error.pow(2).sum(-1)), "commitment": commitment * width,
                 "codebook": codebook * width}
 

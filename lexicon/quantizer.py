@@ -40,6 +40,7 @@ class Quantizer(nn.Module):
         if mode not in ("ema", "gradient"):
             raise ValueError(f"codebook mode must be ema or gradient, not {mode!r}")
         self.mode, self.decay, self.eps, self.revive_below = mode, decay, eps, revive_below
+        # Vectors of length 1 on average, whatever the width.
         start = torch.randn(size, width) / width**0.5
         if mode == "gradient":
             self.vectors = nn.Parameter(start)
@@ -72,6 +73,7 @@ class Quantizer(nn.Module):
 
     def distances(self, latents: Tensor) -> Tensor:
         """Squared Euclidean distances [B, S] from latents [B, D]."""
+        # |a|^2 - 2 a.b + |b|^2 needs no [B, S, D] differences; rounding can make it negative.
         return (latents.pow(2).sum(1, keepdim=True) - 2 * latents @ self.vectors.t()
                 + self.vectors.pow(2).sum(1)).clamp_min(0)
 
@@ -84,13 +86,16 @@ class Quantizer(nn.Module):
         """Quantise latents [B, D]; in training mode an EMA codebook also follows them."""
         from data_module.parallel import full_precision  # only training needs it
 
+        # In half precision neighbouring codes tie, and their order would decide.
         labels = full_precision(self.labels)(latents)
         chosen = self.vectors[labels]
         commitment = (latents - chosen.detach()).pow(2).mean()
         if self.mode == "gradient":
             codebook = (latents.detach() - chosen).pow(2).mean()
         else:
+            # No gradient is needed: that term of a vector is least at the average of its latents.
             codebook = commitment.new_zeros(())
+        # Straight-through: the value is the chosen vector, the gradient that of the latents.
         codes = latents + (chosen - latents).detach()
         if self.training and self.mode == "ema":
             full_precision(self._follow)(latents.detach(), labels)

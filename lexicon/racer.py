@@ -64,6 +64,7 @@ def decoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) ->
     layers: list[nn.Module] = [nn.Conv1d(width, width, 3, padding=1)]
     for stage in range(HALVINGS):
         layers += [ResidualBlock(width, dilation) for dilation in reversed(dilations)]
+        # Only the last layer leaves the width C.
         out = motion_width if stage == HALVINGS - 1 else width
         layers.append(nn.ConvTranspose1d(width, out, 4, stride=2, padding=1))
     return nn.Sequential(*layers)
@@ -114,6 +115,7 @@ class RacerCodec(nn.Module):
     @torch.no_grad()
     def still_distances(self, pose: Tensor) -> Tensor:
         """[N] squared distances of the codes from the middle code of a long stillness in a pose [D_m]."""
+        # A single code would see the zero padding on both sides, which is no stillness.
         latents = self.encode(pose.expand(1, _LONG * FRAMES, -1))
         return self.quantizer.distances(latents[:, _LONG // 2])[0]
 
@@ -131,6 +133,7 @@ class RacerCodec(nn.Module):
         """Place the codes by k-means on up to 10,000 latents of motion [B, T, D_m]."""
         latents = torch.cat([self.encode(part).flatten(0, 1) for part in motion.split(batch)])
         generator = torch.Generator().manual_seed(seed)
+        # A generator on the CPU gives the same choice whatever the device.
         chosen = torch.randperm(len(latents), generator=generator)[:10_000].to(latents.device)
         self.quantizer.fit(latents[chosen], seed, restarts=1)
 
@@ -141,6 +144,7 @@ class RacerCodec(nn.Module):
         motion, mask = batch["motion"], batch["mask"][:, None]
         latents = self.encode(motion)
         quantised = self.quantizer(latents.flatten(0, 1))
+        # Differences are linear, so the error of a velocity is the difference of the errors.
         error = self.decode(quantised.codes.unflatten(0, latents.shape[:2])) - motion
         velocity = torch.diff(error, dim=1)
         return {

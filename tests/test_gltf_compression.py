@@ -21,7 +21,7 @@ from gesticulator.characters import gltf_compression
 from gesticulator.characters.gltf_compression import DRACO, MESHOPT
 from gesticulator.characters.reading import choose, read_character
 from gesticulator.characters.retarget import retarget
-from gesticulator.characters.several import note_of, skeletons_of
+from gesticulator.characters.rig import note_of, skeletons_of
 
 
 def view_of(file: GlbFile, accessor: int) -> tuple[dict[str, Any], dict[str, Any], NDArray[Any]]:

@@ -80,8 +80,8 @@ from gesticulator.bundle import models
 from gesticulator.bundle.config import FitSettings
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Stage
-from gesticulator.training.stages.features import CORPUS
-from gesticulator.training.stages.labels import LABELS, model_sizes
+from gesticulator.training.stages.speech import CORPUS
+from gesticulator.training.stages.lexicon import LABELS, model_sizes
 from gesticulator.training.stages.windows import Windows, sequences, validation
 
 

@@ -14,7 +14,7 @@ from gesticulator.directing.record import units_of_blocks
 from gesticulator.plan.plan import Block, BlockDraw
 from gesticulator.sampling.loop import BlockMotion
 from gesticulator.systems.movement import GOES_ON_PAUSING, HOLD, VOICE_RETURNS, phrasing
-from gesticulator.training.stages.planner import units_of
+from gesticulator.training.stages.heads import units_of
 from interpreters.base import BlockFeatures
 from interpreters.planner import APEXES, CLASSES, HANDS, PHASES, SIZES, UnitDecision, UnitPlanner
 from interpreters.settings import PlannerConfig
@@ -100,7 +100,7 @@ def test_it_learns_what_can_be_heard_and_steps_as_it_was_trained() -> None:
 def test_losses_are_the_nats_of_its_own_distribution() -> None:
     model = planner()
     batch = loud_strokes(2, 5, np.random.default_rng(1))
-    state, _ = model.hear(batch["audio_low"][:, 1:], batch["speaker"], batch["units"][:, :-1])
+    state, _ = model.encode_speech(batch["audio_low"][:, 1:], batch["speaker"], batch["units"][:, :-1])
     losses = model.losses(batch)
     for level, name in enumerate(("phase", "hand", "size", "apex")):
         logits = model.logits(state, level, batch["units"][:, 1:])
@@ -111,7 +111,7 @@ def test_losses_are_the_nats_of_its_own_distribution() -> None:
 
 def test_a_decision_is_a_sample_of_its_distribution() -> None:
     model, rows = planner(), torch.zeros(3 * FRAMES, WIDTH)
-    heard, _ = model.hear(rows[None, None], model.start(1).speaker, model.start(1).last[:, None])
+    heard, _ = model.encode_speech(rows[None, None], model.start(1).speaker, model.start(1).last[:, None])
     nothing = torch.zeros(1, 1, 0, dtype=torch.long)
     shares = torch.softmax(model.logits(heard, 0, nothing)[0, 0].double(), -1).detach().numpy()
     drawn = [model.step(model.start(1), features(rows), numbers(k))[0].phase for k in range(3000)]
@@ -124,7 +124,7 @@ def test_a_bias_moves_the_odds_of_a_phase_and_a_hold_needs_raised_hands() -> Non
     model, rows = planner(), torch.zeros(3 * FRAMES, WIDTH)
     for last, raised in ((PHASES.index("stroke"), True), (PHASES.index("rest"), False)):
         begun = replace(model.start(1), last=torch.tensor([[last, 1, 0, 0]]))
-        heard, _ = model.hear(rows[None, None], begun.speaker, begun.last[:, None])
+        heard, _ = model.encode_speech(rows[None, None], begun.speaker, begun.last[:, None])
         logits = model.logits(heard, 0, torch.zeros(1, 1, 0, dtype=torch.long))[0, 0].double().detach().numpy()
         for name in ("preparation", "hold"):
             bias = 1.5 * (np.array(PHASES) == name)
@@ -176,8 +176,8 @@ def test_what_is_heard_later_changes_nothing_earlier() -> None:
     audio = torch.randn(1, 6, 3 * FRAMES, WIDTH)
     before = torch.zeros(1, 6, 4, dtype=torch.long)
     speaker = torch.eye(SPEAKERS)[:1]
-    one = model.hear(audio, speaker, before)[0]
-    other = model.hear(torch.cat([audio[:, :4], torch.randn(1, 2, 3 * FRAMES, WIDTH)], 1), speaker, before)[0]
+    one = model.encode_speech(audio, speaker, before)[0]
+    other = model.encode_speech(torch.cat([audio[:, :4], torch.randn(1, 2, 3 * FRAMES, WIDTH)], 1), speaker, before)[0]
     torch.testing.assert_close(one[:, :4], other[:, :4])
     assert (one[:, 4:] - other[:, 4:]).abs().max() > 1e-4
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.store import Store
-from gesticulator.training.stages.sounds import Crops, folder_digest, sound_files
+from gesticulator.training.stages.speech import Crops, folder_digest, sound_files
 
 RATE = 16000
 

@@ -18,7 +18,7 @@ from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.files import bundle_folder
 from gesticulator.systems import movement
-from gesticulator.training.stages.unit_styles import style_of
+from gesticulator.training.stages.heads import style_of
 
 RATE = 20.0
 

@@ -34,7 +34,7 @@ from gesticulator.training import presets
 from gesticulator.training.stages import BLOCKS, LABELS, STAGES, Run, Stage, closure, training
 from gesticulator.training.stages.caches import word_file
 from gesticulator.training.stages.corpus import prepare
-from gesticulator.training.stages.labels import lexeme_speeds
+from gesticulator.training.stages.lexicon import lexeme_speeds
 from gesticulator.training.stages.training import TrainOptions
 from gesticulator.training.stages.windows import Windows, sequences, with_silence
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gesticulator.training.stages.planner import RATE
-from gesticulator.training.stages.unit_styles import spans, style_of
+from gesticulator.training.stages.heads import RATE, spans, style_of
 from interpreters.base import BlockFeatures
 from interpreters.planner import CODE, UnitStyleInterpreter
 from interpreters.settings import StyleConfig

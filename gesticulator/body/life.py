@@ -104,8 +104,8 @@ def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
     pairs = np.empty((2, *np.broadcast(numbers, channel).shape), np.int64)
     pairs[0] = 2 * np.asarray(numbers)
     pairs[1] = pairs[0] + 1
-    one, two = uniform(seed, channel, pairs)
-    return np.asarray(np.sqrt(-2.0 * np.log(one)) * np.cos(2.0 * np.pi * two))
+    first, second = uniform(seed, channel, pairs)
+    return np.asarray(np.sqrt(-2.0 * np.log(first)) * np.cos(2.0 * np.pi * second))
 
 
 def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) -> Array:
@@ -359,8 +359,8 @@ class LifeLayer:
         self.gains = np.empty((len(times), len(self._parts), 2))
         for part, (columns, flags, gain) in enumerate(zip(self._parts, rests, self._gains, strict=True)):
             wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, flags)
-            for k, one in enumerate(wanted):
-                gain.follow(float(one), seconds)
+            for k, target in enumerate(wanted):
+                gain.follow(float(target), seconds)
                 self.gains[k, part] = gain.value, gain.slope
             life[:, columns] *= self.gains[:, part, :1]
         self._shown = block[-1].astype(np.float64)

@@ -269,13 +269,14 @@ class RestingPart:
         self._join: _Join | None = None
         self._last = [(-1.0, rest), (0.0, rest)]
 
-    def step(self, times: Array, generated: Array, rests: Flags, asked: bool = False) -> Array:
-        """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K]. asked: a rest
-        that begins in this block was asked for, and holds still instead of retracting."""
+    def step(self, times: Array, generated: Array, rests: Flags, hold_still: bool = False) -> Array:
+        """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K].
+        hold_still: the user requested a rest that begins in this block, so the hands hold still instead of
+        retracting."""
         out = np.empty_like(generated)
         for k, time in enumerate(times):
             if rests[k] and self._stop is None:
-                self._stop, self._join = self._stopping(asked), None
+                self._stop, self._join = self._stopping(hold_still), None
             elif not rests[k] and self._stop is not None and (k == 0 or times[-1] - self._last[1][0] >= _LEAST_FADE):
                 # A generator that uses its past starts from the frame before; one that ignores it is extrapolated.
                 before = generated[k - 1] if k else 2.0 * generated[0] - generated[1]
@@ -300,15 +301,15 @@ class RestingPart:
                            HANGS - LETS_DOWN, max(word + LETS_DOWN - now, 0.0), evenly=True)
 
     def _velocity(self) -> Array:
-        (before, one), (now, two) = self._last
-        return (two - one) / (now - before)
+        (before, earlier), (now, later) = self._last
+        return (later - earlier) / (now - before)
 
-    def _stopping(self, asked: bool) -> _Stop:
+    def _stopping(self, hold_still: bool) -> _Stop:
         (_, _), (now, pose) = self._last
         velocity = self._velocity()
         stopped, stops_in = self._way.stop(pose, velocity, self.rest)
         stopped = np.clip(stopped, *self.bounds)
-        hold, fastest = (STILL_HOLD, STILL_SINKING) if asked else (HOLD, SINKING)
+        hold, fastest = (STILL_HOLD, STILL_SINKING) if hold_still else (HOLD, SINKING)
         return _Stop(now, pose, velocity, stopped, stops_in, self.rest,
                      self._way.sink_seconds(stopped, self.rest, fastest), hold)
 

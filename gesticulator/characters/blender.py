@@ -36,8 +36,8 @@ def blender() -> list[str] | None:
         return _command(named)
     if importlib.util.find_spec("bpy") is not None:
         return _command(sys.executable)
-    found = shutil.which("blender")
-    return None if found is None else _command(found)
+    program = shutil.which("blender")
+    return None if program is None else _command(program)
 
 
 def check_blender(subject: Path) -> list[str]:

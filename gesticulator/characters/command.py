@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     from gesticulator.characters.mapping import check, described, load_mapping, save_mapping
     from gesticulator.characters.reading import read_character
     from gesticulator.characters.retarget import Retargeter
-    from gesticulator.characters.several import note_of
+    from gesticulator.characters.rig import note_of
 
     character = read_character(args.character)
     mapping = find_joints(character) if args.mapping is None else load_mapping(args.mapping, character)

@@ -304,13 +304,13 @@ class _Rig:
         out = [BoneSegment(joints["Hips"], "Hips", bind[joints["Hips"]])]
         chest_change = self._chest_change()
         shares = self._shares([joints["Hips"], *self.mapping.spine])
-        ours = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
-        steps = np.cumsum([0.0, *(np.linalg.norm(_OURS[name]) for name in ours[1:])])
+        source = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
+        steps = np.cumsum([0.0, *(np.linalg.norm(_OURS[name]) for name in source[1:])])
         for node, share in zip(self.mapping.spine, shares[1:], strict=True):
             if node != self.mapping.spine[-1] and self._carries_legs(node):
                 share = 0.0  # a node that carries the legs moves with the hips
             change = _matrix(rotation.from_exponential_map(share * chest_change))
-            out.append(BoneSegment(node, *_place_among(ours, steps / steps[-1], share, change @ bind[node])))
+            out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, change @ bind[node])))
         look = self._head_change()
         chain = [*self.mapping.neck, joints["Head"]]
         shares = self._shares(chain)
@@ -344,8 +344,8 @@ class _Rig:
         top = self.mapping.neck[0] if self.mapping.neck else self.joints["Head"]
         spine = self._bind_place(top)
         across = self._bind_place(self.joints["LeftArm"]) - self._bind_place(self.joints["RightArm"])
-        ours = np.sum([_OURS[name] for name in ("Spine", "Spine1", "Spine2", "Spine3", "Neck")], axis=0)
-        turn = frame(ours, np.array([1.0, 0.0, 0.0])) @ frame(spine, across).T
+        source = np.sum([_OURS[name] for name in ("Spine", "Spine1", "Spine2", "Spine3", "Neck")], axis=0)
+        turn = frame(source, np.array([1.0, 0.0, 0.0])) @ frame(spine, across).T
         log = Rotation.from_matrix(turn).as_rotvec()
         return log if np.linalg.norm(log) > _LEANS else np.zeros(3)
 
@@ -353,8 +353,8 @@ class _Rig:
         if not self.mapping.neck:
             return np.eye(3)
         neck = self._bind_place(self.joints["Head"]) - self._bind_place(self.mapping.neck[0])
-        ours = _OURS["Neck1"] + _OURS["Head"]
-        return _turn(neck, ours) if np.linalg.norm(neck) > 1e-6 and _angle(neck, ours) > _LOOKS else np.eye(3)
+        source = _OURS["Neck1"] + _OURS["Head"]
+        return _turn(neck, source) if np.linalg.norm(neck) > 1e-6 and _angle(neck, source) > _LOOKS else np.eye(3)
 
     # ------------------------------------------------------------------------------------------------ arms
 
@@ -363,9 +363,9 @@ class _Rig:
         out: list[BoneSegment] = []
         for side, sign in (("Left", 1.0), ("Right", -1.0)):
             if side + "Shoulder" in self.joints:
-                bone, ours = self.bone(side + "Shoulder", side + "Arm"), _OURS[side + "Arm"]
+                bone, source = self.bone(side + "Shoulder", side + "Arm"), _OURS[side + "Arm"]
                 out.append(self._segment(side + "Shoulder",
-                                         _turn(bone, ours) if _angle(bone, ours) > _SHRUGS else np.eye(3)))
+                                         _turn(bone, source) if _angle(bone, source) > _SHRUGS else np.eye(3)))
             upper, lower = self.bone(side + "Arm", side + "ForeArm"), self.bone(side + "ForeArm", side + "Hand")
             ours_upper, ours_lower = _OURS[side + "ForeArm"], _OURS[side + "Hand"]
             hinge = np.cross(upper, lower) if _angle(upper, lower) > _BENT else None
@@ -387,11 +387,11 @@ class _Rig:
     def _rest_of_hand(self, side: str) -> list[int]:
         """The nodes beside the hand's that are parts of it, in characters with one bone for each finger's palm."""
         parents, hand = self.character.parents, self.joints[side + "Hand"]
-        found = labels(self.character.names)
+        node_labels = labels(self.character.names)
         taken = {*self.joints.values(), *self.mapping.spine, *self.mapping.neck}
         return [node for node, parent in enumerate(parents) if parent == parents[hand] and node not in taken
-                and not found[node].aid and not found[node].tip
-                and (found[node].parts[:1] == ("Hand",) or found[node].finger)]
+                and not node_labels[node].aid and not node_labels[node].tip
+                and (node_labels[node].parts[:1] == ("Hand",) or node_labels[node].finger)]
 
     def _palm(self, side: str, sign: float, forearm: Array) -> tuple[Array, Array | None, Array, Array]:
         """Direction along the hand and out of its back in the bind pose (None without fingers), and those of ours."""
@@ -432,13 +432,13 @@ class _Rig:
                 way = self._phalanx(name, before)
                 before = way if way is not None else before
                 index = WHOLE_BODY.index(name)
-                ours = WHOLE_BODY.end_sites[index] if place == 3 else _OURS[f"{side}Hand{finger}{place + 1}"]
+                source = WHOLE_BODY.end_sites[index] if place == 3 else _OURS[f"{side}Hand{finger}{place + 1}"]
                 if way is None:
                     out.append(self._segment(name, hand))
                 elif back is None:
-                    out.append(self._segment(name, _turn(hand @ way, ours) @ hand))
+                    out.append(self._segment(name, _turn(hand @ way, source) @ hand))
                 else:
-                    out.append(self._segment(name, _change(way, back, ours, ours_back)))
+                    out.append(self._segment(name, _change(way, back, source, ours_back)))
         return out
 
     def _phalanx(self, name: str, before: Array | None) -> Array | None:
@@ -478,19 +478,19 @@ class _Rig:
         return out
 
 
-def _change(bone: Array, across: Array | None, ours: Array, ours_across: Array) -> Array:
+def _change(bone: Array, across: Array | None, source: Array, ours_across: Array) -> Array:
     """[3, 3] rotation from a bone in the bind pose to ours at rest that maps bone to bone and `across` to ours; the
     shortest rotation if `across` is None or parallel to the bone."""
     if across is None or np.linalg.norm(across) < 1e-9 or abs(np.cos(_angle(bone, across))) > 0.95 \
-            or abs(np.cos(_angle(ours, ours_across))) > 0.95:
-        return _turn(bone, ours)
-    return frame(ours, ours_across) @ frame(bone, across).T
+            or abs(np.cos(_angle(source, ours_across))) > 0.95:
+        return _turn(bone, source)
+    return frame(source, ours_across) @ frame(bone, across).T
 
 
-def _place_among(ours: Sequence[str], steps: Array, share: float, constant: Array) -> tuple[str, Array, str, float]:
+def _place_among(source: Sequence[str], steps: Array, share: float, constant: Array) -> tuple[str, Array, str, float]:
     """The fields (joint, C, other, share) of a `BoneSegment` at position `share` among our joints at `steps`."""
-    place = int(np.clip(np.searchsorted(steps, share, side="right") - 1, 0, len(ours) - 1))
-    if place == len(ours) - 1:
-        return ours[place], constant, "", 0.0
+    place = int(np.clip(np.searchsorted(steps, share, side="right") - 1, 0, len(source) - 1))
+    if place == len(source) - 1:
+        return source[place], constant, "", 0.0
     part = float(np.clip((share - steps[place]) / (steps[place + 1] - steps[place]), 0.0, 1.0))
-    return ours[place], constant, ours[place + 1], part
+    return source[place], constant, source[place + 1], part

@@ -225,7 +225,7 @@ class GltfFile:
 
     def _check_mesh(self, mesh: dict[str, Any], where: str) -> None:
         primitives = mesh.get("primitives")
-        if not isinstance(primitives, list) or not all(isinstance(one, dict) for one in primitives):
+        if not isinstance(primitives, list) or not all(isinstance(entry, dict) for entry in primitives):
             raise self.error(f"{where}.primitives is not a list of objects")
         for number, primitive in enumerate(primitives):
             attributes = primitive.get("attributes", {})

@@ -16,11 +16,9 @@ import numpy as np
 from data_module.motion.skeletons import FINGERS, NAME_TABLES
 from data_module.types import Array
 from gesticulator.characters import shape
-from gesticulator.characters.conventions import conventional
 from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
-from gesticulator.characters.names import Label
-from gesticulator.characters.rig import UPS, Character
-from gesticulator.characters.several import chosen, skeletons_of
+from gesticulator.characters.names import Label, character_labels
+from gesticulator.characters.rig import UPS, Character, chosen, skeletons_of
 
 _VRM_PARTS = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
               "Leg": "LowerLeg", "Foot": "Foot", "ToeBase": "Toes"}
@@ -77,7 +75,7 @@ def find_joints(character: Character) -> RigMapping:
     """
     if character.humanoid:
         return _from_vrm(character)
-    labels = conventional(character)
+    labels = character_labels(character)
     places = shape.bind_matrices(character)[:, :3, 3]
     # glTF and Blender define the up axis; BVH does not.
     ups = list(np.eye(3)[[1, 2, 0]])
@@ -104,12 +102,13 @@ def _worth(mapping: RigMapping) -> tuple[bool, float, int]:
 def _skeletons_mixed(character: Character, mapping: RigMapping) -> list[str]:
     """The names of the file's skeletons if the mapping has joints of two that stand beside one another, as the arms of
     a rider and the legs of the horse; else none."""
-    found = skeletons_of(character)
-    lines = {top: {top, *ancestors(character.parents, top)} for top in found.values()}
+    skeletons = skeletons_of(character)
+    lines = {top: {top, *ancestors(character.parents, top)} for top in skeletons.values()}
     used = {top for top in lines for node in mapping.joints.values()
             if top in (node, *ancestors(character.parents, node))}
-    beside = any(one not in lines[other] and other not in lines[one] for one in used for other in used if one != other)
-    return list(found) if beside else []
+    beside = any(first not in lines[second] and second not in lines[first]
+                 for first in used for second in used if first != second)
+    return list(skeletons) if beside else []
 
 
 # ---------------------------------------------------------------------------------------------------- by the table
@@ -119,22 +118,22 @@ def _from_vrm(character: Character) -> RigMapping:
     table = character.humanoid
     joints = {name: table[bone] for name, bone in (("Hips", "hips"), ("Head", "head")) if bone in table}
     for side in SIDES:
-        for ours, bone in _VRM_PARTS.items():
+        for part, bone in _VRM_PARTS.items():
             if side.lower() + bone in table:
-                joints[side + ours] = table[side.lower() + bone]
-        for finger, theirs in _VRM_FINGERS.items():
+                joints[side + part] = table[side.lower() + bone]
+        for finger, vrm_finger in _VRM_FINGERS.items():
             for place in range(3):
                 kind = _VRM_PLACES["1.0" if finger == "Thumb" and character.vrm == "1.0" else "0.x"][place]
-                if f"{side.lower()}{theirs}{kind}" in table:
-                    joints[f"{side}Hand{finger}{place + 1}"] = table[f"{side.lower()}{theirs}{kind}"]
+                if f"{side.lower()}{vrm_finger}{kind}" in table:
+                    joints[f"{side}Hand{finger}{place + 1}"] = table[f"{side.lower()}{vrm_finger}{kind}"]
     spine = tuple(table[bone] for bone in ("spine", "chest", "upperChest") if bone in table)
     neck = (table["neck"],) if "neck" in table else ()
     exchanged: list[str] = []
     up = UPS.get(character.kind, np.eye(3)[1])
     joints = _turned_round(Search(character, (), shape.bind_matrices(character)[:, :3, 3], up), joints, True, exchanged)
-    lacking = [name for name in NEEDED if name not in joints]
-    doubts = (*exchanged, *((f"its VRM table lacks {', '.join(lacking)}",) if lacking else ()))
-    return RigMapping(joints, spine, neck, "vrm humanoid", 0.0 if lacking else 1.0, doubts)
+    missing = [name for name in NEEDED if name not in joints]
+    doubts = (*exchanged, *((f"its VRM table lacks {', '.join(missing)}",) if missing else ()))
+    return RigMapping(joints, spine, neck, "vrm humanoid", 0.0 if missing else 1.0, doubts)
 
 
 # ---------------------------------------------------------------------------------------------------- by all else
@@ -246,13 +245,13 @@ def _nearness(search: Search, head: int, ends: Mapping[str, int]) -> int:
 def _ends_by_shape(search: Search) -> dict[str, int]:
     """Hands and feet by position. Left and right are those of the names, where these say them; positions do not show
     which way the character faces."""
-    found = shape.limb_ends(search.character, search.places, search.up, search.aids)
+    ends = shape.limb_ends(search.character, search.places, search.up, search.aids)
     named = {name: next((search.labels[above].side for above in (node, *ancestors(search.character.parents, node))
-                         if search.labels[above].side), "") for name, node in found.items()}
+                         if search.labels[above].side), "") for name, node in ends.items()}
     against = sum(bool(side) and not name.startswith(side) for name, side in named.items())
     if against < 2 or against <= sum(bool(side) and name.startswith(side) for name, side in named.items()):
-        return found
-    return _exchanged(found)
+        return ends
+    return _exchanged(ends)
 
 
 def _ends_another(search: Search, name: str, node: int, ends: Mapping[str, int]) -> bool:

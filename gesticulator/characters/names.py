@@ -1,13 +1,115 @@
-"""Parses bone names: side, body part and number, in the spellings of common tools."""
+"""Parses bone names: side, body part and number, in the spellings of common tools and in other languages.
+
+Artists name bones in the language that they speak. `english` replaces words for body parts and sides in German, Dutch,
+French, Spanish, Italian, Portuguese, Russian, Japanese and Chinese by the English ones; a name in plain English stays
+as it is.
+
+A single name can mislead: Rigify numbers neck and head as joints of the spine, and an exported control rig has every
+part three times. So `character_labels` also reads the whole set of names of a character, in which a known convention is
+recognised by several names together, and the nodes that move a mesh.
+"""
 
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from gesticulator.characters.languages import LEFT, RIGHT, WORDS, english, split
+import numpy as np
+
+from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, SIDES, ancestors
+from gesticulator.characters.rig import Character
+
+
+def split(*lines: str) -> frozenset[str]:
+    """The words of some lines."""
+    return frozenset(word for line in lines for word in line.split())
+
+
+LEFT = split("links linke linker linkes linkse gauche izquierda izquierdo izq sinistra sinistro sx esquerda esquerdo",
+             "esq hidari zuo")
+RIGHT = split("rechts rechte rechter rechtes rechtse droite droit derecha derecho dcha destra destro dx direita",
+              "direito dir migi you")
+"""Words for the sides, without accents."""
+
+_LATIN = {english: words.split() for english, words in {
+    "pelvis": "becken bassin bacino bacia bekken",
+    "hips": "hanches caderas fianchi quadril",
+    "hip": "hufte huefte hanche cadera anca heup",
+    "spine": "wirbelsaule wirbelsaeule ruckgrat colonne columna colonna coluna ruggengraat wervelkolom",
+    "back": "rucken ruecken dos espalda schiena costas rug",
+    "belly": "bauch ventre vientre addome buik",
+    "chest": "brust brustkorb poitrine pecho petto torace peito borst borstkas",
+    "torso": "oberkorper oberkoerper torse tronco romp",
+    "neck": "hals nacken cou cuello collo pescoco nek",
+    "head": "kopf tete cabeza testa cabeca hoofd",
+    "shoulder": "schulter epaule hombro spalla ombro schouder",
+    "clavicle": "schlusselbein schluesselbein clavicule clavicula clavicola sleutelbeen",
+    "upperarm": "oberarm bovenarm",
+    "arm": "bras brazo braccio braco",
+    "forearm": "unterarm avantbras antebrazo avambraccio antebraco onderarm",
+    "elbow": "ellbogen ellenbogen coude codo gomito cotovelo elleboog",
+    "hand": "main mano mao",
+    "wrist": "handgelenk poignet muneca polso pulso punho pols",
+    "thumb": "daumen pouce pulgar pollice polegar duim",
+    "index": "zeigefinger indice indicador wijsvinger",
+    "middle": "mittelfinger majeur medio corazon middelvinger",
+    "ring": "ringfinger annulaire anular anulare anelar ringvinger",
+    "pinky": "kleinerfinger auriculaire menique mignolo mindinho minimo pink",
+    "thigh": "oberschenkel cuisse muslo coscia coxa bovenbeen dij",
+    "leg": "bein jambe pierna gamba perna been",
+    "shin": "unterschenkel schienbein espinilla canela onderbeen scheenbeen",
+    "calf": "wade mollet pantorrilla polpaccio panturrilha kuit",
+    "knee": "knie genou rodilla ginocchio joelho",
+    "foot": "fuss pied pie piede pe voet",
+    "ankle": "knochel knoechel cheville tobillo caviglia tornozelo enkel",
+    "toe": "zeh zehe zehen orteil orteils dedospie ditapiede dedospe teen tenen",
+}.items()}
+WORDS = {word: english for english, words in _LATIN.items() for word in words}
+"""Word in the Latin alphabet, without accents -> the English word."""
+
+_RUSSIAN = {word: english for english, words in {
+    "left": "левая левый левое лев", "right": "правая правый правое прав", "pelvis": "таз", "hips": "бедра",
+    "thigh": "бедро", "spine": "позвоночник", "back": "спина", "chest": "грудь", "belly": "живот", "torso": "торс",
+    "neck": "шея", "head": "голова", "clavicle": "ключица", "shoulder": "плечо", "arm": "рука",
+    "forearm": "предплечье", "elbow": "локоть", "hand": "кисть ладонь", "wrist": "запястье", "thumb": "большой",
+    "index": "указательный", "middle": "средний", "ring": "безымянный", "pinky": "мизинец", "leg": "нога",
+    "shin": "голень", "knee": "колено", "foot": "стопа ступня", "ankle": "лодыжка", "toe": "носок", "": "палец",
+    "hair": "волосы",
+}.items() for word in words.split() or [""]}
+
+_EASTERN = {word: english for english, words in {
+    "left": "左", "right": "右",
+    "hips": "センター 臀部 臀", "hip": "髋 髋部", "pelvis": "骨盆 盆骨 骨盤", "lower body": "下半身",
+    "spine": "上半身 脊柱 脊椎 背骨", "waist": "腰 腰部", "belly": "腹 腹部", "chest": "胸 胸部",
+    "neck": "首 颈 頸 脖子 颈部", "head": "頭 头 头部", "shoulder": "肩 肩膀 肩部", "clavicle": "锁骨 鎖骨",
+    "upperarm": "上臂 大臂 上腕", "forearm": "前臂 小臂 下臂 前腕", "ude": "腕", "arm": "手臂",
+    "elbow": "ひじ 肘 手肘", "wrist": "手首 手腕", "hand": "手 手掌 手部",
+    "thumb": "親指 拇指 大拇指", "index": "人指 人差指 人差し指 食指", "middle": "中指", "ring": "薬指 无名指 無名指",
+    "pinky": "小指 小拇指", "": "手指", "thigh": "太もも 大腿", "ashi": "足", "leg": "腿",
+    "shin": "すね 小腿", "knee": "ひざ 膝 膝盖", "ankle": "足首 脚踝 踝", "foot": "脚 脚掌", "toe": "つま先 脚趾 趾",
+    "hair": "髪 头发 頭髮", "twist": "捩", "eye": "目 眼 眼睛", "helper": "キャンセル",
+}.items() for word in words.split()}
+_EAST = re.compile("|".join(sorted(map(re.escape, _EASTERN), key=len, reverse=True)))
+_CYRILLIC = re.compile("[а-яё]+", re.IGNORECASE)
+
+
+def english(name: str) -> str:
+    """The name with Japanese, Chinese and Russian words replaced by English ones, and without accents.
+
+    >>> english("左ひじ"), english("Левая_кисть"), english("Épaule.G"), english("LeftArm")
+    (' left  elbow ', 'left_hand', 'Epaule.G', 'LeftArm')
+    """
+    if name.isascii():
+        return name
+    text = unicodedata.normalize("NFKC", name)
+    text = _EAST.sub(lambda match: f" {_EASTERN[match[0]]} ", text)
+    text = _CYRILLIC.sub(lambda match: _RUSSIAN.get(match[0].lower(), match[0]), text)
+    return "".join(letter for letter in unicodedata.normalize("NFKD", text.replace("ß", "ss"))
+                   if not unicodedata.combining(letter))
+
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _SIDES = {"l": "Left", "left": "Left", "lf": "Left", "lft": "Left", "r": "Right", "right": "Right", "rt": "Right",
@@ -93,12 +195,12 @@ def labels(names: Sequence[str]) -> tuple[Label, ...]:
     >>> [entry.parts for entry in labels(["Bob_Hips", "Bob_Head", "BobLeftArm", "BobLeftHand", "BobNeck"])]
     [('Hips',), ('Head',), ('Arm', 'ForeArm'), ('Hand',), ('Neck',)]
     """
-    firsts = Counter(found[0] for found in map(words, names) if found)
+    firsts = Counter(parts[0] for parts in map(words, names) if parts)
     word, count = firsts.most_common(1)[0] if firsts else ("", 0)
     known = word in _SIDES or word in _PARTS or word in _DOUBLE or word in _FINGERS or word in WORDS
     noise = frozenset() if known or count < max(4, _MOST * len(names)) else frozenset((word,))
-    sided = [set(found) for found in map(words, names) if set(found) & set(_FRENCH)]
-    french = sum(bool(found & set(WORDS)) for found in sided) >= _FEW
+    sided = [set(parts) for parts in map(words, names) if set(parts) & set(_FRENCH)]
+    french = sum(bool(parts & set(WORDS)) for parts in sided) >= _FEW
     return tuple(label(name, noise, french) for name in names)
 
 
@@ -168,3 +270,76 @@ def _glued_side(parts: list[str]) -> tuple[str, list[str]]:
             if rest != word and known and word not in _PARTS and word not in _FINGERS:
                 return side, [*parts[:place], rest, *parts[place + 1:]]
     return "", parts
+
+
+_RIGIFY = re.compile(r"(DEF[-_]|ORG[-_]|)spine(?:[._]?(\d{3}))?", re.IGNORECASE)
+"""Rigify's spine: its joints 0 to 3 are hips and trunk, the last one is the head, and those before it are the neck."""
+_RIGIFY_TRUNK = 4
+_RIGIFY_NAMES = {"upper_arm", "forearm", "thigh", "shin"}
+"""Names that show, beside such a spine, that it is Rigify's."""
+
+
+def character_labels(character: Character) -> tuple[Label, ...]:
+    """[N] the labels of a character's nodes."""
+    entries = list(labels(character.names))
+    for node, entry in {**_rigify_spine(character, entries), **_numbered_limbs(character, entries)}.items():
+        entries[node] = entry
+    return tuple(_without_controls(character, entries))
+
+
+def _rigify_spine(character: Character, entries: list[Label]) -> dict[int, Label]:
+    """Node -> label of the spine of a Rigify character; empty for others, and if other nodes are named as the head."""
+    stems = {re.sub(r"^(DEF|ORG)[-_]", "", name, flags=re.IGNORECASE).lower().split(".")[0].rstrip("_lr")
+             for name in character.names}
+    if not stems >= _RIGIFY_NAMES:
+        return {}
+    chains: dict[str, dict[int, int]] = {}
+    for node, name in enumerate(character.names):
+        match = _RIGIFY.fullmatch(name)
+        if match:
+            chains.setdefault(match[1].upper()[:3], {})[int(match[2] or 0)] = node
+    chain = next((chains[prefix] for prefix in ("DEF", "", "ORG")
+                  if len(chains.get(prefix, ())) > _RIGIFY_TRUNK and 0 in chains[prefix]), None)
+    if chain is None:
+        return {}
+    heads = [node for node, entry in enumerate(entries)
+             if entry.parts[:1] == ("Head",) and not entry.tip and not entry.aid]
+    if any(set(chain.values()) & set(ancestors(character.parents, node)) for node in heads) or (
+            len(character.flesh) and np.isin(heads, character.flesh_nodes).any()):
+        return {}  # the spine carries a head of that name
+    out = {node: Label(("Hips" if number == 0 else "Spine" if number < _RIGIFY_TRUNK else "Neck",), "", str(number))
+           for number, node in chain.items()}
+    out[chain[max(chain)]] = Label(("Head",))
+    return out | {node: Label() for node in heads}
+
+
+def _numbered_limbs(character: Character, entries: list[Label]) -> dict[int, Label]:
+    """Node -> label of limbs whose bones are all called arm or leg, one below the other, as those that Blender names
+    after the one that they were extruded from (Arm.L, Arm.L.001, Arm.L.002), or arm_l_1 to arm_l_3."""
+    out: dict[int, Label] = {}
+    for side in SIDES:
+        for word, ends, parts in ((("Arm", "ForeArm"), {"ForeArm", "Hand"}, ARM_PARTS),
+                                  (("Leg", "UpLeg"), {"UpLeg", "Foot"}, LEG_PARTS)):
+            sided = {node: entry for node, entry in enumerate(entries)
+                     if entry.side == side and entry.parts and not entry.aid and not entry.tip}
+            line = [node for node, entry in sided.items() if entry.parts == word]
+            line.sort(key=lambda node: len(ancestors(character.parents, node)))
+            if len(line) not in (3, 4) or any(entry.parts[0] in ends for entry in sided.values()) or any(
+                    above not in ancestors(character.parents, node)
+                    for above, node in zip(line, line[1:], strict=False)):
+                continue
+            named = parts[-len(line):] if word[0] == "Arm" else parts[:len(line)]
+            out |= {node: replace(entries[node], parts=(part,)) for node, part in zip(line, named, strict=True)}
+    return out
+
+
+def _without_controls(character: Character, entries: list[Label]) -> list[Label]:
+    """The labels, without those of controls: nodes that move no vertex although another of the same name does."""
+    if not len(character.flesh):
+        return entries
+    moves = np.zeros(len(character), dtype=bool)
+    moves[np.unique(character.flesh_nodes)] = True
+    moving = {(entry.parts[0], entry.side, entry.number) for node, entry in enumerate(entries)
+              if entry.parts and moves[node] and not entry.aid and not entry.tip}
+    return [replace(entry, parts=()) if entry.parts and not moves[node] and not character.skinned[node]
+            and (entry.parts[0], entry.side, entry.number) in moving else entry for node, entry in enumerate(entries)]

@@ -10,8 +10,7 @@ from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import RigMapping, check, load_mapping, save_mapping
-from gesticulator.characters.rig import Character
-from gesticulator.characters.several import chosen, split_name
+from gesticulator.characters.rig import Character, chosen, split_name
 
 __all__ = ["READERS", "read_character"]
 
@@ -27,7 +26,7 @@ READERS: Registry[RegistryEntry] = Registry("characters", "a format of character
 
 def read_character(path: str | os.PathLike[str]) -> Character:
     """The character in a file, or with `file#name` the one of that name among several
-    (`gesticulator.characters.several`). `InputError` for an unknown suffix or an invalid file."""
+    (`gesticulator.characters.rig`). `InputError` for an unknown suffix or an invalid file."""
     file, name = split_name(os.fspath(path))
     suffix = Path(file).suffix.lower()
     if suffix not in READERS:

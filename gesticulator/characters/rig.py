@@ -1,15 +1,19 @@
-"""A character as in its file: a tree of nodes at rest, in the file's units and axes."""
+"""A character as in its file: a tree of nodes at rest, in the file's units and axes.
+
+A file may hold several characters; `file.glb#name` selects one of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from data_module.errors import InputError, shown
 from data_module.types import Array
 
 __all__ = ["Character", "CharacterMotion", "Skin", "decomposed"]
@@ -202,3 +206,67 @@ class CharacterMotion:
         """[T, N, 4, 4] the nodes' world matrices, in the file's units and axes."""
         moved = {} if self.translations is None else {self.hips: self.translations}
         return self.character.world_matrices(self.rotations, moved)
+
+
+_LEAST_JOINTS = 12
+"""Joints of a skeleton that may be a character: hips, spine, head and two arms and legs take 15; a prop has fewer."""
+
+
+def split_name(path: str) -> tuple[str, str]:
+    """A path and the name of a character after #; "" without one. A file whose own name has a # is taken as it is."""
+    if "#" not in path or Path(path).exists():
+        return path, ""
+    file, _, name = path.rpartition("#")
+    return file, name
+
+
+def skeletons_of(character: Character) -> dict[str, int]:
+    """Name -> top node of every skeleton that may be a character, in the order of the file. The name is that of the
+    node above the skeleton if it carries no other, else that of its top joint; repeated names get the node's index."""
+    skinned = character.skinned
+    top = list(range(len(character)))  # the highest joint of the unbroken line of joints above a node
+    for node, parent in enumerate(character.parents):
+        if parent >= 0:
+            top[node] = top[parent] if skinned[top[parent]] else node
+    sizes = np.bincount([top[node] for node in np.flatnonzero(skinned)], minlength=len(character))
+    skeletons: dict[str, int] = {}
+    tops = [int(node) for node in np.flatnonzero(sizes >= _LEAST_JOINTS)]
+    above = [character.parents[node] for node in tops]
+    for node, parent in zip(tops, above, strict=True):
+        name = character.names[parent] if parent >= 0 and above.count(parent) == 1 else character.names[node]
+        name = name or f"node {character.node_ids[node]}"
+        skeletons[name if name not in skeletons else f"{name}:{character.node_ids[node]}"] = node
+    return skeletons
+
+
+def chosen(character: Character, name: str) -> Character:
+    """The character with the joints and the mesh of one skeleton alone. `InputError` that lists the names, if there is
+    none of that name."""
+    skeletons = skeletons_of(character)
+    if name not in skeletons:
+        raise InputError(f"{character.path}#{shown(name)}", "is not a character of the file",
+                         f"choose among {', '.join(map(shown, skeletons))}" if skeletons else "leave the name out")
+    inside = np.zeros(len(character), dtype=bool)
+    inside[skeletons[name]] = True
+    for node, parent in enumerate(character.parents):
+        inside[node] |= parent >= 0 and inside[parent]
+    near = inside[character.flesh_nodes]
+    table = {bone: node for bone, node in character.humanoid.items() if inside[node]}
+    # Joints are found by their names, too: those of the others must not be read.
+    names = tuple(node_name if here else "" for node_name, here in zip(character.names, inside, strict=True))
+    return replace(character, names=names, skinned=character.skinned & inside, humanoid=table,
+                   flesh=character.flesh[near], flesh_nodes=character.flesh_nodes[near])
+
+
+def note_of(character: Character, hips: int) -> str:
+    """A line on a file with several characters, of which the one with the node `hips` is used; "" for one alone."""
+    skeletons = skeletons_of(character)
+    if len(skeletons) < 2:
+        return ""
+    line = {hips}
+    while character.parents[hips] >= 0:
+        hips = character.parents[hips]
+        line.add(hips)
+    used = next((name for name, node in skeletons.items() if node in line), "")
+    others = ", ".join(f"{character.path.name}#{name}" for name in skeletons if name != used)
+    return f"holds {len(skeletons)} skeletons, of which {shown(used)} is used; for another give {others}"

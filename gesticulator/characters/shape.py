@@ -37,8 +37,8 @@ def _children(character: Character) -> list[list[int]]:
 
 def _subtree(below: list[list[int]], node: int) -> list[int]:
     out = [node]
-    for one in out:
-        out += below[one]
+    for descendant in out:
+        out += below[descendant]
     return out
 
 
@@ -174,8 +174,8 @@ def feet_ahead(character: Character, places: Array, up: Array, joints: Mapping[s
 def _foot_mesh(character: Character, places: Array, up: Array, foot: int) -> Array | None:
     """[3] from the ankle to the middle of the mesh of the foot and what is below it; None without a mesh."""
     under = set(_subtree(_children(character), foot))
-    own = np.isin(character.flesh_nodes, list(under)) if len(character.flesh) else np.zeros(0, dtype=bool)
-    if own.sum() < 8:
+    of_foot = np.isin(character.flesh_nodes, list(under)) if len(character.flesh) else np.zeros(0, dtype=bool)
+    if of_foot.sum() < 8:
         return None
-    points = character.flesh[own]
+    points = character.flesh[of_foot]
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2.0 - places[foot])

@@ -64,19 +64,19 @@ def forearms(body: Body) -> list[Forearm]:
         line = ancestors(character.parents, hand)
         line = line[:line.index(node)]
         twists = []
-        for one in range(len(character)):
-            above = ancestors(character.parents, one)
-            if node not in above or one == hand or hand in above or one in joints.values():
+        for candidate in range(len(character)):
+            above = ancestors(character.parents, candidate)
+            if node not in above or candidate == hand or hand in above or candidate in joints.values():
                 continue
-            offset = turns[node].T @ (places[one] - places[node])
+            offset = turns[node].T @ (places[candidate] - places[node])
             place = float(offset @ way) / length ** 2
             aside = float(np.linalg.norm(offset - place * way)) / length
-            if (one in line or NAMED & set(words(character.names[one]))) and aside < _ASIDE:
-                twists.append((place, one))
+            if (candidate in line or NAMED & set(words(character.names[candidate]))) and aside < _ASIDE:
+                twists.append((place, candidate))
         twists.sort()
         bones = tuple(TwistBone(
-            one, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(twists) + 1), turns[node].T @ turns[one])
-            for rank, (place, one) in enumerate(twists))
+            candidate, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(twists) + 1),
+            turns[node].T @ turns[candidate]) for rank, (place, candidate) in enumerate(twists))
         if bones:
             out.append(Forearm(node, hand, way / length, turns[node].T @ turns[hand], bones))
     return out

@@ -33,15 +33,15 @@ def convert(source: str, target: str, fps: float = 30.0, keys: float = 0.0, name
     """Import a file into an empty scene at `fps` frames per second, animate it, and export the scene."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
-    kept = source.lower().endswith(".blend")
-    if kept:  # as the scene to start with, so that it has no path of its own that textures would be relative to
+    is_blend = source.lower().endswith(".blend")
+    if is_blend:  # as the scene to start with, so that it has no path of its own that textures would be relative to
         bpy.ops.wm.read_homefile(filepath=source, load_ui=False)
     else:
         bpy.ops.wm.read_factory_settings(use_empty=True)
     scene: Any = bpy.context.scene
     whole = max(1, round(fps))
-    if kept or source.lower().endswith(".fbx"):
-        if not kept:
+    if is_blend or source.lower().endswith(".fbx"):
+        if not is_blend:
             bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
         to_bind_pose()
     else:
@@ -127,7 +127,7 @@ def export_fbx(target: str, keys: float) -> None:
     # Blender packs arrays as fast as it can; meshes and the times of keys become a little smaller.
     encode_bin.zlib = types.SimpleNamespace(compress=lambda data, *_: zlib.compress(data, 9))
     export_fbx_bin.datetime = types.SimpleNamespace(datetime=FixedDay)
-    export_fbx_bin.AnimationCurveNodeWrapper.simplify = lambda own, *_: reduce_keys(own, keys)
+    export_fbx_bin.AnimationCurveNodeWrapper.simplify = lambda curves, *_: reduce_keys(curves, keys)
     if not hasattr(export_fbx_bin, "all_animations"):  # once in a process
         export_fbx_bin.all_animations = export_fbx_bin.fbx_animations
     export_fbx_bin.fbx_animations = lambda data: without_modifiers(export_fbx_bin.all_animations, data)
@@ -209,18 +209,18 @@ def needed(row: Any, bound: float) -> Any:
     """[T] which values of a curve need a key: added where the error is the greatest until none is beyond the bound."""
     import numpy as np
 
-    kept = np.zeros(len(row), dtype=bool)
-    kept[[0, -1]] = True
+    has_key = np.zeros(len(row), dtype=bool)
+    has_key[[0, -1]] = True
     frames = np.arange(len(row))
     while True:
-        at = np.flatnonzero(kept)
+        at = np.flatnonzero(has_key)
         off = np.abs(np.interp(frames, at, row[at]) - row)
         worst = np.maximum.reduceat(off, at)
         bad = worst > bound
         if not bad.any():
-            return kept
-        segment = np.cumsum(kept) - 1
-        kept |= bad[segment] & (off == worst[segment])
+            return has_key
+        segment = np.cumsum(has_key) - 1
+        has_key |= bad[segment] & (off == worst[segment])
 
 
 if __name__ == "__main__":

@@ -176,7 +176,7 @@ def body(now: Mapping[str, Array], look: Look, trunk: float = 1.0) -> list[BodyP
 def _trunk(now: Mapping[str, Array], share: float) -> list[BodyPart]:
     collar = now["Spine3"] * 0.35 + now["Neck"] * 0.65
     line = [now["Hips"] + [0.0, 0.06, 0.0], *(now[name] for name in ("Spine", "Spine1", "Spine2", "Spine3")), collar]
-    wide = [share * one for one in (0.29, 0.28, 0.28, 0.31, 0.32, 0.15)]
+    wide = [share * width for width in (0.29, 0.28, 0.28, 0.31, 0.32, 0.15)]
     shirt = [Limb(line[k], line[k + 1], wide[k], wide[k + 1], SHIRT) for k in range(len(line) - 1)]
     shirt += [Limb(now["Spine3"] * 0.4 + now[f"{side}Arm"] * 0.6, now[f"{side}Arm"], 0.16, 0.125, SHIRT)
               for side in ("Left", "Right")]

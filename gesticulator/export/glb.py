@@ -1,22 +1,28 @@
-"""`.glb`: the skeleton with a plain figure and one animation, or the user's character with the animation added."""
+"""`.glb`: the skeleton with a plain figure and one animation, or the user's character with the animation added.
+
+The figure is a visible body for a bare skeleton: one spindle of eight triangles per bone, in the world of the rest pose
+(metres), each rigidly attached to its joint.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
+from data_module.types import Array
 from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.gltf import VERTICES, FrameTrack, GltfDocument, node_tree, open_gltf, transform
 from gesticulator.export.key_reduction import STEADY
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.own_fbx import write_animated
-from gesticulator.export.stick_figure import figure
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
@@ -151,3 +157,54 @@ def _dress(gltf: GltfDocument, motion: NodeMotion) -> None:
     # Beside the skeleton, not in it: the position of a skinned mesh is defined by its joints alone.
     document["scenes"][0]["nodes"].append(len(document["nodes"]))
     document["nodes"].append({"name": "figure", "mesh": 0, "skin": 0})
+
+
+_WIDEST = 0.14
+"""Half width of a spindle as a share of its length."""
+_MOST_HALF_WIDTH = 0.035
+"""Largest half width, metres."""
+_LEAST_BONE = 1e-4
+"""Shorter bones are omitted, metres."""
+_WIDEST_AT = 0.18
+"""Position of the widest point along the bone."""
+_SPINDLE_FACES = np.array([(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 1, 4), (5, 1, 2), (5, 2, 3), (5, 3, 4), (5, 4, 1)])
+
+
+@dataclass(frozen=True)
+class FigureMesh:
+    """V vertices, each in one triangle (flat shading): positions and normals [V, 3], and the joint of each [V]."""
+
+    positions: Array
+    normals: Array
+    joints: NDArray[np.int64]
+
+
+def figure(motion: NodeMotion) -> FigureMesh:
+    """The mesh of all bones of a skeleton at rest; [0, 3] if no bone has a length."""
+    world = motion.rest_matrices()
+    bones = [(parent, world[node, :3, 3]) for node, parent in enumerate(motion.parents) if parent >= 0]
+    bones += [(node, world[node, :3, :3] @ tip + world[node, :3, 3]) for node, tip in motion.tips.items()]
+    corners, joints = [], []
+    for joint, end in bones:
+        start = world[joint, :3, 3]
+        if np.linalg.norm(end - start) * motion.unit > _LEAST_BONE:
+            corners.append(_spindle(start, end, _MOST_HALF_WIDTH / motion.unit)[_SPINDLE_FACES])
+            joints.append(joint)
+    triangles = np.concatenate(corners) if corners else np.zeros((0, 3, 3))
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return FigureMesh(triangles.reshape(-1, 3), np.repeat(normals, 3, axis=0),
+                      np.repeat(np.array(joints, np.int64), 3 * len(_SPINDLE_FACES)))
+
+
+def _spindle(start: Array, end: Array, most: float) -> Array:
+    """[6, 3] the first point, four around the widest place, and the last."""
+    way = end - start
+    length = float(np.linalg.norm(way))
+    along = way / length
+    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    across /= np.linalg.norm(across)
+    up = np.cross(along, across)
+    belly = start + way * _WIDEST_AT
+    around = min(_WIDEST * length, most) * np.array([across, up, -across, -up])
+    return np.concatenate([start[None], belly + around, end[None]])

@@ -90,10 +90,10 @@ class GltfDocument:
         turned = kept_frames(motion.turns[:, rows], track_bounds(rows, clip.keys, steady), rotation_errors)
         for column, (source, node) in enumerate(nodes.items()):
             if source in motion.shifts:
-                kept = kept_places(motion.shifts[source], clip.keys)
-                tracks.append((node, TRANSLATION, times[kept], motion.shifts[source][kept].astype("<f4")))
-            kept = turned[:, column]
-            tracks.append((node, ROTATION, times[kept], as_gltf(motion.turns[kept, source])))
+                key_frames = kept_places(motion.shifts[source], clip.keys)
+                tracks.append((node, TRANSLATION, times[key_frames], motion.shifts[source][key_frames].astype("<f4")))
+            key_frames = turned[:, column]
+            tracks.append((node, ROTATION, times[key_frames], as_gltf(motion.turns[key_frames, source])))
         self.add_animation(clip.name, tracks + [(node, path, times, values) for node, path, values in more])
 
     def add_animation(self, name: str, tracks: Sequence[Track]) -> None:

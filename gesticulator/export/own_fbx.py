@@ -57,8 +57,8 @@ def _source(file: Path) -> str:
     """What Blender reads: the scene that it kept when it read the character, else the file itself."""
     from gesticulator.characters.fbx_rig import kept_scene
 
-    kept = kept_scene(file) if file.exists() else file
-    return str(kept if kept.exists() else file.resolve())
+    scene = kept_scene(file) if file.exists() else file
+    return str(scene if scene.exists() else file.resolve())
 
 
 def _face_tracks(file: Path, gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion

@@ -15,8 +15,8 @@ import numpy as np
 
 from data_module.files import write_bytes
 from gesticulator.export.clip import NAME, ClipLayout
+from gesticulator.export.glb import FigureMesh, figure
 from gesticulator.export.nodes import NodeMotion
-from gesticulator.export.stick_figure import FigureMesh, figure
 from gesticulator.export.writers import Scene
 from gesticulator.face.shapes import ARKIT
 

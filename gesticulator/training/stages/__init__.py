@@ -19,17 +19,13 @@ from gesticulator.systems import SYSTEMS, system_of
 from gesticulator.training.stages.advantage import ADVANTAGE, COUNTERFACTUALS
 from gesticulator.training.stages.base import Node, Run, Stage, closure
 from gesticulator.training.stages.corpus import BLOCKS, Corpus
-from gesticulator.training.stages.features import CORPUS
-from gesticulator.training.stages.gate import GATE
 from gesticulator.training.stages.generator import GENERATOR
-from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TEXT
-from gesticulator.training.stages.labels import LABELS, Labelled
-from gesticulator.training.stages.lexicon import CODEC, LEXICON, TOKENS, Tokens
-from gesticulator.training.stages.planner import PLANNER
+from gesticulator.training.stages.heads import GATE, PLANNER
+from gesticulator.training.stages.interpreter import INTERPRETER, INTERPRETER_TEXT, STYLE, STYLE_TEXT
+from gesticulator.training.stages.lexicon import CODEC, LABELS, LEXICON, TOKENS, Labelled, Tokens
 from gesticulator.training.stages.q_network import EPISODES, Q_LITERAL, Q_NETWORK
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
-from gesticulator.training.stages.speech import CONTRAST, ENCODER, SPEECH
-from gesticulator.training.stages.style import STYLE, STYLE_TEXT
+from gesticulator.training.stages.speech import CONTRAST, CORPUS, ENCODER, SPEECH
 from interpreters import entries
 
 _HERE = "gesticulator.training.stages"
@@ -41,9 +37,9 @@ ENTRIES: Registry[RegistryEntry] = Registry("stages", "a gesticulator.training.s
     "codec": RegistryEntry("RACER's codec of motion", f"{_HERE}.lexicon:CODEC"),
     "interpreter": RegistryEntry("the lexeme interpreter: from speech to lexemes", f"{_HERE}.interpreter:INTERPRETER"),
     "interpreter_text": RegistryEntry("the lexeme interpreter with words", f"{_HERE}.interpreter:INTERPRETER_TEXT"),
-    "gate": RegistryEntry("whether to gesture at all on a block", f"{_HERE}.gate:GATE"),
+    "gate": RegistryEntry("whether to gesture at all on a block", f"{_HERE}.heads:GATE"),
     "planner": RegistryEntry("the planner of gesture units: phase, hand and size of each block",
-                             f"{_HERE}.planner:PLANNER"),
+                             f"{_HERE}.heads:PLANNER"),
     "reward": RegistryEntry("RACER's reward model: how well motion fits speech", f"{_HERE}.reward:REWARD"),
     "reward_judge": RegistryEntry("a second reward model, which judges", f"{_HERE}.reward:REWARD_JUDGE"),
     "q_network": RegistryEntry("RACER's Q-network, by conservative Q-learning", f"{_HERE}.q_network:Q_NETWORK"),
@@ -51,9 +47,9 @@ ENTRIES: Registry[RegistryEntry] = Registry("stages", "a gesticulator.training.s
                                        f"{_HERE}.q_network:Q_LITERAL"),
     "advantage": RegistryEntry("the critics of the advantage interpreter", f"{_HERE}.advantage:ADVANTAGE"),
     "generator": RegistryEntry("the generator: from lexemes and styles to motion", f"{_HERE}.generator:GENERATOR"),
-    "style": RegistryEntry("the style interpreter: from speech to style codes", f"{_HERE}.style:STYLE"),
-    "style_text": RegistryEntry("the style interpreter with words", f"{_HERE}.style:STYLE_TEXT"),
-}, RegistryEntry, fits=lambda found: isinstance(found, Stage))
+    "style": RegistryEntry("the style interpreter: from speech to style codes", f"{_HERE}.interpreter:STYLE"),
+    "style_text": RegistryEntry("the style interpreter with words", f"{_HERE}.interpreter:STYLE_TEXT"),
+}, RegistryEntry, fits=lambda value: isinstance(value, Stage))
 """Ours in the order in which they are trained, then those of other packages."""
 
 

@@ -17,11 +17,9 @@ from gesticulator.bundle.config import Config
 from gesticulator.systems import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
-from gesticulator.training.stages.features import CORPUS
-from gesticulator.training.stages.labels import LABELS, model_sizes
-from gesticulator.training.stages.lexicon import LEXICON
-from gesticulator.training.stages.planner import UNITS
-from gesticulator.training.stages.unit_styles import UNIT_CODES
+from gesticulator.training.stages.heads import UNIT_CODES, UNITS
+from gesticulator.training.stages.lexicon import LABELS, LEXICON, model_sizes
+from gesticulator.training.stages.speech import CORPUS
 from gesticulator.training.stages.windows import Windows, sequences, validation, with_silence
 from interpreters.planner import one_hot
 from lexicon.autoencoder import Lexicon

@@ -20,11 +20,10 @@ from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus, sizes
-from gesticulator.training.stages.features import CORPUS
 from gesticulator.training.stages.interpreter import INTERPRETER
-from gesticulator.training.stages.labels import LABELS, Labelled, model_sizes
-from gesticulator.training.stages.lexicon import TOKENS
+from gesticulator.training.stages.lexicon import LABELS, TOKENS, Labelled, model_sizes
 from gesticulator.training.stages.reward import REWARD, reward_table, step_reward
+from gesticulator.training.stages.speech import CORPUS
 from interpreters.base import BlockFeatures
 from interpreters.cql import ConservativeQ, QNetwork, data_nll
 from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, Reward, SilentLexemes, build

@@ -21,9 +21,8 @@ from gesticulator.bundle.features import Sizes
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus
-from gesticulator.training.stages.features import CORPUS
-from gesticulator.training.stages.labels import LABELS, model_sizes
-from gesticulator.training.stages.lexicon import TOKENS, Tokens, decoded_blocks, token_labels
+from gesticulator.training.stages.lexicon import LABELS, TOKENS, Tokens, decoded_blocks, model_sizes, token_labels
+from gesticulator.training.stages.speech import CORPUS
 from interpreters.episodes import Reward, distance_rewards, looked_up
 from interpreters.reward import RewardEnsemble, RewardModel
 from interpreters.reward_table import Centred, EnsembleReward, RewardTable

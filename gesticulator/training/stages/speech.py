@@ -1,8 +1,13 @@
-"""The speech encoder: predictive coding on audio, then the contrastive loss with text (RG 4.1.3, Eq. 1)."""
+"""The speech encoder: predictive coding on audio, then the contrastive loss with text (RG 4.1.3, Eq. 1).
+
+Predictive coding may also use crops of any folder of sound files. The last node is the corpus with the features of the
+trained encoder.
+"""
 
 from __future__ import annotations
 
 import copy
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,17 +19,71 @@ from numpy.typing import NDArray
 from torch import nn
 
 from data_module.blocks import samples_per_frame
+from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.parallel import own_rows
-from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder, TextContrast
+from data_module.store import Store
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
-from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
+from gesticulator.training.stages.corpus import BLOCKS, Corpus, prepare, sizes
 from gesticulator.training.stages.rows import StoredRows
-from gesticulator.training.stages.sounds import Crops, folder_digest
+
+SOUND_SUFFIXES = (".flac", ".wav", ".ogg", ".mp3")
+
+
+def sound_files(folder: Path) -> list[Path]:
+    """All sound files in a folder and below, sorted; InputError if there are none."""
+    if not folder.is_dir():
+        raise InputError(folder, "is not a folder", "name a folder of sound files")
+    files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in SOUND_SUFFIXES and file.is_file())
+    if not files:
+        raise InputError(folder, "holds no sound file", f"put {', '.join(SOUND_SUFFIXES)} files there")
+    return files
+
+
+def folder_digest(folder: Path) -> str:
+    """A hash of the names and contents of a folder's sound files."""
+    digest = hashlib.sha256()
+    for file in sound_files(folder):
+        digest.update(file.relative_to(folder).as_posix().encode() + hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Crops:
+    """Concatenated audio, and the possible starts of crops within each recording.
+
+    samples: [T] half precision. first: [R] start of each recording; room: [R] number of possible starts in it.
+    """
+
+    samples: NDArray[np.float16]
+    first: NDArray[np.int64]
+    room: NDArray[np.int64]
+    length: int
+
+    @classmethod
+    def of_store(cls, store: Store, names: Sequence[str], folders: Sequence[Path], length: int) -> Crops:
+        """Crops of `length` samples from recordings of a store and from folders of audio."""
+        files = [file for folder in folders for file in sound_files(folder)]
+        parts = []
+        for sound in [store.load(name).speech for name in names] + [load_speech(file) for file in files]:
+            samples = resample(sound, SAMPLE_RATE).samples
+            parts.append(np.pad(samples, (0, max(0, length - len(samples)))).astype(np.float16))
+        sizes = np.array([len(part) for part in parts])
+        return cls(np.concatenate(parts), np.cumsum(sizes) - sizes, sizes - length + 1, length)
+
+    def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float32]:
+        """[count, length] crops, every start equally likely; only this process's rows."""
+        ends = np.cumsum(self.room)
+        place = rng.integers(ends[-1], size=count)[own_rows(count)]
+        recording = np.searchsorted(ends, place, side="right")
+        starts = self.first[recording] + place - (ends - self.room)[recording]
+        return np.stack([self.samples[start:start + self.length] for start in starts]).astype(np.float32)
+
 
 _CHECKS, _CROPS = 4, 32
 """Validation batches, and crops in each."""
@@ -94,10 +153,10 @@ class ContrastWindows:
         """All of these recordings, which have words; frames: of a block."""
         assert corpus.word_at is not None
         spoken = (corpus.word_at[:, frames:2 * frames] > 0).any(1).numpy()
-        own = [corpus.blocks_of(r) for r in recordings]
-        return cls(corpus, frames, np.concatenate([each[spoken[each]] for each in own]),
+        blocks = [corpus.blocks_of(r) for r in recordings]
+        return cls(corpus, frames, np.concatenate([each[spoken[each]] for each in blocks]),
                    {r: corpus.sound(r) for r in recordings},
-                   {r: int(each[0]) for r, each in zip(recordings, own, strict=True)})
+                   {r: int(each[0]) for r, each in zip(recordings, blocks, strict=True)})
 
     def batch(self, chosen: NDArray[np.int64]) -> fitting.Batch:
         """The windows around these blocks [B], as `TextContrast` reads them."""
@@ -168,3 +227,16 @@ ENCODER: Node[SpeechEncoder | None] = Node(
     "encoder", settings=(), make=_encoder,
     needs=lambda config: () if not _learned(config) else (CONTRAST,) if _contrasted(config) else (SPEECH,))
 """The trained speech encoder in a bundle's precision; None for other front ends."""
+
+
+def _encoded_corpus(run: Run) -> Corpus:
+    encoder = run.get(ENCODER)
+    if encoder is None:
+        return run.get(BLOCKS)
+    return prepare(run.store, run.config, run.work, encoder, workers=run.workers, progress=run.progress,
+                   memory=run.memory)
+
+
+CORPUS: Node[Corpus] = Node(
+    "corpus", settings=("front_end",), needs=lambda config: (BLOCKS, ENCODER), make=_encoded_corpus)
+"""The corpus with the audio features of the trained speech encoder."""

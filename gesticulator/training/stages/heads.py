@@ -1,0 +1,269 @@
+"""The activity gate, the planner of gesture units, and the style codes of those units.
+
+The gate decides whether a block is gestured (RG 8, third limitation). The planner is trained on the phases of gesture
+measured on the corpus' motion. The style codes (RG 6.3) are measured on the units too; `train_interpreter` trains their
+interpreter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_module.motion.phases import HandPhases, Phase, hand_places, phases_of
+from data_module.types import Array
+from gesticulator.bundle import models
+from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import Statistics, representation_of
+from gesticulator.training import fit as fitting
+from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.corpus import BLOCKS, Corpus
+from gesticulator.training.stages.lexicon import LABELS, model_sizes
+from gesticulator.training.stages.speech import CORPUS
+from gesticulator.training.stages.windows import Windows, sequences, validation
+from interpreters.gate import ActivityGate
+from interpreters.planner import APEXES, CODE, HANDS, PHASES, SIZES, UnitPlanner, UnitStyleInterpreter
+
+RATE = 30.0
+"""Frames per second at which phases are measured."""
+_SMALL, _LARGE = 0.15, 0.3
+"""Bounds of a medium stroke, metres."""
+
+
+def block_units(corpus: Corpus, config: Config) -> NDArray[np.int64]:
+    """[N, 4] the decision of `interpreters.planner` that each block of a corpus shows."""
+    out = [units_of(hands_of(corpus, config, recording), edges_of(corpus, recording))
+           for recording in range(len(corpus.names))]
+    return np.concatenate(out) if out else np.zeros((0, 4), np.int64)
+
+
+def edges_of(corpus: Corpus, recording: int) -> Array:
+    """[M + 1] seconds of the edges of a recording's blocks."""
+    return np.concatenate([[0.0], np.cumsum(corpus.durations[corpus.blocks_of(recording)])])
+
+
+def hands_of(corpus: Corpus, config: Config, recording: int) -> Array:
+    """[T, 2, 3] places of the left and the right hand over the hips, metres, at `RATE`."""
+    rows = corpus.motion[torch.as_tensor(corpus.blocks_of(recording))].double().numpy()
+    return hands_of_blocks(rows, corpus.statistics, int(corpus.speaker_of[recording]), config,
+                           edges_of(corpus, recording))
+
+
+def hands_of_blocks(rows: Array, statistics: Statistics, speaker: int, config: Config, edges: Array) -> Array:
+    """[T, 2, 3] places of the hands, as `hands_of`, of blocks [M, K, D_m] with edges [M + 1] seconds, normalised by the
+    statistics of a speaker."""
+    poses = statistics.denormalise(rows.reshape(-1, rows.shape[-1]), speaker)
+    motion = representation_of(config).motion(poses, config.rhythm.fps)
+    frames = rows.shape[1]
+    shares = np.arange(1, frames + 1) / frames
+    times = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
+    return hand_places(motion, RATE, times, max(2, int(edges[-1] * RATE)))
+
+
+def units_of(hands: Array, edges: Array) -> NDArray[np.int64]:
+    """[M, 4] the decision that each of M blocks with edges [M + 1] seconds shows, from the places [T, 2, 3] of the left
+    and the right hand at `RATE`: the phase of the hand that moves more."""
+    hand_phases = [phases_of(hands[:, side], RATE) for side in (0, 1)]
+    speeds = np.linalg.norm(np.gradient(hands, axis=0), axis=-1)
+    frames = np.minimum(np.round(edges * RATE).astype(int), len(hands))
+    out = np.zeros((len(edges) - 1, 4), dtype=np.int64)
+    for k, (first, last) in enumerate(zip(frames[:-1], frames[1:], strict=True)):
+        last = max(last, first + 1)
+        phases = [_phase(side.labels[first:last]) for side in hand_phases]
+        acting = [phase != Phase.REST for phase in phases]
+        if not any(acting):
+            continue
+        leading = max((0, 1), key=lambda side: (acting[side], speeds[first:last, side].mean()))
+        stroke = _stroke(hand_phases[leading], phases[leading], first, last)
+        out[k] = phases[leading], HANDS.index(_name(acting)), *stroke
+    return out
+
+
+def _phase(labels: NDArray[np.int8]) -> int:
+    """The most frequent phase of a block, the stroke where its apex region takes a third of it."""
+    counts = np.bincount(labels, minlength=len(Phase))
+    return int(Phase.STROKE) if 3 * counts[Phase.STROKE] >= counts.sum() else int(counts.argmax())
+
+
+def _name(acting: Sequence[bool]) -> str:
+    return "both" if all(acting) else "left" if acting[0] else "right"
+
+
+def _stroke(hand: HandPhases, phase: int, first: int, last: int) -> tuple[int, int]:
+    """Size and time of the stroke that a block prepares or makes."""
+    if phase not in (Phase.PREPARATION, Phase.STROKE):
+        return 0, 0
+    coming = next((stroke for stroke in hand.strokes if stroke.apex >= first), None)
+    if coming is None:
+        return 0, 0
+    size = "small" if coming.size < _SMALL else "large" if coming.size > _LARGE else "medium"
+    apex = "now" if coming.apex < last else "next" if coming.apex < 2 * last - first else "later"
+    return SIZES.index(size), APEXES.index(apex)
+
+
+UNITS: Node[NDArray[np.int64]] = Node(
+    "units", settings=(), needs=lambda config: (BLOCKS,), make=lambda run: block_units(run.get(BLOCKS), run.config))
+"""[N, 4] the decisions that the blocks show."""
+
+
+def _train(run: Run, model: UnitPlanner, folder: Path) -> Figures:
+    config, corpus, labelled, units = run.config, run.get(CORPUS), run.get(LABELS), run.get(UNITS)
+    train = corpus.select("train")
+    model.count(labelled.hinted[train], units[train])
+    windows = Windows(corpus, sequences(corpus, labelled.labels, "train", labelled.style_numbers), config.window)
+    rows = torch.as_tensor(units)
+
+    def with_units(batch: fitting.Batch) -> fitting.Batch:
+        return {**batch, "units": rows[batch["block"]]}
+
+    checks = [with_units(batch) for batch in validation(corpus, labelled.labels, config.window)]
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        batches = [{key: value.to(run.device) for key, value in batch.items()} for batch in checks]
+        each = [model.losses(batch) for batch in batches]
+        means = {name: sum(float(losses[name]) for losses in each) / len(each) for name in each[0]}
+        return {"nll": sum(means.values()), **means}
+
+    task = fitting.Task(lambda rng: with_units(windows.sample(rng, run.schedule(PLANNER).batch)), validate=validate,
+                        watch="nll")
+    return run.fit(PLANNER, model, task, folder)
+
+
+PLANNER: Stage[UnitPlanner] = Stage(
+    "planner", settings=("planner", "window"), needs=lambda config: (CORPUS, LABELS, UNITS), schedule="planner",
+    wanted=lambda config: config.schedules.planner.steps > 0, part="planner",
+    build=lambda run: models.planner(model_sizes(run)), train=_train)
+
+
+def _train_gate(run: Run, model: ActivityGate, folder: Path) -> Figures:
+    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
+    windows = Windows(corpus, sequences(corpus, labelled.labels, "train", labelled.style_numbers), config.window)
+    active = torch.as_tensor(labelled.active.astype(np.float32))
+
+    def with_activity(batch: fitting.Batch) -> fitting.Batch:
+        return {**batch, "active": active[batch["block"]]}
+
+    checks = [with_activity(b) for b in validation(corpus, labelled.labels, config.window)]
+
+    @torch.no_grad()
+    def validate() -> Figures:
+        batches = [{key: value.to(run.device) for key, value in b.items()} for b in checks]
+        return {"nll": sum(float(model.losses(b)["activity"]) for b in batches) / len(batches),
+                "active": float(active[torch.as_tensor(corpus.select("train"))].mean())}
+
+    task = fitting.Task(lambda rng: with_activity(windows.sample(rng, run.schedule(GATE).batch)), validate=validate,
+                        watch="nll")
+    return run.fit(GATE, model, task, folder)
+
+
+GATE: Stage[ActivityGate] = Stage(
+    "gate", settings=("gate", "window"), needs=lambda config: (CORPUS, LABELS), schedule="gate",
+    wanted=lambda config: config.schedules.gate.steps > 0, part="gate",
+    build=lambda run: models.gate(model_sizes(run)), train=_train_gate)
+
+
+_LONGEST_UNIT = 14
+"""Blocks of a unit, at most; a longer one is cut, since the style of a talk changes within seconds."""
+_LOG_FLOOR = 0.02
+"""m/s and m under the logarithms."""
+_LARGEST_CODE = 2.5
+_FEWEST_UNITS = 20
+"""Units from which on a speaker's own mean and deviation are used."""
+
+
+def spans(acting: NDArray[np.bool_], longest: int = _LONGEST_UNIT) -> list[tuple[int, int]]:
+    """(first, last) blocks of the units in acting [M], last excluded; long runs are cut into equal parts."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], acting, [False]]).astype(int)))
+    out = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        parts = -(-(last - first) // longest)
+        cuts = np.linspace(first, last, parts + 1).round().astype(int)
+        out += list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
+    return out
+
+
+def style_of(hands: Array) -> Array:
+    """[4] speed, range, height and reach (`interpreters.planner.CODE`) of hands [T, 2, 3] over the hips at `RATE`,
+    logarithms of m/s and m, and m."""
+    speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean() * RATE if len(hands) > 1 else 0.0
+    spread = np.sqrt(hands.var(axis=0).sum(axis=-1)).max()
+    reach = np.linalg.norm(hands[..., [0, 2]], axis=-1)
+    height = hands[..., 1].max(axis=1).mean()
+    return np.array([np.log(speed + _LOG_FLOOR), np.log(spread + _LOG_FLOOR), height, reach.mean()])
+
+
+def unit_codes(run: Run) -> NDArray[np.float32]:
+    """[N, d_z] the style code of each block's unit, standardised per speaker on the training split; 0 at rest."""
+    corpus, units = run.get(BLOCKS), run.get(UNITS)
+    acting = units[:, 0] != PHASES.index("rest")
+    rows: list[tuple[int, NDArray[np.int64], Array]] = []
+    for recording in range(len(corpus.names)):
+        blocks = corpus.blocks_of(recording)
+        hands, edges = hands_of(corpus, run.config, recording), edges_of(corpus, recording)
+        for first, last in spans(acting[blocks]):
+            begin = round(edges[first] * RATE)
+            # At least two frames: a speed needs a difference.
+            unit_hands = hands[begin:max(round(edges[last] * RATE), begin + 2)]
+            if len(unit_hands):
+                rows.append((recording, blocks[first:last], style_of(unit_hands)))
+    codes = np.zeros((len(units), len(CODE)), dtype=np.float32)
+    if not rows:
+        return codes
+    values = np.stack([row[2] for row in rows])
+    who = corpus.speaker_of[[row[0] for row in rows]]
+    train = np.array([corpus.splits[row[0]] == "train" for row in rows])
+    everyone = values[train] if train.any() else values
+    for speaker in np.unique(who):
+        known = values[train & (who == speaker)]
+        known = known if len(known) >= _FEWEST_UNITS else everyone
+        deviation = np.maximum(known.std(axis=0), 1e-3)
+        values[who == speaker] = (values[who == speaker] - known.mean(axis=0)) / deviation
+    for (_, blocks, _), code in zip(rows, np.clip(values, -_LARGEST_CODE, _LARGEST_CODE), strict=True):
+        codes[blocks] = code
+    return codes
+
+
+UNIT_CODES: Node[NDArray[np.float32]] = Node(
+    "unit_codes", settings=(), needs=lambda config: (BLOCKS, UNITS), make=unit_codes)
+"""[N, d_z] the style codes of the blocks' units."""
+
+
+def train_interpreter(run: Run, model: UnitStyleInterpreter, folder: Path, stage: Stage[Any]) -> Figures:
+    """Train on the codes of the training split, then set the gain on those of the validation split."""
+    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
+    codes = torch.as_tensor(run.get(UNIT_CODES))
+    acting = torch.as_tensor(run.get(UNITS)[:, 0] != PHASES.index("rest")).float()
+    windows = Windows(corpus, sequences(corpus, labelled.labels, "train", labelled.style_numbers), config.window)
+
+    def with_codes(batch: fitting.Batch) -> fitting.Batch:
+        return {**batch, "code": codes[batch["block"]], "acting": acting[batch["block"]]}
+
+    checks = [with_codes(batch) for batch in validation(corpus, labelled.labels, config.window)]
+
+    @torch.no_grad()
+    def compared() -> tuple[Tensor, Tensor]:
+        """Predictions and measured codes [n, d_z] of the blocks of units in the validation split."""
+        rows = []
+        for batch in checks:
+            predicted, _ = model.predict(batch["audio_low"].to(run.device), batch["speaker"].to(run.device))
+            there = (batch["valid"] * batch["acting"]) > 0
+            rows.append((predicted.cpu()[there], batch["code"][there]))
+        return torch.cat([row[0] for row in rows]), torch.cat([row[1] for row in rows])
+
+    def validate() -> Figures:
+        predicted, measured = compared()
+        model.calibrate(predicted, measured)
+        left = (predicted - measured).pow(2).mean(0) / measured.var(0).clamp_min(1e-6)
+        return {"code_error": float((predicted - measured).pow(2).mean()),
+                **{f"explained_{name}": float(1 - share) for name, share in zip(CODE, left, strict=True)}}
+
+    task = fitting.Task(lambda rng: with_codes(windows.sample(rng, run.schedule(stage).batch)), validate=validate,
+                        watch="code_error")
+    return run.fit(stage, model, task, folder)
