@@ -80,7 +80,8 @@ class FaceMotion:
 
 def joined(faces: Sequence[FaceMotion]) -> FaceMotion:
     """Successive parts of a face as a whole; at least one part."""
-    return replace(faces[0], **{name: np.concatenate([getattr(face, name) for face in faces]) for name in _PARTS})
+    parts: dict[str, Any] = {name: np.concatenate([getattr(face, name) for face in faces]) for name in _PARTS}
+    return replace(faces[0], **parts)
 
 
 def at_rest(count: int, fps: float) -> FaceMotion:
