@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from torch import nn
 from tqdm import tqdm
 
@@ -377,7 +378,7 @@ class RgRows:
         return self.summary(self._read(replace(truth, motions={TRUTH: shorter})), motions)
 
 
-def _jackknife(of: Callable[[Array], float], count: int) -> Array:
+def _jackknife(of: Callable[[NDArray[np.int64]], float], count: int) -> Array:
     """[count] pseudo-values of a figure of a set, which takes the numbers of clips [n]."""
     return stats.jackknife(lambda chosen: of(np.array(chosen)), count)
 
