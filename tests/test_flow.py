@@ -84,7 +84,8 @@ def drawn(generator: FlowGenerator, lexeme: int, side: float, gains: tuple[float
     audio = torch.zeros(3, 1, 3 * FRAMES, AUDIO)
     audio[..., 0] = side
     given = FlowInputs(audio, torch.tensor([[lexeme], [lexeme], [TWO]]), before, torch.ones(3, 1),
-                       torch.zeros(3, 1, CIRCUMSTANCES), torch.ones(3, 1), deaf=torch.tensor([False, True, False]))
+                       torch.zeros(3, 1, CIRCUMSTANCES), torch.ones(3, 1),
+                       without_audio=torch.tensor([False, True, False]))
     with torch.no_grad():
         context, _ = generator.contexts(given, torch.zeros(3, 1, generator.basis.width))
         pull = torch.tensor(gains)[:, None].expand(-1, generator.basis.width)
@@ -284,7 +285,7 @@ def test_who_forgets_is_told_the_last_frames_alone() -> None:
 
     def context(before: torch.Tensor, forgets: bool, added: float) -> torch.Tensor:
         given = FlowInputs(batch["audio"][:, 1:], torch.zeros(1, CONFIG.blocks, dtype=torch.long), before, ones,
-                           batch["circumstances"][:, 1:], ones[:, :1], forgets=torch.tensor([forgets]))
+                           batch["circumstances"][:, 1:], ones[:, :1], without_history=torch.tensor([forgets]))
         with torch.no_grad():
             return generator.contexts(given, torch.full((1, CONFIG.blocks, generator.basis.width), added))[0]
 
@@ -308,7 +309,8 @@ def test_what_is_given_once_holds_for_all() -> None:
         given = FlowInputs(each(torch.randn(1, 1, 3 * FRAMES, AUDIO, generator=torch.manual_seed(2))),
                            torch.tensor([[0], [0], [TWO]]), each(batch["motion"][:, :1]), each(torch.ones(1, 1)),
                            each(batch["circumstances"][:, 1:2]), each(torch.ones(1, 1)),
-                           deaf=torch.tensor([False, True, False]), forgets=torch.tensor([False, False, True]))
+                           without_audio=torch.tensor([False, True, False]),
+                           without_history=torch.tensor([False, False, True]))
         with torch.no_grad():
             return generator.contexts(given, each(torch.ones(1, 1, generator.basis.width)))[0]
 

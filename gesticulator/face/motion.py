@@ -74,7 +74,8 @@ class FaceMotion:
 
     def __getitem__(self, frames: slice | NDArray[np.int64]) -> FaceMotion:
         """Some of the frames."""
-        return replace(self, **{name: getattr(self, name)[frames] for name in _PARTS})
+        parts: dict[str, Any] = {name: getattr(self, name)[frames] for name in _PARTS}
+        return replace(self, **parts)
 
 
 def joined(faces: Sequence[FaceMotion]) -> FaceMotion:
