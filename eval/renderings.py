@@ -1,4 +1,4 @@
-"""What the acceptance looks at: voices, systems that gesture for them, and their renderings, kept between runs.
+"""Voices, the systems that gesture for them, and their renderings, kept between runs of the acceptance.
 
 A rendering is kept in a folder under a key of everything that it is made of: the bundle, the sound, the seed, what was
 asked, and the program itself, so that no change is overlooked. All figures are of what was read back, so that a second
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import importlib.util
+import importlib
 import io
 import json
 import time
@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.arrays import as_floats
-from data_module.blocks import BlockSettings
 from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.motion import rotation
@@ -54,7 +53,7 @@ SECONDS = 60.0
 """Of each test recording: a minute, over which drift is asked for."""
 SHORTEST = 20.0
 """Seconds: shorter recordings have no repetition and hardly a stroke to speak of; they are left out."""
-PROGRAM = ("data_module", "lexicon", "interpreters", "generator", "gesticulator")
+PROGRAM = ("data_module", "lexicon", "interpreters", "generator", "gesticulator", "eval.baselines")
 
 
 @dataclass(frozen=True)
@@ -82,9 +81,9 @@ class AcceptanceVoice:
     @cached_property
     def key(self) -> str:
         """Of sound and words."""
-        told = hashlib.sha256(self.speech.samples.tobytes())
-        told.update(repr((self.speech.sample_rate, self.speech.words)).encode())
-        return told.hexdigest()
+        digest = hashlib.sha256(self.speech.samples.tobytes())
+        digest.update(repr((self.speech.sample_rate, self.speech.words)).encode())
+        return digest.hexdigest()
 
 
 def held_out_voices(store: Store, limit: int | None, joints: int) -> list[AcceptanceVoice]:
@@ -141,17 +140,15 @@ Pair = tuple[Rendering, Rendering | None]
 
 
 @cache
-def program_key(packages: tuple[str, ...] = PROGRAM) -> str:
-    """Of every line of these packages and modules; all that make motion when not told."""
-    told = hashlib.sha256()
-    for package in packages:
-        spec = importlib.util.find_spec(package)
-        if spec is not None and not spec.submodule_search_locations and spec.origin:
-            told.update(Path(spec.origin).read_bytes())
-        for place in () if spec is None else spec.submodule_search_locations or ():
+def program_key() -> str:
+    """SHA-256 of every line of the packages that make motion, so that a changed program renders anew."""
+    digest = hashlib.sha256()
+    for package in PROGRAM:
+        # `eval.baselines` holds unit selection, whose renderings are kept under the same key.
+        for place in importlib.import_module(package).__path__:
             for file in sorted(Path(place).rglob("*.py")):
-                told.update(file.read_bytes())
-    return told.hexdigest()
+                digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 class KeptRenderings:
@@ -171,12 +168,13 @@ class KeptRenderings:
             return None, file
 
     @staticmethod
-    def put(made: Rendering, file: Path | None) -> Rendering:
+    def put(rendering: Rendering, file: Path | None) -> Rendering:
         """Keep it; what comes back is what would be read."""
-        data = made.packed()
+        data = rendering.packed()
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
             write_bytes(file, data)
+        # Packing rounds to single precision: without this a first run would differ from a second in the last digits.
         return Rendering.unpacked(data)
 
 
@@ -235,7 +233,7 @@ class BundleSystem:
         return sum(file.stat().st_size for file in self.folder.iterdir() if file.is_file()) / 1e6
 
     def speaker(self, voice: AcceptanceVoice) -> str | None:
-        """Its own performer where the bundle knows her, else the bundle's default."""
+        """The voice's performer where the bundle knows that name, else None, the bundle's default."""
         return voice.performer if voice.performer in self.gesticulator.speakers else None
 
     def render(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, *, named: Any = None, **asked: Any
@@ -243,12 +241,14 @@ class BundleSystem:
         """A voice with a seed. asked: options beside speaker and seed; named: plain values that stand for them, where
         they are none."""
         asked = self._asked | asked
-        found, file = self._kept.get(("bundle", self.key, program_key(), voice.key, self.speaker(voice), seed, rolled,
-                                      named or sorted(asked.items())))
-        if found is not None:
-            return found
-        made, spent = self.perform(voice, seed, rolled, **asked)
-        return self._kept.put(Rendering(made.motion, made.blocks.edges, made.blocks.silent, made.lexemes,
+        rendering, file = self._kept.get((
+            "bundle", self.key, program_key(), voice.key, self.speaker(voice), seed, rolled,
+            named or sorted(asked.items())))
+        if rendering is not None:
+            return rendering
+        performance, spent = self.perform(voice, seed, rolled, **asked)
+        blocks = performance.blocks
+        return self._kept.put(Rendering(performance.motion, blocks.edges, blocks.silent, performance.lexemes,
                                         self.gesticulator.drawn, spent), file)
 
     def perform(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **asked: Any
@@ -263,9 +263,9 @@ class BundleSystem:
             self._encoded = {voice.key: (encoded, time.perf_counter() - begin)}
             begin = time.perf_counter()
         encoded, listening = self._encoded[voice.key]
-        made = self.gesticulator(speech, encoded=baselines.rolled(encoded) if rolled else encoded, seed=seed,
-                                 speaker=self.speaker(voice), **asked)
-        return made, listening + time.perf_counter() - begin
+        performance = self.gesticulator(speech, encoded=baselines.rolled(encoded) if rolled else encoded, seed=seed,
+                                        speaker=self.speaker(voice), **asked)
+        return performance, listening + time.perf_counter() - begin
 
     def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
         """Every seed, and with the sound rolled."""
@@ -275,23 +275,18 @@ class BundleSystem:
 class UnitSystem:
     """Unit selection over a store's whole training split."""
 
-    def __init__(self, name: str, store: Store, work: Path | None, kept: KeptRenderings,
-                 rhythm: BlockSettings | None = None) -> None:
-        """rhythm: how speech is cut; None for the default."""
-        self.name, self._store, self._work, self._kept, self._rhythm = name, store, work, kept, rhythm
+    def __init__(self, name: str, store: Store, work: Path | None, kept: KeptRenderings) -> None:
+        self.name, self._store, self._work, self._kept = name, store, work, kept
 
     @cached_property
     def _units(self) -> UnitSelection:
-        return UnitSelection(UnitDatabase.of(self._store, self._rhythm, self._work))
+        return UnitSelection(UnitDatabase.of(self._store, work=self._work))
 
     def _render(self, voice: AcceptanceVoice, seed: int, rolled: bool) -> Rendering:
-        source = importlib.util.find_spec("eval.baselines.unit_selection")
-        assert source is not None and source.origin is not None
-        code = hashlib.sha256(Path(source.origin).read_bytes()).hexdigest()
-        found, file = self._kept.get(("units", self._store.fingerprint, self._rhythm, program_key(), code, voice.key,
-                                      seed, rolled))
-        if found is not None:
-            return found
+        rendering, file = self._kept.get(("units", self._store.fingerprint, program_key(), voice.key, seed, rolled))
+        if rendering is not None:
+            return rendering
+        # The database is built before the clock starts: its cost is paid once, not for each clip.
         units, begin = self._units, time.perf_counter()
         made = units(voice.speech, seed=seed, rolled=baselines.ROLLED if rolled else 0)
         return self._kept.put(Rendering(made.motion, made.blocks.edges, made.blocks.silent,
@@ -306,16 +301,15 @@ class FiledSystem:
     """Motion files of another: VOICE.bvh or VOICE.ANYTHING.bvh, with the edges of its blocks in a plan beside it.
     The real take's voice is called "take", those of the test split as their recordings."""
 
-    def __init__(self, name: str, folder: Path, fingers: bool = False) -> None:
-        """fingers: whether finger joints are read, too."""
-        self.name, self._fingers = name, fingers
+    def __init__(self, name: str, folder: Path) -> None:
+        self.name = name
         self._files, _ = find_motions(folder)
 
     def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
         """All of its files for a voice, whatever the seeds; nothing rolled."""
-        own = [file for stem, file in self._files.items() if stem == voice.name or stem.startswith(f"{voice.name}.")]
-        return [(Rendering(resample(read_motion(file, fingers=self._fingers), HZ),
-                           edges_of_plan(file.with_suffix(".json"))), None) for file in own]
+        files = [file for stem, file in self._files.items() if stem == voice.name or stem.startswith(f"{voice.name}.")]
+        return [(Rendering(resample(read_motion(file), HZ),
+                           edges_of_plan(file.with_suffix(".json"))), None) for file in files]
 
 
 def system_at(name: str, place: Path, kept: KeptRenderings) -> RenderedSystem:

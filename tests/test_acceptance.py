@@ -32,9 +32,10 @@ from eval.acceptance.rest import Rested
 from eval.acceptance.stimuli import LIVELY, SUBDUED, loudness, said_with, tilted
 from eval.baselines import controls as baselines
 from eval.commands import ACCEPTANCE
-from eval.metrics.eye import ReferenceSpace, common_body, frechet, hear
+from eval.metrics.eye import ReferenceSpace, common_body, hear
 from eval.metrics.eye.pitch import pitch_track
 from eval.metrics.eye.sample import EyeSample
+from eval.metrics.fgd import Gaussian
 from eval.renderings import TAKE, TEST, AcceptanceVoice, FiledSystem, KeptRenderings, Rendering
 from eval.stats import mean_interval
 from eval.table import load
@@ -63,7 +64,7 @@ def space() -> ReferenceSpace:
     """A space of noise, so that no outside data is needed."""
     rng = np.random.default_rng(0)
     axes = np.linalg.svd(rng.normal(size=(40, 40)))[2][:10]
-    return ReferenceSpace(rng.normal(size=40), rng.uniform(0.5, 2, 40), axes, frechet.Moments(np.zeros(10), np.eye(10)))
+    return ReferenceSpace(rng.normal(size=40), rng.uniform(0.5, 2, 40), axes, Gaussian(np.zeros(10), np.eye(10), 0))
 
 
 def moved(seconds: float, size: Array, seed: int = 0) -> Motion:

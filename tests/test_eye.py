@@ -327,17 +327,6 @@ def test_too_short_or_unknown_bodies_are_told() -> None:
 
 # ------------------------------------------------------------------------------------------------------------ Frechet
 
-def test_the_distance_of_gaussians_is_the_closed_form() -> None:
-    rng = np.random.default_rng(0)
-    root = rng.normal(size=(4, 4))
-    own = frechet.Moments(rng.normal(size=4), root @ root.T)
-    assert frechet.frechet(own, own) == pytest.approx(0.0, abs=1e-8)
-    moved = replace(own, mean=own.mean + 2.0)
-    assert frechet.frechet(own, moved) == pytest.approx(16.0)
-    scaled = replace(own, covariance=9.0 * own.covariance)
-    assert frechet.frechet(own, scaled) == pytest.approx(4.0 * np.trace(own.covariance))
-
-
 @pytest.mark.parametrize("spoil", ["lacks", "shape", "text", "nan"])
 def test_a_wrong_reference_is_refused_by_name(spoil: str, tmp_path: Path) -> None:
     parts = {"mean": np.zeros(40), "sd": np.ones(40), "axes": np.eye(10, 40), "own_mean": np.zeros(10),

@@ -10,6 +10,7 @@ from typing import get_args
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.distance import cdist
 
 from data_module.blocks import Blocks
 from data_module.motion import rotation
@@ -17,12 +18,12 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import WHOLE_BODY, to_character
 from data_module.types import Array, Motion, Speech
 from eval.metrics import EYE_METRICS, METRICS, Direction, Metric, eye
-from eval.metrics.diversity import diversity, motion_variance, nearest_lexemes
+from eval.metrics.diversity import diversity, motion_variance
 from eval.metrics.encode import EncodedMotion
 from eval.metrics.evaluate import MotionBeats, OnsetTrack, Values, clip_values, eye_values, lexeme_values
 from eval.metrics.eye.body import common_body
-from eval.metrics.eye.frechet import Moments, ReferenceSpace, windows
-from eval.metrics.fgd import fgd
+from eval.metrics.eye.frechet import ReferenceSpace, windows
+from eval.metrics.fgd import fgd, gaussian
 from eval.metrics.gesture_features import RawFeatures
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.score import tables
@@ -126,7 +127,7 @@ def space() -> ReferenceSpace:
     descriptors = windows(common_body(TRUTH))
     mean, sd = descriptors.mean(0), descriptors.std(0) + 0.1
     axes = np.linalg.qr(np.random.default_rng(4).normal(size=(40, 10)))[0].T
-    return ReferenceSpace(mean, sd, axes, Moments.of((descriptors - mean) / sd @ axes.T))  # type: ignore[arg-type]
+    return ReferenceSpace(mean, sd, axes, gaussian((descriptors - mean) / sd @ axes.T))
 
 
 def measured(motion: Motion, sound: Speech | None = SPEECH, reward: float = math.nan) -> Values:
@@ -136,7 +137,7 @@ def measured(motion: Motion, sound: Speech | None = SPEECH, reward: float = math
     seen = eye_values(motion, eye.hear(sound) if sound is not None else None, EDGES, space())
     lexicon = blocks(TRUTH)[::4]
     latents = blocks(motion)
-    own, real = (EncodedMotion(some_blocks(len(part)), torch.zeros(0), part, nearest_lexemes(part, lexicon))
+    own, real = (EncodedMotion(some_blocks(len(part)), torch.zeros(0), part, cdist(part, lexicon).argmin(axis=1))
                  for part in (latents, blocks(TRUTH)))
     of_lexemes = lexeme_values(own, real, reward, judged=not math.isnan(reward)) if sound is not None else \
         lexeme_values(None, None, reward, judged=False)
@@ -144,8 +145,8 @@ def measured(motion: Motion, sound: Speech | None = SPEECH, reward: float = math
                  {**values.reasons, **seen.reasons, **of_lexemes.reasons})
     histograms = [speed_histogram(hand_speeds(one)) for one in (motion, TRUTH)]
     out.put("speed_distance", hellinger(*histograms), "")
-    out.put("diversity", diversity(own.labels, len(lexicon)).nats, "")
-    out.put("motion_variance", motion_variance(latents, own.labels, lexicon).mean, "")
+    out.put("diversity", diversity(own.labels, len(lexicon)), "")
+    out.put("motion_variance", motion_variance(latents, own.labels, lexicon), "")
     out.put("fgd", fgd([to_character(motion)], [to_character(TRUTH)], RawFeatures(12)).distance, "")
     return out
 

@@ -512,9 +512,9 @@ def test_lexeme_sums_give_the_figures_of_all_blocks() -> None:
             assert np.isnan(entropy(counts)) and np.isnan(variance_of_moments(counts, sums, squares))
             continue
         labels = np.concatenate([own[1] for own in some])
-        assert entropy(counts) == pytest.approx(diversity(labels, 7).nats)
+        assert entropy(counts) == pytest.approx(diversity(labels, 7))
         assert variance_of_moments(counts, sums, squares) == pytest.approx(
-            motion_variance(np.concatenate([own[0] for own in some]), labels, vectors).mean)
+            motion_variance(np.concatenate([own[0] for own in some]), labels, vectors))
 
 
 def work_of(bundle: Path) -> Path:

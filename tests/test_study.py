@@ -348,8 +348,8 @@ def test_other_bad_input_is_one_line_and_exit_2(made: Path, systems: dict[str, P
     rated = str(_files(made, tmp_path, raters=1)[0])
     make, analyse = ["make", "--out", str(tmp_path / "out"), "--systems"], ["analyse", "--key"]
     for command, says in [
-        ([*make, good[0]], "two systems"), ([*make, good[0], "nothing"], "NAME=DIR"),
-        ([*make, good[0], good[0]], "twice"), ([*make, good[0], "b=/nowhere/at/all"], "not a folder"),
+        ([*make, good[0]], "two systems"), ([*make, good[0], "nothing"], "NAME=VALUE"),
+        ([*make, good[0], good[0]], "given before"), ([*make, good[0], "b=/nowhere/at/all"], "not a folder"),
         ([*make, good[0], f"b={tmp_path / 'empty'}"], "no BVH"),
         ([*make, good[0], f"b={other}"], "is not the sound of"), ([*make, *good, "--clips", "99"], "only"),
         ([*make, *good, "--seconds", "0"], "1 s"), ([*make, *good, "--raters", "0"], "1 or more"),

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -41,6 +41,8 @@ from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
+
+    from gesticulator.training.stages.lexicon import BlockLexicon
 
 VERSION = 4
 """Raised when the same rows would be drawn otherwise."""
@@ -90,7 +92,7 @@ def onset_intervals(rg: RgRows, rows: Summaries) -> Drawn:
 
 def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 6 and 8b."""
-    judge, labelled, corpus = rg.judge.lexicon, rg.first.get(LABELS), rg.context.corpus
+    judge, labelled, corpus = cast("BlockLexicon", rg.judge.lexicon), rg.first.get(LABELS), rg.context.corpus
     few = np.sort(np.random.default_rng(0).permutation(corpus.select("train"))[:POINTS])
     at = torch.as_tensor(few)
     latents = latents_of(judge, corpus.motion[at], corpus.pasts[at]).double().numpy()

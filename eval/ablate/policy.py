@@ -184,7 +184,7 @@ class PolicyJudge:
         returns = {f"{prefix}return": episode_return(taken(every_reward(rewards, take, lexemes), chosen))
                    for prefix, rewards in self.tables.items()}
         return {**returns, "accuracy": 100.0 * float((chosen == take.lexemes[1:]).mean()),
-                "lexeme_diversity": diversity(chosen, self.decisions.size).nats, "longest_run": longest_run([chosen])}
+                "lexeme_diversity": diversity(chosen, self.decisions.size), "longest_run": longest_run([chosen])}
 
 
 def perform(system: Gesticulator, recordings: Sequence[Recording], lexemes: Sequence[Lexemes], label: str,

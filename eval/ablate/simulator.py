@@ -105,11 +105,11 @@ Choose = Callable[[dict[str, Tensor]], Tensor]
 
 
 @torch.no_grad()
-def collect(simulator: Simulator, choose: Choose, rng: np.random.Generator, count: int, decisions: int, *,
-            cloned: float = 0.0) -> dict[str, Tensor]:
+def collect(simulator: Simulator, choose: Choose, rng: np.random.Generator, count: int, decisions: int
+            ) -> dict[str, Tensor]:
     """Act in `count` episodes of T decisions: a batch with the layout of `Episodes.windows`. The last position, T, is
-    the observation after the last decision, with lexeme 0 as its action. The behaviour is "sampled". cloned: the weight
-    of CQL's data term on these actions."""
+    the observation after the last decision, with lexeme 0 as its action. The behaviour is "sampled", and no action
+    counts in CQL's data term, which is for those of people."""
     now = simulator.reset(rng, count, decisions)
     columns: dict[str, list[Tensor]] = {key: [] for key in ("block", "previous", "silent", "valid", "action", "reward",
                                                             "terminal")}
@@ -129,7 +129,7 @@ def collect(simulator: Simulator, choose: Choose, rng: np.random.Generator, coun
             columns[key].append(value)
     batch = {key: torch.stack(values, 1) for key, values in columns.items()}
     valid = batch["valid"].to(torch.float32)
-    return {**batch, "valid": valid, "speaker": now.speaker, "cloned": cloned * valid,
+    return {**batch, "valid": valid, "speaker": now.speaker, "cloned": torch.zeros_like(valid),
             "behaviour": torch.full_like(batch["action"], BEHAVIOURS.index("sampled"))}
 
 

@@ -162,14 +162,13 @@ def summary(entries: Sequence[Mapping[str, Any]]) -> str:
     return f"{holding} of {decided} clauses hold."
 
 
-def verdict_table(title: str, verdicts: Sequence[Verdict], notes: Sequence[str] = (),
-                  facts: Mapping[str, Any] | None = None) -> Table:
+def verdict_table(title: str, verdicts: Sequence[Verdict]) -> Table:
     """Verdicts as a table; facts["clauses"] is the list of entries. ValueError where two are of one figure."""
     if len({verdict.figure for verdict in verdicts}) != len(verdicts):
         raise ValueError("two claims are of one figure")
     entries = [verdict.entry for verdict in verdicts]
     return Table(title, COLUMNS, {verdict.figure: verdict.row for verdict in verdicts}, "clause",
-                 [summary(entries), *notes], {**(facts or {}), "clauses": entries})
+                 [summary(entries)], {"clauses": entries})
 
 
 # --------------------------------------------------------------------------------------------------------- the table

@@ -61,11 +61,11 @@ def noise(seconds: float, level: float, rate: int, seed: int = 0) -> Array:
     return 10.0 ** (level / 20.0) * np.random.default_rng(seed).normal(size=round(seconds * rate))
 
 
-def pauses_in(speech: Speech, shortest: float = REAL_PAUSE) -> Array:
-    """[n, 2] seconds of pauses of `shortest` or longer, as the system finds them."""
+def pauses_in(speech: Speech) -> Array:
+    """[n, 2] seconds of pauses of `REAL_PAUSE` or longer, as the system finds them."""
     quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
     spans = (stats.runs(quiet) * FRAME).astype(np.float64)
-    return spans[spans[:, 1] - spans[:, 0] >= shortest]
+    return spans[spans[:, 1] - spans[:, 0] >= REAL_PAUSE]
 
 
 def with_pauses(speech: Speech, lengths: Sequence[float] = PAUSES) -> Speech:

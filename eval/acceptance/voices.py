@@ -20,6 +20,7 @@ from eval.acceptance.timing import Timed
 from eval.metrics import EYE_METRICS, eye, pmb
 from eval.metrics.eye import ReferenceSpace, VoiceActivity, common_body, voice
 from eval.metrics.eye.sample import CORPUS, POOLED, TO_CORPUS, EyeSample, heading
+from eval.metrics.fgd import frechet_distance
 from eval.metrics.mismatch import Mismatch, mismatch, wrapped
 from eval.renderings import TEST, AcceptanceVoice, Pair, RenderedSystem
 from eval.stats import Interval
@@ -71,11 +72,11 @@ def halves(corpus: EyeSample, space: ReferenceSpace) -> Interval:
     distances = []
     for _ in range(HALVINGS):
         order = rng.permutation(len(windows))
-        first, second = (eye.frechet.Moments.of(np.concatenate([windows[k] for k in half]))
+        first, second = (eye.frechet.moments_of(np.concatenate([windows[k] for k in half]))
                          for half in (order[:len(windows) // 2], order[len(windows) // 2:]))
         if first is None or second is None:  # fewer windows than a covariance takes
             return Interval.undefined(len(windows))
-        distances.append(eye.frechet.frechet(first, second))
+        distances.append(frechet_distance(first, second))
     # The spread of the halvings themselves, not of their mean: it is the range of distances that chance gives.
     low, high = np.percentile(distances, [2.5, 97.5])
     return Interval(float(np.mean(distances)), float(low), float(high), len(windows))

@@ -104,7 +104,7 @@ _OURS: dict[str, Metric] = {
 """Without those for the eye. FGD has a column for each network, and each network has its own unit."""
 
 
-_MEASURES = {"frechet": "frechet", "phrases": "sound_figures"}
+_MEASURES = {"frechet": "ReferenceSpace", "phrases": "sound_figures"}
 """Chapters of the figures for the eye whose function is not `figures`."""
 
 

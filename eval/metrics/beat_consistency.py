@@ -91,9 +91,9 @@ def mean_score(joints: Sequence[Array], onsets: Array, sigma: float = SIGMA) -> 
     return float(np.mean([onset_score(beats, onsets, sigma) for beats in joints])) if len(joints) else float("nan")
 
 
-def joint_beats(speeds: Array, fps: float = FPS, order: int = ORDER, moving: float = MOVING) -> list[Array]:
+def joint_beats(speeds: Array, fps: float = FPS, order: int = ORDER) -> list[Array]:
     """For each joint the seconds of its beats, from speeds [T, J] in m/s: strict minima within `order` frames of
-    either side, that lie above `moving` times the joint's mean speed. A joint that never moves has none.
+    either side, that lie above `MOVING` times the joint's mean speed. A joint that never moves has none.
 
     Near an end of the clip, as in the public code, a minimum is the least of those frames that there are; the first
     and the last frame are none. ValueError for speeds of another shape or not finite, or an fps that is not positive.
@@ -106,7 +106,7 @@ def joint_beats(speeds: Array, fps: float = FPS, order: int = ORDER, moving: flo
     beats = []
     for column in table.T:
         least = argrelextrema(column, np.less, order=order, mode="clip")[0] if len(column) else np.zeros(0, int)
-        rest = moving * column.mean() if len(column) else 0.0
+        rest = MOVING * column.mean() if len(column) else 0.0
         # Speed t is that between frames t and t + 1.
         beats.append((least[column[least] > rest] + 0.5) / fps)
     return beats
@@ -128,22 +128,22 @@ def motion_joint_beats(motion: Motion) -> list[Array]:
     return joint_beats(speeds[:, speeds.mean(axis=0) > 1e-6])
 
 
-def consistency(joints: Sequence[Array], onsets: Array, duration: float, sigma: float = SIGMA, *, seed: int = 0,
-                shifts: int = SHIFTS) -> Consistency:
+def consistency(joints: Sequence[Array], onsets: Array, duration: float, sigma: float = SIGMA, *, seed: int = 0
+                ) -> Consistency:
     """Score and chance of the beats of joints against onsets (both in seconds, 0 to `duration`).
 
     chance: the mean over circular shifts of all beats together, drawn evenly but no closer to 0 than a second (or a
-    tenth of the duration). ValueError as in `onset_score`, and for a duration that is not positive or no shift.
+    tenth of the duration). ValueError as in `onset_score`, and for a duration that is not positive.
     """
     nan = float("nan")
-    if not (np.isfinite(duration) and duration > 0) or shifts < 1:
-        raise ValueError(f"the duration must be positive and shifts 1 or more, not {duration} and {shifts}")
+    if not (np.isfinite(duration) and duration > 0):
+        raise ValueError(f"the duration must be positive, not {duration}")
     if len(joints) == 0:
         return Consistency(nan, nan, nan, "no joint moves")
     rate = float(np.mean([len(beats) for beats in joints])) / duration
     if len(onsets) == 0:
         return Consistency(nan, nan, rate, "the sound has no onset")
     least = min(1.0, 0.1 * duration)
-    by = np.random.default_rng(seed).uniform(least, duration - least, shifts)
+    by = np.random.default_rng(seed).uniform(least, duration - least, SHIFTS)
     moved = [mean_score([(beats + shift) % duration for beats in joints], onsets, sigma) for shift in by]
     return Consistency(mean_score(joints, onsets, sigma), float(np.mean(moved)), rate)

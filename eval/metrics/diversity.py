@@ -2,27 +2,24 @@
 
 Theory: the entropy of how often each lexeme occurs says how many are in use: e to the entropy in nats is as many
 lexemes as, used evenly, would have it. It is 0 for one lexeme alone and ln(N_s) for even use. The paper's logarithm has
-no base; 3.79 and 4.32 may be nats or bits, so both are given. Its motion variance (RG 7.4.2) asks the same within a
+no base; its 3.79 and 4.32 may be nats or bits. Its motion variance (RG 7.4.2) asks the same within a
 lexeme: how differently is one lexeme performed? Take the distance of each motion's latent from its lexeme, then the
-variance of those per lexeme, then the mean over lexemes. The others look at the order of lexemes: the share of bigrams
-that are different (distinct-2, Li et al. 2016), the longest run of one lexeme and how often one is repeated (a loop
-shows in both), and the share of bigrams that no speaker of the training data ever made.
+variance of those per lexeme, then the mean over lexemes. The longest run of one lexeme looks at their order: a loop
+shows in it.
 
 Good: near the speaker's own value, for each. More is not better: noise has the most. What fools them: lexemes drawn at
-random reach ln(N_s) and a distinct-2 that no person has (see `unseen_bigrams`, which gives them away). Entropy and
-variance scarcely see the order of frames or blocks: motion with another clip's speech has the value of the right one,
-to the digit. Jitter raises the motion variance, as a rougher performance of each lexeme, and may raise the entropy.
-Few blocks make the entropy too small, by about (lexemes used - 1) / (2 blocks) nats, and distinct-2 too large:
+random reach ln(N_s). Entropy and variance scarcely see the order of frames or blocks: motion with another clip's
+speech has the value of the right one, to the digit. Jitter raises the motion variance, as a rougher performance of each
+lexeme, and may raise the entropy. Few blocks make the entropy too small, by about (lexemes used - 1) / (2 blocks) nats:
 compare sets of the same number of blocks.
 
-    >>> diversity([0, 0, 1, 1], size=4).used, round(entropy([2, 2, 0, 0]), 4), distinct_2([[0, 1, 0, 1]])
-    (2, 0.6931, 0.6666666666666666)
+    >>> round(diversity([0, 0, 1, 1], size=4), 4), round(entropy([2, 2, 0, 0]), 4), longest_run([[0, 1, 1, 0]])
+    (0.6931, 0.6931, 2.0)
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,35 +29,6 @@ from data_module.types import Array
 __all__ = ["diversity", "entropy", "motion_variance"]
 
 Labels = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Diversity:
-    """Entropy of lexeme use (RG Eq. 23). share: of the largest possible, 0 to 1; used: how many lexemes occur.
-
-    NaN when there is no block; share is NaN too for a lexicon of one, which allows of no diversity.
-    """
-
-    nats: float
-    bits: float
-    share: float
-    used: int
-    blocks: int
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class MotionVariance:
-    """Mean over lexemes of the variance of latent distances (RG Table 2), in squared latent units.
-
-    lexemes: how many it is a mean over; left_out: lexemes that occur, but once, so have no variance. NaN when no lexeme
-    occurs twice.
-    """
-
-    mean: float
-    lexemes: int
-    left_out: int
-    reason: str = ""
 
 
 def entropy(counts: ArrayLike) -> float:
@@ -73,30 +41,16 @@ def entropy(counts: ArrayLike) -> float:
     return abs(float(-(shares * np.log(shares)).sum()))
 
 
-def diversity(labels: ArrayLike, size: int) -> Diversity:
-    """- sum of p_i log p_i over the `size` lexemes of the lexicon, of labels [N] (RG Eq. 23)."""
-    sequence = checked_labels(labels, size)
-    if len(sequence) == 0:
-        nan = float("nan")
-        return Diversity(nan, nan, nan, 0, 0, "there is no block")
-    counts = np.bincount(sequence, minlength=size)
-    nats = entropy(counts)
-    share, reason = (nats / float(np.log(size)), "") if size > 1 else (float("nan"), "the lexicon has one lexeme")
-    return Diversity(nats, nats / float(np.log(2.0)), share, int((counts > 0).sum()), len(sequence), reason)
+def diversity(labels: ArrayLike, size: int) -> float:
+    """- sum of p_i log p_i in nats over the `size` lexemes of the lexicon, of labels [N] (RG Eq. 23); NaN for none."""
+    return entropy(np.bincount(checked_labels(labels, size), minlength=size))
 
 
-def nearest_lexemes(latents: Array, vectors: Array) -> Labels:
-    """[N] the lexeme nearest to each latent [N, D], of vectors [S, D] (RG Eq. 4): what a real motion is said to do."""
-    points, lexemes = _latents(latents, vectors)
-    distances = (points ** 2).sum(1)[:, None] - 2.0 * points @ lexemes.T + (lexemes ** 2).sum(1)
-    return distances.argmin(axis=1).astype(np.int64)
-
-
-def motion_variance(latents: Array, labels: ArrayLike, vectors: Array) -> MotionVariance:
+def motion_variance(latents: Array, labels: ArrayLike, vectors: Array) -> float:
     """How differently each lexeme is performed, of the motions' latents [N, D] and lexeme vectors [S, D] (RG 7.4.2).
 
-    labels: [N], for a generated motion the lexeme it was made from, for a real one that of `nearest_lexemes`. The
-    variance is the unbiased one, so that rare lexemes do not lower the mean.
+    labels: [N], the lexeme that each motion is nearest to. The variance is the unbiased one, so that rare lexemes do
+    not lower the mean. In squared latent units; NaN where no lexeme occurs twice.
     """
     points, lexemes = _latents(latents, vectors)
     chosen = checked_labels(labels, len(lexemes))
@@ -105,10 +59,7 @@ def motion_variance(latents: Array, labels: ArrayLike, vectors: Array) -> Motion
     distances = np.linalg.norm(points - lexemes[chosen], axis=1)
     counts = np.bincount(chosen, minlength=len(lexemes))
     variances = [float(distances[chosen == lexeme].var(ddof=1)) for lexeme in np.flatnonzero(counts > 1)]
-    once = int((counts == 1).sum())
-    if not variances:
-        return MotionVariance(float("nan"), 0, once, "no lexeme occurs twice")
-    return MotionVariance(float(np.mean(variances)), len(variances), once)
+    return float(np.mean(variances)) if variances else float("nan")
 
 
 def lexeme_moments(clips: Sequence[tuple[Array, Labels] | None], vectors: Array) -> tuple[Array, Array, Array]:
@@ -132,22 +83,9 @@ def variance_of_moments(counts: Array, sums: Array, squares: Array) -> float:
     return float(np.maximum((square - total ** 2 / n) / (n - 1), 0.0).mean()) if twice.any() else float("nan")
 
 
-def distinct_2(sequences: Sequence[ArrayLike]) -> float:
-    """Share of different bigrams among all bigrams of the sequences of labels; a pair lies within one sequence.
-
-    0 to 1, NaN without a bigram (no sequence of two blocks). It falls as sequences grow: compare equal lengths.
-    """
-    pairs = _bigrams(sequences)
-    return float("nan") if len(pairs) == 0 else len(np.unique(pairs, axis=0)) / len(pairs)
-
-
-def longest_run(sequences: Sequence[ArrayLike], leave_out: ArrayLike = ()) -> float:
-    """How many blocks in a row have one lexeme, at most, in any sequence; 1: never twice. NaN without a block.
-
-    leave_out: lexemes whose runs do not count, such as the silent ones: a rest may last.
-    """
-    every = [length for sequence in sequences for lexeme, length in runs(sequence)
-             if lexeme not in np.asarray(leave_out)]
+def longest_run(sequences: Sequence[ArrayLike]) -> float:
+    """How many blocks in a row have one lexeme, at most, in any sequence; 1: never twice. NaN without a block."""
+    every = [length for sequence in sequences for _, length in runs(sequence)]
     return float(max(every)) if every else float("nan")
 
 
@@ -158,18 +96,6 @@ def runs(sequence: ArrayLike) -> list[tuple[int, int]]:
         return []
     edges = np.concatenate([[0], np.flatnonzero(np.diff(labels)) + 1, [len(labels)]])
     return [(int(labels[begin]), int(length)) for begin, length in zip(edges, np.diff(edges), strict=False)]
-
-
-def unseen_bigrams(sequences: Sequence[ArrayLike], training: Sequence[ArrayLike]) -> float:
-    """Share of the bigrams of `sequences` that occur nowhere in `training`: moves that no speaker was seen to make.
-
-    0 to 1. NaN when either has no bigram: without training data nothing is unseen in any sense worth a figure.
-    """
-    pairs, known = _bigrams(sequences), _bigrams(training)
-    if len(pairs) == 0 or len(known) == 0:
-        return float("nan")
-    trained = {(int(a), int(b)) for a, b in known}
-    return float(np.mean([(int(a), int(b)) not in trained for a, b in pairs]))
 
 
 def checked_labels(labels: ArrayLike, size: int | None = None) -> Labels:
@@ -183,13 +109,6 @@ def checked_labels(labels: ArrayLike, size: int | None = None) -> Labels:
         raise ValueError(f"labels must lie in 0 to {'N_s' if size is None else size} - 1: "
                          f"{values.min()} to {values.max()}")
     return values.astype(np.int64)
-
-
-def _bigrams(sequences: Sequence[ArrayLike]) -> Labels:
-    """[n, 2] every pair of neighbours."""
-    checked = [checked_labels(sequence) for sequence in sequences]
-    pairs = [np.stack([labels[:-1], labels[1:]], axis=1) for labels in checked if len(labels) > 1]
-    return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
 
 
 def _latents(latents: Array, vectors: Array) -> tuple[Array, Array]:

@@ -105,9 +105,9 @@ class RawFeatures(Features):
     Nothing is learned, so nothing is hidden; but all is weighed alike, and there are many numbers: 27 each.
     """
 
-    def __init__(self, frames: int, fps: float = FPS, count: int = 2) -> None:
+    def __init__(self, frames: int, count: int = 2) -> None:
         at = np.linspace(0, frames - 1, count).round().astype(int)
-        super().__init__(f"raw directions of {count} frames", frames, fps, "none",
+        super().__init__(f"raw directions of {count} frames", frames, FPS, "none",
                          lambda own: own[:, at].reshape(len(own), count * DIRECTIONS))
 
 

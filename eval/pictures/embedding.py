@@ -39,11 +39,11 @@ def embed(latents: Array, seed: int = 0) -> Array:
     return np.asarray(points, dtype=np.float64)
 
 
-def neighbours_agree(points: Array, labels: Labels, count: int = NEIGHBOURS) -> float:
+def neighbours_agree(points: Array, labels: Labels) -> float:
     """Share of each point's nearest neighbours that have its label."""
     from sklearn.neighbors import NearestNeighbors
 
-    near = NearestNeighbors(n_neighbors=min(count, len(points) - 1)).fit(points).kneighbors(return_distance=False)
+    near = NearestNeighbors(n_neighbors=min(NEIGHBOURS, len(points) - 1)).fit(points).kneighbors(return_distance=False)
     return float((labels[near] == labels[:, None]).mean())
 
 
@@ -54,7 +54,7 @@ def colours(size: int) -> list[str]:
     return ["#" + "".join(f"{round(255 * part):02x}" for part in shade) for shade in shades]
 
 
-def joint_embedding(latents: Mapping[str, Array], most: int = 1500, seed: int = 0) -> dict[str, tuple[Array, Labels]]:
+def joint_embedding(latents: Mapping[str, Array], most: int) -> dict[str, tuple[Array, Labels]]:
     """The latents of several rows in one t-SNE: row -> its points [n, 2] and which of its latents they are [n].
 
     latents: row -> [N, D], the same D in all. At most `most` of each are taken, evenly spaced in their order, and
@@ -65,7 +65,7 @@ def joint_embedding(latents: Mapping[str, Array], most: int = 1500, seed: int = 
              for name, values in latents.items()}
     together = np.concatenate([values[taken[name]] for name, values in latents.items()])
     ends = np.cumsum([len(which) for which in taken.values()])
-    points = np.split(embed(together, seed), ends[:-1])
+    points = np.split(embed(together), ends[:-1])
     return {name: (mine, which) for (name, which), mine in zip(taken.items(), points, strict=True)}
 
 

@@ -186,11 +186,10 @@ def decoded(bundle: Bundle) -> list[Motion]:
 
 # --------------------------------------------------------------------------------------------------- the command
 
-def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], progress: bool = True
-           ) -> tuple[Survey, Array, Labels]:
+def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo]) -> tuple[Survey, Array, Labels]:
     """Everything counted, and the latents [N, D] and labels [N] of all blocks."""
     counts, latents, labels = Survey(bundle.config.lexicon.size), [], []
-    for info in tqdm(infos, desc="recordings", disable=not progress):
+    for info in tqdm(infos, desc="recordings"):
         recording = store.load(info.name, bundle.config.motion.joints)
         blocks = cut(recording.speech, bundle.config.rhythm)
         read = encode_motion(bundle, recording.motion, blocks, info.speaker)
@@ -217,10 +216,9 @@ def as_csv(entries: Sequence[LexemeEntry]) -> str:
     return text.getvalue()
 
 
-def write_map(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], out: Path, points: int = 4000,
-              progress: bool = True) -> str:
+def write_map(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], out: Path, points: int) -> str:
     """Both pictures and the table into the folder `out`; a sentence on what they show."""
-    counts, latents, labels = survey(bundle, store, infos, progress)
+    counts, latents, labels = survey(bundle, store, infos)
     motions, size, silent = decoded(bundle), bundle.config.lexicon.size, bundle.silent.tolist()
     speeds = np.array([float(hand_speeds(motion).mean()) for motion in motions])
     entries = [replace(entry, does=in_words(motion))

@@ -37,7 +37,7 @@ from data_module.motion.bvh import read_bvh
 from data_module.speech.audio import load_speech
 from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
-from eval.clip.foreign import find_sound
+from eval.clip.foreign import find_sound, named
 from eval.study import anova
 from eval.study.page import FPS, STEPS_PER_METRE, encoded_points, page_of
 from eval.table import Provenance, Table, publish
@@ -109,16 +109,10 @@ class StudyOptions:
 
 def parse_systems(entries: Sequence[str]) -> dict[str, Path]:
     """NAME=DIR as a mapping, in the given order; InputError for what is not two or more different names."""
-    systems: dict[str, Path] = {}
-    for word in entries:
-        name, equals, folder = word.partition("=")
-        if not (equals and name.strip() and folder):
-            raise InputError(word, "is not NAME=DIR", "write --systems ours=folder truth=folder")
-        if name in systems:
-            raise InputError(name, "is named twice", "give each system a name of its own")
-        if not Path(folder).is_dir():
+    systems = {name: Path(folder) for name, folder in named(entries, "--systems").items()}
+    for name, folder in systems.items():
+        if not folder.is_dir():
             raise InputError(folder, "is not a folder", f"name the folder of {name}'s motion and sound")
-        systems[name] = Path(folder)
     if len(systems) < 2:
         raise InputError("--systems", "needs two systems or more to compare", "write NAME=DIR for each")
     return systems

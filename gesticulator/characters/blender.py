@@ -36,8 +36,8 @@ def blender() -> list[str] | None:
         return _command(named)
     if importlib.util.find_spec("bpy") is not None:
         return _command(sys.executable)
-    found = shutil.which("blender")
-    return None if found is None else _command(found)
+    program = shutil.which("blender")
+    return None if program is None else _command(program)
 
 
 def check_blender(subject: Path) -> list[str]:
@@ -51,6 +51,7 @@ def check_blender(subject: Path) -> list[str]:
 def _command(program: str) -> list[str]:
     if Path(program).name.lower().startswith("python"):
         return [program, "-s"]
+    # --factory-startup: add-ons and preferences of the user must not change the output.
     return [program, "--background", "--factory-startup", "--python-use-system-env", "--python-exit-code", "1",
             "--python"]
 
@@ -116,6 +117,7 @@ class _Worker:
     def wait(self, outcome: Path) -> str:
         """The message of the error of a job, "" for none. TimeoutError after `SECONDS`."""
         until = time.monotonic() + SECONDS
+        # The outcome is a file because Blender itself prints on standard output.
         while not outcome.exists():
             if not self.alive():
                 return self._last_line()

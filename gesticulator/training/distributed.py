@@ -233,8 +233,8 @@ class BatchDraws(TorchDispatchMode):
             drawn = func(_whole(args[0], self._rows(args[0].shape)), *args[1:], **kwargs)
             return args[0].copy_(self._own(drawn))
         if func is _aten.native_dropout.default and args[1] and args[2]:
-            kept = self._own(func(torch.ones_like(_whole(args[0], self._rows(args[0].shape))), *args[1:])[1])
-            return args[0] * kept / (1 - args[1]), kept
+            mask = self._own(func(torch.ones_like(_whole(args[0], self._rows(args[0].shape))), *args[1:])[1])
+            return args[0] * mask / (1 - args[1]), mask
         if func is _aten.multinomial.default and args[1] == 1:  # as in torch: by an exponential race
             race = _whole(args[0], self._rows(args[0].shape)).exponential_(1.0)
             return (args[0] / self._own(race)).argmax(-1, keepdim=True)
@@ -254,12 +254,12 @@ class BatchDraws(TorchDispatchMode):
         return whole.narrow(rows, share() * count, count)
 
 
-def _whole(own: Tensor, rows: int) -> Tensor:
+def _whole(part: Tensor, rows: int) -> Tensor:
     """An empty tensor like `own` but with all rows and the same memory layout: random functions fill memory in
     order."""
-    size = list(own.shape)
+    size = list(part.shape)
     size[rows] *= shares()
-    strides = own.stride()
-    order = sorted(range(own.dim()), key=lambda axis: -strides[axis])
-    laid = torch.empty([size[axis] for axis in order], dtype=own.dtype, device=own.device)
-    return laid.permute([order.index(axis) for axis in range(own.dim())])
+    strides = part.stride()
+    order = sorted(range(part.dim()), key=lambda axis: -strides[axis])
+    laid = torch.empty([size[axis] for axis in order], dtype=part.dtype, device=part.device)
+    return laid.permute([order.index(axis) for axis in range(part.dim())])

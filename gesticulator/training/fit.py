@@ -135,10 +135,10 @@ class StepLog:
     def __init__(self, path: Path, from_step: int) -> None:
         if not distributed.leads():
             path = Path(os.devnull)
-        kept = []
+        lines = []
         if path.is_file():
-            kept = [line for line in path.read_text().splitlines() if line and _step_of(line) < from_step]
-        path.write_text("".join(line + "\n" for line in kept))
+            lines = [line for line in path.read_text().splitlines() if line and _step_of(line) < from_step]
+        path.write_text("".join(line + "\n" for line in lines))
         self._stream = path.open("a", buffering=1)
 
     def write(self, row: dict[str, Any]) -> None:

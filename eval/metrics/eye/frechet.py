@@ -20,8 +20,8 @@ in a window is not seen; and so has a mirrored copy (12.7), as the space keeps n
 beside it in every table, with the figures of `hands`, which see the mirror. It does not hear the speech. Jitter (131),
 bobbing (299) and a frozen pose (687) are far. The reference is two people: who gestures as well but otherwise is "far".
 
-    >>> one = Moments(np.zeros(2), np.eye(2))
-    >>> round(frechet(one, Moments(np.array([3.0, 0.0]), 4.0 * np.eye(2))), 6)
+    >>> standard = Gaussian(np.zeros(2), np.eye(2), 100)
+    >>> round(frechet_distance(standard, Gaussian(np.array([3.0, 0.0]), 4.0 * np.eye(2), 100)), 6)
     11.0
 """
 
@@ -38,6 +38,7 @@ from data_module.arrays import read_numbers
 from data_module.errors import InputError
 from data_module.types import Array
 from eval.metrics.eye.body import CommonBody
+from eval.metrics.fgd import Gaussian, frechet_distance, gaussian
 
 POINTS = ("RightHand", "LeftHand", "RightForeArm", "LeftForeArm", "Head")
 WIDTH = 40
@@ -49,6 +50,8 @@ _LEAST_SPREAD, _LEAST_SPEED = 0.003, 0.01
 """Metres and m/s under the logarithms: what is smaller is still."""
 _FEWEST = 3
 """Windows from which on a set has moments."""
+_UNKNOWN = 0
+"""The file of the reference does not tell of how many windows its moments are; no distance asks."""
 
 
 def windows(body: CommonBody) -> Array:
@@ -63,31 +66,9 @@ def windows(body: CommonBody) -> Array:
     return np.array(descriptors, dtype=np.float64).reshape(-1, WIDTH)
 
 
-@dataclass(frozen=True)
-class Moments:
-    """Mean [d] and covariance [d, d] of a set in the space."""
-
-    mean: Array
-    covariance: Array
-
-    @classmethod
-    def of(cls, points: Array) -> Moments | None:
-        """Of [n, d]; None for fewer than three."""
-        return cls(points.mean(axis=0), np.cov(points.T)) if len(points) >= _FEWEST else None
-
-
-def frechet(first: Moments, second: Moments) -> float:
-    """The squared Frechet distance of two Gaussians."""
-    # The trace of the root of a product of covariances is the sum of singular values of the product of their roots.
-    shared = np.linalg.svd(_root(first.covariance) @ _root(second.covariance), compute_uv=False).sum()
-    spread = np.trace(first.covariance) + np.trace(second.covariance) - 2.0 * shared
-    return float(((first.mean - second.mean) ** 2).sum() + max(float(spread), 0.0))
-
-
-def _root(covariance: Array) -> Array:
-    values, vectors = np.linalg.eigh(covariance)
-    root: Array = (vectors * np.sqrt(values.clip(min=0.0))) @ vectors.T
-    return root
+def moments_of(points: Array) -> Gaussian | None:
+    """Of windows [n, d] in a space; None for fewer than three."""
+    return gaussian(points) if len(points) >= _FEWEST else None
 
 
 @dataclass(frozen=True)
@@ -97,7 +78,7 @@ class ReferenceSpace:
     mean: Array
     sd: Array
     axes: Array
-    real: Moments
+    real: Gaussian
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ReferenceSpace:
@@ -108,7 +89,7 @@ class ReferenceSpace:
         shapes = (mean.shape, sd.shape, axes.shape, center.shape, root.shape)
         if shapes != ((WIDTH,), (WIDTH,), (k, WIDTH), (k,), (k, k)) or (sd <= 0).any():
             raise InputError(path, "holds statistics of another shape", f"give {REFERENCE}")
-        return cls(mean, sd, axes, Moments(center, root @ root.T))
+        return cls(mean, sd, axes, Gaussian(center, root @ root.T, _UNKNOWN))
 
     @classmethod
     def found(cls) -> ReferenceSpace | None:
@@ -121,11 +102,12 @@ class ReferenceSpace:
         """Windows [n, 40] in the space, [n, 10]."""
         return ((descriptors - self.mean) / self.sd) @ self.axes.T
 
-    def moments(self, descriptors: Array) -> Moments | None:
+    def moments(self, descriptors: Array) -> Gaussian | None:
         """Of windows [n, 40]; None for fewer than three."""
-        return Moments.of(self.see(descriptors))
+        return moments_of(self.see(descriptors))
 
-    def distance(self, descriptors: Array, other: Moments | None = None) -> float:
+    def distance(self, descriptors: Array, other: Gaussian | None = None) -> float:
         """Of windows [n, 40] from the real takes, or from other moments in this space; NaN for fewer than three."""
         moments_here = self.moments(descriptors)
-        return math.nan if moments_here is None else frechet(moments_here, self.real if other is None else other)
+        return math.nan if moments_here is None else frechet_distance(
+            moments_here, self.real if other is None else other)

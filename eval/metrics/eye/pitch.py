@@ -36,7 +36,7 @@ LAGS = np.arange(-RATE, RATE + 1)
 """Frames: -1 to +1 s."""
 NEAR = 0.1
 """Seconds about no lag that count as at once."""
-_PITCH_HZ, _SMOOTHING = 100, 0.1
+_PITCH_HZ, _SMOOTHING, _SEED = 100, 0.1, 1
 _LOWEST, _HIGHEST = 60.0, 500.0
 """Hertz of voices."""
 _FEWEST = 2 * RATE
@@ -105,11 +105,11 @@ def _best(by_lag: Array) -> float:
     return float(np.nanmax(near)) if np.isfinite(near).any() else float("nan")
 
 
-def coupling(pitches: Sequence[Array], speeds: Sequence[Array], draws: int = 200, seed: int = 1) -> Coupling:
+def coupling(pitches: Sequence[Array], speeds: Sequence[Array], draws: int = 200) -> Coupling:
     """Of recordings with their pitch and trunk speed. With one recording there is no exchange, and no chance."""
     pairs = np.array([[lagged(pitch, speed) for speed in speeds] for pitch in pitches])
     matched = np.nanmean(pairs[np.arange(len(speeds)), np.arange(len(speeds))], axis=0)
-    rng, chance = np.random.default_rng(seed), []
+    rng, chance = np.random.default_rng(_SEED), []
     for _ in range(draws if len(speeds) > 1 else 0):
         order = rng.permutation(len(speeds))
         chance.append(_best(np.nanmean(pairs[order, np.arange(len(speeds))], axis=0)))

@@ -11,6 +11,7 @@ from data_module.types import Array, Motion
 from eval import stats
 from eval.metrics import EYE_METRICS, eye
 from eval.metrics.eye import ReferenceSpace, VoiceActivity, frechet
+from eval.metrics.fgd import frechet_distance
 from eval.stats import Interval
 
 POOLED, TO_CORPUS = "eye_frechet_pooled", "eye_frechet_corpus"
@@ -85,7 +86,7 @@ class EyeSample:
             return Interval.undefined(len(projected))
 
         def distance(chosen: Array) -> float:
-            moments = frechet.Moments.of(np.concatenate([projected[k] for k in chosen]))
-            return math.nan if moments is None else frechet.frechet(moments, target)
+            moments = frechet.moments_of(np.concatenate([projected[k] for k in chosen]))
+            return math.nan if moments is None else frechet_distance(moments, target)
 
         return stats.of_set(distance, len(projected), least=0.0)

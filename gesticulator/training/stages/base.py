@@ -226,12 +226,12 @@ def finished(folder: Path, model: nn.Module | None = None) -> bool:
 
 def closure(stages: Sequence[Stage[Any]], config: Config) -> Iterator[Stage[Any]]:
     """These stages and all stages that they need, each once, requirements first."""
-    seen: set[str] = set()
+    visited: set[str] = set()
 
     def visit(node: Node[Any]) -> Iterator[Stage[Any]]:
-        if node.name in seen:
+        if node.name in visited:
             return
-        seen.add(node.name)
+        visited.add(node.name)
         for need in node.needs(config):
             yield from visit(need)
         if isinstance(node, Stage):

@@ -60,8 +60,8 @@ class StoredRows:
         wanted = np.asarray(rows)
         if wanted.dtype == bool:
             wanted = np.flatnonzero(wanted)
-        found = self._read(wanted.reshape(-1)).reshape(*wanted.shape, *self.shape[1:])
-        return found[(*(slice(None) for _ in wanted.shape), *rest)]
+        selected = self._read(wanted.reshape(-1)).reshape(*wanted.shape, *self.shape[1:])
+        return selected[(*(slice(None) for _ in wanted.shape), *rest)]
 
     def _read(self, numbers: NDArray[Any]) -> Tensor:
         """[n, ...] the rows with these numbers [n]. IndexError for numbers out of range."""
@@ -146,11 +146,11 @@ class _PastFrames:
         self.pasts = pasts
 
     def __getitem__(self, rows: Tensor | slice) -> Tensor:
-        own = self.pasts
-        index = np.arange(len(own.motion))[rows] if isinstance(rows, slice) else np.asarray(rows)
-        before = own.motion[np.maximum(index - 1, 0), -PAST:]
-        held = own.first[torch.as_tensor(own.recording[index])].unsqueeze(-2).expand_as(before)
-        return torch.where(torch.as_tensor(own.begins[index])[..., None, None], held, before)
+        pasts = self.pasts
+        index = np.arange(len(pasts.motion))[rows] if isinstance(rows, slice) else np.asarray(rows)
+        before = pasts.motion[np.maximum(index - 1, 0), -PAST:]
+        held = pasts.first[torch.as_tensor(pasts.recording[index])].unsqueeze(-2).expand_as(before)
+        return torch.where(torch.as_tensor(pasts.begins[index])[..., None, None], held, before)
 
 
 def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
@@ -166,10 +166,10 @@ def stretches(counts: Iterable[int], speaker_of: Sequence[int] | NDArray[np.int6
     every = max(1, -(-sum(sizes) // most))
     if every == 1:
         return [[slice(0, size)] for size in sizes]
-    seen: dict[int, int] = {}
+    counted: dict[int, int] = {}
     out = []
     for size, speaker in zip(sizes, speaker_of, strict=True):
-        begins, number = range(0, size, length), seen.get(int(speaker), 0)
+        begins, number = range(0, size, length), counted.get(int(speaker), 0)
         out.append([slice(at, min(at + length, size)) for k, at in enumerate(begins) if (number + k) % every == 0])
-        seen[int(speaker)] = number + len(begins)
+        counted[int(speaker)] = number + len(begins)
     return out

@@ -153,10 +153,10 @@ class ContrastWindows:
         """All of these recordings, which have words; frames: of a block."""
         assert corpus.word_at is not None
         spoken = (corpus.word_at[:, frames:2 * frames] > 0).any(1).numpy()
-        own = [corpus.blocks_of(r) for r in recordings]
-        return cls(corpus, frames, np.concatenate([each[spoken[each]] for each in own]),
+        blocks = [corpus.blocks_of(r) for r in recordings]
+        return cls(corpus, frames, np.concatenate([each[spoken[each]] for each in blocks]),
                    {r: corpus.sound(r) for r in recordings},
-                   {r: int(each[0]) for r, each in zip(recordings, own, strict=True)})
+                   {r: int(each[0]) for r, each in zip(recordings, blocks, strict=True)})
 
     def batch(self, chosen: NDArray[np.int64]) -> fitting.Batch:
         """The windows around these blocks [B], as `TextContrast` reads them."""
