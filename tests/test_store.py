@@ -79,18 +79,10 @@ def test_the_whole_body_is_kept_and_read_in_any_size(tmp_path: Path) -> None:
     assert grown.absent == ("Spine3", *FINGERED.names[16:]) and (grown.rotations[:, 16:, 0] == 1).all()
 
 
-def test_a_store_of_format_2_is_still_read(tmp_path: Path) -> None:
+def test_a_store_of_another_format_is_refused(tmp_path: Path) -> None:
     store = _store(tmp_path / "s", _recording("a"))
-
-    def older(content: dict[str, Any]) -> None:
-        content["format"] = 2
-        del content["recordings"][0]["filled"]
-
-    _listing(store, older)
-    old = Store.open(store.path)
-    assert old.recordings[0].filled == () and old.load("a").motion.absent == ("Spine3",)
-    _listing(store, lambda content: content.update(format=1))
-    with pytest.raises(InputError, match="format 1, and this version reads format 3"):
+    _listing(store, lambda content: content.update(format=2))
+    with pytest.raises(InputError, match="format 2, and this version reads format 3"):
         Store.open(store.path)
 
 
