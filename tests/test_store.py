@@ -255,17 +255,6 @@ def test_arrays_that_do_not_belong_are_one_line(change: dict[str, Any], tmp_path
         Store.open(store.path).load("a")
 
 
-def test_strokes_of_an_older_store_have_no_meaning(tmp_path: Path) -> None:
-    store = _store(tmp_path / "s", _recording("a"))
-    file = store.path / "recordings" / "a.npz"
-    with np.load(file) as arrays:
-        older = {name: arrays[name] for name in arrays.files if name not in ("strokes_meaning", "strokes_word")}
-    assert len(older) == len(np.load(file).files) - 2
-    np.savez(file, **older)
-    _listing(store, lambda c: c["recordings"][0]["sha256"].update(npz=stores._sha256(file)))
-    assert Store.open(store.path).load("a").truth == _recording("a").truth
-
-
 def test_damaged_work_is_done_again(tmp_path: Path) -> None:
     writer = StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none")
     for number, name in enumerate("abcd"):
