@@ -63,8 +63,8 @@ def _section(folder: Path, name: str, out: Path) -> list[str]:
 def _figure(file: Path, out: Path) -> list[str]:
     """A figure of the ablation with its caption; InputError where the file is none."""
     try:
-        told = loads(read_text(file, "draw it again"))
-        named, caption = f"{told['figure']}: {told['title']}", str(told["caption"])
+        figure = loads(read_text(file, "draw it again"))
+        named, caption = f"{figure['figure']}: {figure['title']}", str(figure["caption"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(file, "is no figure of an ablation", "draw it again") from error
     picture = next((one for ending in (".svg", ".png") if (one := file.with_suffix(ending)).is_file()), None)
