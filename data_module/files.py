@@ -404,10 +404,10 @@ def _check_depth(value: Any, source: object, advice: str) -> None:
 def _check_characters(value: Any, source: object, advice: str) -> None:
     waiting = [value]
     while waiting:
-        one = waiting.pop()
-        if isinstance(one, dict):
-            waiting += [*one, *one.values()]
-        elif isinstance(one, list):
-            waiting += one
-        elif isinstance(one, str) and any("\ud800" <= character <= "\udfff" for character in one):
-            raise InputError(source, f"is not valid JSON (half a character in {shown(one)})", advice)
+        item = waiting.pop()
+        if isinstance(item, dict):
+            waiting += [*item, *item.values()]
+        elif isinstance(item, list):
+            waiting += item
+        elif isinstance(item, str) and any("\ud800" <= character <= "\udfff" for character in item):
+            raise InputError(source, f"is not valid JSON (half a character in {shown(item)})", advice)

@@ -1,4 +1,4 @@
-"""Layers that the sibling models share."""
+"""Layers shared by lexicon, generator and interpreters, and the fast paths for the few rows of a live block."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ class Product:
     def __init__(self, weight: Tensor, bias: Tensor | None = None) -> None:
         """The weight is copied: a later change has no effect."""
         self._width, depth = weight.shape
+        # Blocks of columns, each contiguous: the width of a product for which the BLAS copies nothing.
         columns = nn.functional.pad(weight.detach(), (0, 0, 0, -self._width % _COLUMNS))
         self._columns = columns.view(-1, _COLUMNS, depth).transpose(1, 2).contiguous().numpy()
         self._bias = None if bias is None else bias.detach().clone().numpy()
@@ -50,22 +51,23 @@ class Product:
         count, blocks = len(rows), len(self._columns)
         out = np.empty((count, blocks, _COLUMNS), np.float32)
         np.matmul(rows.detach().numpy(), self._columns, out=out.transpose(1, 0, 2))
-        made = out.reshape(count, -1)
+        result = out.reshape(count, -1)
         if blocks * _COLUMNS > self._width:
-            made = made[:, :self._width].copy()
+            result = result[:, :self._width].copy()
         if self._bias is not None:
-            made += self._bias
-        return torch.from_numpy(made)
+            result += self._bias
+        return torch.from_numpy(result)
 
 
 def version(tensors: Iterable[Tensor]) -> list[tuple[int, int]]:
-    """What tells whether any of these tensors has been changed or replaced."""
-    return [(one.data_ptr(), 0 if one.is_inference() else one._version) for one in tensors]
+    """A value that differs once any of these tensors has been changed or replaced: the address of each, and the number
+    of its changes in place (0 for inference tensors, which do not count them)."""
+    return [(tensor.data_ptr(), 0 if tensor.is_inference() else tensor._version) for tensor in tensors]
 
 
 def products_of(module: nn.Module, layers: Sequence[tuple[Tensor, Tensor | None]]) -> list[Product]:
     """The `Product` of each weight and bias of a module, cached until they change."""
-    now = version(one for pair in layers for one in pair if one is not None)
+    now = version(tensor for pair in layers for tensor in pair if tensor is not None)
     held: tuple[object, list[Product], object] | None = module.__dict__.get("_products")
     if held is None or held[0] != now:
         with torch.inference_mode(False), torch.no_grad():
@@ -120,6 +122,7 @@ class BatchNorm(nn.BatchNorm1d):
             assert self.num_batches_tracked is not None
             self.num_batches_tracked += 1
             self.running_mean.lerp_(mean, self.momentum)
+            # As in torch, the running variance is the unbiased one, though a batch is normalised with the biased.
             self.running_var.lerp_(variance * (count / max(count - 1, 1)), self.momentum)
         scale = self.weight * (variance + self.eps).rsqrt()
         shift = self.bias - mean * scale
@@ -153,6 +156,7 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
                 torch.stack([state[layer] for state in hidden])).unbind()
         out = []
         for inputs in into(rows.flatten(0, 1)).view(batch, steps, -1).unbind(1):
+            # The order of the gates in torch's weights: input, forget, cell, output.
             enter, forget, new, leave = (inputs + again(h)).chunk(4, -1)
             c = torch.addcmul(enter.sigmoid() * new.tanh(), forget.sigmoid(), c)
             h = leave.sigmoid() * c.tanh()

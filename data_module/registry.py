@@ -1,8 +1,8 @@
 """Tables of plug-ins: one class for interpreters, writers, corpora, characters, metrics, stages, probes and verbs.
 
-A plug-in of ours is an entry of its table: a name, where its object is ("module:object"), what it needs, one line of
-help. Another package adds one by an entry point of the group `gesticulator.<kind>`. Nothing is imported until it is
-used, so that the command line can list the names.
+A plug-in of this project is an entry of its table: a name, where its object is ("module:object"), what it needs, one
+line of help. Another package adds one by an entry point of the group `gesticulator.<kind>`. Nothing is imported until
+it is used, so that the command line can list the names.
 
     [project.entry-points."gesticulator.writers"]
     ".txt" = "my_package.text:write_text"
@@ -27,14 +27,15 @@ PROJECT = "gesticulator"
 @dataclass(frozen=True)
 class Requirement:
     """A library that is not always installed. module: what is imported. package: its name on the package index.
-    extra: the extra of ours that installs it."""
+    extra: the extra of this distribution that installs it."""
 
     module: str
     package: str
     extra: str
 
     def check(self, subject: object) -> None:
-        """`InputError` about `subject`, with the command that installs the library, where it is missing."""
+        """Raise `InputError` about `subject`, with the command that installs the library, if it is missing."""
+        # Looked for, not imported: a large library would take seconds to load for a check.
         if find_spec(self.module) is None:
             raise InputError(subject, f"needs {self.package}, which is not installed",
                              f'pip install "{PROJECT}[{self.extra}]"')
@@ -55,50 +56,51 @@ class RegistryEntry:
         return getattr(import_module(module), name) if name else import_module(module)
 
 
-def is_tool(found: object) -> bool:
+def is_tool(plugin: object) -> bool:
     """Whether an object is a module (or the like) with `arguments`, which adds its options to a parser, and `run`."""
-    return callable(getattr(found, "arguments", None)) and callable(getattr(found, "run", None))
+    return callable(getattr(plugin, "arguments", None)) and callable(getattr(plugin, "run", None))
 
 
 E = TypeVar("E", bound=RegistryEntry)
 
 
 class Registry(Mapping[str, E], Generic[E]):
-    """The plug-ins of one kind by name: ours in the order of the table, then those of other packages by name.
+    """The plug-ins of one kind by name: those of the table in its order, then those of other packages by name.
 
     kind: plural; the group of entry points is `gesticulator.<kind>`. what: one of them in a message, "a data set that
-    can be read". entries: ours. fits: whether an object can be such a plug-in.
+    can be read". entries: the table. fits: whether an object can be such a plug-in.
 
     An entry point names either the object itself or a `RegistryEntry` (of the class `entry`), which names the object
-    and says more. Where two packages add one name, ours wins, else the package that comes first in the alphabet;
+    and says more. If two packages add one name, the table wins, else the package that comes first in the alphabet;
     a warning of one line names the other. Iterating, `in`, and `registry[name]` import no plug-in.
     """
 
     def __init__(self, kind: str, what: str, entries: Mapping[str, E], entry: type[E],
                  fits: Callable[[object], bool] = callable) -> None:
         self.kind, self.what, self.group = kind, what, f"{PROJECT}.{kind}"
-        self._ours, self._entry, self._fits = dict(entries), entry, fits
+        self._table, self._entry, self._fits = dict(entries), entry, fits
         self._points: dict[str, EntryPoint] | None = None
 
     def __iter__(self) -> Iterator[str]:
-        yield from self._ours
+        yield from self._table
         yield from self.points()
 
     def __len__(self) -> int:
-        return len(self._ours) + len(self.points())
+        return len(self._table) + len(self.points())
 
     def __contains__(self, name: object) -> bool:
-        return name in self._ours or name in self.points()
+        return name in self._table or name in self.points()
 
     def __getitem__(self, name: str) -> E:
-        """The entry. Of another package: which package it is and where the object is; `entry` has what it says."""
-        if name in self._ours:
-            return self._ours[name]
+        """The entry; for a plug-in of another package one that names the package and the object, without importing it
+        (`entry` gives the rest)."""
+        if name in self._table:
+            return self._table[name]
         point = self.points()[name]
         return self._entry(f"of the package {_owner(point)}", point.value)
 
     def points(self) -> Mapping[str, EntryPoint]:
-        """The entry points of this kind, less those that another package has taken. Read once."""
+        """The entry points of this kind, without those whose name is taken already. Read once."""
         if self._points is None:
             self._points = self._read()
         return self._points
@@ -110,8 +112,10 @@ class Registry(Mapping[str, E], Generic[E]):
             complain(f"{PROJECT}: warning: the {self.kind} of other packages cannot be read ({error})")
             return {}
         points: dict[str, EntryPoint] = {}
+        # This project's distribution first, then by name and package, so that the result does not depend on the order
+        # of installation.
         for point in sorted(every, key=lambda point: (_owner(point) != PROJECT, point.name, _owner(point))):
-            if point.name not in self._ours and point.name not in points:
+            if point.name not in self._table and point.name not in points:
                 points[point.name] = point
             elif (_owner(point), point.value) != self._taken_by(point.name, points):
                 owner, _ = self._taken_by(point.name, points)
@@ -121,8 +125,8 @@ class Registry(Mapping[str, E], Generic[E]):
 
     def _taken_by(self, name: str, points: Mapping[str, EntryPoint]) -> tuple[str, str]:
         """The package and the object that have a name."""
-        if name in self._ours:
-            return PROJECT, self._ours[name].where
+        if name in self._table:
+            return PROJECT, self._table[name].where
         return _owner(points[name]), points[name].value
 
     def unknown(self, name: object) -> InputError:
@@ -133,26 +137,26 @@ class Registry(Mapping[str, E], Generic[E]):
 
     def entry(self, name: str) -> E:
         """The entry in full; `InputError` for an unknown name, or where another package's cannot be imported."""
-        found = self._object(name)
-        return found if isinstance(found, self._entry) else self[name]
+        plugin = self._object(name)
+        return plugin if isinstance(plugin, self._entry) else self[name]
 
     def load(self, name: str) -> Any:
         """The object of a name.
 
-        `InputError` in one line for an unknown name, a library that is missing, and what another package's module does
-        wrong while it is imported, or where its object is no such plug-in.
+        `InputError` in one line for an unknown name, for a missing library, for any exception while another package's
+        module is imported, and for an object that is no such plug-in.
         """
-        found = self._object(name)
-        if not isinstance(found, RegistryEntry):
-            return found
-        if found.needs is not None:
-            found.needs.check(name)
-        return found.load() if name in self._ours else self._guarded(name, found.load)
+        plugin = self._object(name)
+        if not isinstance(plugin, RegistryEntry):
+            return plugin
+        if plugin.needs is not None:
+            plugin.needs.check(name)
+        return plugin.load() if name in self._table else self._guarded(name, plugin.load)
 
     def _object(self, name: str) -> Any:
-        """Our entry, or what the entry point names: an entry or a plug-in."""
-        if name in self._ours:
-            return self._ours[name]
+        """The entry of the table, or the object of the entry point: an entry or a plug-in."""
+        if name in self._table:
+            return self._table[name]
         if name not in self.points():
             raise self.unknown(name)
         return self._guarded(name, self.points()[name].load)
@@ -161,13 +165,13 @@ class Registry(Mapping[str, E], Generic[E]):
         point = self.points()[name]
         subject = f"{name} ({point.value} of {_owner(point)})"
         try:
-            found = load()
+            plugin = load()
         except Exception as error:  # noqa: BLE001 - a module of another package may fail with anything
             raise InputError(subject, f"cannot be loaded ({type(error).__name__}: {error})",
                              "repair or remove the package that adds it") from None
-        if not isinstance(found, self._entry) and not self._fits(found):
+        if not isinstance(plugin, self._entry) and not self._fits(plugin):
             raise InputError(subject, f"is not {self.what}", "repair or remove the package that adds it")
-        return found
+        return plugin
 
     def usable(self) -> dict[str, E]:
         """The entries in full. Of one that cannot be imported only a line is printed, on standard error."""

@@ -106,8 +106,8 @@ def check(settings: Any, path: str = "") -> None:
         _check_type(value, hint, place)
         limits = limits_of(hint)
         if limits is not None:
-            for one in value if isinstance(value, tuple) else (value,):
-                if one not in limits:
+            for number in value if isinstance(value, tuple) else (value,):
+                if number not in limits:
                     raise InputError(place, f"is {value!r}", f"give {limits}")
 
 
@@ -117,13 +117,14 @@ def _check_type(value: Any, hint: Any, place: str) -> None:
     fits = _is(value, kind)
     if fits and kind is tuple:
         inner = typing.get_args(plain)
-        fits = len(value) <= _LONGEST and all(_is(one, inner[0]) for one in value)
+        fits = len(value) <= _LONGEST and all(_is(item, inner[0]) for item in value)
         fits = fits and (inner[-1] is Ellipsis or len(value) == len(inner))
     if not fits:
         raise InputError(place, f"is {_shown(value)}", f"give a value of the kind {getattr(kind, '__name__', kind)}")
 
 
 def _is(value: Any, kind: Any) -> bool:
+    # To Python a bool is an int, but `true` for a width is an error.
     if isinstance(value, bool) or kind is bool:
         return isinstance(value, bool) and kind is bool
     return isinstance(value, (int, float) if kind is float else kind)

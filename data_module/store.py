@@ -28,14 +28,12 @@ from data_module.files import is_free, read_json, rename, write_bytes, write_tex
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
-from data_module.truth import LATER, TABLES, PlayedStroke, Truth, known_fields, record
+from data_module.truth import TABLES, PlayedStroke, Truth, record
 from data_module.types import Motion, Speech, Word
 
 __all__ = ["SPLITS", "Recording", "RecordingInfo", "Store", "StoreWriter"]
 
 FORMAT = 3
-"""Format 2 has only 16 joints and does not list the filled ones; it can still be read."""
-_READ = (2, FORMAT)
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 _LISTING, _FOLDER, _BEGUN = "store.json", "recordings", "begun.json"
@@ -115,7 +113,7 @@ class Store:
             number = content["format"]
         except (TypeError, KeyError):
             raise InputError(listing, "is not the listing of a store", "build it again") from None
-        if number not in _READ or isinstance(number, bool):
+        if number != FORMAT or isinstance(number, bool):
             raise InputError(folder, f"is a store of format {shown(number)}, and this version reads format {FORMAT}",
                              "build it again")
         try:
@@ -205,7 +203,7 @@ class StoreWriter:
         motion must last as long as the speech, to a frame."""
         recording = recording if character is None else replace(recording, motion=character)
         motion, info = recording.motion, recording.info
-        if not any(motion.skeleton.same_joints(ours) for ours in CHARACTERS.values()):
+        if not any(motion.skeleton.same_joints(character) for character in CHARACTERS.values()):
             raise ValueError(f"{info.name}: a store keeps motion on the character")
         if abs(motion.duration - recording.speech.duration) > 1.0 / motion.fps:
             raise ValueError(f"{info.name}: {motion.duration:.3f} s of motion for "
@@ -217,6 +215,7 @@ class StoreWriter:
                                 "fps": motion.fps, "absent": list(motion.absent), "filled": list(motion.filled),
                                 "sources": list(info.sources),
                                 "sha256": {"flac": _sha256(sound), "npz": _sha256(arrays)}}
+        # Last: a recording with an entry is complete, one that was interrupted has none (`has`).
         write_text(self._entry(info.name), json.dumps(entry))
 
     def finish(self, names: Sequence[str]) -> Store:
@@ -228,6 +227,7 @@ class StoreWriter:
                 file.unlink()
         listing = self._head | {"fingerprint": _fingerprint(entries), "recordings": entries}
         write_text(self.partial / _LISTING, json.dumps(listing, indent=1))
+        # After the listing: an interruption in between leaves a folder that is still known as half-written.
         (self.partial / _BEGUN).unlink()
         if self.path.exists():
             self.path.rmdir()
@@ -242,20 +242,21 @@ class StoreWriter:
 
 
 def matching(path: str | os.PathLike[str], corpus: str, settings: Mapping[str, Any], seed: int) -> Store | None:
-    """The store at `path` when it was built with just these settings, None when there is nothing yet. `InputError` when
+    """The store at `path` if it was built with exactly these settings, None if there is nothing yet. `InputError` if
     something else is there, or a store of other settings."""
     folder = Path(path)
     if not (folder / _LISTING).is_file():
         return None
     store = Store.open(folder)
-    mine = {"corpus": corpus, "settings": json.loads(json.dumps(settings)), "seed": seed}
-    theirs = {"corpus": store.corpus, "settings": store.settings, "seed": store.seed}
-    if mine != theirs:
-        raise InputError(folder, f"was built with {_difference(theirs, mine)}", "delete it or choose another folder")
+    wanted = {"corpus": corpus, "settings": json.loads(json.dumps(settings)), "seed": seed}
+    stored = {"corpus": store.corpus, "settings": store.settings, "seed": store.seed}
+    if wanted != stored:
+        raise InputError(folder, f"was built with {_difference(stored, wanted)}", "delete it or choose another folder")
     return store
 
 
 def _why_not_a_store(folder: Path) -> tuple[str, str]:
+    """Problem and remedy for the message about a folder without a listing."""
     if not folder.exists():
         if folder.with_name(folder.name + ".partial").is_dir():
             return "is half-written", "run the same build again to finish it"
@@ -266,6 +267,7 @@ def _why_not_a_store(folder: Path) -> tuple[str, str]:
 
 
 def _difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """The settings that differ, each with both values, for a message."""
     old, new = _flat(before), _flat(now)
     changed = [key for key in {**old, **new} if old.get(key) != new.get(key)]
     return ", ".join(f"{key} {old.get(key, 'unset')} (now {new.get(key, 'unset')})" for key in changed)
@@ -280,8 +282,8 @@ def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 def _info(entry: Mapping[str, Any]) -> RecordingInfo:
     """An entry of the listing; ValueError, TypeError or KeyError for an invalid one."""
-    known = {"filled": []} | {field.name: entry[field.name] for field in fields(RecordingInfo)
-                              if field.name in entry or field.name != "filled"}
+    # Each value is checked below, because a listing may have been edited by hand.
+    known = {field.name: entry[field.name] for field in fields(RecordingInfo)}
     for name in ("name", "split", "speaker", "voice", "language", "group", "part"):
         _typed(known[name], str)
     if not all(0 <= float(_typed(known[name], int | float)) < np.inf for name in ("seconds", "frames", "fps")):
@@ -327,6 +329,7 @@ def _rows(arrays: Mapping[str, NDArray[Any]], prefix: str, kind: type, names: Se
 def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
     motion, speech = recording.motion, recording.speech
     arrays: dict[str, NDArray[Any]] = {
+        # Single precision halves the file; its error of 1e-7 rad is far below that of any capture.
         "rotations": motion.rotations.astype(np.float32),
         "root_positions": motion.root_positions.astype(np.float32),
         "fps": np.array(motion.fps), "joints": np.array(motion.skeleton.names),
@@ -349,15 +352,13 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
             raise ValueError("other joints")
         motion = Motion(skeleton, rotation.normalise(as_floats(arrays["rotations"])),
                         as_floats(arrays["root_positions"]), float(arrays["fps"].item()),
-                        *(tuple(_typed(name, str) for name in arrays[which].tolist()) if which in arrays else ()
+                        *(tuple(_typed(name, str) for name in arrays[which].tolist())
                           for which in ("absent", "filled")))
         words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
         truth = None
         if f"strokes_{fields(PlayedStroke)[0].name}" in arrays:
-            stored = {name: [key.removeprefix(f"{name}_") for key in arrays] for name in TABLES}
-            truth = Truth(**{name: _rows(arrays, name, kind, [field.name for field in known_fields(kind, stored[name])])
-                             for name, kind in TABLES.items()
-                             if name not in LATER or f"{name}_{fields(kind)[0].name}" in arrays})
+            truth = Truth(**{name: _rows(arrays, name, kind, [field.name for field in fields(kind)])
+                             for name, kind in TABLES.items()})
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(file, "is not a recording of a store", "build the store again") from None
     # The limit of an hour is for the input of users; recordings in a store were accepted when it was built.
@@ -372,5 +373,6 @@ def _pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
         for name, array in arrays.items():
             column = io.BytesIO()
             np.lib.format.write_array(column, np.asarray(array), allow_pickle=False)
+            # A ZipInfo without a date is of 1980: the archive has the same bytes whenever it is written.
             archive.writestr(zipfile.ZipInfo(f"{name}.npy"), column.getvalue())
     return memory.getvalue()

@@ -3,8 +3,8 @@ so that a store can keep them as columns."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import MISSING, Field, asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, TypeVar
 
 _Record = TypeVar("_Record")
@@ -47,9 +47,8 @@ class PlayedStroke:
     head and trunk alone move.
     beat: the planned motion beat (the syllable plus a random deviation); syllable: its vowel onset. start, hold_end,
     end: start of the movement, end of the hold, end of the retraction as played. gain: factor on the clip's excursion.
-    held_out: the clip is one of the strokes for test. meaning: label of the gesture that a word asked for and the clip
-    shows ("point_there"), "" for a beat; word: index of the word that it falls on, -1 if unknown. Corpora that were
-    built before these two fields existed lack them.
+    held_out: the clip is one of the strokes for test. meaning: label of the gesture that a word calls for and the
+    clip shows ("point_there"), "" for a beat; word: index of the word that it falls on, -1 if unknown.
     """
 
     lexeme: str
@@ -95,8 +94,8 @@ class PhaseSpan:
     """A phase of a gesture unit of one hand, seconds, measured on the finished motion (`motion.phases`).
 
     hand: "left" or "right"; phase: "preparation", "stroke", "hold" or "retraction"; unit: the number of its unit among
-    those of the hand. apex: hardest deceleration of a stroke (its end in other phases). size: metres that the hand goes
-    in a stroke, 0 elsewhere. Between units the hand rests.
+    those of the hand. apex: hardest deceleration of a stroke (its end in other phases). size: metres from the start of
+    a stroke to its end, 0 elsewhere. Between units the hand rests.
     """
 
     hand: str
@@ -124,31 +123,26 @@ class Truth:
 
     @classmethod
     def from_json(cls, tables: Mapping[str, Any]) -> Truth:
-        return cls(**{name: tuple(record(kind, row) for row in tables[name]) for name, kind in TABLES.items()
-                      if name in tables or name not in LATER})
+        return cls(**{name: tuple(record(kind, row) for row in tables[name]) for name, kind in TABLES.items()})
 
 
 TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phrases": Phrase, "marks": Mark,
                            "style": StyleKnot, "phases": PhaseSpan}
 """Field of `Truth` -> type of its records."""
-LATER = ("marks", "style", "phases")
-"""Tables that older corpora lack."""
-
-
-def known_fields(kind: type, row: Collection[str]) -> list[Field[Any]]:
-    """The fields of a record that a row must have, and those with a default that it has."""
-    return [field for field in fields(kind) if field.default is MISSING or field.name in row]
 
 
 def record(kind: type[_Record], row: Mapping[str, Any]) -> _Record:
-    """A record of `TABLES` from its fields; one with a default may be missing. ValueError for another type of value,
+    """A flat dataclass from its fields; one with a default may be missing. ValueError for another type of value,
     TypeError for other fields, KeyError for a missing one."""
-    for name, wanted in ((field.name, str(field.type)) for field in known_fields(kind, row)):
-        value = row[name]
+    for field in fields(kind):  # type: ignore[arg-type]
+        if field.default is not MISSING and field.name not in row:
+            continue
+        name, wanted, value = field.name, str(field.type), row[field.name]
         if wanted == "float":
             # Compared, not converted, because JSON's integers are unbounded.
             good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
         else:
+            # By name and exactly, because a bool is an int to `isinstance`.
             good = type(value).__name__ == wanted
         if not good:
             raise ValueError(f"{name} is not a {wanted}")

@@ -59,6 +59,7 @@ def _cue(text: str) -> GestureCue:
     try:
         return GestureCue(gesture, time=float(at))
     except ValueError:
+        # Not a number of seconds: a word, with its occurrence after a colon.
         word, _, count = at.rpartition(":")
     occurrence = whole_number(count, 10**6)
     if word and occurrence:
@@ -120,6 +121,7 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
 
 def _help_of(doc: str, field: Field[Any], flag: OptionFlag) -> str:
     """The help of an option: the first sentence of its docstring, with its default."""
+    # References in backticks mean nothing on a command line.
     sentence = re.sub(r" \(`[^)]*`\)|`", "", re.split(r"\.(?: |$)", doc, maxsplit=1)[0])
     if flag.many:
         sentence += "; can be repeated"
@@ -136,7 +138,7 @@ def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionF
         return
     if field.name == "interpreter":
         more["choices"] = tuple(INTERPRETERS)
-        text += ": " + ", ".join(f"{one} ({entry.about})" for one, entry in INTERPRETERS.items())
+        text += ": " + ", ".join(f"{key} ({entry.about})" for key, entry in INTERPRETERS.items())
     elif flag.choices:
         more["choices"] = flag.choices
     else:
@@ -215,6 +217,7 @@ def check_choices(options: InferenceOptions, bundle: str | None) -> None:
 
         speakers = read_index(bundle_folder(bundle))["speakers"]
         if options.speaker not in speakers:
+            # A misspelt name is the commonest cause.
             near = difflib.get_close_matches(options.speaker, speakers, 1)
             raise InputError(f"--speaker {shown(options.speaker)}", "is not in the bundle",
                              (f"did you mean {near[0]}? " if near else "") + f"choose among {', '.join(speakers)}")
@@ -242,7 +245,7 @@ def check_cues(gesticulator: Gesticulator, options: InferenceOptions) -> None:
     if unknown:
         from gesticulator.directing.lexeme_names import lexeme_names
 
-        names = [one.name for one in lexeme_names(gesticulator.bundle)]
+        names = [lexeme.name for lexeme in lexeme_names(gesticulator.bundle)]
         for gesture in unknown:
             if gesture not in names:
                 raise InputError(f"--cue {shown(gesture)}", "is the name of no gesture", near_gestures(gesture, names))

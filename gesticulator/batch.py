@@ -98,13 +98,13 @@ def estimated_seconds(path: Path) -> float:
         return 0.0
 
 
-def _read(one: Callable[[_Given], _Found], items: Sequence[_Given]) -> list[_Found]:
+def _read(function: Callable[[_Given], _Found], items: Sequence[_Given]) -> list[_Found]:
     """Apply a function to all items in several threads: a shared folder has high latency but serves many requests."""
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(READERS, thread_name_prefix="reader") as readers:
         try:
-            return list(readers.map(one, items))
+            return list(readers.map(function, items))
         except BaseException:
             readers.shutdown(wait=False, cancel_futures=True)  # do not wait for the remaining items
             raise
@@ -187,6 +187,7 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, sh
     with Manifest(manifest) as notes:
         waiting: dict[int, ManifestRow] = {}
         for task, row in zip(chosen, _read(BatchTask.row, chosen), strict=True):
+            # A row counts as done only if recording, program, bundle, settings and outputs are those of now.
             before = notes.rows.get(str(task.source))
             if task.fault is not None:
                 notes.add(replace(row, status=FAILED, error=one_line(task.fault)))
@@ -200,13 +201,13 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, sh
         remove_unfinished_of(outputs)
         with tqdm(total=round(sum(row.seconds for row in waiting.values())), unit=" s of sound",
                   disable=quiet or not sys.stderr.isatty()) as bar:
-            for one in outcomes(list(waiting)) if waiting else ():
-                row = waiting[one.number]
+            for outcome in outcomes(list(waiting)) if waiting else ():
+                row = waiting[outcome.number]
                 bar.update(round(row.seconds))
-                notes.add(replace(row, seconds=one.seconds or row.seconds, status=FAILED if one.error else DONE,
-                                  error=one.error, time=one.time, worker=one.worker))
-                if one.error:
-                    complain(f"{PROGRAM}: {one.error}")
+                notes.add(replace(row, seconds=outcome.seconds or row.seconds, status=FAILED if outcome.error else DONE,
+                                  error=outcome.error, time=outcome.time, worker=outcome.worker))
+                if outcome.error:
+                    complain(f"{PROGRAM}: {outcome.error}")
         remove_unfinished_of(outputs)
         rows = [notes.rows[str(task.source)] for task in chosen]
     if not quiet:

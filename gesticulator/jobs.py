@@ -86,8 +86,8 @@ class Job:
     def digest(self) -> str:
         """SHA-256 of what decides the bytes of the output, but for the recording itself and the names of the files. A
         file that a setting names counts by its content, so that a moved folder changes nothing."""
-        parts = [(one.name, _content(getattr(self, one.name))) for one in fields(self)
-                 if one.name not in ("source", "targets", "any_length", "retime_report", "fault")]
+        parts = [(entry.name, _content(getattr(self, entry.name))) for entry in fields(self)
+                 if entry.name not in ("source", "targets", "any_length", "retime_report", "fault")]
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -104,10 +104,11 @@ class BatchRequest:
 def _content(value: Any) -> object:
     """A value of a setting; of the path of a file the SHA-256 of its bytes, also inside dataclasses."""
     if isinstance(value, InferenceOptions | CharacterRequest):
-        return [(one.name, _content(getattr(value, one.name))) for one in fields(value)]
+        return [(entry.name, _content(getattr(value, entry.name))) for entry in fields(value)]
     if isinstance(value, str | os.PathLike) and Path(value).is_file():
-        found = Path(value).stat()
-        return _file_hash(Path(value), found.st_mtime_ns, found.st_size)
+        # Time and size in the key of the cache: a changed file is hashed again.
+        status = Path(value).stat()
+        return _file_hash(Path(value), status.st_mtime_ns, status.st_size)
     return value
 
 
@@ -120,7 +121,7 @@ def _file_hash(path: Path, _modified: int, _size: int) -> str:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was made of a recording.
+    """The result of processing a recording.
 
     name: of the recording. seconds: of sound; beats: their number; used: different lexemes, of `lexicon`; factor:
     computing time over duration (real-time factor). written: the files. notes: remarks for the user, a line each.
@@ -250,6 +251,7 @@ def _check_place(target: Path) -> None:
     if target.is_dir():
         raise InputError(target, "is a folder", "choose another output")
     folder = target.parent
+    # The nearest folder that exists decides, as missing ones are created below it.
     while not os.path.lexists(folder) and folder != folder.parent:
         folder = folder.parent
     if not folder.is_dir():
@@ -314,6 +316,7 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
 def perform(job: Job, gesticulator: Gesticulator, retargeter: Retargeter | None = None, quiet: bool = False) -> Outcome:
     """Process one recording: read it, generate its gestures and write the files. quiet: show no progress bar."""
     speech = load(job)
+    # Without reading: the factor compares computing with the duration.
     begin = time.perf_counter()
     performance = laid_out(job, performed(job, speech, gesticulator, retargeter, quiet), retargeter)
     spent = time.perf_counter() - begin
@@ -338,6 +341,7 @@ def perform_together(jobs: Sequence[Job], gesticulator: Gesticulator, retargeter
     clips: list[Performance] = []
     for job, name in zip(jobs, clip_names(jobs), strict=True):
         check_job(job)
+        # A clip of a shared file is named after its recording.
         named = replace(job, clip=replace(job.clip or ClipLayout(), name=name))
         clips.append(laid_out(named, performed(named, load(named), gesticulator, retargeter, quiet), retargeter))
     seconds = sum(clip.duration for clip in clips)

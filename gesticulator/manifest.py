@@ -77,7 +77,7 @@ def row_of(entry: Any) -> ManifestRow:
     """The row from plain values; absent or null values get their defaults. ValueError for invalid values."""
     if not isinstance(entry, Mapping):
         raise ValueError("a row is not an object")
-    values = {one.name: entry[one.name] for one in fields(ManifestRow) if entry.get(one.name) is not None}
+    values = {column.name: entry[column.name] for column in fields(ManifestRow) if entry.get(column.name) is not None}
     for name, value in values.items():
         if not _fits(name, value):
             raise ValueError(f"{name} is {shown(value)}")
@@ -136,6 +136,7 @@ def _read_table(path: Path) -> list[Any]:
     try:
         with parquet.ParquetFile(path) as file:
             about, schema = file.metadata, _schema()
+            # Uncompressed sizes from the footer, before anything is decompressed.
             size = sum(about.row_group(group).total_byte_size for group in range(about.num_row_groups))
             if not 0 <= about.num_rows <= _MOST_ROWS or not 0 <= size <= _MOST_BYTES:
                 raise ValueError(f"it claims {about.num_rows} rows of {size} bytes")
@@ -184,8 +185,9 @@ def _is_kind(kind: Any, wanted: Any) -> bool:
 def _schema() -> Any:
     import pyarrow
 
+    # Columns without an entry are strings.
     kinds = {"seconds": pyarrow.float64(), "time": pyarrow.float64(), "output": pyarrow.list_(pyarrow.string())}
-    return pyarrow.schema([(one.name, kinds.get(one.name, pyarrow.string())) for one in fields(ManifestRow)])
+    return pyarrow.schema([(column.name, kinds.get(column.name, pyarrow.string())) for column in fields(ManifestRow)])
 
 
 def write_manifest(path: Path, rows: Iterable[ManifestRow]) -> None:
@@ -227,6 +229,7 @@ class Manifest:
     def __enter__(self) -> Manifest:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as held:
+            # Two batches with one manifest would overwrite each other's rows.
             held.enter_context(lock(self.path, "a batch", beside=True))
             if self.path.exists() or self._journal_path.exists():
                 self.rows = read_manifest(self.path)
@@ -255,15 +258,15 @@ class Manifest:
 
 # ------------------------------------------------------------------------------------------------------ the verb
 
-def table(rows: Sequence[ManifestRow], kept: int = 0) -> str:
-    """The summary of a batch. kept: number of rows that were up to date before."""
+def table(rows: Sequence[ManifestRow], unchanged: int = 0) -> str:
+    """The summary of a batch. unchanged: number of rows that were up to date before."""
     done = [row for row in rows if row.status == DONE]
     hours, spent = sum(row.seconds for row in done) / 3600, sum(row.time for row in done)
-    cells = [("recordings", f"{len(rows)}"), ("done", f"{len(done)}"), ("of which before", f"{kept}"),
+    cells = [("recordings", f"{len(rows)}"), ("done", f"{len(done)}"), ("of which before", f"{unchanged}"),
              ("failed", f"{len(rows) - len(done)}"), ("audio", f"{hours:.2f} h"),
              ("computing", f"{spent / 3600:.2f} h"),
              ("real-time factor", f"{spent / hours / 3600:.3f}" if hours else "-")]
-    return "\n".join(f"  {name:<18}{value:>12}" for name, value in cells if name != "of which before" or kept)
+    return "\n".join(f"  {name:<18}{value:>12}" for name, value in cells if name != "of which before" or unchanged)
 
 
 def merged(paths: Iterable[Path]) -> dict[str, ManifestRow]:

@@ -73,6 +73,7 @@ def done_on_ray(given: str, make: Maker, numbers: Sequence[int], doubles: bool =
     check_ray(given)
     import ray
 
+    # A connection that the caller made stays open afterwards.
     mine = _connect(ray, given)
     pool = None
     try:
@@ -252,6 +253,7 @@ class _Pool:
             outcome = None
             if task.number in self.left and not any(task.number == other.number for other in self.running.values()):
                 if self.tried[task.number] < ATTEMPTS:
+                    # To the front: it has waited longest, and tasks are ordered by duration.
                     self.waiting.appendleft(task.number)
                 else:
                     outcome = TaskOutcome(task.number, 0, f"its worker died {ATTEMPTS} times ({message[:120]})", 0, "")
@@ -279,6 +281,7 @@ class _Pool:
         """Give slow tasks to idle workers too, the slowest first."""
         if not (self.doubles and self.idle and self.times):
             return
+        # The median, since a few long recordings would raise a mean.
         limit, now = max(SLOW_SECONDS, SLOW * statistics.median(self.times)), time.monotonic()
         for task in sorted(self.running.values(), key=lambda task: task.began):
             twice = sum(other.number == task.number for other in self.running.values()) > 1

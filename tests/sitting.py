@@ -7,7 +7,7 @@ import numpy as np
 from data_module.motion import rotation
 from data_module.motion.skeletons import FINGERED, SIDES
 from data_module.types import Array, Motion
-from gesticulator.characters.thighs import FINGERTIPS, OUR_RADII
+from gesticulator.contacts.surfaces import FINGERTIPS, OUR_RADII
 
 FPS = 60.0
 PARTS = ("Hand", "HandMiddle1", *FINGERTIPS)

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
-from gesticulator.characters.inverse_kinematics import bend, swivel
+from gesticulator.contacts.limbs import bend, swivel
 
 UPPER, LOWER = 0.4, 0.3
 SOCKET = np.array([0.2, 1.4, 0.0])

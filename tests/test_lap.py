@@ -17,14 +17,14 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, FINGERED, SIDES, WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator import Gesticulator
-from gesticulator.body.clearance import cleared
 from gesticulator.body.clips import mirrored_motion
-from gesticulator.body.lap import is_seated
 from gesticulator.body.legs import seated, with_legs
+from gesticulator.characters.body_surface import seated_thighs
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
-from gesticulator.characters.thighs import OUR_RADII, Thigh, seated_thighs, tapering
-from gesticulator.characters.trunk import ANGLES
+from gesticulator.contacts.default_body import cleared
+from gesticulator.contacts.lap import is_seated
+from gesticulator.contacts.surfaces import ANGLES, OUR_RADII, Thigh, tapering
 from tests.awkward import figure, write
 from tests.rig_errors import places_of
 from tests.rigs import Rig, draw

@@ -16,8 +16,8 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTERS, FINGERED, FINGERS
 from data_module.types import Array, Motion
 from gesticulator.body.clips import mirrored_motion
-from gesticulator.characters.contacts import MARGIN, head_distances, our_distances, pose_of
 from gesticulator.cli import main
+from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_arms import arm_turns, hand_rotation
 from gesticulator.directing.gesture_phases import drawn_gesture, longest
 from gesticulator.directing.gesture_scripts import SCRIPTS
@@ -25,6 +25,7 @@ from gesticulator.directing.hand_shapes import finger_turns
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE, mark_of, near_gestures
 from gesticulator.plan.plan import GestureCue
+from tests.columns import head_distances, trunk_distances
 
 FPS, AT = 60.0, 2.0
 NAMES = list(REPERTOIRE)
@@ -175,7 +176,7 @@ def test_poses_are_those_of_a_body(name: str) -> None:
             bend = np.linalg.norm(turns[:, names.index(side + "Hand"), 1:], axis=-1)
             assert np.degrees(bend).max() < 70.0, "a wrist"
             assert speeds(wrist).max() < 4.5
-        assert min(gap.min() for gap in our_distances(pose_of(motion)).values()) > 0.0, "no hand in the trunk"
+        assert min(gap.min() for gap in trunk_distances(pose_of(motion)).values()) > 0.0, "no hand in the trunk"
 
 
 # -------------------------------------------------------------------------------------------------- size, variation

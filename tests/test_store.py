@@ -79,18 +79,10 @@ def test_the_whole_body_is_kept_and_read_in_any_size(tmp_path: Path) -> None:
     assert grown.absent == ("Spine3", *FINGERED.names[16:]) and (grown.rotations[:, 16:, 0] == 1).all()
 
 
-def test_a_store_of_format_2_is_still_read(tmp_path: Path) -> None:
+def test_a_store_of_another_format_is_refused(tmp_path: Path) -> None:
     store = _store(tmp_path / "s", _recording("a"))
-
-    def older(content: dict[str, Any]) -> None:
-        content["format"] = 2
-        del content["recordings"][0]["filled"]
-
-    _listing(store, older)
-    old = Store.open(store.path)
-    assert old.recordings[0].filled == () and old.load("a").motion.absent == ("Spine3",)
-    _listing(store, lambda content: content.update(format=1))
-    with pytest.raises(InputError, match="format 1, and this version reads format 3"):
+    _listing(store, lambda content: content.update(format=2))
+    with pytest.raises(InputError, match="format 2, and this version reads format 3"):
         Store.open(store.path)
 
 
@@ -261,17 +253,6 @@ def test_arrays_that_do_not_belong_are_one_line(change: dict[str, Any], tmp_path
     _listing(store, lambda c: c["recordings"][0]["sha256"].update(npz=stores._sha256(file)))
     with pytest.raises(InputError, match=r"a\.npz"):
         Store.open(store.path).load("a")
-
-
-def test_strokes_of_an_older_store_have_no_meaning(tmp_path: Path) -> None:
-    store = _store(tmp_path / "s", _recording("a"))
-    file = store.path / "recordings" / "a.npz"
-    with np.load(file) as arrays:
-        older = {name: arrays[name] for name in arrays.files if name not in ("strokes_meaning", "strokes_word")}
-    assert len(older) == len(np.load(file).files) - 2
-    np.savez(file, **older)
-    _listing(store, lambda c: c["recordings"][0]["sha256"].update(npz=stores._sha256(file)))
-    assert Store.open(store.path).load("a").truth == _recording("a").truth
 
 
 def test_damaged_work_is_done_again(tmp_path: Path) -> None:

@@ -10,13 +10,15 @@ import pytest
 from data_module.motion import rotation
 from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Array, Motion
-from gesticulator.body.clearance import cleared
-from gesticulator.characters.contacts import MARGIN, OURS, our_distances, pose_of
-from gesticulator.characters.detours import HandPoint, Obstacle, spread
+from gesticulator.characters.body_surface import outline_of
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import CharacterMotion, Retargeter
-from gesticulator.characters.trunk import HandLimit, Outline, TrunkAxes, displacement, ellipse, outline_of
+from gesticulator.contacts.default_body import cleared
+from gesticulator.contacts.limbs import MARGIN, OURS, pose_of
+from gesticulator.contacts.other_bodies import HandLimit, HandPoint, Obstacle, displacement, spread
+from gesticulator.contacts.surfaces import Outline, TrunkAxes, ellipse
 from tests.awkward import figure, write
+from tests.columns import trunk_distances
 from tests.rig_errors import inside, places_of
 from tests.rigs import Rig, draw
 
@@ -125,7 +127,7 @@ def test_thighs_that_stand_leave_room_to_give(tmp_path: Path, monkeypatch: pytes
     ahead by a sixteenth of it; nothing changes behind, beside, and above the hips."""
     retargeter = Retargeter(read_character(write(tmp_path / "stands.glb", figure(lambda key: f"mixamorig:{key}", "A"))))
     with_room = outline_of(retargeter.body)
-    monkeypatch.setattr("gesticulator.characters.trunk.FLEXED", 0.0)
+    monkeypatch.setattr("gesticulator.characters.body_surface.FLEXED", 0.0)
     without = outline_of(retargeter.body)
     body = retargeter.body
     long = body.unit * float(np.linalg.norm(body.rest_places[body.mapping.neck[0]]
@@ -162,10 +164,10 @@ def test_an_arm_swung_across_a_stout_body_stays_outside_and_is_not_faster(
     """The control is the correction of each frame by itself, which leads the hand around in the time in which it would
     have gone through."""
     motion = swung()
-    assert our_distances(pose_of(motion))["Left"].min() > -1e-3
+    assert trunk_distances(pose_of(motion))["Left"].min() > -1e-3
     rig = draw(seed, "mixamo", "A", True)
     bare, moved = (Retargeter(rig.character, contacts=contacts)(motion) for contacts in (False, True))
-    monkeypatch.setattr("gesticulator.characters.detours.spread", lambda push, *_: push)
+    monkeypatch.setattr("gesticulator.characters.body_surface.spread", lambda push, *_: push)
     framed = Retargeter(rig.character)(motion)
     deep = [inside(rig, one, rig.torso).max() for one in (bare, moved, framed)]
     assert deep[0] > 0.3 and deep[1] < 0.004 and deep[2] == 0.0, "a millimetre of a stout trunk is 0.004 of it"
@@ -188,5 +190,5 @@ def test_the_outline_of_a_figure_of_few_large_triangles_has_no_gaps(
     length = float(body.places["Neck"][1] - body.places["Hips"][1])
     inside_box = (outline.steps > 0.05) & (outline.steps < (body.places["Spine"][1] - body.places["Hips"][1]) / length)
     assert inside_box.sum() >= 3 and (outline.reach[inside_box].min(axis=1) > 0.12).all(), "a box of 28 cm"
-    monkeypatch.setattr("gesticulator.characters.trunk.SPARSE", 0)
+    monkeypatch.setattr("gesticulator.characters.body_surface.SPARSE", 0)
     assert len(outline_of(retargeter.body).steps) < len(outline.steps)

@@ -235,6 +235,7 @@ def _assemble(header: _Header, rows: Array, fps: float) -> Motion:
                 offsets[joint, _PLACES[channel]] = values.mean()
         if order:
             rotations[:, joint] = _compose(np.stack(angles, axis=-1), order)
+    # The root's positions contain its offset, or replace it.
     offsets[0] = 0.0
     fixed = Skeleton(skeleton.names, skeleton.parents, offsets, skeleton.end_sites)
     return Motion(fixed, rotation.continuous(rotations), root, fps)
@@ -280,6 +281,7 @@ class _BvhWriter:
         self._orders = [_order_of(name) for name in skeleton.names]
         turns = [tuple(f"{axis}rotation" for axis in order) for order in self._orders]
         channels = [("Xposition", "Yposition", "Zposition", *turns[0]), *turns[1:]]
+        # An end site belongs to a leaf: the bone of another joint ends in its child.
         tips = {joint: tip for joint, tip in skeleton.end_sites.items() if joint not in skeleton.parents}
         self._lines, self._order = hierarchy(skeleton.names, skeleton.parents, skeleton.offsets, tips, channels)
         self._fps, self._unit, self._unwrap = fps, unit, Unwrap()
@@ -296,6 +298,7 @@ class _BvhWriter:
         angles = np.degrees(self._unwrap(euler))
         values = np.concatenate([places, angles[:, self._order].reshape(len(motion), -1)], axis=1)
         body = io.StringIO()
+        # Adding 0 turns -0 into 0, which would be written with its sign.
         np.savetxt(body, values + 0.0, fmt="%.6f")
         return body.getvalue()
 

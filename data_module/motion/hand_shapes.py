@@ -63,6 +63,7 @@ class HandMotion:
 def mixture(hand: HandMotion, times: Array, side: str) -> Array:
     """[T, shapes] weights of `SHAPES`, in their order; they sum to 1. times: [T] seconds."""
     scores = _scores(hand) + np.stack([_mood(k, times, side) for k in range(len(RAISED))], axis=1)
+    # Less the largest score, so that exp cannot overflow.
     weights = np.exp((scores - scores.max(axis=1, keepdims=True)) / _SHARP)
     weights *= (hand.lifted / weights.sum(axis=1))[:, None]
     return np.concatenate([1.0 - hand.lifted[:, None], weights], axis=1)
@@ -81,6 +82,7 @@ def _scores(hand: HandMotion) -> Array:
 
 def _mood(shape: int, times: Array, side: str) -> Array:
     """[T] a slow wave; no two shapes or hands have it at one time."""
+    # Different periods for shapes and hands, so that combinations do not repeat within a performance.
     period = (_PERIODS[0] + _PERIODS[1] * shape) * (1.17 if side == "Left" else 1.0)
     phase = 0.38 * shape + 0.27 * (side == "Left")
     return _MOOD * np.sin(2.0 * np.pi * (times / period + phase))

@@ -48,6 +48,7 @@ def copied_rotations(motion: Motion, sources: Mapping[str, tuple[str, ...]], par
     local: dict[str, Array] = {}
     for joint, names in sources.items():
         first, last = (world[:, motion.skeleton.index(name)] for name in (names[0], names[-1]))
+        # The normalised sum of two quaternions on one half sphere is the rotation half-way between them.
         turned[joint] = rotation.normalise(first + np.where(np.sum(first * last, -1, keepdims=True) < 0, -last, last))
         relative, parent = turned[joint], parents[joint]
         if parent is not None:
@@ -114,6 +115,7 @@ def resample(motion: Motion, fps: float) -> Motion:
     """The same motion at another frame rate: spherical interpolation of rotations, linear of the root."""
     if fps == motion.fps:
         return motion
+    # No frame after the last one of the source: its motion is not extrapolated.
     count = max(1, int(np.floor((len(motion) - 1) * fps / motion.fps + 1e-9)) + 1)
     where = np.arange(count, dtype=np.float64) * motion.fps / fps
     root = np.stack([np.interp(where, np.arange(len(motion)), column) for column in motion.root_positions.T], axis=-1)

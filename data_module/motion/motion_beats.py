@@ -22,9 +22,13 @@ SPACING = 0.1
 """Seconds; of two closer motion beats only the stronger one counts."""
 
 _DEPTH = 0.5
+"""Least depth of a minimum, in standard deviations of its curve."""
 _STILL = 0.1
+"""Summed speed below which the arms stand still, m/s."""
 _GENTLE = 0.5
+"""Least deceleration of a beat in mode A, m/s^2, for recordings in which little moves."""
 _BEFORE = 0.3
+"""Seconds before a beat in which the arms must have moved."""
 
 
 def acting_speed(positions: Array, fps: float) -> Array:
@@ -80,5 +84,6 @@ def _between_frames(curve: Array, peaks: NDArray[np.int64]) -> Array:
     """The maximum of the parabola through each peak and its two neighbours, in frames."""
     left, middle, right = curve[peaks - 1], curve[peaks], curve[peaks + 1]
     bend = left - 2.0 * middle + right
+    # The vertex of the parabola; a plateau (bend 0) has none and stays.
     shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, 1.0), 0.0)
     return peaks + np.clip(shift, -0.5, 0.5)

@@ -31,6 +31,7 @@ _TORSO = ("Hips", "Spine")
 _HEAD = ("Neck", "Head")
 _FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky", "Little")
 _LEAST_SCALE = 1e-6
+"""Least deviation of a coefficient, by which others divide: a joint that never moves has 0."""
 _SHARES = {"torso": 0.4, "head": 0.4, "left fingers": 0.3, "right fingers": 0.3}
 """Weights relative to an arm (1): fingers hardly define a gesture but have four times as many dimensions, and with the
 weight of an arm a third of the codes would only distinguish sways of the trunk with both hands at rest."""
@@ -63,6 +64,7 @@ class Pasts:
     def state(self) -> tuple[Tensor, Tensor, Tensor]:
         """Last pose, velocity and acceleration [..., D_m], per frame of the block."""
         ratio = self.ratio[..., None]
+        # Every block has K frames, so a longer block has longer steps: velocities per frame scale with the ratio.
         last, before = self.frames[..., 2, :], self.frames[..., 1, :]
         velocity = (last - before) * ratio
         return last, velocity, velocity - (before - self.frames[..., 0, :]) * ratio
@@ -133,9 +135,10 @@ class MovementBasis(nn.Module):
     def base(self, past: Pasts) -> Tensor:
         """[..., K, D_m] the motion predicted from the past alone."""
         state = torch.stack(past.state(), -2)
-        one = torch.ones_like(state[..., 0, :1])
-        led = [torch.cat([values.flatten(-2), one], -1) @ self._buffer("predictor", part)
+        constant = torch.ones_like(state[..., 0, :1])
+        led = [torch.cat([values.flatten(-2), constant], -1) @ self._buffer("predictor", part)
                for part, values in enumerate(self._by_part(state))]
+        # W predicts the displacement from the last pose.
         return state[..., :1, :] + self._joined(led)
 
     def project(self, error: Tensor) -> Tensor:
@@ -188,6 +191,7 @@ class MovementBasis(nn.Module):
         last, velocity, acceleration = (value[:, columns].double().numpy() for value in past.state())
         features = np.concatenate([last, velocity, acceleration, np.ones((len(last), 1))], 1)
         moved = (motion[..., columns].double().numpy() - last[:, None]).reshape(len(motion), -1)
+        # Normal equations in double precision: the features of a part are few (3 D + 1), its blocks many.
         predictor = np.linalg.solve(features.T @ features + _RIDGE * np.eye(features.shape[1]), features.T @ moved)
         error = moved - features @ predictor
         components = _principal(error, self.widths[part])
@@ -198,6 +202,7 @@ class MovementBasis(nn.Module):
 
 def _principal(error: Array, count: int) -> Array:
     """[D, count] the principal directions, each with its largest entry positive so that a fit is reproducible."""
+    # eigh returns rising eigenvalues. The residual is not centred: the constant feature of W has taken its mean.
     _, directions = np.linalg.eigh(error.T @ error / len(error))
     first: NDArray[np.float64] = directions[:, ::-1][:, :count]
     return first * np.where(first[np.abs(first).argmax(0), np.arange(count)] < 0, -1.0, 1.0)

@@ -97,9 +97,9 @@ def phases_of(places: Array, fps: float) -> HandPhases:
     units = _units(smooth[:, 1], speed, fps)
     movements: list[Movement] = []
     for first, last in units:
-        found = _movements(smooth, speed, first, last, fps)
-        movements += found
-        for movement in found:
+        of_unit = _movements(smooth, speed, first, last, fps)
+        movements += of_unit
+        for movement in of_unit:
             labels[movement.first:movement.last] = movement.phase
     _label_between(labels, smooth[:, 1], speed, units, fps)
     return HandPhases(labels, units, tuple(movements))
@@ -130,6 +130,7 @@ def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def _units(height: Array, speed: Array, fps: float) -> tuple[tuple[int, int], ...]:
     slow = speed < SLOW
     at_home = slow & (height < np.percentile(height, 10) + _HOME)
+    # Away from home a pause may be a hold, so it must last longer to end a unit.
     rests = lasting(at_home, _AT_HOME * fps) | lasting(slow, _ANYWHERE * fps)
     return tuple((first, last) for first, last in runs(~rests) if speed[first:last].max() > FAST)
 
@@ -139,6 +140,7 @@ def _movements(places: Array, speed: Array, first: int, last: int, fps: float) -
     inner = speed[first:last]
     minima = find_peaks(-inner, prominence=_PROMINENCE)[0]
     bounds = [0, *minima.tolist(), last - first]
+    # Deceleration in m/s^2: speed per frame times frames per second.
     force = -np.gradient(inner) * fps
     out: list[Movement] = []
     for a, b in zip(bounds[:-1], bounds[1:], strict=True):
@@ -155,13 +157,14 @@ def _movements(places: Array, speed: Array, first: int, last: int, fps: float) -
 def _named(movements: list[Movement], height: Array, last: int, fps: float) -> list[Movement]:
     """The movements of a unit that ends at frame `last`, as preparations, strokes and a retraction."""
     phases = [Phase.STROKE] * len(movements)
-    for k, (one, following) in enumerate(zip(movements, movements[1:], strict=False)):
-        at_once = following.first - one.last < _HOLD * fps
-        prepares = following.force > _HARDER * one.force and (k == 0 or phases[k - 1] != Phase.PREPARATION)
+    for k, (movement, following) in enumerate(zip(movements, movements[1:], strict=False)):
+        at_once = following.first - movement.last < _HOLD * fps
+        prepares = following.force > _HARDER * movement.force and (k == 0 or phases[k - 1] != Phase.PREPARATION)
         if at_once and prepares:
             phases[k] = Phase.PREPARATION
     if len(movements) > 1 and _goes_home(movements[-1], height, last, fps):
         phases[-1] = Phase.RETRACTION
+        # Nothing prepares a retraction.
         if phases[-2] == Phase.PREPARATION:
             phases[-2] = Phase.STROKE
     return [replace(movement, phase=phase) for movement, phase in zip(movements, phases, strict=True)]
@@ -169,6 +172,7 @@ def _named(movements: list[Movement], height: Array, last: int, fps: float) -> l
 
 def _goes_home(movement: Movement, height: Array, last: int, fps: float) -> bool:
     falls = height[movement.first] - height[movement.last - 1]
+    # Much of its way is downwards, and the hand stays there: the unit ends with it.
     return last - movement.last < _HOLD * fps and falls > 0.4 * movement.size
 
 

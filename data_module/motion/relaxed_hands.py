@@ -78,6 +78,7 @@ def hand_motion(motion: Motion, side: str) -> HandMotion:
     def smooth(values: Array) -> Array:
         return gaussian_filter1d(values, _SMOOTH * motion.fps, mode="nearest")
 
+    # A logistic curve and no threshold: a hand near it must not flicker between shapes.
     lifted = 1.0 / (1.0 + np.exp(-(smooth(hand[:, 1]) - _LIFTED) / _LIFT_WIDTH))
     stretched = np.linalg.norm(hand - shoulder, axis=-1) / _ARM
     return HandMotion(lifted, smooth(np.linalg.norm(velocity, axis=-1)), smooth(-velocity[:, 1]),
@@ -91,6 +92,7 @@ def _shaped(motion: Motion, side: str) -> Array:
     weights = hand_shapes.mixture(hand, np.arange(len(motion)) / motion.fps, side)
     bends = np.einsum("tk,kfj->tfj", weights, np.stack(list(hand_shapes.SHAPES.values())))
     spread = weights @ np.array(list(hand_shapes.SPREAD.values()))
+    # The thumb stays: it does not open with the speed of the hand.
     bends[:, 1:] *= (1.0 - _SPEED_OPENS * np.tanh(hand.speed / _FAST))[:, None, None]
     return np.concatenate([bends, np.repeat(spread[:, None, None], len(FINGERS), axis=1)], axis=2)
 
@@ -100,10 +102,10 @@ def _bent(skeleton: Skeleton, name: str, shaped: Array, fps: float) -> Array:
     side, finger, place = name[:name.index("Hand")], name[name.index("Hand") + 4:-1], int(name[-1]) - 1
     rank = FINGERS.index(finger)
     times = np.arange(len(shaped)) / fps
-    own, spread = (np.interp(times - _LAG * max(rank - 1, 0), times, shaped[:, rank, k]) for k in (place, 3))
+    joint, spread = (np.interp(times - _LAG * max(rank - 1, 0), times, shaped[:, rank, k]) for k in (place, 3))
     # The periods of the fingers have no common multiple within minutes, and the hands are out of phase.
     phase = 2.0 * np.pi * (times / (_FIDGET_SECONDS * (1.0 + 0.13 * rank)) + 0.21 * rank + 0.37 * (side == "Left"))
-    bend = np.radians(own + _FIDGET * np.sin(phase))
+    bend = np.radians(joint + _FIDGET * np.sin(phase))
     turn = bend[:, None] * _axis(skeleton, side, finger)
     if place == 0:
         # About the upward axis the fingers of the left hand turn towards the thumb by a negative angle.

@@ -160,6 +160,7 @@ def bone_directions(positions: Array) -> Array:
         raise ValueError(f"positions must be [T, {len(TED_JOINTS)}, 3], not {points.shape}")
     if not np.isfinite(points).all():
         raise ValueError("positions must be finite")
+    # Row 0 is the rest pose, for bones without a direction in the first frames.
     start, end = np.array(TED_BONES).T
     ways = np.concatenate([_rest_directions()[None], points[:, end] - points[:, start]])
     lengths = np.linalg.norm(ways, axis=-1)
@@ -187,6 +188,7 @@ def rotations_from_positions(positions: Array, fps: float) -> Motion:
     world = np.zeros((len(bones), len(CHARACTER), 4))
     world[..., 0] = 1.0
     torso = _torso(bones, fps)
+    # Unrolled first: a third of a turn that jumps by 2 pi would jump by 120 degrees.
     share = rotation.from_exponential_map(rotation.unroll(rotation.to_exponential_map(torso)) / 3.0)
     parts: dict[str, Array] = {"Spine": share, "Spine1": rotation.multiply(share, share), "Spine2": torso,
                                "Spine3": torso}
@@ -249,6 +251,7 @@ def _collar(bones: Array, torso: Array, side: str) -> Array:
 def _reach(directions: Array, begin: Array, length: float) -> Array:
     """[T, 3] the vector of this length from `begin` to the farther point on the ray along `directions`."""
     along = np.sum(directions * begin, axis=-1)
+    # Ray and sphere: the larger root is the farther point; without an intersection the nearest point of the ray.
     inside = along ** 2 - np.sum(begin * begin, axis=-1) + length ** 2
     return (along + np.sqrt(np.maximum(inside, 0.0)))[:, None] * directions - begin
 
@@ -298,6 +301,7 @@ def _followed(along: Array, sideways: Array, first: Array, fps: float) -> Array:
     angles = np.empty(len(along))
     now = 0.0
     for t, (goal, limit) in enumerate(zip(wanted.tolist(), (trust * _FASTEST / fps).tolist(), strict=True)):
+        # The shorter way round, whatever number of turns `now` has.
         way = math.remainder(goal - now, math.tau)
         # The first frame may jump.
         now += way * trust[0] if t == 0 else max(-limit, min(limit, way))

@@ -51,6 +51,7 @@ def conjugate(q: Array) -> Array:
 def rotate(q: Array, v: Array) -> Array:
     """Rotate vectors [..., 3] by unit quaternions [..., 4] (the leading shapes broadcast)."""
     w, u = q[..., :1], q[..., 1:]
+    # v + 2 w (u x v) + 2 u x (u x v): two cross products in place of two quaternion products.
     t = 2.0 * cross(u, v)
     return v + w * t + cross(u, t)
 
@@ -77,6 +78,7 @@ def normalise(q: Array) -> Array:
 
 def continuous(q: Array) -> Array:
     """Choose the signs of quaternions [T, ..., 4] so that neighbours in time lie on the same half sphere."""
+    # A flip of sign carries over to all later frames, hence the cumulative product.
     dots = np.sum(q[1:] * q[:-1], axis=-1)
     signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
     return np.concatenate([q[:1], q[1:] * signs[..., None]])
@@ -134,6 +136,7 @@ def unroll(v: Array) -> Array:
         before_angle = np.linalg.norm(before, axis=-1, keepdims=True)
         axis = np.where(angle > 1e-9, out[t] / np.maximum(angle, _EPS),
                         before / np.maximum(before_angle, _EPS))
+        # The previous value along this axis: the number of whole turns that comes nearest to it.
         along = np.sum(before * axis, axis=-1, keepdims=True)
         out[t] = axis * (angle + turn * np.round((along - angle) / turn))
     return out
@@ -157,15 +160,18 @@ def between(a: Array, b: Array) -> Array:
     """[4] the shortest rotation from the direction a [3] to the direction b [3]."""
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     cosine = float(np.clip(a @ b, -1.0, 1.0))
+    # Opposite directions have no shortest rotation: half a turn about any axis perpendicular to them.
     if cosine < -1.0 + 1e-9:
         normal = np.cross(a, [1.0, 0.0, 0.0] if abs(a[0]) < 0.9 else [0.0, 1.0, 0.0])
         return np.concatenate([[0.0], normal / np.linalg.norm(normal)])
+    # For an angle t about n, (1 + cos t, n sin t) is the quaternion (cos t/2, n sin t/2) up to its length.
     return normalise(np.concatenate([[1.0 + cosine], np.cross(a, b)]))
 
 
 def angle_between(a: Array, b: Array) -> Array:
     """Angle in radians, [...], between rotations [..., 4]."""
     relative = multiply(conjugate(a), b)
+    # arctan2 stays accurate for tiny angles, where arccos of w loses half of its digits.
     return 2.0 * np.arctan2(np.linalg.norm(relative[..., 1:], axis=-1), np.abs(relative[..., 0]))
 
 
@@ -176,6 +182,7 @@ def interpolate(q: Array, positions: Array) -> Array:
     high = np.minimum(low + 1, len(q) - 1)
     share = (x - low).reshape(-1, *[1] * (q.ndim - 1))
     a, b = q[low], q[high]
+    # q and -q are one rotation: take the sign with the shorter way.
     cosine = np.sum(a * b, axis=-1, keepdims=True)
     b = np.where(cosine < 0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))

@@ -99,7 +99,7 @@ JOINTS = CHARACTER.names
 HIP_HEIGHT = 0.95
 """Height of the root over the floor of a standing character, metres."""
 
-# One row per source: our joint -> its name there, without joints that a source lacks.
+# One row per source: joint of the character -> its name there, without joints that a source lacks.
 _TRINITY = {name: name for name in WHOLE_BODY.names}
 
 
@@ -110,13 +110,13 @@ def _sided(pattern: str, arms: Sequence[str], legs: Sequence[str] = (), fingers:
     of a finger from the palm on."""
     sides, names, places = naming
     out: dict[str, str] = {}
-    for side, theirs in zip(_SIDES, sides, strict=True):
-        out |= {side + joint: pattern.format(side=theirs, part=part)
+    for side, word in zip(_SIDES, sides, strict=True):
+        out |= {side + joint: pattern.format(side=word, part=part)
                 for joint, part in zip(("Shoulder", "Arm", "ForeArm", "Hand"), arms, strict=True)}
-        out |= {side + joint: pattern.format(side=theirs, part=part)
+        out |= {side + joint: pattern.format(side=word, part=part)
                 for (joint, _, _), part in zip(_LEFT_LEG, legs, strict=False)}
         if fingers:
-            out |= {f"{side}Hand{finger}{place + 1}": fingers.format(side=theirs, finger=name, place=number)
+            out |= {f"{side}Hand{finger}{place + 1}": fingers.format(side=word, finger=name, place=number)
                     for finger, name in zip(FINGERS, names, strict=True) for place, number in enumerate(places)}
     return out
 
@@ -124,7 +124,7 @@ def _sided(pattern: str, arms: Sequence[str], legs: Sequence[str] = (), fingers:
 _LIMBS = (("Shoulder", "Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase"))
 NAME_TABLES: dict[str, dict[str, str]] = {
     "trinity": _TRINITY,  # also BEAT, ZeroEGGS and MOCCA
-    "smartbody": {ours: name for ours, name in _TRINITY.items() if ours != "Spine3"},
+    "smartbody": {joint: name for joint, name in _TRINITY.items() if joint != "Spine3"},
     "mixamo": {"Hips": "Hips", "Spine": "Spine", "Spine1": "Spine1", "Spine2": "Spine2", "Neck": "Neck",
                "Head": "Head", **_sided("{side}{part}", *_LIMBS, fingers="{side}Hand{finger}{place}")},
     # The fingers and thumbs in CMU's files are single joints that were not measured.
@@ -154,8 +154,8 @@ NAME_TABLES: dict[str, dict[str, str]] = {
                      ("UpperLeg", "LowerLeg", "Foot", "ToeBase"), "J_Bip_{side}_{finger}{place}",
                      ("RL", ("Thumb", "Index", "Middle", "Ring", "Little"), "123"))},
 }
-"""The names of our joints in each family of skeletons; prefixes up to a colon ("mixamorig:") are ignored, and a space
-in a name is the same as "_"."""
+"""The names of the character's joints in each family of skeletons; prefixes up to a colon ("mixamorig:") are ignored,
+and a space in a name is the same as "_"."""
 
 REQUIRED = ("Hips", "Spine", "Neck", "Head",
             *(side + part for side in _SIDES for part in ("Arm", "ForeArm", "Hand")))
@@ -163,18 +163,19 @@ REQUIRED = ("Hips", "Spine", "Neck", "Head",
 
 
 def find_table(names: Sequence[str]) -> Mapping[str, int]:
-    """Our joints (of `WHOLE_BODY`) -> index in `names`, by the table with the most joints of `CHARACTER` (and among
+    """Joints of `WHOLE_BODY` -> index in `names`, by the table with the most joints of `CHARACTER` (and among
     equals the most fingers and legs); InputError if none covers `REQUIRED`."""
+    # Reversed, so that of two equal names the first counts.
     plain = {name.rsplit(":", 1)[-1].replace(" ", "_").lower(): index
              for index, name in reversed(list(enumerate(names)))}
     best: dict[str, int] = {}
     most = (0, 0)
     for table in NAME_TABLES.values():
-        matches = {ours: plain[theirs.lower()] for ours, theirs in table.items() if theirs.lower() in plain}
-        fit = (sum(ours in matches for ours in JOINTS), len(matches))
+        matches = {joint: plain[name.lower()] for joint, name in table.items() if name.lower() in plain}
+        fit = (sum(joint in matches for joint in JOINTS), len(matches))
         if fit > most:
             best, most = matches, fit
-    lacking = [ours for ours in REQUIRED if ours not in best]
+    lacking = [joint for joint in REQUIRED if joint not in best]
     if lacking:
         unknown = [name for index, name in enumerate(names) if index not in best.values()]
         raise InputError("skeleton", f"has no joint known as {', '.join(lacking)}; its unknown names are "
@@ -192,6 +193,7 @@ def guess_unit(skeleton: Skeleton, table: Mapping[str, int]) -> float:
     length = float(np.linalg.norm(skeleton.offsets[ancestors], axis=1).sum())
     if length <= 0:
         raise InputError("skeleton", "has no length from hips to head", "check its offsets")
+    # Compared as logarithms, because units differ by factors.
     return min((1.0, 0.01, 0.001), key=lambda unit: abs(np.log(length * unit / 0.6)))
 
 
@@ -219,7 +221,8 @@ def _rest_positions(skeleton: Skeleton) -> Array:
 
 
 def _axes(rest: Array, table: Mapping[str, int]) -> Array:
-    """[4] the rotation from a source's axes to ours (Y up, left +X), from its rest pose."""
+    """[4] the rotation from a source's axes to the character's (Y up, left +X), from its rest pose."""
+    # Snapped to the nearest axis: rest poses lean a little, but files swap whole axes.
     def dominant(v: Array) -> Array:
         out = np.zeros(3)
         out[np.argmax(np.abs(v))] = np.sign(v[np.argmax(np.abs(v))])
@@ -239,8 +242,8 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleto
     """Retarget any upper body to the character by copying world rotations (RG 4.1.1).
 
     Each bone's world rotation relative to its rest is copied. For arms and fingers the shortest rotation between the
-    source's rest bone and ours is compensated, so that A-pose and T-pose agree. A joint that the source lacks follows
-    its parent and is listed in `absent`. The position of the root is unchanged, in metres.
+    source's rest bone and the character's is compensated, so that A-pose and T-pose agree. A joint that the source
+    lacks follows its parent and is listed in `absent`. The position of the root is unchanged, in metres.
 
     skeleton: `CHARACTER`, `FINGERED` or `WHOLE_BODY`.
     """
@@ -257,6 +260,7 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleto
     corrections = _corrections(source, rest, table, change, skeleton)
     for joint, name in enumerate(skeleton.names):
         if name in table:
+            # Conjugation expresses the same turn in the character's axes.
             turned = rotation.multiply(rotation.multiply(change, world[:, table[name]]), rotation.conjugate(change))
             out[:, joint] = rotation.multiply(turned, corrections[name]) if name in corrections else turned
         else:
@@ -264,8 +268,8 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleto
     local = rotation.normalise(kinematics.local_rotations(skeleton, out))
     local = rotation.continuous(local)
     root = rotation.rotate(change, kinematics.positions_of(motion)[:, table["Hips"]])
-    gone, filled = ({name for name in skeleton.names if name in table and source.names[table[name]] in theirs}
-                    for theirs in (motion.absent, motion.filled))
+    gone, filled = ({name for name in skeleton.names if name in table and source.names[table[name]] in listed}
+                    for listed in (motion.absent, motion.filled))
     return Motion(skeleton, local, root, motion.fps,
                   tuple(name for name in skeleton.names if name not in table or name in gone),
                   tuple(name for name in skeleton.names if name in filled))
@@ -273,14 +277,14 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleto
 
 def _corrections(source: Skeleton, rest: Array, table: Mapping[str, int], change: Array, skeleton: Skeleton
                  ) -> dict[str, Array]:
-    """Joint -> [4] the rotation from our rest bone to the source's; rest: [J, 3] the source's joints."""
-    ours_rest = _rest_positions(skeleton)
+    """Joint -> [4] the rotation from the character's rest bone to the source's; rest: [J, 3] the source's joints."""
+    target_rest = _rest_positions(skeleton)
     out: dict[str, Array] = {}
     for side in _SIDES:
         for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand")):
-            theirs = rotation.rotate(change, rest[table[side + tip]] - rest[table[side + bone]])
-            ours = ours_rest[skeleton.index(side + tip)] - ours_rest[skeleton.index(side + bone)]
-            out[side + bone] = rotation.between(ours, theirs)
+            wanted = rotation.rotate(change, rest[table[side + tip]] - rest[table[side + bone]])
+            resting = target_rest[skeleton.index(side + tip)] - target_rest[skeleton.index(side + bone)]
+            out[side + bone] = rotation.between(resting, wanted)
         out[side + "Hand"] = out[side + "ForeArm"]
     for name in FINGER_JOINTS:
         if name not in skeleton.names or name not in table:
@@ -292,11 +296,12 @@ def _corrections(source: Skeleton, rest: Array, table: Mapping[str, int], change
             before = name[:-1] + str(int(name[-1]) - 1)
             out[name] = out.get(before, out[name[:name.index("Hand") + 4]])
             continue
-        ours = skeleton.offsets[skeleton.index(below)] if below in skeleton.names \
+        resting = skeleton.offsets[skeleton.index(below)] if below in skeleton.names \
             else skeleton.end_sites[skeleton.index(name)]
         # Relative to the correction of the hand: the shortest rotation from a T-pose could roll the finger.
         hand = out[name[:name.index("Hand") + 4]]
-        out[name] = rotation.multiply(rotation.between(rotation.rotate(hand, ours), rotation.rotate(change, way)), hand)
+        straightened = rotation.between(rotation.rotate(hand, resting), rotation.rotate(change, way))
+        out[name] = rotation.multiply(straightened, hand)
     return out
 
 
@@ -320,8 +325,8 @@ def resized(motion: Motion, skeleton: Skeleton) -> Motion:
 
 def upper_body(motion: Motion) -> Motion:
     """The 16 joints of a motion of the character of any size; other motions are returned unchanged."""
-    ours = len(motion.skeleton) in CHARACTERS and motion.skeleton.same_joints(CHARACTERS[len(motion.skeleton)])
-    return resized(motion, CHARACTER) if ours else motion
+    known = CHARACTERS.get(len(motion.skeleton))
+    return resized(motion, CHARACTER) if known is not None and motion.skeleton.same_joints(known) else motion
 
 
 def facing(motion: Motion) -> Motion:

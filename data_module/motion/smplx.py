@@ -64,17 +64,17 @@ _FARTHEST = 1e6
 
 
 def _build() -> Skeleton:
-    """The body, then both hands in SMPL-X's order, with our character's fingers."""
+    """The body, then both hands in SMPL-X's order, with the character's fingers."""
     rows = [(name, parent, np.array(offset)) for name, parent, offset in _BODY]
     tips = {name: np.array(tip) for name, tip in _TIPS.items() if not name.endswith("wrist")}
     for side in ("left", "right"):
         for finger in _FINGERS:
             for place in (1, 2, 3):
-                ours = FINGERED.index(f"{side.title()}Hand{finger.title()}{place}")
+                source = FINGERED.index(f"{side.title()}Hand{finger.title()}{place}")
                 name, above = f"{side}_{finger}{place}", f"{side}_{finger}{place - 1}" if place > 1 else f"{side}_wrist"
-                rows.append((name, above, FINGERED.offsets[ours]))
+                rows.append((name, above, FINGERED.offsets[source]))
                 if place == 3:
-                    tips[name] = FINGERED.end_sites[ours]
+                    tips[name] = FINGERED.end_sites[source]
     names = tuple(name for name, _, _ in rows)
     parents = tuple(-1 if parent is None else names.index(parent) for _, parent, _ in rows)
     return Skeleton(names, parents, np.array([offset for _, _, offset in rows]),
@@ -82,9 +82,9 @@ def _build() -> Skeleton:
 
 
 SKELETON: Skeleton = _build()
-# SMPL-X's joint -> our joints whose world rotation it takes.
+# SMPL-X's joint -> the character's joints whose world rotation it takes.
 _SOURCES: dict[str, tuple[str, ...]] = {
-    theirs: (ours,) for theirs in SKELETON.names for ours, name in NAME_TABLES["smplx"].items() if name == theirs
+    joint: (source,) for joint in SKELETON.names for source, name in NAME_TABLES["smplx"].items() if name == joint
 } | {"spine2": ("Spine1", "Spine2"), "spine3": ("Spine3",)}
 
 
@@ -124,13 +124,13 @@ def read_smplx(path: str | os.PathLike[str], *, fps: float | None = None) -> Mot
 
 
 def smplx_arrays(motion: Motion) -> dict[str, NDArray[Any]]:
-    """A motion of our character, standing on the floor, as the arrays of an SMPL-X file; the inverse of `read_smplx`.
+    """A motion of the character, standing on the floor, as the arrays of an SMPL-X file; the inverse of `read_smplx`.
 
     They are those of BEAT2 and its leaderboard, float32: poses [T, 165] (axis times angle, radians, in SMPL-X's order:
     22 of the body, jaw, eyes, 15 of each hand), trans [T, 3] metres, betas [300] and expressions [T, 100] (zeros: the
     mean body and a still face), mocap_frame_rate, model and gender. Hands are rotations against a flat hand. World
-    rotations are copied: SMPL-X has three joints in the spine for our four, and one in the neck for two. Joints that
-    the motion lacks stay at rest relative to their parent.
+    rotations are copied: SMPL-X has three joints in the spine for the character's four, and one in the neck for two.
+    Joints that the motion lacks stay at rest relative to their parent.
     """
     there = set(motion.skeleton.names) - set(motion.absent)
     sources = {joint: names for joint, names in _SOURCES.items() if set(names) <= there}

@@ -45,6 +45,7 @@ def with_standing_legs(motion: Motion) -> Motion:
     root[:, [0, 2]] = _travel(motion)
     ankles = {side: rotation.rotate(heading, _FEET * [sign, 1.0, 1.0]) for side, sign in _SIDES}
     sockets = {side: rotation.rotate(hips, WHOLE_BODY.offsets[WHOLE_BODY.index(side + "UpLeg")]) for side, _ in _SIDES}
+    # The lower of both limits: neither foot may leave its place.
     reach = np.min([_reach(root + sockets[side], ankles[side]) - sockets[side][:, 1] for side, _ in _SIDES], axis=0)
     root[:, 1] = _under(np.minimum(reach, HIP_HEIGHT), motion.fps)
     rotations = motion.rotations.copy()
@@ -65,6 +66,7 @@ def with_standing_legs(motion: Motion) -> Motion:
 
 def _mean_yaw(hips: Array) -> Array:
     yaws = rotation.yaw_of(hips)
+    # The mean of quaternions on one half sphere, since q and -q are one rotation.
     return rotation.normalise(np.where(yaws @ yaws[0] < 0.0, -1.0, 1.0) @ yaws)
 
 
@@ -113,6 +115,7 @@ def bent_leg(way: Array, toes: Array, lengths: tuple[float | Array, float | Arra
     ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
     share = (thigh ** 2 + length ** 2 - shin ** 2) / (2.0 * length)
     knee = share * along + np.sqrt(np.maximum(thigh ** 2 - share ** 2, 0.0)) * ahead
+    # Thigh and shin bend about one axis, so the knee does not twist.
     hinge = np.cross(ahead, along)
     return _hung(knee, hinge), _hung(length * along - knee, hinge)
 

@@ -1,8 +1,8 @@
 """The papers' figures, drawn from what the rows of an ablation left behind (see `eval.ablate.command`).
 
-A figure is FIGURE.svg or FIGURE.png in the folder of the cells, with FIGURE.json beside it: which figure of the paper
-it is, its title, caption and numbers. It is drawn again when what it is drawn from has another key. What it shows of
-motion is of the first seed and, where one clip is shown, of the first test recording, whatever it looks like.
+A figure is FIGURE.svg or FIGURE.png in the folder of the cells. figures.json there holds for each which figure of the
+paper it is, its title, caption and numbers. It is drawn again when what it is drawn from has another key. The motion
+that it shows is of the first seed and, where one clip is shown, of the first test recording, whatever it looks like.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ import torch
 from data_module import intervals
 from data_module.blocks import cut
 from data_module.errors import InputError
-from data_module.files import write_text
+from data_module.files import lock, write_text
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
 from data_module.speech.beats import find_beats
 from data_module.speech.onsets import detect_onsets
@@ -42,6 +42,10 @@ from gesticulator.training.stages import LABELS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
+    from gesticulator.training.stages.lexicon import BlockLexicon
+
+DRAWN = "figures.json"
+"""The file of captions, numbers and keys of all figures."""
 VERSION = 4
 """Raised when the same rows would be drawn otherwise."""
 POINTS = 3000
@@ -90,7 +94,7 @@ def onset_intervals(rg: RgRows, rows: Summaries) -> Drawn:
 
 def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 6 and 8b."""
-    judge, labelled, corpus = rg.judge.lexicon, rg.first.get(LABELS), rg.context.corpus
+    judge, labelled, corpus = cast("BlockLexicon", rg.judge.lexicon), rg.first.get(LABELS), rg.context.corpus
     few = np.sort(np.random.default_rng(0).permutation(corpus.select("train"))[:POINTS])
     at = torch.as_tensor(few)
     latents = latents_of(judge, corpus.motion[at], corpus.pasts[at]).double().numpy()
@@ -272,25 +276,29 @@ def figure_key(rg: RgRows, name: str, rows: Summaries) -> str:
 
 def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
     """Write a figure to a folder unless it stands there; why it cannot be drawn, or ""."""
-    figure, place = FIGURES[name], out / f"{name}.json"
+    figure, place = FIGURES[name], out / DRAWN
     lacking = [row for row in figure.rows if row not in rows]
     if lacking:
         return f"not run: {', '.join(lacking)}"
     key = figure_key(rg, name, rows)
-    if _key_of(place) == key:
+    if _drawn(place).get(name, {}).get("key") == key:
         return ""
     try:
         picture, caption, numbers = figure.draw(rg, rows)
     except InputError as error:
         return str(error)
     save_strip(picture, out / f"{name}.{'png' if figure.dots else 'svg'}")
-    write_text(place, dumps({"figure": figure.paper, "title": figure.title, "caption": caption, "numbers": numbers,
-                             "key": key}))
+    facts = {"figure": figure.paper, "title": figure.title, "caption": caption, "numbers": numbers, "key": key}
+    # Several commands may draw figures of one folder at a time.
+    with lock(out, "an ablation that draws figures", beside=True, wait=True):
+        write_text(place, dumps(dict(sorted({**_drawn(place), name: facts}.items()))))
     return ""
 
 
-def _key_of(place: Path) -> str:
+def _drawn(place: Path) -> dict[str, Any]:
+    """Name -> facts of the figures that were drawn; empty where the file is missing or damaged."""
     try:
-        return str(loads(place.read_text())["key"])
-    except (FileNotFoundError, ValueError, KeyError, TypeError):
-        return ""
+        drawn = loads(place.read_text())
+    except (FileNotFoundError, ValueError):
+        return {}
+    return drawn if isinstance(drawn, dict) else {}

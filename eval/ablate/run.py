@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from torch import nn
 from tqdm import tqdm
 
@@ -227,8 +228,9 @@ class RgRows:
                    for motion, reference in zip(motions, truth, strict=True)]
         row = scored.row("", "system", fitting)
         values = {key: row.values[column.metric] for key, column in COLUMNS.items() if column.metric in row.values}
-        values |= {key: stats.jackknife(lambda chosen, of=row.sets[column.metric]: of(np.array(chosen)), len(truth))
-                   for key, column in COLUMNS.items() if column.metric in row.sets}
+        for key, column in COLUMNS.items():
+            if column.metric in row.sets:
+                values[key] = _jackknife(row.sets[column.metric], len(truth))
         values["fgd"] = self._distances(row, truth)
         percent = [pmb.delta_curve(beats.modes["A"], track.onsets).percent
                    for beats, track in zip(row.beats, scored.tracks, strict=True) if track is not None]
@@ -325,7 +327,7 @@ class RgRows:
             return self._floor(scored)
         truth = scored.clips.motions[TRUTH]
         motions = truth if name == PERFORMER else control_rows(scored.clips, 0)[0].get(name)
-        return motions and self.summary(scored, motions)
+        return None if motions is None else self.summary(scored, motions)
 
     def _real_take(self) -> dict[str, Any] | None:
         """A real person's take, beside nothing: it has no distance from the performer. None where it is not there."""
@@ -376,6 +378,11 @@ class RgRows:
         shorter = [reference.crop(0, min(len(reference), len(motion)))
                    for reference, motion in zip(truth.motions[TRUTH], motions, strict=True)]
         return self.summary(self._read(replace(truth, motions={TRUTH: shorter})), motions)
+
+
+def _jackknife(of: Callable[[NDArray[np.int64]], float], count: int) -> Array:
+    """[count] pseudo-values of a figure of a set, which takes the numbers of clips [n]."""
+    return stats.jackknife(lambda chosen: of(np.array(chosen)), count)
 
 
 def _latest(known: dict[Any, T], key: Any, most: int, make: Callable[[], T]) -> T:

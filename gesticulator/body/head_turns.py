@@ -71,16 +71,16 @@ class HeadTurns:
 
     def __call__(self, times: Array) -> Array | None:
         """[T, 3 J] radians to add to the exponential maps at rising `times` [T] seconds; None without any turn."""
-        self._turns = [one for one in self._turns if one.end is None or one.end + one.fall > times[0]]
+        self._turns = [turn for turn in self._turns if turn.end is None or turn.end + turn.fall > times[0]]
         if not self._turns:
             return None
-        degrees = sum(one.share(times)[:, None] * np.array(one.degrees) for one in self._turns)
+        degrees = sum(turn.share(times)[:, None] * np.array(turn.degrees) for turn in self._turns)
         return np.einsum("td,dja->tja", degrees, self._mixing).reshape(len(times), -1)
 
     def release(self, at: float) -> None:
         """End held turns at `at` seconds, cancel later ones, and expect another voice next."""
-        self._turns = [one if one.end is not None else replace(one, end=max(at, one.start + one.rise))
-                       for one in self._turns if one.start <= at]
+        self._turns = [turn if turn.end is not None else replace(turn, end=max(at, turn.start + turn.rise))
+                       for turn in self._turns if turn.start <= at]
         self._loudness, self._rest = None, self._rest[:0]
         self._spoken = self._quiet = self._listened = 0.0
 
@@ -91,11 +91,11 @@ class HeadTurns:
     @property
     def side(self) -> float:
         """Where the held turn goes to: 1 to the left, -1 to the right, 0 without one."""
-        return next((math.copysign(1.0, one.degrees[1]) for one in reversed(self._turns)
-                     if one.end is None and one.degrees[1]), 0.0)
+        return next((math.copysign(1.0, turn.degrees[1]) for turn in reversed(self._turns)
+                     if turn.end is None and turn.degrees[1]), 0.0)
 
     def listen(self, samples: Samples, at: float) -> None:
-        """Take more of another's voice, at 16 kHz; reactions begin at `at` seconds or later."""
+        """Take more of the other speaker's voice, at 16 kHz; reactions begin at `at` seconds or later."""
         if self._loudness is None:
             self._loudness = LoudnessTracker()
         sound, size, step = np.concatenate([self._rest, samples]), round(STEP * FRAME * SAMPLE_RATE), STEP * FRAME
@@ -106,6 +106,7 @@ class HeadTurns:
             self._quiet = self._quiet + step if silent else 0.0
             self._spoken += 0.0 if silent else step
             now = at + start / SAMPLE_RATE
+            # A nod answers the end of a phrase: enough speech, then a short silence.
             if self._quiet >= _BREATH - 1e-9 and self._spoken >= _SPOKEN:
                 self._spoken = 0.0
                 for after, degrees in _NOD:
@@ -113,6 +114,7 @@ class HeadTurns:
             if self._listened >= _TILT_EVERY:
                 self._listened = 0.0
                 self._add(_Turn(now, _TURNS, now + _TURNS + _TILT_HOLDS, _TURNS, (0.0, 0.0, _TILT * self._side())))
+        # Samples that do not fill a step wait for the next call, so the size of packets changes nothing.
         self._rest = sound[len(sound) - len(sound) % size:]
 
     def _side(self) -> float:

@@ -47,6 +47,7 @@ from data_module.motion.skeletons import LEG_JOINTS, WHOLE_BODY, resized
 from data_module.motion.standing_legs import bent_leg, leg_lengths
 from data_module.types import Array, Motion, Skeleton
 from gesticulator.body.life import breath, eased, noise, normal, uniform, weight_shifts
+from gesticulator.contacts.lap import SEAT_SPREAD
 
 __all__ = ["Stance", "seated", "with_legs"]
 
@@ -307,8 +308,8 @@ _BREATH_DIPS = 0.0008
 _INSIDE = 0.022
 """Metres inside of the standing ankle at which the hips are during a step."""
 
-_SEAT_SPREAD, _SEAT_TOES = 7.0, 12.0
-"""Degrees that the thighs and feet of a seated character point outwards."""
+_SEAT_TOES = 12.0
+"""Degrees that the feet of a seated character point outward."""
 
 _SWAY_CHANNEL = (1 << 10) + 8
 _NOISE_STEPS = np.array([seconds for _, seconds in (*_SWAY, *_STIRS, _ROLLS)] + [_GIVES[2]])
@@ -346,7 +347,7 @@ def seated(motion: Motion, skeleton: Skeleton = WHOLE_BODY) -> Motion:
     _, shin = leg_lengths(skeleton, "Left")
     root[:, 1] = _ankle_height(skeleton) + shin - skeleton.offsets[skeleton.index("LeftUpLeg")][1]
     level = _about(_LEFTWARD, -90.0)
-    knees, toes = (np.stack([_about(UP, sign * out) for _, sign in SIDES]) for out in (_SEAT_SPREAD, _SEAT_TOES))
+    knees, toes = (np.stack([_about(UP, sign * out) for _, sign in SIDES]) for out in (SEAT_SPREAD, _SEAT_TOES))
     _hang(rotations, still, [np.tile(turn, (len(body), 1, 1)) for turn in (
         rotation.multiply(knees, level), toes, toes, toes)], _LEGS)
     return on_legs(body, rotations, root, skeleton, rotations[:0])

@@ -102,10 +102,11 @@ def uniform(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
 def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
     """Standard normal numbers for each of `numbers` [...] (Box and Muller)."""
     pairs = np.empty((2, *np.broadcast(numbers, channel).shape), np.int64)
+    # Each normal number takes two uniform ones, 2 n and 2 n + 1, so that no two share one.
     pairs[0] = 2 * np.asarray(numbers)
     pairs[1] = pairs[0] + 1
-    one, two = uniform(seed, channel, pairs)
-    return np.asarray(np.sqrt(-2.0 * np.log(one)) * np.cos(2.0 * np.pi * two))
+    first, second = uniform(seed, channel, pairs)
+    return np.asarray(np.sqrt(-2.0 * np.log(first)) * np.cos(2.0 * np.pi * second))
 
 
 def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) -> Array:
@@ -114,6 +115,7 @@ def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) ->
     where = np.asarray(times, dtype=np.float64)[:, None] / steps
     first = np.floor(where).astype(np.int64)
     u = where - first
+    # The four cubic B-spline weights at the fraction u between two coefficients.
     weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6.0
     values = normal(seed, channels, first + np.arange(-1, 3)[:, None, None])
     return (weights * values).sum(axis=0) / _SPLINE_SPREAD
@@ -151,6 +153,7 @@ class Shifts:
         s = self.style
         times = np.asarray(times, dtype=np.float64)
         last = max(0, math.floor(times.max() / s.every + s.jitter)) + 1
+        # Shifts before `first` are complete: their sum is the posture before it.
         reach = math.ceil(_SETTLED * s.tau / s.every + 1)
         first = max(0, math.floor(times.min() / s.every) - reach)
         self._extend(max(first - 1, 0), last)
@@ -187,6 +190,7 @@ class Shifts:
             tries[-1] = -before  # far from most places
             apart = np.linalg.norm((tries - before) / s.spread, axis=1)
             fits = np.flatnonzero((apart >= s.least) & (apart <= s.most))
+            # The first try in range; if none is, the one whose distance comes nearest to the least.
             chosen = tries[fits[0] if len(fits) else int(np.argmin(np.abs(apart - s.least)))]
             length = max(float(np.linalg.norm((chosen - before) / s.spread)), 1e-9)
             self._postures.append(before + (chosen - before) * min(max(1.0, s.least / length), s.most / length))
@@ -247,6 +251,7 @@ def _breathed(seed: int, times: Array, wander: Array) -> Array:
     """`breath` for given phase noise [T]; exhaling takes longer than inhaling."""
     begins = float(uniform(seed, _BREATH_CHANNEL + 1, np.zeros(1, np.int64))[0])
     phase = 2.0 * np.pi * (_BREATHS * times + _BREATH_WANDERS * wander + begins)
+    # Phase distortion: the rising half takes less time than the falling one.
     return np.sin(phase + 0.4 * np.sin(phase))
 
 
@@ -276,6 +281,7 @@ class Idle:
 
 def _mixing(joints: list[str], rest: Array) -> Array:
     """[M, J, 3] degrees by which each driver turns each axis."""
+    # First rows of the drivers: 0 and 1 are the head's small shifts.
     gaze, breath, sway, drift = 2, 4, 5, 5 + _SWAYS
     curl = drift + len(_DRIFTS)
     rows = [(dimension, name, axis, degrees) for name, degrees in _SHIFTED.items()
@@ -307,6 +313,7 @@ class _Gain:
     slope: float = 0.0
 
     def follow(self, target: float, seconds: float) -> float:
+        # Closed form of the critically damped oscillator: exact for any frame duration.
         away = self.value - target
         push = self.slope + away / _GAIN_TAU
         fade = math.exp(-seconds / _GAIN_TAU)
@@ -354,13 +361,15 @@ class LifeLayer:
         life = self._idle(times).reshape(block.shape) * self._scale
         seconds = span.duration / len(times)
         steps = np.diff(block, axis=0, prepend=self._shown[None])
+        # A linear map instead of forward kinematics: head angles are small, and this runs for every block.
         speed = np.linalg.norm(steps @ self._head_moves, axis=1) / seconds
         stands = np.clip((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0, 1.0)
         self.gains = np.empty((len(times), len(self._parts), 2))
         for part, (columns, flags, gain) in enumerate(zip(self._parts, rests, self._gains, strict=True)):
+            # Full at rest or where the head stands still, whichever is more.
             wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, flags)
-            for k, one in enumerate(wanted):
-                gain.follow(float(one), seconds)
+            for k, target in enumerate(wanted):
+                gain.follow(float(target), seconds)
                 self.gains[k, part] = gain.value, gain.slope
             life[:, columns] *= self.gains[:, part, :1]
         self._shown = block[-1].astype(np.float64)

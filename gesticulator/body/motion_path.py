@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from data_module.blocks import KnotPath
 from data_module.types import Array, Motion
-from gesticulator.body.clearance import cleared, cleared_poses
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
+from gesticulator.contacts.default_body import cleared, cleared_poses
 from gesticulator.options import InferenceOptions
 
 if TYPE_CHECKING:

@@ -26,9 +26,8 @@ from data_module.errors import InputError, shown
 from data_module.motion import rotation
 from data_module.motion.skeletons import standing
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.body.clearance import cleared
-from gesticulator.characters.contacts import BelowShoulder, pose_of, soft
-from gesticulator.characters.inverse_kinematics import bend, swing
+from gesticulator.contacts.default_body import cleared
+from gesticulator.contacts.limbs import BelowShoulder, bend, pose_of, soft, swing
 from gesticulator.plan.plan import GesturePlan, Place, PosePin
 
 REACH = 0.6
@@ -268,7 +267,7 @@ def _clear(made: Motion, before: Motion, share: Array, group: PinGroup) -> None:
 def _sits(motion: Motion) -> bool:
     if "LeftUpLeg" not in motion.skeleton.names:
         return False
-    from gesticulator.body.lap import is_seated
+    from gesticulator.contacts.lap import is_seated
 
     return is_seated(motion)
 

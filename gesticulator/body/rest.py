@@ -104,6 +104,7 @@ class Pauses:
             steps = np.concatenate([steps, np.full(len(span.ahead), span.ahead_duration / len(span.ahead))])
         rests = self._rests(quiet, steps, open_end=span.ahead is not None)
         resting = rests[:count].copy()
+        # Frames of silence at the end of the block: they count for a pause that continues in the next.
         trailing = span.quiet[::-1].argmin() if not span.quiet.all() else count
         self._resting = bool(resting[-1])
         if self._resting:
@@ -122,6 +123,7 @@ class Pauses:
         bounds = [0, *turns.tolist(), len(quiet)]
         resting, out = self._resting, np.zeros(len(quiet), bool)
         for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+            # 1e-9: sums of frame durations must not miss a threshold by rounding.
             length = float(steps[first:last].sum()) + 1e-9
             goes_on = last == len(quiet)
             if quiet[first]:
@@ -180,6 +182,7 @@ class Phrases:
         """Take another activity; True where the phrase cannot go on with it. What was spoken until now counts with the
         activity of then."""
         before, self.activity = self.activity, activity
+        # Speech so far keeps the activity of its time: the balance stays continuous.
         self._owed += (before - activity) * self._spoken
         return before != activity and (activity in (0.0, 1.0) or before == 0.0)
 
@@ -187,10 +190,12 @@ class Phrases:
         # In milliseconds: the block's start on the clock of the audio.
         chance = float(uniform(self.seed, 1 << 20, np.array([round(start * 1000)]))[0])
         rank, weight = chance, 0.0
+        # Without a gate the choice is random alone.
         if not math.isnan(score):
             if self._ranked:
                 below, at_most = bisect_left(self._ranked, score), bisect_right(self._ranked, score)
                 rank = (below + (at_most - below) * chance) / len(self._ranked)
+                # A rank among few phrases says little: trust grows as n / (n + 4).
                 weight = len(self._ranked) / (len(self._ranked) + _TRUSTED)
             insort(self._ranked, score)
             self._order.append(score)
@@ -269,17 +274,20 @@ class RestingPart:
         self._join: _Join | None = None
         self._last = [(-1.0, rest), (0.0, rest)]
 
-    def step(self, times: Array, generated: Array, rests: Flags, asked: bool = False) -> Array:
-        """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K]. asked: a rest
-        that begins in this block was asked for, and holds still instead of retracting."""
+    def step(self, times: Array, generated: Array, rests: Flags, hold_still: bool = False) -> Array:
+        """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K].
+        hold_still: the user requested a rest that begins in this block, so the hands hold still instead of
+        retracting."""
         out = np.empty_like(generated)
         for k, time in enumerate(times):
             if rests[k] and self._stop is None:
-                self._stop, self._join = self._stopping(asked), None
+                self._stop, self._join = self._stopping(hold_still), None
             elif not rests[k] and self._stop is not None and (k == 0 or times[-1] - self._last[1][0] >= _LEAST_FADE):
                 # A generator that uses its past starts from the frame before; one that ignores it is extrapolated.
                 before = generated[k - 1] if k else 2.0 * generated[0] - generated[1]
                 now, pose = self._last[1]
+                # The join removes the difference in position and in velocity, so the motion is once continuously
+                # differentiable.
                 jump = self._velocity() - (generated[k] - before) / (float(time) - now)
                 self._join, self._stop = _Join(now, float(times[-1]), pose - before, jump), None
             if self._stop is not None:
@@ -295,20 +303,21 @@ class RestingPart:
         interruption in seconds, a little earlier."""
         self._last, self._join = last, None
         now, pose = last[1]
+        # The speed falls as v (1 - t / T)^2, whose integral is v T / 3.
         stopped = np.clip(pose + self._velocity() * BREAKS_OFF / 3.0, *self.bounds)
         self._stop = _Stop(now, pose, self._velocity(), stopped, np.full(len(pose), BREAKS_OFF), self.rest,
                            HANGS - LETS_DOWN, max(word + LETS_DOWN - now, 0.0), evenly=True)
 
     def _velocity(self) -> Array:
-        (before, one), (now, two) = self._last
-        return (two - one) / (now - before)
+        (before, earlier), (now, later) = self._last
+        return (later - earlier) / (now - before)
 
-    def _stopping(self, asked: bool) -> _Stop:
+    def _stopping(self, hold_still: bool) -> _Stop:
         (_, _), (now, pose) = self._last
         velocity = self._velocity()
         stopped, stops_in = self._way.stop(pose, velocity, self.rest)
         stopped = np.clip(stopped, *self.bounds)
-        hold, fastest = (STILL_HOLD, STILL_SINKING) if asked else (HOLD, SINKING)
+        hold, fastest = (STILL_HOLD, STILL_SINKING) if hold_still else (HOLD, SINKING)
         return _Stop(now, pose, velocity, stopped, stops_in, self.rest,
                      self._way.sink_seconds(stopped, self.rest, fastest), hold)
 
@@ -326,12 +335,14 @@ class _Way:
             return pose + velocity * seconds / 3.0, seconds
         tiny = 1e-3
         now, then, end = self._hands_of(np.stack([pose, pose + velocity * tiny, rest]))
+        # Velocity of the hands by a finite difference: the chain from angles to places is not linear.
         moves, ahead = (then - now) / tiny, end - now
         speeds, ways = np.linalg.norm(moves, axis=-1), np.linalg.norm(ahead, axis=-1)
         seconds[:] = np.clip(3.0 * _STOP_WITHIN / max(float(speeds.max()), 1e-6), _SHORTEST_STOP, LONGEST_STOP)
         stopped = pose + velocity * seconds / 3.0
         for side, columns in enumerate(self._hands_of.arms):
             cosine = float(moves[side] @ ahead[side]) / max(float(speeds[side] * ways[side]), 1e-9)
+            # 0 to 1: how surely the hand is on its way to rest.
             comes = min(max((cosine - _TOWARDS[0]) / (_TOWARDS[1] - _TOWARDS[0]), 0.0), 1.0)
             goes = min(_REACH * float(speeds[side]) * _RETRACTS, _FARTHEST)
             near = min(goes / max(float(ways[side]), 1e-9), 1.0)
@@ -439,6 +450,7 @@ class Rest:
 
     def rest(self, span: Span) -> None:
         """Instead of `hear`, for a block without sound: rest throughout."""
+        # A new `Pauses` starts at rest, as after a long silence.
         self._pauses, self._span, self._asked = Pauses(), span, False
         self._rests = [np.ones(len(span.quiet), bool)] * 2
 

@@ -62,6 +62,7 @@ def write_character_bvh(path: str | os.PathLike[str], character: Character, rota
         columns += _values(character, node, channels[node], rotations[:, node],
                            placed[1] if placed and placed[0] == node else None)
     body = StringIO()
+    # Adding 0.0 turns -0.0 into 0.0, so that equal motions give equal bytes.
     np.savetxt(body, np.stack(columns, axis=-1) + 0.0, fmt="%.6f")
     lines += ["MOTION", f"Frames: {len(rotations)}", f"Frame Time: {1.0 / fps:.10f}"]
     write_text(path, "\n".join(lines) + "\n" + body.getvalue())
@@ -83,6 +84,7 @@ def _values(character: Character, node: int, channels: tuple[str, ...], turns: A
             ) -> list[Array]:
     """The columns [T] of a node's channels; places None: the translation at rest."""
     order = "".join(name[0] for name in channels if name.endswith("rotation"))
+    # Unwrapped: a jump by 360 degrees would be interpolated as a whole turn.
     angles = np.degrees(np.unwrap(rotation.to_euler(turns, order), axis=0))
     if places is None:
         places = np.broadcast_to(character.translations[node], (len(turns), 3))

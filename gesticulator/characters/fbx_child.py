@@ -17,15 +17,15 @@ MOST_TRIANGLES = 6000
 """Most triangles written, evenly over each mesh."""
 
 
-def export_armature(source: str, target: str, kept: str = "") -> None:
+def export_armature(source: str, target: str, scene: str = "") -> None:
     """Import the file into an empty scene and write its armature object and bones, parents first, and the meshes that
     the bones move: {"bones": [...], "points": [[x, y, z]], "joints": [[4 bones]], "weights", "triangles"}."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
-    if kept:
-        bpy.ops.wm.save_as_mainfile(filepath=kept, copy=True, compress=False)
+    if scene:
+        bpy.ops.wm.save_as_mainfile(filepath=scene, copy=True, compress=False)
     armatures: list[Any] = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
     nodes: list[dict[str, Any]] = []
     if armatures:
@@ -59,13 +59,13 @@ def _add_mesh(thing: Any, at: dict[str, int], step: int, skin: dict[str, list[An
         for vertex in rows:
             if vertex in place:
                 continue
-            found = sorted(((entry.weight, bones[entry.group]) for entry in thing.data.vertices[vertex].groups
+            influences = sorted(((entry.weight, bones[entry.group]) for entry in thing.data.vertices[vertex].groups
                             if entry.group in bones and entry.weight > 0.0), reverse=True)[:4]
-            whole = sum(weight for weight, _ in found)
+            whole = sum(weight for weight, _ in influences)
             place[vertex] = len(skin["points"])
             skin["points"].append([float(value) for value in thing.matrix_world @ thing.data.vertices[vertex].co])
-            skin["joints"].append([bone for _, bone in found] + [0] * (4 - len(found)))
-            skin["weights"].append([weight / whole for weight, _ in found] + [0.0] * (4 - len(found))
+            skin["joints"].append([bone for _, bone in influences] + [0] * (4 - len(influences)))
+            skin["weights"].append([weight / whole for weight, _ in influences] + [0.0] * (4 - len(influences))
                                    if whole else [1.0, 0.0, 0.0, 0.0])
         skin["triangles"].append([place[vertex] for vertex in rows])
 

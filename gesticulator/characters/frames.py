@@ -2,7 +2,8 @@
 
 `measure` gives, for each moved node, the joint of the default skeleton that it follows and the constant C of
 `gesticulator.characters.retarget` (1). It needs no particular rest pose: the direction of a bone in its node's axes is
-the same in all poses. Only the roll of a bone without a palm or a bent hinge is taken from the pose that the mesh was
+the same in all poses. Below, `source` is the default skeleton (T-pose, Y up, facing +Z, left +X), whose motion the
+character follows. Only the roll of a bone without a palm or a bent hinge is taken from the pose that the mesh was
 bound in, by the shortest rotation from a T-pose.
 """
 
@@ -47,7 +48,7 @@ _KNUCKLES = (("Index", "Pinky"), ("Index", "Ring"), ("Middle", "Pinky"), ("Index
 @dataclass(frozen=True)
 class BoneSegment:
     """A moved node: G(t) = R(t) C, where R(t) is the world rotation of the default skeleton's `joint`, or interpolated
-    by `share` towards that of `other`. constant: C, [3, 3], from the node's axes to ours."""
+    by `share` towards that of `other`. constant: C, [3, 3], from the node's axes to those of the source."""
 
     node: int
     joint: str
@@ -58,15 +59,15 @@ class BoneSegment:
 
 @dataclass(frozen=True)
 class Body:
-    """A character measured in our axes (Y up, facing +Z, left +X) and in metres.
+    """A character measured in the source's axes (Y up, facing +Z, left +X) and in metres.
 
-    axes: [3, 3] rows are the character's left, up and forward in the file's axes: ours = axes @ file's * unit.
+    axes: [3, 3] rows are the character's left, up and forward in the file's axes: x_source = axes @ x_file * unit.
     bind_axes: [3, 3] the same in the bind pose, which differs if that lies or leans where the file places it.
     unit: metres per unit of the character's world. lift: metres that the character is lifted to stand on the floor.
-    rest_places: [N, 3] positions of the nodes at rest; rest_turns: [N, 3, 3] from the nodes' axes to ours at rest;
-    local_turns: [N, 3, 3] the same to their parents' axes. offsets: [N, 3] metres from each node's parent, in the
-    parent's axes. leg_ratio: length of the character's leg relative to ours. ankles: [2] heights of the left and the
-    right ankle of a character that stands, metres; empty without legs.
+    rest_places: [N, 3] positions of the nodes at rest; rest_turns: [N, 3, 3] from the nodes' axes to the source's at
+    rest; local_turns: [N, 3, 3] the same to their parents' axes. offsets: [N, 3] metres from each node's parent, in the
+    parent's axes. leg_ratio: length of the character's leg relative to the source's. ankles: [2] heights of the left
+    and the right ankle of a character that stands, metres; empty without legs.
     """
 
     character: Character
@@ -103,11 +104,12 @@ class Body:
 
     def place(self, turns: Mapping[int, Array], node: int) -> Array:
         """[T, 3] position of a node below the hips, relative to the hips, metres; turns: node -> [T, 3, 3] its axes to
-        ours. Nodes not in `turns` keep their rest rotation relative to their parents."""
+        the source's. Nodes not in `turns` keep their rest rotation relative to their parents."""
         hips = self.mapping.joints["Hips"]
         line = [node, *ancestors(self.character.parents, node)]
         turn = turns[hips] if hips in turns else self.rest_turns[hips][None]
         place = np.zeros((1, 3))
+        # Forward kinematics from the hips down, all frames at once.
         for at in reversed(line[:line.index(hips)]):
             place = place + turn @ self.offsets[at]
             turn = turns[at] if at in turns else turn @ self.local_turns[at]
@@ -134,8 +136,9 @@ def measure(character: Character, mapping: RigMapping) -> Body:
     legs = frozenset(mapping.joints[name] for name in skeletons.LEG_JOINTS if name in mapping.joints)
     lift, ratio = 0.0, 1.0
     if mapping.legs:
+        # The hips travel in proportion to the legs, so that steps fit the character.
         ratio = float(np.mean([rig.length(side + "Leg") + rig.length(side + "Foot") for side in SIDES])
-                      / (np.linalg.norm(_OURS["LeftLeg"]) + np.linalg.norm(_OURS["LeftFoot"])))
+                      / (np.linalg.norm(_SOURCE["LeftLeg"]) + np.linalg.norm(_SOURCE["LeftFoot"])))
         lowest = min(float(places[node, 1]) for node in legs)
         height = float(places[mapping.joints["Head"], 1]) - lowest
         if character.kind == "bvh" and lowest < -_SUNK * height:
@@ -147,7 +150,7 @@ def measure(character: Character, mapping: RigMapping) -> Body:
                 bind_axes, ankles + lift)
 
 
-_OURS = {name: WHOLE_BODY.offsets[index] for index, name in enumerate(WHOLE_BODY.names)}
+_SOURCE = {name: WHOLE_BODY.offsets[index] for index, name in enumerate(WHOLE_BODY.names)}
 _ANKLE = 0.08
 """Height of the default skeleton's ankle above the floor, metres."""
 
@@ -187,6 +190,7 @@ def _unit(character: Character, mapping: RigMapping, rest: Array) -> float:
     if character.unit is None:
         return min((1.0, 0.01, 0.001), key=lambda unit: abs(float(np.log(length * unit / _LENGTH))))
     off = float(np.log10(_LENGTH / (length * character.unit)))
+    # Exports with the wrong unit are off by a power of ten; other sizes may be meant (a child, a giant).
     return character.unit * 10.0 ** round(off) if abs(off) > 1.0 else character.unit
 
 
@@ -207,6 +211,7 @@ def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
     for part in ("Arm", "UpLeg"):
         if "Left" + part in joints and "Right" + part in joints:
             across = places[joints["Left" + part]] - places[joints["Right" + part]]
+            # Shoulders and hips together: their sum is less sensitive to one raised shoulder or a weight shift.
             left = left + (across - (across @ up) * up)
     left = _unit_vector(character, left, "both shoulders")
     # A mesh is modelled along its axes, whatever the turn that the file gives it.
@@ -225,6 +230,7 @@ def _upright(character: Character, axes: Array) -> Array:
         return axes
     if axes[1] @ known > 0.5:
         return np.asarray(axes @ _turn(axes[1], known).T)
+    # VRM 0.x characters face -Z, all others +Z, so their left is -X.
     left = np.array([-1.0 if character.vrm == "0.x" else 1.0, 0.0, 0.0])
     return np.stack([left, known, np.cross(left, known)])
 
@@ -299,18 +305,21 @@ class _Rig:
     # ------------------------------------------------------------------------------------------------ the trunk
 
     def trunk(self) -> list[BoneSegment]:
-        """Hips, spine, neck and head. Spine and neck follow ours by their position between hips, chest and head."""
+        """Hips, spine, neck and head. Spine and neck follow the source's by their position between hips, chest and
+        head."""
         joints, bind = self.joints, self.bind
         out = [BoneSegment(joints["Hips"], "Hips", bind[joints["Hips"]])]
         chest_change = self._chest_change()
         shares = self._shares([joints["Hips"], *self.mapping.spine])
-        ours = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
-        steps = np.cumsum([0.0, *(np.linalg.norm(_OURS[name]) for name in ours[1:])])
+        source = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
+        steps = np.cumsum([0.0, *(np.linalg.norm(_SOURCE[name]) for name in source[1:])])
         for node, share in zip(self.mapping.spine, shares[1:], strict=True):
             if node != self.mapping.spine[-1] and self._carries_legs(node):
                 share = 0.0  # a node that carries the legs moves with the hips
+            # A trunk that leans in the bind pose bends evenly: each spine joint takes its share of the whole
+            # rotation.
             change = _matrix(rotation.from_exponential_map(share * chest_change))
-            out.append(BoneSegment(node, *_place_among(ours, steps / steps[-1], share, change @ bind[node])))
+            out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, change @ bind[node])))
         look = self._head_change()
         chain = [*self.mapping.neck, joints["Head"]]
         shares = self._shares(chain)
@@ -340,12 +349,14 @@ class _Rig:
                        for below, above in zip(line, line[1:], strict=False)], axis=0) if len(line) > 1 else np.zeros(3)
 
     def _chest_change(self) -> Array:
-        """[3] rotation vector from the bind pose of the chest to ours at rest; zero if the character is upright."""
+        """[3] rotation vector from the bind pose of the chest to the source at rest; zero if the character is
+        upright."""
         top = self.mapping.neck[0] if self.mapping.neck else self.joints["Head"]
         spine = self._bind_place(top)
         across = self._bind_place(self.joints["LeftArm"]) - self._bind_place(self.joints["RightArm"])
-        ours = np.sum([_OURS[name] for name in ("Spine", "Spine1", "Spine2", "Spine3", "Neck")], axis=0)
-        turn = frame(ours, np.array([1.0, 0.0, 0.0])) @ frame(spine, across).T
+        source = np.sum([_SOURCE[name] for name in ("Spine", "Spine1", "Spine2", "Spine3", "Neck")], axis=0)
+        turn = frame(source, np.array([1.0, 0.0, 0.0])) @ frame(spine, across).T
+        # The rotation vector: the turn can be divided among the spine's joints.
         log = Rotation.from_matrix(turn).as_rotvec()
         return log if np.linalg.norm(log) > _LEANS else np.zeros(3)
 
@@ -353,75 +364,80 @@ class _Rig:
         if not self.mapping.neck:
             return np.eye(3)
         neck = self._bind_place(self.joints["Head"]) - self._bind_place(self.mapping.neck[0])
-        ours = _OURS["Neck1"] + _OURS["Head"]
-        return _turn(neck, ours) if np.linalg.norm(neck) > 1e-6 and _angle(neck, ours) > _LOOKS else np.eye(3)
+        source = _SOURCE["Neck1"] + _SOURCE["Head"]
+        return _turn(neck, source) if np.linalg.norm(neck) > 1e-6 and _angle(neck, source) > _LOOKS else np.eye(3)
 
     # ------------------------------------------------------------------------------------------------ arms
 
     def arms(self) -> list[BoneSegment]:
         """Clavicles, arms, hands and fingers."""
         out: list[BoneSegment] = []
+        # Mirrored rotations: `sign` flips the axes that point sideways.
         for side, sign in (("Left", 1.0), ("Right", -1.0)):
             if side + "Shoulder" in self.joints:
-                bone, ours = self.bone(side + "Shoulder", side + "Arm"), _OURS[side + "Arm"]
+                bone, source = self.bone(side + "Shoulder", side + "Arm"), _SOURCE[side + "Arm"]
                 out.append(self._segment(side + "Shoulder",
-                                         _turn(bone, ours) if _angle(bone, ours) > _SHRUGS else np.eye(3)))
+                                         _turn(bone, source) if _angle(bone, source) > _SHRUGS else np.eye(3)))
             upper, lower = self.bone(side + "Arm", side + "ForeArm"), self.bone(side + "ForeArm", side + "Hand")
-            ours_upper, ours_lower = _OURS[side + "ForeArm"], _OURS[side + "Hand"]
+            source_upper, source_lower = _SOURCE[side + "ForeArm"], _SOURCE[side + "Hand"]
             hinge = np.cross(upper, lower) if _angle(upper, lower) > _BENT else None
             down = np.array([0.0, -sign, 0.0])  # the axis about which our straight arm would bend forward
-            out.append(self._segment(side + "Arm", _change(upper, hinge, ours_upper, down)))
-            along, back, ours_along, ours_back = self._palm(side, sign, lower)
+            out.append(self._segment(side + "Arm", _change(upper, hinge, source_upper, down)))
+            along, back, source_along, source_back = self._palm(side, sign, lower)
             if back is not None:
-                fore = _change(lower, back, ours_lower, ours_back)
-                hand = frame(ours_along, ours_back) @ frame(along, back).T
+                fore = _change(lower, back, source_lower, source_back)
+                hand = frame(source_along, source_back) @ frame(along, back).T
             else:
-                fore = _change(lower, hinge, ours_lower, down)
+                fore = _change(lower, hinge, source_lower, down)
                 # A hand without fingers has the roll of its forearm.
-                hand = _turn(fore @ along, ours_along) @ fore
+                hand = _turn(fore @ along, source_along) @ fore
             out += [self._segment(side + "ForeArm", fore), self._segment(side + "Hand", hand)]
             out += [BoneSegment(node, side + "Hand", hand @ self.bind[node]) for node in self._rest_of_hand(side)]
-            out += self._fingers(side, along, back, ours_back, hand)
+            out += self._fingers(side, along, back, source_back, hand)
         return out
 
     def _rest_of_hand(self, side: str) -> list[int]:
         """The nodes beside the hand's that are parts of it, in characters with one bone for each finger's palm."""
         parents, hand = self.character.parents, self.joints[side + "Hand"]
-        found = labels(self.character.names)
+        node_labels = labels(self.character.names)
         taken = {*self.joints.values(), *self.mapping.spine, *self.mapping.neck}
         return [node for node, parent in enumerate(parents) if parent == parents[hand] and node not in taken
-                and not found[node].aid and not found[node].tip
-                and (found[node].parts[:1] == ("Hand",) or found[node].finger)]
+                and not node_labels[node].aid and not node_labels[node].tip
+                and (node_labels[node].parts[:1] == ("Hand",) or node_labels[node].finger)]
 
     def _palm(self, side: str, sign: float, forearm: Array) -> tuple[Array, Array | None, Array, Array]:
-        """Direction along the hand and out of its back in the bind pose (None without fingers), and those of ours."""
+        """Direction along the hand and out of its back in the bind pose (None without fingers), and those of the
+        source."""
         fingers = [finger for finger in FINGERS[1:] if f"{side}Hand{finger}1" in self.joints]
         pair = next((pair for pair in _KNUCKLES if set(pair) <= set(fingers)), None)
-        hand, ours_back = self.joints[side + "Hand"], np.array([0.0, 1.0, 0.0])
+        hand, source_back = self.joints[side + "Hand"], np.array([0.0, 1.0, 0.0])
         if not fingers:
             tips = [self.way(hand, node) for node, parent in enumerate(self.character.parents) if parent == hand]
             tips += [tip * self._tip_unit(hand) for node, tip in self.character.tips.items() if node == hand]
+            # A single child or tip in the direction of the forearm is the end of the hand; several are fingers or
+            # props.
             long = [self.bind[hand] @ tip for tip in tips if tip is not None and np.linalg.norm(tip) > 1e-3]
             along = long[0] if len(long) == 1 and _angle(long[0], forearm) < np.radians(60.0) else forearm
-            return along, None, np.array([sign, 0.0, 0.0]), ours_back
+            return along, None, np.array([sign, 0.0, 0.0]), source_back
         middle = "Middle" if "Middle" in fingers else fingers[0]
         along = self.bone(side + "Hand", f"{side}Hand{middle}1")
-        ours_along = _OURS[f"{side}Hand{middle}1"]
+        source_along = _SOURCE[f"{side}Hand{middle}1"]
         if pair is None:
-            return along, None, ours_along, ours_back
+            return along, None, source_along, source_back
         # The plane through the wrist and two knuckles: those between them are higher or lower than these in many hands.
         first, last = (f"{side}Hand{finger}1" for finger in pair)
         knuckles = self.bone(side + "Hand", first), self.bone(side + "Hand", last)
-        return (knuckles[0] + knuckles[1], sign * np.cross(*knuckles), _OURS[first] + _OURS[last],
-                sign * np.cross(_OURS[first], _OURS[last]))
+        return (knuckles[0] + knuckles[1], sign * np.cross(*knuckles), _SOURCE[first] + _SOURCE[last],
+                sign * np.cross(_SOURCE[first], _SOURCE[last]))
 
     def _tip_unit(self, node: int) -> float:
         """Metres per unit of a node's local coordinates (BVH, where nothing is scaled)."""
         length = float(np.linalg.norm(self.character.translations[node]))
         return float(np.linalg.norm(self._offsets[node])) / length if length > 1e-9 else 1.0
 
-    def _fingers(self, side: str, along: Array, back: Array | None, ours_back: Array, hand: Array) -> list[BoneSegment]:
-        """The finger joints; each bone points like ours, its back towards the back of the hand."""
+    def _fingers(self, side: str, along: Array, back: Array | None, source_back: Array, hand: Array
+                 ) -> list[BoneSegment]:
+        """The finger joints; each bone points like the source's, its back towards the back of the hand."""
         out = []
         for finger in FINGERS:
             before: Array | None = None
@@ -430,15 +446,16 @@ class _Rig:
                 if name not in self.joints:
                     break
                 way = self._phalanx(name, before)
+                # A last phalanx without a tip continues in the direction of the one before.
                 before = way if way is not None else before
                 index = WHOLE_BODY.index(name)
-                ours = WHOLE_BODY.end_sites[index] if place == 3 else _OURS[f"{side}Hand{finger}{place + 1}"]
+                source = WHOLE_BODY.end_sites[index] if place == 3 else _SOURCE[f"{side}Hand{finger}{place + 1}"]
                 if way is None:
                     out.append(self._segment(name, hand))
                 elif back is None:
-                    out.append(self._segment(name, _turn(hand @ way, ours) @ hand))
+                    out.append(self._segment(name, _turn(hand @ way, source) @ hand))
                 else:
-                    out.append(self._segment(name, _change(way, back, ours, ours_back)))
+                    out.append(self._segment(name, _change(way, back, source, source_back)))
         return out
 
     def _phalanx(self, name: str, before: Array | None) -> Array | None:
@@ -464,33 +481,36 @@ class _Rig:
             hinge = np.cross(upper, lower) if _angle(upper, lower) > _BENT else None
             # Knees bend backwards, about the character's left.
             axis = np.array([1.0, 0.0, 0.0])
-            out += [self._segment(side + "UpLeg", _change(upper, hinge, _OURS[side + "Leg"], axis)),
-                    self._segment(side + "Leg", _change(lower, hinge, _OURS[side + "Foot"], axis))]
+            out += [self._segment(side + "UpLeg", _change(upper, hinge, _SOURCE[side + "Leg"], axis)),
+                    self._segment(side + "Leg", _change(lower, hinge, _SOURCE[side + "Foot"], axis))]
             turn = np.eye(3)
             if side + "ToeBase" in self.joints:
                 toes = self.bone(side + "Foot", side + "ToeBase")
                 level = toes * [1.0, 0.0, 1.0]
+                # The foot turns about the vertical alone; on a very high heel the toes point down and give no
+                # direction.
                 if np.linalg.norm(level) > 0.3 * np.linalg.norm(toes) and level[2] > 0.0:
-                    turn = _turn(level, _OURS[side + "ToeBase"] * [1.0, 0.0, 1.0])
+                    turn = _turn(level, _SOURCE[side + "ToeBase"] * [1.0, 0.0, 1.0])
             out.append(self._segment(side + "Foot", turn))
             if side + "ToeBase" in self.joints:
                 out.append(self._segment(side + "ToeBase", turn))
         return out
 
 
-def _change(bone: Array, across: Array | None, ours: Array, ours_across: Array) -> Array:
-    """[3, 3] rotation from a bone in the bind pose to ours at rest that maps bone to bone and `across` to ours; the
-    shortest rotation if `across` is None or parallel to the bone."""
+def _change(bone: Array, across: Array | None, source: Array, source_across: Array) -> Array:
+    """[3, 3] rotation from a bone in the bind pose to the source at rest that maps bone to bone and `across` to
+    `source_across`; the shortest rotation if `across` is None or parallel to the bone."""
+    # A hinge nearly parallel to the bone (cosine above 0.95) does not define its roll.
     if across is None or np.linalg.norm(across) < 1e-9 or abs(np.cos(_angle(bone, across))) > 0.95 \
-            or abs(np.cos(_angle(ours, ours_across))) > 0.95:
-        return _turn(bone, ours)
-    return frame(ours, ours_across) @ frame(bone, across).T
+            or abs(np.cos(_angle(source, source_across))) > 0.95:
+        return _turn(bone, source)
+    return frame(source, source_across) @ frame(bone, across).T
 
 
-def _place_among(ours: Sequence[str], steps: Array, share: float, constant: Array) -> tuple[str, Array, str, float]:
+def _place_among(source: Sequence[str], steps: Array, share: float, constant: Array) -> tuple[str, Array, str, float]:
     """The fields (joint, C, other, share) of a `BoneSegment` at position `share` among our joints at `steps`."""
-    place = int(np.clip(np.searchsorted(steps, share, side="right") - 1, 0, len(ours) - 1))
-    if place == len(ours) - 1:
-        return ours[place], constant, "", 0.0
+    place = int(np.clip(np.searchsorted(steps, share, side="right") - 1, 0, len(source) - 1))
+    if place == len(source) - 1:
+        return source[place], constant, "", 0.0
     part = float(np.clip((share - steps[place]) / (steps[place + 1] - steps[place]), 0.0, 1.0))
-    return ours[place], constant, ours[place + 1], part
+    return source[place], constant, source[place + 1], part

@@ -1,6 +1,6 @@
 """Compressed parts of glTF files, unpacked for reading: EXT_meshopt_compression and KHR_draco_mesh_compression.
 
-The extra `compressed` brings the decoders. The file itself is not rewritten: what is added to it lies beside its
+The extra `compressed` installs the decoders. The file itself is not rewritten: new data are appended beside its
 compressed parts.
 """
 
@@ -39,22 +39,22 @@ def decoder(name: str, subject: object) -> Any:
 def compressed_view(view: dict[str, Any]) -> dict[str, Any] | None:
     """The meshopt extension of a buffer view; None if it is not compressed."""
     extensions = view.get("extensions")
-    own = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
-    return own if isinstance(own, dict) else None
+    extension = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
+    return extension if isinstance(extension, dict) else None
 
 
 def is_fallback(buffer: dict[str, Any]) -> bool:
     """Whether a buffer has no data in the file, because all its views are compressed."""
     extensions = buffer.get("extensions")
-    own = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
-    return isinstance(own, dict) and "uri" not in buffer
+    extension = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
+    return isinstance(extension, dict) and "uri" not in buffer
 
 
-def unpacked_view(own: dict[str, Any], data: bytes, size: int, subject: object) -> bytes:
-    """The `size` bytes of a view that meshopt compressed. own: its extension; data: the compressed bytes. `InputError`
-    for contradictions and for data that cannot be decoded."""
-    mode, stride, count = own.get("mode"), own.get("byteStride"), own.get("count")
-    name = own.get("filter", "NONE")
+def unpacked_view(extension: dict[str, Any], data: bytes, size: int, subject: object) -> bytes:
+    """The `size` bytes of a view that meshopt compressed. extension: of the view; data: the compressed bytes.
+    `InputError` for contradictions and for data that cannot be decoded."""
+    mode, stride, count = extension.get("mode"), extension.get("byteStride"), extension.get("count")
+    name = extension.get("filter", "NONE")
     if (not isinstance(mode, str) or not isinstance(name, str) or not isinstance(stride, int)
             or not isinstance(count, int) or isinstance(count, bool) or stride not in _SIZES.get(mode, ())
             or name not in _FILTERS
@@ -64,6 +64,7 @@ def unpacked_view(own: dict[str, Any], data: bytes, size: int, subject: object) 
     package = decoder(MESHOPT, subject)
     try:
         if mode == "ATTRIBUTES":
+            # A void type of `stride` bytes: the decoder needs the size alone, whatever the components.
             raw = package.decode_vertex_buffer(count, stride, data, dtype=np.dtype(f"V{stride}"))
             out = raw.view(np.uint8).copy()
             if _FILTERS[name]:
@@ -80,19 +81,19 @@ def unpacked_view(own: dict[str, Any], data: bytes, size: int, subject: object) 
 
 def draco_attributes(document: dict[str, Any]) -> dict[int, tuple[int, int]]:
     """Accessor -> the buffer view of the Draco mesh that holds it, and its number there."""
-    found: dict[int, tuple[int, int]] = {}
+    attributes_at: dict[int, tuple[int, int]] = {}
     for mesh in document.get("meshes", []):
         for primitive in mesh.get("primitives", []):
             extensions = primitive.get("extensions")
-            own = extensions.get(DRACO) if isinstance(extensions, dict) else None
-            if not isinstance(own, dict) or not isinstance(own.get("attributes"), dict):
+            extension = extensions.get(DRACO) if isinstance(extensions, dict) else None
+            if not isinstance(extension, dict) or not isinstance(extension.get("attributes"), dict):
                 continue
-            view = own.get("bufferView")
-            for name, number in own["attributes"].items():
+            view = extension.get("bufferView")
+            for name, number in extension["attributes"].items():
                 accessor = primitive.get("attributes", {}).get(name)
                 if _is_index(accessor) and _is_index(view) and _is_index(number):
-                    found[int(accessor)] = int(view), int(number)  # type: ignore[arg-type]
-    return found
+                    attributes_at[int(accessor)] = int(view), int(number)  # type: ignore[arg-type]
+    return attributes_at
 
 
 def _is_index(value: Any) -> bool:
@@ -108,4 +109,4 @@ def unpacked_mesh(data: bytes, subject: object) -> dict[int, NDArray[Any]]:
     except Exception as error:  # noqa: BLE001 - the package raises whatever its decoder did
         raise InputError(subject, f"has a mesh that {DRACO} cannot decode ({shown(str(error), 80)})",
                          "copy or export it again") from None
-    return {int(own["unique_id"]): np.asarray(own["data"]) for own in mesh.attributes}
+    return {int(attribute["unique_id"]): np.asarray(attribute["data"]) for attribute in mesh.attributes}

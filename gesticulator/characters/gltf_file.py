@@ -80,6 +80,7 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
         size, kind = struct.unpack_from("<II", data, at)
         if at + 8 + size > len(data):
             raise InputError(path, "is cut off", "copy or export it again")
+        # The first chunk of a kind counts; GLB allows one of each and unknown ones after them.
         chunks.setdefault(kind, memoryview(data)[at + 8:at + 8 + size])
         at += 8 + size
     return bytes(chunks.get(JSON_CHUNK, b"")), chunks.get(BINARY_CHUNK)
@@ -193,7 +194,9 @@ class GltfFile:
         """`InputError` if `count` values of `size` bytes do not fit into the view of a part."""
         views = self.rows("bufferViews")
         view = views[self._index(part, "bufferView", len(views), where)]
+        # Stride 0 or none means tightly packed.
         step = view.get("byteStride", 0) or size
+        # The last value need not be padded to the full stride.
         need = self._size(part, "byteOffset", where) + (step * (count - 1) + size if count else 0)
         if need > view["byteLength"]:
             raise self.error(f"{where} asks for {need:,} bytes of a view that has {view['byteLength']:,}: it lies "
@@ -225,7 +228,7 @@ class GltfFile:
 
     def _check_mesh(self, mesh: dict[str, Any], where: str) -> None:
         primitives = mesh.get("primitives")
-        if not isinstance(primitives, list) or not all(isinstance(one, dict) for one in primitives):
+        if not isinstance(primitives, list) or not all(isinstance(entry, dict) for entry in primitives):
             raise self.error(f"{where}.primitives is not a list of objects")
         for number, primitive in enumerate(primitives):
             attributes = primitive.get("attributes", {})
@@ -271,11 +274,13 @@ class GltfFile:
         if "sparse" in source:
             few, places = source["sparse"]["count"], source["sparse"]["indices"]
             at = self._numbers(places, few, np.dtype(_TYPES[places["componentType"]]), 1)[:, 0].astype(np.int64)
+            # The format requires rising indices; repeated ones would make the result depend on the order.
             if few and (at.max() >= source["count"] or (np.diff(at) <= 0).any()):
                 raise self.error(f"accessors[{accessor}].sparse.indices do not rise below {source['count']}")
             here = np.isin(at, np.array(chosen, dtype=np.int64)) if step > 1 or most is not None else at >= first
             values[(at[here] - first) // step] = self._numbers(source["sparse"]["values"], few, kind, width)[here]
         if source.get("normalized") is True and kind.kind in "iu":
+            # glTF 2.0, section 3.11: the smallest signed integer is clamped to -1.
             values = np.maximum(values / np.iinfo(kind).max, -1.0)
         return values
 
@@ -337,6 +342,7 @@ class GltfFile:
         """The file of a URI; only files in the folder of the document or below are allowed."""
         folder = self.path.parent.resolve()
         try:
+            # Resolved before the check, so that ".." and links cannot lead out of the folder.
             place = (folder / unquote(uri)).resolve()
             if not place.is_relative_to(folder):
                 raise self.error(f"names a file elsewhere ({shown(uri)})", f"keep it beside, or {AGAIN}")
@@ -373,6 +379,7 @@ class GltfFile:
             uri = buffer.get("uri", "")
             source = uri if not uri or uri.startswith("data:") else str(self.beside(uri))
             if source not in places:
+                # Accessors must stay aligned to 4 bytes.
                 joined += bytes(-len(joined) % 4)
                 places[source] = len(joined)
                 joined += self._buffer(index)

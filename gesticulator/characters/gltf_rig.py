@@ -27,9 +27,9 @@ _MOST_PARTS = 1 << 16
 """Most mesh primitives in use: one mesh may be referenced by every node."""
 _LONGEST_NAME = 1000
 _MOST_CANDIDATES = 400
-"""Most joints that are asked for the place of the mesh."""
+"""Most joints used to determine the place of the mesh."""
 _MOST = 0.5
-"""Share of the joints that must rest in the bind pose for their word to count."""
+"""Least share of the joints that must rest in the bind pose for their majority to decide."""
 _SAME_PLACE, _SAME_TURN = 1e-3, float(np.radians(0.5))
 """Share of the skeleton's size, and radians, within which a joint is where the bind pose has it."""
 _LEVEL = float(np.radians(1.0))
@@ -69,6 +69,7 @@ def _character(file: GltfFile) -> Character:
     if not skinned.any():
         if not humanoid:
             raise InputError(file.path, "has no skin, and so no joints", "export the armature, too")
+        # A VRM file without a mesh still says which nodes are bones.
         skinned[list(humanoid.values())] = True
     character = Character(
         tuple(str(nodes[node].get("name", ""))[:_LONGEST_NAME] for node in order),
@@ -83,7 +84,7 @@ def _character(file: GltfFile) -> Character:
     if not matrices:
         return character
     inverse = _inverse_bind(file, place, matrices)
-    # Matrices that are all the same say nothing of a pose: the mesh is in the axes of its joints, wherever they rest.
+    # Matrices that are all equal hold no pose: the mesh is in the axes of its joints, wherever they rest.
     bind, to_world = _bind(character, inverse, _mesh_nodes(file, place)) if inverse else (rest, np.eye(4))
     moves = _to_world(file, place, matrices, bind, to_world)
     flesh, flesh_nodes = _flesh(file, place, moves)
@@ -116,6 +117,7 @@ def _parents_first(file: GltfFile, count: int, parent_of: Mapping[int, int]) -> 
 def _transform(node: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     """Translation, rotation (w first) and scale of a node."""
     if "matrix" in node:
+        # glTF stores matrices column by column.
         return decomposed(np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T)
     x, y, z, w = map(float, node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
     turn = np.array([w, x, y, z])
@@ -159,6 +161,7 @@ def _inverse_bind(file: GltfFile, place: Mapping[int, int], matrices: Mapping[in
     skins = file.rows("skins")
     telling = [number for number, rows in matrices.items() if len(rows) == 1 or np.ptp(rows, axis=0).max() > _EQUAL]
     out: dict[int, Array] = {}
+    # The skin with the most joints first: it is the body, the others are clothes and hair.
     for number in sorted(telling, key=lambda number: -len(matrices[number])):
         rows = matrices[number]
         inverse = {place[node]: matrix for node, matrix, size in zip(skins[number]["joints"], rows,
@@ -174,8 +177,7 @@ def _inverse_bind(file: GltfFile, place: Mapping[int, int], matrices: Mapping[in
 
 def _to_world(file: GltfFile, place: Mapping[int, int], matrices: Mapping[int, Array], bind: Array, to_world: Array
               ) -> dict[int, Array]:
-    """Skin -> [J, 4, 4] what brings its mesh into the world of the bind pose, by joint; as a rule all are `to_world`.
-    """
+    """Skin -> [J, 4, 4] the transform of its mesh into the world of the bind pose, by joint; usually all `to_world`."""
     out = {}
     for number, rows in matrices.items():
         moves = bind[[place[node] for node in file.rows("skins")[number]["joints"]]] @ rows
@@ -188,8 +190,8 @@ def _bind(character: Character, inverse: Mapping[int, Array], meshes: Sequence[i
     """[N, 4, 4] world matrices of the bind pose, and [4, 4] from mesh space to the world.
 
     Inverse bind matrices give each joint's place in mesh space. The place of mesh space in the world is that which
-    explains most of them: a joint that rests in its bind pose says where it is, and all that do agree. If most joints
-    rest in another pose, the nodes that carry the meshes say it, or else the joint nearest to the root.
+    explains most of them: each joint that rests in its bind pose determines it, and all of those agree. If most joints
+    rest in another pose, the nodes that carry the meshes determine it, or else the joint nearest to the root.
     """
     rest = character.world_matrices()
     joints = list(inverse)
@@ -237,7 +239,7 @@ def _is_level(to_world: Array) -> bool:
 
 def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, meshes: Sequence[int], most: float
                      ) -> Array | None:
-    """[4, 4] from mesh space to the world as the nodes say that carry the meshes, or the skeleton; None if none of
+    """[4, 4] from mesh space to the world by the nodes that carry the meshes or the skeleton; None if none of
     them has the size of the skeleton and leaves the trunk within `most` radians of its rest pose (in the median)."""
     rest = character.world_matrices()
     place = {node: index for index, node in enumerate(joints)}
@@ -268,12 +270,14 @@ def _flesh(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array])
     each. moves: skin -> [J, 4, 4] from the space of its mesh."""
     parts = list(_skinned_parts(file))
     counts = [file.count(attributes["POSITION"]) for _, attributes in parts]
+    # One step over all meshes, so that each keeps its share of the points.
     step = -(-sum(counts) // MOST_POINTS) or 1
     points: list[Array] = [np.zeros((0, 3))]
     movers: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
     joints_of: dict[int, NDArray[np.int64]] = {}
     before = 0
     for (skin, attributes), count in zip(parts, counts, strict=True):
+        # Continue the pattern of every `step`-th vertex across the boundaries of the parts.
         first, before = -before % step, before + count
         if first >= count:
             continue
@@ -322,6 +326,7 @@ def read_skin(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Arra
     parts = list(_triangle_parts(file))
     sizes = [file.count(primitive["indices"] if "indices" in primitive else primitive["attributes"]["POSITION"]) // 3
              for _, primitive in parts]
+    # As for the vertices: one step over all parts.
     step = max(1, -(-sum(sizes) // MOST_TRIANGLES))
     points, joints, weights, triangles = [], [], [], []
     before = 0
@@ -334,6 +339,7 @@ def read_skin(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Arra
             file.array(primitive["indices"])[:, 0]).astype(np.int64)
         chosen = corners[:3 * size].reshape(-1, 3)[::step]
         chosen = chosen[(chosen < vertices).all(axis=1)]
+        # Only the corners of the sampled triangles are kept, renumbered.
         used, back = np.unique(chosen, return_inverse=True)
         nodes = np.array([place[node] for node in file.rows("skins")[skin]["joints"]])
         which, shares = _influences(file, attributes, used, len(nodes))
@@ -352,6 +358,7 @@ def _bound_points(points: Array, moves: Array, which: NDArray[np.int64], shares:
     """[V, 3] vertices in the world of the bind pose, each moved by [J, 4, 4] of its joints [V, 4], by their shares."""
     shares = shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-9)
     with np.errstate(invalid="ignore", over="ignore"):  # those far away or not finite are left out afterwards
+        # The usual case, all joints with one matrix, needs no matrix per vertex.
         if (moves == moves[:1]).all():
             return np.asarray(points @ moves[0, :3, :3].T + moves[0, :3, 3])
         move = np.einsum("vk,vkij->vij", shares, moves[which])

@@ -50,7 +50,7 @@ class Search:
 
     @property
     def aids(self) -> frozenset[int]:
-        """The nodes whose names say that they are no joints."""
+        """The nodes that are not joints according to their names."""
         return frozenset(node for node, entry in enumerate(self.labels) if entry.aid)
 
     def path(self, top: int, node: int) -> list[int]:
@@ -85,29 +85,31 @@ def find_joints(character: Character) -> RigMapping:
     for up in ups:
         search = Search(character, labels, places, up)
         candidates.append(_found(search))
+        # The first axis that gives a plausible body is up; the others are tried only for doubtful ones.
         if candidates[-1].confidence >= 0.9:
             break
     best = max(candidates, key=_worth)
     whole = [mapping for name in _skeletons_mixed(character, best)
              if set(NEEDED) <= (mapping := find_joints(chosen(character, name))).joints.keys()]
-    # Where none of them is a body, they are parts of one that was not tied together, which is said later.
+    # If none of them is a body, they are disconnected parts of one; `check` reports that later.
     return max(whole, key=_worth) if whole else best
 
 
 def _worth(mapping: RigMapping) -> tuple[bool, float, int]:
-    """How good a mapping is. One that finds no legs is not the surer for it."""
+    """Sort key of mappings, the best the largest: confident with legs first, then the confidence, then the joints."""
     return mapping.legs and mapping.confidence >= SURE, round(mapping.confidence, 2), len(mapping.joints)
 
 
 def _skeletons_mixed(character: Character, mapping: RigMapping) -> list[str]:
     """The names of the file's skeletons if the mapping has joints of two that stand beside one another, as the arms of
     a rider and the legs of the horse; else none."""
-    found = skeletons_of(character)
-    lines = {top: {top, *ancestors(character.parents, top)} for top in found.values()}
+    skeletons = skeletons_of(character)
+    lines = {top: {top, *ancestors(character.parents, top)} for top in skeletons.values()}
     used = {top for top in lines for node in mapping.joints.values()
             if top in (node, *ancestors(character.parents, node))}
-    beside = any(one not in lines[other] and other not in lines[one] for one in used for other in used if one != other)
-    return list(found) if beside else []
+    beside = any(first not in lines[second] and second not in lines[first]
+                 for first in used for second in used if first != second)
+    return list(skeletons) if beside else []
 
 
 # ---------------------------------------------------------------------------------------------------- by the table
@@ -117,22 +119,22 @@ def _from_vrm(character: Character) -> RigMapping:
     table = character.humanoid
     joints = {name: table[bone] for name, bone in (("Hips", "hips"), ("Head", "head")) if bone in table}
     for side in SIDES:
-        for ours, bone in _VRM_PARTS.items():
+        for part, bone in _VRM_PARTS.items():
             if side.lower() + bone in table:
-                joints[side + ours] = table[side.lower() + bone]
-        for finger, theirs in _VRM_FINGERS.items():
+                joints[side + part] = table[side.lower() + bone]
+        for finger, vrm_finger in _VRM_FINGERS.items():
             for place in range(3):
                 kind = _VRM_PLACES["1.0" if finger == "Thumb" and character.vrm == "1.0" else "0.x"][place]
-                if f"{side.lower()}{theirs}{kind}" in table:
-                    joints[f"{side}Hand{finger}{place + 1}"] = table[f"{side.lower()}{theirs}{kind}"]
+                if f"{side.lower()}{vrm_finger}{kind}" in table:
+                    joints[f"{side}Hand{finger}{place + 1}"] = table[f"{side.lower()}{vrm_finger}{kind}"]
     spine = tuple(table[bone] for bone in ("spine", "chest", "upperChest") if bone in table)
     neck = (table["neck"],) if "neck" in table else ()
     exchanged: list[str] = []
     up = UPS.get(character.kind, np.eye(3)[1])
     joints = _turned_round(Search(character, (), shape.bind_matrices(character)[:, :3, 3], up), joints, True, exchanged)
-    lacking = [name for name in NEEDED if name not in joints]
-    doubts = (*exchanged, *((f"its VRM table lacks {', '.join(lacking)}",) if lacking else ()))
-    return RigMapping(joints, spine, neck, "vrm humanoid", 0.0 if lacking else 1.0, doubts)
+    missing = [name for name in NEEDED if name not in joints]
+    doubts = (*exchanged, *((f"its VRM table lacks {', '.join(missing)}",) if missing else ()))
+    return RigMapping(joints, spine, neck, "vrm humanoid", 0.0 if missing else 1.0, doubts)
 
 
 # ---------------------------------------------------------------------------------------------------- by all else
@@ -158,7 +160,7 @@ def _found(search: Search) -> RigMapping:
     if trunk is not None:
         hips, spine, neck, head, how = trunk
         joints, sure = {"Hips": hips, "Head": head, **joints}, {**sure, **how}
-    else:  # not usable; what its names say shortens the list of what it lacks
+    else:  # not usable; joints known by name alone shorten the list of missing ones in the message
         spine = neck = ()
         joints = {**_by_name_alone(search), **joints}
     for side in SIDES:
@@ -172,7 +174,7 @@ def _found(search: Search) -> RigMapping:
 
 
 def _by_name_alone(search: Search) -> dict[str, int]:
-    """The needed joints that one node each is named as."""
+    """The joints of `NEEDED` for which exactly one node has the name."""
     named: dict[str, list[int]] = {}
     for node, entry in enumerate(search.labels):
         if entry.parts and not entry.aid and not entry.tip:
@@ -244,13 +246,13 @@ def _nearness(search: Search, head: int, ends: Mapping[str, int]) -> int:
 def _ends_by_shape(search: Search) -> dict[str, int]:
     """Hands and feet by position. Left and right are those of the names, where these say them; positions do not show
     which way the character faces."""
-    found = shape.limb_ends(search.character, search.places, search.up, search.aids)
+    ends = shape.limb_ends(search.character, search.places, search.up, search.aids)
     named = {name: next((search.labels[above].side for above in (node, *ancestors(search.character.parents, node))
-                         if search.labels[above].side), "") for name, node in found.items()}
+                         if search.labels[above].side), "") for name, node in ends.items()}
     against = sum(bool(side) and not name.startswith(side) for name, side in named.items())
     if against < 2 or against <= sum(bool(side) and name.startswith(side) for name, side in named.items()):
-        return found
-    return _exchanged(found)
+        return ends
+    return _exchanged(ends)
 
 
 def _ends_another(search: Search, name: str, node: int, ends: Mapping[str, int]) -> bool:
@@ -293,6 +295,7 @@ def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str], 
     used: tuple[str, ...] = ()
     shorter = parts[1:] if arm else parts[:-1]
     for wanted in (tuple(parts), tuple(shorter)):
+        # At most C(14, 4) = 1001 choices, so all of them are scored.
         for nodes in combinations(path, len(wanted)):
             score = sum(_name_score(search.labels[node], part, side) for node, part in zip(nodes, wanted, strict=True))
             score += _shape_score(search, nodes, wanted, path)
@@ -326,8 +329,10 @@ def _shape_score(search: Search, nodes: Sequence[int], parts: Sequence[str], pat
     upper, lower, end = (at[part] for part in (ARM_PARTS[1:] if "Hand" in at else LEG_PARTS[:3]))
     first, second = search.length(upper, lower), search.length(lower, end)
     whole = sum(search.length(a, b) for a, b in zip(path, path[1:], strict=False)) or 1.0
+    # A bone of almost no length is a helper at the joint, not a limb.
     if min(first, second) < 0.02 * whole:
         return -6.0
+    # Upper and lower arm, thigh and shin differ in length by less than a fifth in people.
     score = -abs(float(np.log(first / second))) + 2.0 * (first + second) / whole
     if "Hand" in at:
         branches = sum(parent == end for parent in search.character.parents)
@@ -385,6 +390,7 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
 def _distinct(search: Search, chain: Sequence[int]) -> list[int]:
     """A chain without nodes that coincide with their predecessor; the first is always kept."""
     out = list(chain[:1])
+    # Some exporters double a joint in the same place, for a constraint.
     small = 1e-4 * float(np.ptp(search.places @ search.up))
     out += [node for above, node in zip(chain, chain[1:], strict=False) if search.length(above, node) > small]
     return out
@@ -455,6 +461,7 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
             value *= 0.7
     arm, trunk = (search.length(joints["LeftArm"], joints["LeftForeArm"]),
                   abs(float((search.places[joints["Head"]] - search.places[joints["Hips"]]) @ search.up)))
+    # About a half in an adult; the range leaves room for stylised proportions.
     if not 0.15 < arm / max(trunk, 1e-9) < 1.2:
         doubts.append(f"an upper arm is {arm / trunk:.2f} of the height from hips to head" if trunk > 0.1 * arm else
                       "its head is no higher than its hips")
@@ -471,5 +478,6 @@ def _family(names: Sequence[str], used: Sequence[int]) -> str:
     plain = {names[node].rsplit(":", 1)[-1].replace(" ", "_").lower() for node in used}
     share = {family: len(plain & {name.lower() for name in table.values()}) / max(len(plain), 1)
              for family, table in NAME_TABLES.items()}
+    # Nearly all, as tools add bones of their own to a known convention.
     best = max(share, key=lambda family: share[family])
     return best if share[best] >= 0.8 else ""

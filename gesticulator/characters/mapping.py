@@ -70,16 +70,16 @@ class RigMapping:
 
 def check(mapping: RigMapping, character: Character) -> None:
     """`InputError` if the mapping lacks required joints, uses a node twice, or has too low a confidence."""
-    lacking = [name for name in NEEDED if name not in mapping.joints]
-    if lacking:
+    missing = [name for name in NEEDED if name not in mapping.joints]
+    if missing:
         doubts = [doubt for doubt in mapping.doubts if not doubt.startswith(LACKS)]
         for side, other in zip(SIDES, SIDES[::-1], strict=True):
-            if all(name.startswith(side) for name in lacking):
+            if all(name.startswith(side) for name in missing):
                 raise InputError(character.path, f"has the {other.lower()} arm, but no joint that could be "
-                                 f"{', '.join(lacking)}", "gestures need both arms: add these bones (they need no "
+                                 f"{', '.join(missing)}", "gestures need both arms: add these bones (they need no "
                                  "mesh), or name them in a mapping (--save-mapping writes one to fill in, --mapping "
                                  "reads it)")
-        raise InputError(character.path, f"has no joint that could be {', '.join(lacking)}"
+        raise InputError(character.path, f"has no joint that could be {', '.join(missing)}"
                          + (f" ({'; '.join(doubts)})" if doubts else ""),
                          "name its joints in a mapping (--save-mapping writes one to fill in, --mapping reads it)")
     used: dict[int, str] = {}

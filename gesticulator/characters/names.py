@@ -92,6 +92,7 @@ _EASTERN = {word: english for english, words in {
     "shin": "すね 小腿", "knee": "ひざ 膝 膝盖", "ankle": "足首 脚踝 踝", "foot": "脚 脚掌", "toe": "つま先 脚趾 趾",
     "hair": "髪 头发 頭髮", "twist": "捩", "eye": "目 眼 眼睛", "helper": "キャンセル",
 }.items() for word in words.split()}
+# The longest words first, so that a compound is not read as its first character.
 _EAST = re.compile("|".join(sorted(map(re.escape, _EASTERN), key=len, reverse=True)))
 _CYRILLIC = re.compile("[а-яё]+", re.IGNORECASE)
 
@@ -105,8 +106,8 @@ def english(name: str) -> str:
     if name.isascii():
         return name
     text = unicodedata.normalize("NFKC", name)
-    text = _EAST.sub(lambda found: f" {_EASTERN[found[0]]} ", text)
-    text = _CYRILLIC.sub(lambda found: _RUSSIAN.get(found[0].lower(), found[0]), text)
+    text = _EAST.sub(lambda match: f" {_EASTERN[match[0]]} ", text)
+    text = _CYRILLIC.sub(lambda match: _RUSSIAN.get(match[0].lower(), match[0]), text)
     return "".join(letter for letter in unicodedata.normalize("NFKD", text.replace("ß", "ss"))
                    if not unicodedata.combining(letter))
 
@@ -190,17 +191,19 @@ def words(name: str) -> list[str]:
 
 
 def labels(names: Sequence[str]) -> tuple[Label, ...]:
-    """The labels of all names of a character. A word that most names begin with says nothing ("EthanLeftArm").
+    """The labels of all names of a character. A first word that most names share is the character's name and is
+    ignored ("EthanLeftArm").
 
     >>> [entry.parts for entry in labels(["Bob_Hips", "Bob_Head", "BobLeftArm", "BobLeftHand", "BobNeck"])]
     [('Hips',), ('Head',), ('Arm', 'ForeArm'), ('Hand',), ('Neck',)]
     """
-    firsts = Counter(found[0] for found in map(words, names) if found)
+    firsts = Counter(parts[0] for parts in map(words, names) if parts)
     word, count = firsts.most_common(1)[0] if firsts else ("", 0)
     known = word in _SIDES or word in _PARTS or word in _DOUBLE or word in _FINGERS or word in WORDS
+    # A common first word that is itself a side or a part ("Left") is no name of a character.
     noise = frozenset() if known or count < max(4, _MOST * len(names)) else frozenset((word,))
-    sided = [set(found) for found in map(words, names) if set(found) & set(_FRENCH)]
-    french = sum(bool(found & set(WORDS)) for found in sided) >= _FEW
+    sided = [set(parts) for parts in map(words, names) if set(parts) & set(_FRENCH)]
+    french = sum(bool(parts & set(WORDS)) for parts in sided) >= _FEW
     return tuple(label(name, noise, french) for name in names)
 
 
@@ -213,7 +216,7 @@ _MOST = 0.6
 def label(name: str, noise: frozenset[str] = frozenset(), french: bool = False) -> Label:
     """The label of a name; an empty `Label` if nothing is recognised.
 
-    noise: words that say nothing. french: whether "g" and "d" are sides.
+    noise: words to ignore. french: whether "g" and "d" are sides.
 
     >>> label("upperarm_l").parts, label("upperarm_l").side, label("Bip01 R Finger01").number
     (('Arm',), 'Left', '1')
@@ -237,8 +240,10 @@ def label(name: str, noise: frozenset[str] = frozenset(), french: bool = False) 
             which = str(int(after[0]) - 1) + after[1]
         return Label((tuple(dict.fromkeys(_FINGERS.values()))[min(int(which[0]), 4)],), side, which[1:], tip, aid)
     for short, finger in _FINGERS.items():
+        # A finger without a side is an ornament or part of a glove.
         if side and key in (short, "hand" + short, short + "finger", "finger" + short, "f" + short, "in" + short):
             return Label((finger,), side, number, tip, aid)
+    # Ambiguous names first: the search decides by bone lengths which meaning fits.
     parts = _DOUBLE.get(key, ()) if side else ()
     parts = parts or _PARTS.get(key, ())
     if parts and (parts[0] in ("Hips", "Spine", "Neck", "Head")) == bool(side):
@@ -276,18 +281,18 @@ _RIGIFY = re.compile(r"(DEF[-_]|ORG[-_]|)spine(?:[._]?(\d{3}))?", re.IGNORECASE)
 """Rigify's spine: its joints 0 to 3 are hips and trunk, the last one is the head, and those before it are the neck."""
 _RIGIFY_TRUNK = 4
 _RIGIFY_NAMES = {"upper_arm", "forearm", "thigh", "shin"}
-"""Names that show, beside such a spine, that it is Rigify's."""
+"""Names that identify a rig with such a spine as Rigify's."""
 
 
 def character_labels(character: Character) -> tuple[Label, ...]:
     """[N] the labels of a character's nodes."""
-    found = list(labels(character.names))
-    for node, entry in {**_rigify_spine(character, found), **_numbered_limbs(character, found)}.items():
-        found[node] = entry
-    return tuple(_without_controls(character, found))
+    entries = list(labels(character.names))
+    for node, entry in {**_rigify_spine(character, entries), **_numbered_limbs(character, entries)}.items():
+        entries[node] = entry
+    return tuple(_without_controls(character, entries))
 
 
-def _rigify_spine(character: Character, found: list[Label]) -> dict[int, Label]:
+def _rigify_spine(character: Character, entries: list[Label]) -> dict[int, Label]:
     """Node -> label of the spine of a Rigify character; empty for others, and if other nodes are named as the head."""
     stems = {re.sub(r"^(DEF|ORG)[-_]", "", name, flags=re.IGNORECASE).lower().split(".")[0].rstrip("_lr")
              for name in character.names}
@@ -302,7 +307,7 @@ def _rigify_spine(character: Character, found: list[Label]) -> dict[int, Label]:
                   if len(chains.get(prefix, ())) > _RIGIFY_TRUNK and 0 in chains[prefix]), None)
     if chain is None:
         return {}
-    heads = [node for node, entry in enumerate(found)
+    heads = [node for node, entry in enumerate(entries)
              if entry.parts[:1] == ("Head",) and not entry.tip and not entry.aid]
     if any(set(chain.values()) & set(ancestors(character.parents, node)) for node in heads) or (
             len(character.flesh) and np.isin(heads, character.flesh_nodes).any()):
@@ -313,14 +318,14 @@ def _rigify_spine(character: Character, found: list[Label]) -> dict[int, Label]:
     return out | {node: Label() for node in heads}
 
 
-def _numbered_limbs(character: Character, found: list[Label]) -> dict[int, Label]:
+def _numbered_limbs(character: Character, entries: list[Label]) -> dict[int, Label]:
     """Node -> label of limbs whose bones are all called arm or leg, one below the other, as those that Blender names
     after the one that they were extruded from (Arm.L, Arm.L.001, Arm.L.002), or arm_l_1 to arm_l_3."""
     out: dict[int, Label] = {}
     for side in SIDES:
         for word, ends, parts in ((("Arm", "ForeArm"), {"ForeArm", "Hand"}, ARM_PARTS),
                                   (("Leg", "UpLeg"), {"UpLeg", "Foot"}, LEG_PARTS)):
-            sided = {node: entry for node, entry in enumerate(found)
+            sided = {node: entry for node, entry in enumerate(entries)
                      if entry.side == side and entry.parts and not entry.aid and not entry.tip}
             line = [node for node, entry in sided.items() if entry.parts == word]
             line.sort(key=lambda node: len(ancestors(character.parents, node)))
@@ -329,17 +334,17 @@ def _numbered_limbs(character: Character, found: list[Label]) -> dict[int, Label
                     for above, node in zip(line, line[1:], strict=False)):
                 continue
             named = parts[-len(line):] if word[0] == "Arm" else parts[:len(line)]
-            out |= {node: replace(found[node], parts=(part,)) for node, part in zip(line, named, strict=True)}
+            out |= {node: replace(entries[node], parts=(part,)) for node, part in zip(line, named, strict=True)}
     return out
 
 
-def _without_controls(character: Character, found: list[Label]) -> list[Label]:
+def _without_controls(character: Character, entries: list[Label]) -> list[Label]:
     """The labels, without those of controls: nodes that move no vertex although another of the same name does."""
     if not len(character.flesh):
-        return found
+        return entries
     moves = np.zeros(len(character), dtype=bool)
     moves[np.unique(character.flesh_nodes)] = True
-    moving = {(entry.parts[0], entry.side, entry.number) for node, entry in enumerate(found)
+    moving = {(entry.parts[0], entry.side, entry.number) for node, entry in enumerate(entries)
               if entry.parts and moves[node] and not entry.aid and not entry.tip}
     return [replace(entry, parts=()) if entry.parts and not moves[node] and not character.skinned[node]
-            and (entry.parts[0], entry.side, entry.number) in moving else entry for node, entry in enumerate(found)]
+            and (entry.parts[0], entry.side, entry.number) in moving else entry for node, entry in enumerate(entries)]

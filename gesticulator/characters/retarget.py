@@ -23,7 +23,7 @@ so clavicles may be attached to the neck, thighs to the spine, and helper nodes 
 Trunk and neck are chains with other numbers of joints: R(t) is interpolated along ours, by the position between hips
 and chest (chest and head). The hips move scaled by the ratio of leg lengths, and two-bone inverse kinematics keeps each
 foot in place, which bends knees by fractions of a degree. Hands that would enter the trunk are led around it
-(`gesticulator.characters.trunk`, `gesticulator.characters.detours`), and twist bones of the forearm share the roll of
+(`gesticulator.contacts.other_bodies`), and twist bones of the forearm share the roll of
 the hand (`gesticulator.characters.twist`).
 
 Letters: T frames, J our joints, N nodes of the target. World axes are ours (Y up, facing +Z, left +X, metres) unless
@@ -40,13 +40,12 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion
-from gesticulator.characters.contacts import Pose, pose_of
-from gesticulator.characters.detours import keep_hands_out
+from gesticulator.characters.body_surface import keep_hands_out
 from gesticulator.characters.frames import Body, measure
-from gesticulator.characters.inverse_kinematics import bend
 from gesticulator.characters.mapping import SIDES, RigMapping, check
 from gesticulator.characters.rig import Character, CharacterMotion
 from gesticulator.characters.twist import share_roll
+from gesticulator.contacts.limbs import Pose, bend, pose_of
 
 _SOCKETS = 0.18
 """Distance between our hip sockets, metres."""

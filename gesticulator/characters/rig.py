@@ -19,7 +19,7 @@ from data_module.types import Array
 __all__ = ["Character", "CharacterMotion", "Skin", "decomposed"]
 
 UPS = {"glb": np.array([0.0, 1.0, 0.0]), "fbx": np.array([0.0, 0.0, 1.0])}
-"""What is up, by format, where the format defines it (BVH does not)."""
+"""The up direction of each format, where the format defines it (BVH does not)."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Skin:
 
     def posed(self, bind: Array, world: Array) -> Array:
         """[T, V, 3] where the points are when the nodes, bound at `bind` [N, 4, 4], are at `world` [T, N, 4, 4]."""
+        # Only the joints that move a vertex: a rig has many more nodes.
         used = np.unique(self.joints)
         moves = np.zeros((len(world), world.shape[1], 4, 4))
         moves[:, used] = world[:, used] @ np.linalg.inv(bind[used])
@@ -147,7 +148,9 @@ def decomposed(matrices: Array) -> tuple[Array, Array, Array]:
     The first scale of a mirrored matrix (determinant below 0) is negative.
     """
     scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
+    # A reflection has no rotation; moving it into one scale keeps the rest a proper rotation.
     scales[..., 0] *= np.where(np.linalg.det(matrices[..., :3, :3]) < 0.0, -1.0, 1.0)
+    # The polar decomposition: the nearest rotation to a matrix that may be sheared.
     left, _, right = np.linalg.svd(matrices[..., :3, :3] * np.where(scales < 0.0, -1.0, 1.0)[..., None, :])
     quaternions = Rotation.from_matrix((left @ right).reshape(-1, 3, 3)).as_quat(scalar_first=True)
     return matrices[..., :3, 3], quaternions.reshape(*matrices.shape[:-2], 4), scales
@@ -229,44 +232,45 @@ def skeletons_of(character: Character) -> dict[str, int]:
         if parent >= 0:
             top[node] = top[parent] if skinned[top[parent]] else node
     sizes = np.bincount([top[node] for node in np.flatnonzero(skinned)], minlength=len(character))
-    found: dict[str, int] = {}
+    skeletons: dict[str, int] = {}
     tops = [int(node) for node in np.flatnonzero(sizes >= _LEAST_JOINTS)]
     above = [character.parents[node] for node in tops]
     for node, parent in zip(tops, above, strict=True):
         name = character.names[parent] if parent >= 0 and above.count(parent) == 1 else character.names[node]
         name = name or f"node {character.node_ids[node]}"
-        found[name if name not in found else f"{name}:{character.node_ids[node]}"] = node
-    return found
+        skeletons[name if name not in skeletons else f"{name}:{character.node_ids[node]}"] = node
+    return skeletons
 
 
 def chosen(character: Character, name: str) -> Character:
     """The character with the joints and the mesh of one skeleton alone. `InputError` that lists the names, if there is
     none of that name."""
-    found = skeletons_of(character)
-    if name not in found:
+    skeletons = skeletons_of(character)
+    if name not in skeletons:
         raise InputError(f"{character.path}#{shown(name)}", "is not a character of the file",
-                         f"choose among {', '.join(map(shown, found))}" if found else "leave the name out")
+                         f"choose among {', '.join(map(shown, skeletons))}" if skeletons else "leave the name out")
     inside = np.zeros(len(character), dtype=bool)
-    inside[found[name]] = True
+    inside[skeletons[name]] = True
     for node, parent in enumerate(character.parents):
         inside[node] |= parent >= 0 and inside[parent]
+    # Widths are measured on the mesh, so that of the other characters must go.
     near = inside[character.flesh_nodes]
     table = {bone: node for bone, node in character.humanoid.items() if inside[node]}
     # Joints are found by their names, too: those of the others must not be read.
-    names = tuple(own if here else "" for own, here in zip(character.names, inside, strict=True))
+    names = tuple(node_name if here else "" for node_name, here in zip(character.names, inside, strict=True))
     return replace(character, names=names, skinned=character.skinned & inside, humanoid=table,
                    flesh=character.flesh[near], flesh_nodes=character.flesh_nodes[near])
 
 
 def note_of(character: Character, hips: int) -> str:
     """A line on a file with several characters, of which the one with the node `hips` is used; "" for one alone."""
-    found = skeletons_of(character)
-    if len(found) < 2:
+    skeletons = skeletons_of(character)
+    if len(skeletons) < 2:
         return ""
     line = {hips}
     while character.parents[hips] >= 0:
         hips = character.parents[hips]
         line.add(hips)
-    used = next((name for name, node in found.items() if node in line), "")
-    others = ", ".join(f"{character.path.name}#{name}" for name in found if name != used)
-    return f"holds {len(found)} skeletons, of which {shown(used)} is used; for another give {others}"
+    used = next((name for name, node in skeletons.items() if node in line), "")
+    others = ", ".join(f"{character.path.name}#{name}" for name in skeletons if name != used)
+    return f"holds {len(skeletons)} skeletons, of which {shown(used)} is used; for another give {others}"

@@ -37,8 +37,8 @@ def _children(character: Character) -> list[list[int]]:
 
 def _subtree(below: list[list[int]], node: int) -> list[int]:
     out = [node]
-    for one in out:
-        out += below[one]
+    for descendant in out:
+        out += below[descendant]
     return out
 
 
@@ -50,6 +50,7 @@ def limb_ends(character: Character, places: Array, up: Array, aids: Collection[i
     """
     below = _children(character)
     joints = np.flatnonzero(character.skinned)
+    # Fewer joints than hips, head, two arms and two legs need: no body.
     if len(joints) < 8:
         return {}
     counts = character.skinned & ~np.isin(np.arange(len(character)), list(aids))
@@ -70,6 +71,7 @@ def limb_ends(character: Character, places: Array, up: Array, aids: Collection[i
             return {}
         low = [leaf for leaf in side_leaves if height[leaf] < floor + 0.06 * size]
         if low:
+            # The deepest of the low leaves is a toe; shallower ones may be IK targets on the floor.
             out[name + "Foot"] = max(low, key=lambda leaf: len(ancestors(character.parents, leaf)))
         hands = [leaf for leaf in side_leaves if height[leaf] > floor + 0.2 * size and leaf not in low]
         if hands:
@@ -134,9 +136,11 @@ def finger_chains(character: Character, places: Array, hand: int) -> dict[str, l
         return {}
     ways = np.array([places[chain[-1]] - places[chain[0]] for chain in chains])
     ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
+    # The thumb deviates most from the median direction of the chains.
     thumb = int(np.argmin(ways @ np.median(ways, axis=0)))
     rest = [place for place in range(5) if place != thumb]
     bases = np.array([places[chains[place][0]] for place in rest])
+    # The line of the knuckles: the direction in which they spread most.
     spread = np.linalg.svd(bases - bases.mean(axis=0))[2][0]
     order = np.argsort((bases - places[chains[thumb][0]]) @ spread)
     if np.linalg.norm(bases[order[0]] - places[chains[thumb][0]]) > np.linalg.norm(
@@ -174,8 +178,8 @@ def feet_ahead(character: Character, places: Array, up: Array, joints: Mapping[s
 def _foot_mesh(character: Character, places: Array, up: Array, foot: int) -> Array | None:
     """[3] from the ankle to the middle of the mesh of the foot and what is below it; None without a mesh."""
     under = set(_subtree(_children(character), foot))
-    own = np.isin(character.flesh_nodes, list(under)) if len(character.flesh) else np.zeros(0, dtype=bool)
-    if own.sum() < 8:
+    of_foot = np.isin(character.flesh_nodes, list(under)) if len(character.flesh) else np.zeros(0, dtype=bool)
+    if of_foot.sum() < 8:
         return None
-    points = character.flesh[own]
+    points = character.flesh[of_foot]
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2.0 - places[foot])

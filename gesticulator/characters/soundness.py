@@ -19,12 +19,12 @@ from scipy.spatial.transform import Rotation
 from data_module.errors import InputError, shown
 from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Array, Motion
-from gesticulator.characters.contacts import pose_of
 from gesticulator.characters.frames import Body
 from gesticulator.characters.mapping import SIDES, RigMapping, ancestors, node_keys
 from gesticulator.characters.names import label, words
 from gesticulator.characters.rig import UPS, Character, CharacterMotion
 from gesticulator.characters.shape import bind_matrices
+from gesticulator.contacts.limbs import pose_of
 
 
 class Mover(Protocol):

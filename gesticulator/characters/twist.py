@@ -64,19 +64,19 @@ def forearms(body: Body) -> list[Forearm]:
         line = ancestors(character.parents, hand)
         line = line[:line.index(node)]
         twists = []
-        for one in range(len(character)):
-            above = ancestors(character.parents, one)
-            if node not in above or one == hand or hand in above or one in joints.values():
+        for candidate in range(len(character)):
+            above = ancestors(character.parents, candidate)
+            if node not in above or candidate == hand or hand in above or candidate in joints.values():
                 continue
-            offset = turns[node].T @ (places[one] - places[node])
+            offset = turns[node].T @ (places[candidate] - places[node])
             place = float(offset @ way) / length ** 2
             aside = float(np.linalg.norm(offset - place * way)) / length
-            if (one in line or NAMED & set(words(character.names[one]))) and aside < _ASIDE:
-                twists.append((place, one))
+            if (candidate in line or NAMED & set(words(character.names[candidate]))) and aside < _ASIDE:
+                twists.append((place, candidate))
         twists.sort()
         bones = tuple(TwistBone(
-            one, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(twists) + 1), turns[node].T @ turns[one])
-            for rank, (place, one) in enumerate(twists))
+            candidate, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(twists) + 1),
+            turns[node].T @ turns[candidate]) for rank, (place, candidate) in enumerate(twists))
         if bones:
             out.append(Forearm(node, hand, way / length, turns[node].T @ turns[hand], bones))
     return out
@@ -89,6 +89,7 @@ def roll(turns: dict[int, Array], forearm: Forearm) -> Array:
     """
     apart = np.swapaxes(turns[forearm.node], -1, -2) @ turns[forearm.hand] @ forearm.base.T
     q = Rotation.from_matrix(apart).as_quat(scalar_first=True)
+    # The twist of a swing-twist decomposition: the part of the quaternion along the axis.
     angle = 2.0 * np.arctan2(q[:, 1:] @ forearm.axis, q[:, 0])
     angle = np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
     left = np.clip((np.pi - np.abs(angle)) / (np.pi - _FARTHEST), 0.0, 1.0)

@@ -24,7 +24,7 @@ _SCOPE = 4
 _NEAR = 80
 """Characters around a phrase in which its guards are sought."""
 _LONGER = 0.01
-"""What each further word of a cue phrase adds to its score: the more specific phrase wins."""
+"""Added to the score for each further word of a cue phrase: the more specific phrase wins."""
 
 
 def _set(words: str) -> frozenset[str]:
@@ -73,15 +73,15 @@ class MeaningCues:
     def __init__(self, classes: Sequence[MeaningClass], language: str = "en") -> None:
         self.classes, self.language = tuple(classes), language
         self._by_key: dict[str, list[tuple[MeaningClass, CuePattern]]] = {}
-        for one in self.classes:
-            for cue in one.cues:
+        for meaning in self.classes:
+            for cue in meaning.cues:
                 for key in cue.keys or ("",):
-                    self._by_key.setdefault(key, []).append((one, cue))
+                    self._by_key.setdefault(key, []).append((meaning, cue))
 
     @property
     def gestures(self) -> Mapping[str, str]:
         """Meaning -> the name of its gesture."""
-        return {one.label: one.gesture for one in self.classes}
+        return {meaning.label: meaning.gesture for meaning in self.classes}
 
     def called(self, words: Sequence[str], pauses: Sequence[float] = ()) -> list[CalledGesture]:
         """The words that call for a gesture, in their order; of phrases that overlap the best one, or none on a tie.
@@ -89,30 +89,32 @@ class MeaningCues:
         pauses: seconds of silence after each word, where they are known.
         """
         spoken = spoken_text(words, pauses)
-        found = sorted(self._candidates(spoken), key=lambda one: (one.first, one.word, one.label))
-        if self.language == "en" and found:
+        calls = sorted(self._candidates(spoken), key=lambda call: (call.first, call.word, call.label))
+        if self.language == "en" and calls:
             written = _written(spoken, len(words))
-            found = [replace(one, score=round(one.score - _WRITTEN, 3)) if written[one.word] else one for one in found]
-        return _best(found)
+            calls = [replace(call, score=round(call.score - _WRITTEN, 3)) if written[call.word] else call
+                     for call in calls]
+        return _best(calls)
 
     def _candidates(self, spoken: SpokenText) -> Iterator[CalledGesture]:
         """Every cue phrase that its guards let pass; they may overlap."""
-        asked: set[tuple[int, str]] = set()
+        tried: set[int] = set()
         for key in (*spoken.tokens, ""):
-            for one, cue in self._by_key.get(key, ()):
-                if (id(cue), "") not in asked:
-                    asked.add((id(cue), ""))
-                    yield from self._matched(one, cue, spoken)
+            for meaning, cue in self._by_key.get(key, ()):
+                if id(cue) not in tried:
+                    tried.add(id(cue))
+                    yield from self._matched(meaning, cue, spoken)
 
-    def _matched(self, one: MeaningClass, cue: CuePattern, spoken: SpokenText) -> Iterator[CalledGesture]:
+    def _matched(self, meaning: MeaningClass, cue: CuePattern, spoken: SpokenText) -> Iterator[CalledGesture]:
         for start, end, stroke in cue.matches(spoken):
-            if _guarded(one, spoken, start, end) or (not one.negated and self._negated(spoken, start)):
+            if _guarded(meaning, spoken, start, end) or (not meaning.negated and self._negated(spoken, start)):
                 continue
-            yield CalledGesture(spoken.owners[stroke], *spoken.words(start, end), one.label, one.gesture,
-                                round(min(cue.weight + _LONGER * (cue.length - 1), 1.0), 3), cue.source)
+            score = round(min(cue.weight + _LONGER * (cue.length - 1), 1.0), 3)
+            yield CalledGesture(spoken.owners[stroke], *spoken.words(start, end), meaning.label, meaning.gesture, score,
+                                cue.source)
 
     def _negated(self, spoken: SpokenText, start: int) -> bool:
-        """Whether a negation stands in the same clause within `_SCOPE` words before a place."""
+        """True if a negation stands in the same clause within `_SCOPE` words before a place."""
         before: list[str] = []
         for token in reversed(spoken.text[max(start - _NEAR, 0):start].split()):
             if token in (",", ".", "?") or len(before) == _SCOPE:
@@ -125,7 +127,7 @@ class MeaningCues:
 
 
 def _written(spoken: SpokenText, count: int) -> list[bool]:
-    """Of `count` words, whether each stands in prose: by the common words around it."""
+    """For each of `count` words, True if it stands in prose: by the common words around it."""
     worth, number = [0] * (count + 1), [0] * (count + 1)
     for place, word in spoken.owners.items():
         token = spoken.text[place:spoken.text.index(" ", place)]
@@ -140,21 +142,21 @@ def _written(spoken: SpokenText, count: int) -> list[bool]:
     return out
 
 
-def _guarded(one: MeaningClass, spoken: SpokenText, start: int, end: int) -> bool:
+def _guarded(meaning: MeaningClass, spoken: SpokenText, start: int, end: int) -> bool:
+    """True if a phrase in which the cues of a meaning do not count overlaps these characters."""
     first, last = max(start - _NEAR, 0), end + _NEAR
-    return any(a < end and start < b for guard in one.unless for a, b, _ in guard.matches(spoken, first, last))
+    return any(a < end and start < b for guard in meaning.unless for a, b, _ in guard.matches(spoken, first, last))
 
 
-def _best(found: list[CalledGesture]) -> list[CalledGesture]:
-    """Of entries that share a word the best; none where two labels are equally good."""
+def _best(calls: list[CalledGesture]) -> list[CalledGesture]:
+    """Of calls that share a word the best; none where two labels are equally good."""
     out: list[CalledGesture] = []
-    for one in sorted(found, key=lambda one: (-one.score, one.word, one.label)):
-        rivals = [other for other in out if other.first <= one.last and one.first <= other.last]
-        if not rivals:
-            tied = any(other.score == one.score and other.label != one.label and other.word == one.word
-                       for other in found)
-            out.append(replace(one, score=0.0) if tied else one)
-    return sorted((one for one in out if one.score > 0.0), key=lambda one: one.word)
+    for call in sorted(calls, key=lambda call: (-call.score, call.word, call.label)):
+        if not any(other.first <= call.last and call.first <= other.last for other in out):
+            tied = any(other.score == call.score and other.label != call.label and other.word == call.word
+                       for other in calls)
+            out.append(replace(call, score=0.0) if tied else call)  # a tie still keeps worse calls from its words
+    return sorted((call for call in out if call.score > 0.0), key=lambda call: call.word)
 
 
 @functools.cache

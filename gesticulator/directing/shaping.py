@@ -17,7 +17,7 @@ smaller gestures had faster moments than those they were made of. Below i = 0.5,
 arms and fingers approach the resting pose, which they reach at 0: r + 2 i (x - r), with x as for i = 0.5.
 
 Movement towards the bounds of the training data (`Statistics.bounds`) is limited smoothly. Head and spine are scaled
-about their mean pose. Hands are kept out of the trunk afterwards (`gesticulator.body.clearance`).
+about their mean pose. Hands are kept out of the trunk afterwards (`gesticulator.contacts.default_body`).
 
 **Both hands**: each arm takes over a share of the other arm's strokes, mirrored and a little later, in exchange for its
 own: x + e (M S'(t - lag) - 0.9 S), with S' of the other arm, M the mirror image and e = `ECHO`.

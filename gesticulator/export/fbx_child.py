@@ -33,15 +33,15 @@ def convert(source: str, target: str, fps: float = 30.0, keys: float = 0.0, name
     """Import a file into an empty scene at `fps` frames per second, animate it, and export the scene."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
-    kept = source.lower().endswith(".blend")
-    if kept:  # as the scene to start with, so that it has no path of its own that textures would be relative to
+    is_blend = source.lower().endswith(".blend")
+    if is_blend:  # as the scene to start with, so that it has no path of its own that textures would be relative to
         bpy.ops.wm.read_homefile(filepath=source, load_ui=False)
     else:
         bpy.ops.wm.read_factory_settings(use_empty=True)
     scene: Any = bpy.context.scene
     whole = max(1, round(fps))
-    if kept or source.lower().endswith(".fbx"):
-        if not kept:
+    if is_blend or source.lower().endswith(".fbx"):
+        if not is_blend:
             bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
         to_bind_pose()
     else:
@@ -113,6 +113,7 @@ def keys(action: Any, owner: Any, path: str, values: Any) -> None:
             curve = action.fcurve_ensure_for_datablock(owner, path, index=index)
         else:
             curve = action.fcurves.new(path, index=index)
+        # `foreach_set` copies all numbers in one call, without a Python object for each key.
         curve.keyframe_points.add(len(track))
         curve.keyframe_points.foreach_set("co", [number for pair in enumerate(track) for number in pair])
         curve.keyframe_points.foreach_set("interpolation", [1] * len(track))  # linear
@@ -127,7 +128,7 @@ def export_fbx(target: str, keys: float) -> None:
     # Blender packs arrays as fast as it can; meshes and the times of keys become a little smaller.
     encode_bin.zlib = types.SimpleNamespace(compress=lambda data, *_: zlib.compress(data, 9))
     export_fbx_bin.datetime = types.SimpleNamespace(datetime=FixedDay)
-    export_fbx_bin.AnimationCurveNodeWrapper.simplify = lambda own, *_: reduce_keys(own, keys)
+    export_fbx_bin.AnimationCurveNodeWrapper.simplify = lambda curves, *_: reduce_keys(curves, keys)
     if not hasattr(export_fbx_bin, "all_animations"):  # once in a process
         export_fbx_bin.all_animations = export_fbx_bin.fbx_animations
     export_fbx_bin.fbx_animations = lambda data: without_modifiers(export_fbx_bin.all_animations, data)
@@ -209,22 +210,23 @@ def needed(row: Any, bound: float) -> Any:
     """[T] which values of a curve need a key: added where the error is the greatest until none is beyond the bound."""
     import numpy as np
 
-    kept = np.zeros(len(row), dtype=bool)
-    kept[[0, -1]] = True
+    has_key = np.zeros(len(row), dtype=bool)
+    has_key[[0, -1]] = True
     frames = np.arange(len(row))
     while True:
-        at = np.flatnonzero(kept)
+        at = np.flatnonzero(has_key)
         off = np.abs(np.interp(frames, at, row[at]) - row)
         worst = np.maximum.reduceat(off, at)
         bad = worst > bound
         if not bad.any():
-            return kept
-        segment = np.cumsum(kept) - 1
-        kept |= bad[segment] & (off == worst[segment])
+            return has_key
+        segment = np.cumsum(has_key) - 1
+        has_key |= bad[segment] & (off == worst[segment])
 
 
 if __name__ == "__main__":
     # Blender passes the arguments after "--"; a Python with bpy passes all.
     given = sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]
+    # Omitted arguments take the defaults of `convert`.
     numbers = [float(number) for number in given[2:4]] + [30.0, 0.0][len(given[2:4]):]
     convert(given[0], given[1], numbers[0], numbers[1], *given[4:])

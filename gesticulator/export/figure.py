@@ -176,7 +176,7 @@ def body(now: Mapping[str, Array], look: Look, trunk: float = 1.0) -> list[BodyP
 def _trunk(now: Mapping[str, Array], share: float) -> list[BodyPart]:
     collar = now["Spine3"] * 0.35 + now["Neck"] * 0.65
     line = [now["Hips"] + [0.0, 0.06, 0.0], *(now[name] for name in ("Spine", "Spine1", "Spine2", "Spine3")), collar]
-    wide = [share * one for one in (0.29, 0.28, 0.28, 0.31, 0.32, 0.15)]
+    wide = [share * width for width in (0.29, 0.28, 0.28, 0.31, 0.32, 0.15)]
     shirt = [Limb(line[k], line[k + 1], wide[k], wide[k + 1], SHIRT) for k in range(len(line) - 1)]
     shirt += [Limb(now["Spine3"] * 0.4 + now[f"{side}Arm"] * 0.6, now[f"{side}Arm"], 0.16, 0.125, SHIRT)
               for side in ("Left", "Right")]
@@ -233,6 +233,7 @@ def _mouth(now: Mapping[str, Array], look: Look, centre: Array, radius: float) -
         away = u[..., None] * left[:, None] + v[..., None] * up[:, None] + deep[..., None] * ahead[:, None]
         near = np.einsum("tkc,tc->tk", away, view)
         edge = away - near[..., None] * view[:, None]
+        # Points behind the visible half are moved to the outline of the ball.
         edge *= radius / np.maximum(np.linalg.norm(edge, axis=-1, keepdims=True), 1e-9)
         return Patch(centre[:, None] + np.where(near[..., None] < 0.0, edge, away), colour)
 
@@ -302,6 +303,7 @@ def outlines(start: Array, end: Array, r0: Array, r1: Array) -> Array:
     """
     way = end - start
     heading = np.arctan2(way[:, 1], way[:, 0])[:, None]
+    # Angle between the axis and the radius to the tangent point, equal on both circles.
     touch = np.arccos(np.clip((r0 - r1) / np.maximum(np.hypot(*way.T), 1e-9), -1.0, 1.0))[:, None]
     share = np.linspace(0.0, 1.0, ROUND)
     far = heading - touch + 2 * touch * share

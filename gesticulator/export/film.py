@@ -110,6 +110,7 @@ class Camera:
         ahead = x * math.sin(self.yaw) + z * math.cos(self.yaw)
         up = y * math.cos(self.pitch) - ahead * math.sin(self.pitch)
         depth = y * math.sin(self.pitch) + ahead * math.cos(self.pitch)
+        # Perspective: a point nearer to the camera appears larger.
         scale = min(size) * self.zoom * self.distance / (self.distance - depth)
         return np.stack([size[0] / 2 + across * scale, size[1] / 2 - up * scale], axis=-1), scale, depth
 
@@ -162,6 +163,7 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
     camera, large = Camera(), (size[0] * _OVER, size[1] * _OVER)
     look, background = partial(camera.project, size=large), _background(camera, large, ink, not moving)
     parts = [flattened(part, look) for part in (*moving, *body(points, look))]
+    # Draw at twice the size and average: Pillow itself does not smooth edges.
     drawn = [_polygons(part, ink) for part in parts]
     # Redraw only the bounding box of all frames: most of the picture is static.
     every = np.concatenate([corners.reshape(-1, 2) for polygons in drawn for corners, _ in polygons])
@@ -171,6 +173,7 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
     corner = np.multiply(low, _OVER)
     flat = [[((corners - corner).reshape(len(corners), -1).tolist(), colour) for corners, colour in polygons]
             for polygons in drawn]
+    # Painter's algorithm: parts are drawn from back to front.
     order = np.argsort(np.stack([part.near for part in parts]), axis=0, kind="stable")
     for frame, numbers in enumerate(order.T.tolist()):
         picture = stage.copy()

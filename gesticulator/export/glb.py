@@ -80,6 +80,7 @@ def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face:
     character = moved.character
     for node in moved.moved:
         entry = gltf.document["nodes"][character.node_ids[node]]
+        # glTF forbids a matrix on an animated node.
         if entry.pop("matrix", None) is not None:
             entry |= transform(character.translations[node], character.rotations[node], character.scales[node])
     shifts = {} if moved.translations is None else {moved.hips: moved.translations}
@@ -202,6 +203,7 @@ def _spindle(start: Array, end: Array, most: float) -> Array:
     way = end - start
     length = float(np.linalg.norm(way))
     along = way / length
+    # The axis least parallel to the bone gives the best conditioned cross product.
     across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
     up = np.cross(along, across)

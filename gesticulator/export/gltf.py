@@ -90,10 +90,10 @@ class GltfDocument:
         turned = kept_frames(motion.turns[:, rows], track_bounds(rows, clip.keys, steady), rotation_errors)
         for column, (source, node) in enumerate(nodes.items()):
             if source in motion.shifts:
-                kept = kept_places(motion.shifts[source], clip.keys)
-                tracks.append((node, TRANSLATION, times[kept], motion.shifts[source][kept].astype("<f4")))
-            kept = turned[:, column]
-            tracks.append((node, ROTATION, times[kept], as_gltf(motion.turns[kept, source])))
+                key_frames = kept_places(motion.shifts[source], clip.keys)
+                tracks.append((node, TRANSLATION, times[key_frames], motion.shifts[source][key_frames].astype("<f4")))
+            key_frames = turned[:, column]
+            tracks.append((node, ROTATION, times[key_frames], as_gltf(motion.turns[key_frames, source])))
         self.add_animation(clip.name, tracks + [(node, path, times, values) for node, path, values in more])
 
     def add_animation(self, name: str, tracks: Sequence[Track]) -> None:
@@ -103,6 +103,7 @@ class GltfDocument:
         # The order of first use: times before the values that need them.
         numbers: dict[int, tuple[NDArray[Any], bool]] = {}
         for _, _, times, values in tracks:
+            # By identity: tracks that share an array of times share its accessor.
             numbers.setdefault(id(times), (times, True))
             numbers[id(values)] = values, False
         accessors = dict(zip(numbers, self._packed(list(numbers.values())), strict=True))
@@ -141,6 +142,7 @@ class GltfDocument:
         self._append(bytes(-self._size % 4))
         self.document.setdefault("buffers", [{}])[0]["byteLength"] = self._size
         text = json.dumps(self.document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+        # Chunks of a GLB are padded to 4 bytes: JSON with spaces, binary with zeros.
         text += b" " * (-len(text) % 4)
         size = 12 + 8 + len(text) + 8 + self._size
         if size > LARGEST:

@@ -39,10 +39,12 @@ Error: TypeAlias = Callable[[Array, Array, Array, Array], Array]
 
 def rotation_errors(turns: Array, before: Array, after: Array, share: Array) -> Array:
     """[...] radians between unit quaternions [..., 4] and the shortest arc from `before` to `after` at `share`."""
+    # q and -q are the same rotation: take the nearer one, as players do.
     cosine = np.sum(before * after, axis=-1)
     after = np.where(cosine[..., None] < 0.0, -after, after)
     angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
     sine = np.sin(angle)
+    # For nearly equal keys slerp divides 0 by 0: interpolate linearly.
     straight = sine < 1e-9
     sine = np.where(straight, 1.0, sine)
     first = np.where(straight, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
@@ -62,55 +64,56 @@ def kept_frames(values: Array, bounds: Array, errors: Error) -> NDArray[np.bool_
     """[T, N] the frames of N tracks [T, N, C] that need a key so that no frame is off by more than its track's bound
     [N]; the first and the last always."""
     frames = len(values)
-    kept = np.zeros(values.shape[:2], dtype=bool)
+    has_key = np.zeros(values.shape[:2], dtype=bool)
     for first in range(0, max(frames - 1, 1), SPAN):
         span = slice(first, min(first + SPAN, frames - 1) + 1)
-        kept[span] |= _kept_in_span(values[span], bounds - _ROUNDING, errors)
-    return kept
+        has_key[span] |= _kept_in_span(values[span], bounds - _ROUNDING, errors)
+    return has_key
 
 
 def _kept_in_span(values: Array, bounds: Array, errors: Error) -> NDArray[np.bool_]:
-    kept = np.zeros(values.shape[:2], dtype=bool)
-    kept[[0, -1]] = True
+    has_key = np.zeros(values.shape[:2], dtype=bool)
+    has_key[[0, -1]] = True
     if len(values) < 3:
-        return kept
+        return has_key
     todo = np.arange(values.shape[1])
     while len(todo):  # each round adds a key to every track that is left, of which there are finitely many
-        off, before = _off(values[:, todo], kept[:, todo], errors)
+        off, before = _off(values[:, todo], has_key[:, todo], errors)
         bad = off > bounds[todo]
         worst = np.zeros_like(off)
         tracks = np.broadcast_to(np.arange(len(todo)), before.shape)
         np.maximum.at(worst, (before, tracks), off)
-        kept[:, todo] |= bad & (off == worst[before, tracks])
+        has_key[:, todo] |= bad & (off == worst[before, tracks])
+        # Tracks within their bound are done.
         todo = todo[bad.any(axis=0)]
     for _ in range(_ROUNDS):
-        removed = [_thin(values, kept, bounds, errors, parity) for parity in (0, 1)]
+        removed = [_thin(values, has_key, bounds, errors, parity) for parity in (0, 1)]
         if not any(removed):
             break
-    return kept
+    return has_key
 
 
-def _off(values: Array, kept: NDArray[np.bool_], errors: Error) -> tuple[Array, NDArray[np.int64]]:
+def _off(values: Array, has_key: NDArray[np.bool_], errors: Error) -> tuple[Array, NDArray[np.int64]]:
     """[T, N] error of every frame between its keys, 0 at a key, and [T, N] the key at or before it."""
     rows = np.arange(len(values))[:, None]
-    before = np.maximum.accumulate(np.where(kept, rows, 0), axis=0)
-    after = np.minimum.accumulate(np.where(kept, rows, len(values) - 1)[::-1], axis=0)[::-1]
+    before = np.maximum.accumulate(np.where(has_key, rows, 0), axis=0)
+    after = np.minimum.accumulate(np.where(has_key, rows, len(values) - 1)[::-1], axis=0)[::-1]
     share = (rows - before) / np.maximum(after - before, 1)
     tracks = np.arange(values.shape[1])
-    return np.where(kept, 0.0, errors(values, values[before, tracks], values[after, tracks], share)), before
+    return np.where(has_key, 0.0, errors(values, values[before, tracks], values[after, tracks], share)), before
 
 
-def _thin(values: Array, kept: NDArray[np.bool_], bounds: Array, errors: Error, parity: int) -> bool:
+def _thin(values: Array, has_key: NDArray[np.bool_], bounds: Array, errors: Error, parity: int) -> bool:
     """Remove every second inner key, starting with the first or the second, where the frames between its neighbours
     stay within the bound; whether any was removed. Neighbours stay, so one removal cannot spoil another."""
-    number = np.cumsum(kept, axis=0)  # of the key at or before a frame, from 1
-    trial = kept & ((number % 2 == parity) | (number == 1) | (number == number[-1]))
+    number = np.cumsum(has_key, axis=0)  # of the key at or before a frame, from 1
+    trial = has_key & ((number % 2 == parity) | (number == 1) | (number == number[-1]))
     off, before = _off(values, trial, errors)
     worst = np.zeros_like(off)
     tracks = np.broadcast_to(np.arange(values.shape[1]), before.shape)
     np.maximum.at(worst, (before, tracks), off)
-    removed = kept & ~trial & (worst[before, tracks] <= bounds)
-    kept &= ~removed
+    removed = has_key & ~trial & (worst[before, tracks] <= bounds)
+    has_key &= ~removed
     return bool(removed.any())
 
 

@@ -115,6 +115,7 @@ def of_character(moved: CharacterMotion) -> NodeMotion:
     count = len(nodes)
     offsets, local_rest, local = np.zeros((count, 3)), np.zeros((count, 4)), np.zeros((len(moved), count, 4))
     for index, parent in enumerate(parents):
+        # Offsets in the rest frame of the parent, in metres, with all scales applied.
         back = rotation.conjugate(rest_turns[parent]) if parent >= 0 else np.array([1.0, 0.0, 0.0, 0.0])
         offsets[index] = rotation.rotate(back, places[index] - (places[parent] if parent >= 0 else 0.0))
         local_rest[index] = rotation.multiply(back, rest_turns[index])

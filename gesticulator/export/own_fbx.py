@@ -54,11 +54,11 @@ def write_animated(path: Path, moved: CharacterMotion, clip: ClipLayout, face: F
 
 
 def _source(file: Path) -> str:
-    """What Blender reads: the scene that it kept when it read the character, else the file itself."""
+    """The file for Blender to read: the scene that it kept when it read the character, else the file itself."""
     from gesticulator.characters.fbx_rig import kept_scene
 
-    kept = kept_scene(file) if file.exists() else file
-    return str(kept if kept.exists() else file.resolve())
+    scene = kept_scene(file) if file.exists() else file
+    return str(scene if scene.exists() else file.resolve())
 
 
 def _face_tracks(file: Path, gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion
@@ -140,6 +140,7 @@ def pose(moved: CharacterMotion) -> dict[str, Any]:
     """
     character = moved.character
     nodes = [node for node in moved.moved if node]  # node 0 is the armature's object
+    # Blender's pose is relative to rest: q_pose = q_rest^-1 q_local.
     back = rotation.conjugate(character.rotations[nodes])
     shifts = np.zeros((0, 3))
     if moved.translations is not None:

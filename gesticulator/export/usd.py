@@ -141,8 +141,10 @@ def _refer_to_sound(stage: Any, name: str) -> None:
 def _animate(animation: Any, motion: NodeMotion, usd: Any) -> None:
     from pxr import Gf, Vt
 
+    # Scales are half floats in UsdSkel.
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(*scale) for scale in motion.scales.tolist()]))
     turns, places = animation.CreateRotationsAttr(), animation.CreateTranslationsAttr()
+    # One array for all frames: only the nodes with a path change between them.
     moved = motion.translations.astype(np.float32)
     for frame, pose in enumerate(motion.turns.tolist()):
         time = usd.TimeCode(frame)
@@ -179,6 +181,7 @@ def joint_paths(motion: NodeMotion) -> list[str]:
     for name, parent in zip(motion.names, motion.parents, strict=True):
         plain = _valid_name(name)
         path = plain if parent < 0 else f"{paths[parent]}/{plain}"
+        # Two names may become equal when invalid characters are replaced.
         while path in paths:
             path += "_"
         paths.append(path)

@@ -45,14 +45,14 @@ def _bones() -> dict[str, tuple[str | None, tuple[str, ...], str]]:
     table = dict(_TRUNK)
     for side in ("Left", "Right"):
         low = side.lower()
-        for part, ours, above in (*_ARM, *_LEG):
-            table[low + part] = (above if above in _TRUNK else low + above, (side + ours,), side + ours)
+        for part, joint, above in (*_ARM, *_LEG):
+            table[low + part] = (above if above in _TRUNK else low + above, (side + joint,), side + joint)
         for finger in FINGERS:
             before = low + "Hand"
             for place, name in enumerate(_THUMB if finger == "Thumb" else _FINGER, start=1):
-                ours = f"{side}Hand{finger}{place}"
+                joint = f"{side}Hand{finger}{place}"
                 bone = low + ("Little" if finger == "Pinky" else finger) + name
-                table[bone] = (before, (ours,), ours)
+                table[bone] = (before, (joint,), joint)
                 before = bone
     return table
 
@@ -88,6 +88,7 @@ def vrm_animation(motion: Motion, clip: ClipLayout, face: FaceMotion | None = No
         from gesticulator.export.face import vrma_tracks
 
         more = vrma_tracks(gltf, gltf.document["extensions"][EXTENSION], face)
+    # Errors of hips and legs add up at the feet, so their keys are held tighter.
     steady = frozenset(node for node, bone in enumerate(nodes.names) if BONES[bone][2] in ("Hips", *LEG_JOINTS))
     gltf.animate(clip, nodes, {node: node for node in range(len(nodes.names)) if not (clip.bare and node in steady)},
                  steady, more)
@@ -100,8 +101,8 @@ def humanoid(motion: Motion) -> NodeMotion:
     bones = {bone: row for bone, row in BONES.items() if set(row[1]) <= there}
     local = copied_rotations(motion, {bone: row[1] for bone, row in bones.items()},
                              {bone: row[0] for bone, row in bones.items()})
-    ours = of_motion(motion)
-    rest = ours.rest_matrices()[:, :3, 3]
+    nodes = of_motion(motion)
+    rest = nodes.rest_matrices()[:, :3, 3]
     names = tuple(bones)
     parents = tuple(-1 if above is None else names.index(above) for above, _, _ in bones.values())
     places: Array = np.array([rest[motion.skeleton.index(joint)] for _, _, joint in bones.values()])
@@ -110,4 +111,4 @@ def humanoid(motion: Motion) -> NodeMotion:
     identity = np.zeros((len(names), 4))
     identity[:, 0] = 1.0
     return NodeMotion(names, parents, offsets, identity, np.ones((len(names), 3)),
-                      np.stack([local[name] for name in names], axis=1), ours.shifts, {}, ours.fps)
+                      np.stack([local[name] for name in names], axis=1), nodes.shifts, {}, nodes.fps)

@@ -1,6 +1,6 @@
 """From sound to the mouth: the lips network, co-articulation by dominance, and the strength of the mouth.
 
-The weights are in `gesticulator/assets/face` and are read when a face is first asked for.
+The weights are in `gesticulator/assets/face` and are read with the first face.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def load_weights(folder: Path = SHIPPED) -> Mapping[str, NDArray[np.float32]]:
 
 
 class Lips:
-    """The mouth of one utterance: sound in, curve out."""
+    """The mouth of an utterance: sound in, weights of visemes out."""
 
     def __init__(self, start: float = 0.0, weights: Mapping[str, NDArray[np.float32]] | None = None) -> None:
         """start: media time of the first sample, seconds."""
@@ -105,7 +105,7 @@ class Lips:
 
     @property
     def weights(self) -> Array:
-        """[M, 15] what the network gave so far; row m is centred at start + (m + 0.5) / RATE. Not after `forget`."""
+        """[M, 15] the network's output so far; row m is centred at start + (m + 0.5) / RATE. Not after `forget`."""
         return np.array(self._curve, dtype=np.float64).reshape(-1, len(VISEMES))
 
     def rows(self, first: int, last: int) -> Array:
@@ -117,9 +117,9 @@ class Lips:
         begin, end = max(first - half, old), min(last + half, old + min(len(self._curve), len(self._opens)))
         if end > begin:
             opened = np.array(self._opens[begin - old:end - old])
-            heard = np.array(self._curve[begin - old:end - old]) * opened[:, None]
-            heard[:, SILENT] += 1.0 - heard.sum(axis=1)
-            raw[begin - first + half:end - first + half] = heard
+            shaped = np.array(self._curve[begin - old:end - old]) * opened[:, None]
+            shaped[:, SILENT] += 1.0 - shaped.sum(axis=1)
+            raw[begin - first + half:end - first + half] = shaped
         smooth = sum(share * raw[place:place + last - first] for place, share in enumerate(_KERNEL))
         return with_dominance(np.asarray(smooth))
 
@@ -134,7 +134,7 @@ class Lips:
 
 
 class _Gate:
-    """How far the sound lets the mouth open in each frame: shut below the limit of silence, open over it."""
+    """The share by which the mouth may open in each frame: none below the limit of silence, all above it."""
 
     def __init__(self) -> None:
         self._tracker = LoudnessTracker()
@@ -146,16 +146,17 @@ class _Gate:
         size = round(STEP * FRAME * SAMPLE_RATE)
         out: list[float] = []
         while len(self._sound) >= size:
-            out += self._taken(self._sound[:size])
+            out += self._opening(self._sound[:size])
             self._sound = self._sound[size:]
         return out
 
     def finish(self) -> list[float]:
         """The same for the rest of the sound, which is then over."""
         rest, self._sound = self._sound, np.zeros(0, np.float32)
-        return self._taken(rest, ended=True) if len(rest) else []
+        return self._opening(rest, ended=True) if len(rest) else []
 
-    def _taken(self, sound: Samples, ended: bool = False) -> list[float]:
+    def _opening(self, sound: Samples, ended: bool = False) -> list[float]:
+        """0 to 1 for each frame of 20 ms of the next sound: the loudness is known every 10 ms."""
         step = self._tracker.step(frame_levels(sound, SAMPLE_RATE), ended)
         over = step.levels - np.maximum(step.floor + MARGIN, step.limit)
         pairs = np.resize(over, (len(over) + 1) // 2 * 2).reshape(-1, 2).mean(axis=1)

@@ -116,7 +116,7 @@ def _up(points: Array, height: float) -> Array:
 def _skull(mesh: FaceMesh) -> None:
     unit, triangles = _sphere(18, np.pi)
     points = _CENTRE + _RADII * unit
-    # What is below the lower lip of the widest mouth.
+    # The chin: everything below the lower lip of the widest mouth drops with the jaw.
     low = np.clip((_MOUTH_Y - 0.025 - points[:, 1]) / 0.03, 0.0, 1.0) * np.clip(0.5 + 2.0 * unit[:, 2], 0.0, 1.0)
     dropped = points - low[:, None] * [0.0, _CHIN / _FULL["jawOpen"], 0.0]
     mesh.add(points, triangles, SKIN, {"jawOpen": dropped})

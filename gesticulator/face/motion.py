@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,12 +74,14 @@ class FaceMotion:
 
     def __getitem__(self, frames: slice | NDArray[np.int64]) -> FaceMotion:
         """Some of the frames."""
-        return replace(self, **{name: getattr(self, name)[frames] for name in _PARTS})
+        parts: dict[str, Any] = {name: getattr(self, name)[frames] for name in _PARTS}
+        return replace(self, **parts)
 
 
 def joined(faces: Sequence[FaceMotion]) -> FaceMotion:
     """Successive parts of a face as a whole; at least one part."""
-    return replace(faces[0], **{name: np.concatenate([getattr(face, name) for face in faces]) for name in _PARTS})
+    parts: dict[str, Any] = {name: np.concatenate([getattr(face, name) for face in faces]) for name in _PARTS}
+    return replace(faces[0], **parts)
 
 
 def at_rest(count: int, fps: float) -> FaceMotion:

@@ -136,11 +136,11 @@ class VisemeStepper:
         """weights: the state of a `VisemeNet`, as arrays."""
         scale = 1.0 / weights["deviation"]
         self._enter = weights["enter.weight"] * scale
-        self._entered = weights["enter.bias"] - self._enter @ weights["mean"]
-        self._take, self._taken = weights["memory.weight_ih_l0"], weights["memory.bias_ih_l0"]
-        self._keep, self._kept = weights["memory.weight_hh_l0"], weights["memory.bias_hh_l0"]
-        self._leave, self._left = weights["leave.weight"], weights["leave.bias"]
-        self._state = np.zeros(self._keep.shape[1], np.float32)
+        self._enter_bias = weights["enter.bias"] - self._enter @ weights["mean"]
+        self._input, self._input_bias = weights["memory.weight_ih_l0"], weights["memory.bias_ih_l0"]
+        self._recurrent, self._recurrent_bias = weights["memory.weight_hh_l0"], weights["memory.bias_hh_l0"]
+        self._leave, self._leave_bias = weights["leave.weight"], weights["leave.bias"]
+        self._state = np.zeros(self._recurrent.shape[1], np.float32)
 
     def reset(self) -> None:
         """Forget the sound so far."""
@@ -148,13 +148,15 @@ class VisemeStepper:
 
     def __call__(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
         """[15] weights of the visemes, summing to 1, of the next frame [STACKED]."""
-        entered = np.maximum(self._enter @ frame + self._entered, 0.0)
+        entered = np.maximum(self._enter @ frame + self._enter_bias, 0.0)
         size = len(self._state)
-        taken, kept = self._take @ entered + self._taken, self._keep @ self._state + self._kept
-        gates = _sigmoid(taken[:2 * size] + kept[:2 * size])
-        new = np.tanh(taken[2 * size:] + gates[:size] * kept[2 * size:])
+        # The gates of torch's GRU: reset and update, then the new state, whose memory part the reset gate weighs.
+        inputs = self._input @ entered + self._input_bias
+        memory = self._recurrent @ self._state + self._recurrent_bias
+        gates = _sigmoid(inputs[:2 * size] + memory[:2 * size])
+        new = np.tanh(inputs[2 * size:] + gates[:size] * memory[2 * size:])
         self._state = new + gates[size:] * (self._state - new)
-        logits = self._leave @ np.concatenate([entered, self._state]) + self._left
+        logits = self._leave @ np.concatenate([entered, self._state]) + self._leave_bias
         powers = np.exp(logits - logits.max())
         return np.asarray(powers / powers.sum(), dtype=np.float32)
 

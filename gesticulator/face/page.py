@@ -1,8 +1,7 @@
-"""What a page needs to show a face on a character: its morph targets, eyes and jaw, by the numbers of a face.
+"""The face of a character in a page: its morph targets, eyes and jaw as functions of the numbers of a face.
 
-Every curve of `gesticulator.face.shapes.curves` is a sum of the numbers of `FaceMotion.values`, or of what
-they are below zero, times constants, held between 0 and 1. The constants are read off `curves`, so that the page needs
-no formulas.
+Every curve of `shapes.curves` is a sum of the numbers of `FaceMotion.values`, or of their negative parts, times
+constants, limited to 0 to 1. The constants are read off `curves`, so that the page needs no formulas.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ def page_face(character: Character, lips_only: bool = False) -> dict[str, Any]:
     if character.vrm:
         return {}
     rig = find_face(character)
-    morphs = [(node, target, found) for node in rig.morphs for target, found in _by_target(rig, node, lips_only)]
+    morphs = [(node, target, drivers) for node in rig.morphs for target, drivers in _by_target(rig, node, lips_only)]
     eyes = [] if lips_only else [character.node_ids[node] for node in rig.eyes]
     if not (morphs or eyes or rig.jaw is not None):
         return {}
-    used = {curve for _, _, found in morphs for curve, _ in found} | ({"opening"} if rig.jaw is not None else set())
+    used = {curve for _, _, drivers in morphs for curve, _ in drivers} | ({"opening"} if rig.jaw is not None else set())
     known = curve_constants()
     return {"morphs": morphs, "curves": {name: known[name] for name in sorted(used)}, "eyes": eyes,
             "jaw": None if rig.jaw is None else character.node_ids[rig.jaw], "open": JAW_OPEN}

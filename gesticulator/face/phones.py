@@ -75,13 +75,13 @@ class PhonesWarning(UserWarning):
 def with_phones(weights: Array, words: Sequence[PhonedWord]) -> Array | None:
     """[T, 15] the network's weights, 50 frames a second, drawn towards the phones of the words, which rise in time.
     Frames of words that are not heard keep theirs. None if too few of the words are heard."""
-    out, heard = weights.copy(), 0
+    out, recognised = weights.copy(), 0
     for first, last in _runs(words):
         frames, visemes, count = _path(weights, words[first:last])
-        heard += count
+        recognised += count
         known = visemes >= 0
         out[frames[known]] = _mixed(weights[frames[known]], visemes[known])
-    return out if heard >= (1.0 - _MOST_UNHEARD) * len(words) else None
+    return out if recognised >= (1.0 - _MOST_UNHEARD) * len(words) else None
 
 
 def _mixed(sound: Array, visemes: NDArray[np.int64]) -> Array:
@@ -136,14 +136,14 @@ def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64
     visemes = np.array([state.viseme for state in states], np.int64)[path]
     owners = np.array([state.word for state in states], np.int64)[path]
     likely = scores[np.arange(len(path)), visemes]  # -1 is the last column
-    heard = 0
+    recognised = 0
     for word in np.unique(owners[owners >= 0]):
         inside = owners == word
         if likely[inside].mean() < _LEAST:
             visemes[inside] = -1
         else:
-            heard += 1
-    return np.arange(begin, begin + len(path)), visemes, heard
+            recognised += 1
+    return np.arange(begin, begin + len(path)), visemes, recognised
 
 
 def _chained(words: Sequence[PhonedWord], begin: int, end: int) -> list[_State]:

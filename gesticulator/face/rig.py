@@ -1,4 +1,4 @@
-"""What a glTF character can show a face with: morph targets, VRM expressions, eye bones, a jaw bone."""
+"""The parts of a glTF character that show a face: morph targets, VRM expressions, eye bones, a jaw bone."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class FaceRig:
 
     @property
     def can_speak(self) -> bool:
-        """Whether anything of it moves the mouth."""
+        """True if a shape or a jaw moves the mouth."""
         return self.jaw is not None or any(is_lips(curve) for rows in self.morphs.values() for _, curve, _ in rows)
 
     def weights(self, face: FaceMotion) -> dict[int, Array]:
@@ -145,9 +145,9 @@ def _expressions(file: GltfFile, sizes: Mapping[int, int]) -> dict[int, list[tup
             for bind in presets.get(name, {}).get("morphTargetBinds", []):
                 add(int(bind["node"]), int(bind["index"]), name, float(bind["weight"]))
     elif "VRM" in extensions:
-        ours = {theirs: name for name, theirs in VRM_0.items()}
+        presets_0 = {old: name for name, old in VRM_0.items()}
         for group in extensions["VRM"].get("blendShapeMaster", {}).get("blendShapeGroups", []):
-            preset = ours.get(str(group.get("presetName", "")).lower())
+            preset = presets_0.get(str(group.get("presetName", "")).lower())
             for bind in group.get("binds") or () if preset else ():
                 for number, node in enumerate(file.rows("nodes")):
                     if node.get("mesh") == bind["mesh"]:
@@ -158,10 +158,10 @@ def _expressions(file: GltfFile, sizes: Mapping[int, int]) -> dict[int, list[tup
 def _eyes(character: Character) -> tuple[int, ...]:
     if {"leftEye", "rightEye"} <= set(character.humanoid):
         return character.humanoid["leftEye"], character.humanoid["rightEye"]
-    found = [next((node for node, name in enumerate(character.names)
-                   if character.skinned[node] and pattern.fullmatch(name.rpartition(":")[2])), -1)
-             for pattern in _EYES.values()]
-    return tuple(found) if min(found) >= 0 else ()
+    eyes = [next((node for node, name in enumerate(character.names)
+                  if character.skinned[node] and pattern.fullmatch(name.rpartition(":")[2])), -1)
+            for pattern in _EYES.values()]
+    return tuple(eyes) if min(eyes) >= 0 else ()
 
 
 def _jaw(character: Character) -> int | None:

@@ -169,21 +169,21 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
     known."""
     known = list(dict.fromkeys(names))
     ways = {
-        "arkit": {name: (found, 1.0) for name in known
-                  if (found := _ARKIT_NAMES.get(_plain(name)) or _METAHUMAN.get(_plain(name)))},
-        "oculus": {name: (found, 1.0) for name in known if (found := _OCULUS_NAMES.get(_plain(name)))},
+        "arkit": {name: (curve, 1.0) for name in known
+                  if (curve := _ARKIT_NAMES.get(_plain(name)) or _METAHUMAN.get(_plain(name)))},
+        "oculus": {name: (curve, 1.0) for name in known if (curve := _OCULUS_NAMES.get(_plain(name)))},
         "tools": {name: tool for name in known if (tool := _TOOLS.get(_plain(name) or name.lower()))}}
     mouth = next((way for way, least in (("arkit", 3), ("oculus", 5), ("tools", 1))
                   if sum(is_lips(curve) for curve, _ in ways[way].values()) >= least
                   and (way != "arkit" or any(curve == "jawOpen" for curve, _ in ways[way].values()))), "")
-    chosen = {name: found for name, found in ways.get(mouth, {}).items() if is_lips(found[0])}
+    chosen = {name: driver for name, driver in ways.get(mouth, {}).items() if is_lips(driver[0])}
     for way in ways.values():
-        chosen |= {name: found for name, found in way.items() if not is_lips(found[0]) and name not in chosen}
+        chosen |= {name: driver for name, driver in way.items() if not is_lips(driver[0]) and name not in chosen}
     return chosen
 
 
 def is_lips(curve: str) -> bool:
-    """Whether a curve moves the mouth for speech; the others need the whole face."""
+    """True if a curve moves the mouth for speech; the others need the whole face."""
     return curve.startswith(_LIPS) and curve.partition("_")[2] not in VRM[5:]
 
 

@@ -6,6 +6,7 @@ affricate, is a sequence of visemes that share its time.
 
 from __future__ import annotations
 
+import itertools
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -54,8 +55,7 @@ def of_ipa(phone: str) -> tuple[int, ...]:
     """The visemes of an IPA symbol, such as ("aa", "ih") as indices for "aɪ"; marks of length, stress and tone are
     ignored, and () means that the symbol has no sound."""
     letters = [letter for letter in unicodedata.normalize("NFD", phone) if letter in _OF_IPA]
-    found = [VISEMES.index(_OF_IPA[letter]) for letter in letters]
-    return tuple(one for place, one in enumerate(found) if place == 0 or one != found[place - 1])
+    return tuple(viseme for viseme, _ in itertools.groupby(VISEMES.index(_OF_IPA[letter]) for letter in letters))
 
 
 def of_arpabet(phone: str) -> tuple[int, ...]:
@@ -69,7 +69,7 @@ def spans(visemes: Sequence[int], start: float, end: float) -> list[VisemeSpan]:
         return []
     shares = [0.6, 0.4] if len(visemes) == 2 and visemes[0] in VOWELS else [1 / len(visemes)] * len(visemes)
     edges = start + (end - start) * np.concatenate([[0.0], np.cumsum(shares)])
-    return [VisemeSpan(one, float(a), float(b)) for one, a, b in zip(visemes, edges, edges[1:], strict=False)]
+    return [VisemeSpan(viseme, float(a), float(b)) for viseme, a, b in zip(visemes, edges, edges[1:], strict=False)]
 
 
 def labels(track: Sequence[VisemeSpan], count: int, rate: float) -> NDArray[np.int64]:

@@ -173,6 +173,7 @@ def launch(config: Launch) -> int:
     if not 1 <= config.workers <= _MOST_WORKERS:
         raise InputError(f"--workers {config.workers}", "is out of range", f"choose 1 to {_MOST_WORKERS}")
     RANGES["threads"].check("--threads", config.threads)
+    # Checked here, since a worker's error would come after the models are loaded.
     if config.vmc is not None:
         VmcOutput(config.vmc).close()
         if config.workers > 1:
@@ -289,6 +290,7 @@ def _serve_by_workers(config: Launch, listening: socket.socket) -> int:
     context = multiprocessing.get_context("spawn")
     workers: list[BaseProcess] = []
     stopped, stop = os.pipe()
+    # A pipe, because `wait` below does not return for a signal alone.
     for name in (signal.SIGTERM, signal.SIGINT):
         signal.signal(name, lambda *_: os.write(stop, b"."))
     with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:

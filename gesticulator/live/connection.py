@@ -162,6 +162,7 @@ class Connection:
         try:
             request = await self._hello()
             self.place.admit(self, request)
+            # Opening a stream computes too, so it takes its turn in the compute thread.
             session = await self.place.compute.run(lambda: self.place.open_session(self.name, request))
             await self.socket.send(json.dumps(session.welcome()))
             await self._serve(request, session)
@@ -234,6 +235,7 @@ class Connection:
             other_voice = command["type"] == "listen" or (other_voice and command["type"] != "speak")
             self._pace.arrived(float(command.get("seconds", 0.0)))
             if command["type"] == "interrupt":
+                # Applied at once, not when the command's turn comes: waits that are being computed end now.
                 self._cut_at = float(command.get("time", -math.inf))
                 await self._drop_waiting(request)
             await self._wait_with(_Command(command), 0.0)
@@ -246,6 +248,7 @@ class Connection:
         if self.seconds > limits.stream_seconds:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"a stream takes {limits.stream_seconds:g} s of sound")
         waits = item.seconds if isinstance(item, _Command) else 0.0
+        # Waits count like audio: each second of them costs as much to compute.
         waiting = self._waiting_seconds + self._waiting_idle + seconds + waits
         if waiting > limits.waiting_seconds or len(self._waiting) >= _MOST_WAITING:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {limits.waiting_seconds:g} s of sound and waits, "
@@ -271,6 +274,7 @@ class Connection:
 
     async def _drop_waiting(self, request: StreamRequest) -> None:
         """Drop unprocessed audio of the avatar, which will not be played."""
+        # Read before `forget`: what was sent and not played can be taken back.
         self._taken_back = max(self._taken_back, self._pace.ahead)
         self._pace.forget()
         async with self._changed:
@@ -313,6 +317,7 @@ class Connection:
             await self._compute(session, session.obey(command.message))
         finally:
             self._computed, self._cut = None, False
+            # Not below 0, where the rounding of many sums could lead.
             self._waiting_idle = max(0.0, self._waiting_idle - command.seconds)
         if command.message["type"] == "interrupt":
             self._taken_back, self._cut_at = 0.0, math.inf
@@ -382,7 +387,9 @@ class Connection:
         assert isinstance(first, _Sound)
         self.place.metrics.late_seconds.observe(self._pace.late(self._waiting_seconds))
         paced = self._keeps_up and not first.other_voice
+        # Another speaker's voice costs little, so only the avatar's is hurried or skipped.
         effort = self._pace.effort(self._waiting_seconds) if paced else Effort.FULL
+        # All of a skipped piece at once: it costs nothing.
         most = int((self._waiting_seconds if effort == Effort.NONE else PIECE_SECONDS) * sample_rate) + 1
         pieces: list[Samples] = []
         while self._waiting and most > 0:
@@ -448,6 +455,7 @@ class Connection:
         while True:
             async with self._changed:
                 await self._changed.wait_for(lambda: bool(self._unread))
+                # It stays in the queue while it is sent, so that it counts as unread.
                 message = self._unread[0]
             if message is None:
                 return
@@ -465,6 +473,7 @@ class Connection:
         elif closed.sent is not None:
             self.code, self.reason = closed.sent.code, closed.sent.reason or "closed by the server"
         else:
+            # 1006 of RFC 6455: closed without a close frame.
             self.code, self.reason = 1006, "the connection broke"
 
     async def refuse(self, refused: RefusedError) -> None:

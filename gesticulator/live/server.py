@@ -81,6 +81,7 @@ class ServerAddress:
 
     def accepts(self, token: str) -> bool:
         """Whether it is the token; takes as long for a wrong one as for the right one."""
+        # compare_digest takes equal time wherever two texts first differ, but only for bytes or ASCII.
         given, expected = (text.encode("utf-8", "surrogatepass") for text in (token, self.token))
         return not expected or compare_digest(given, expected)
 
@@ -195,6 +196,7 @@ class LiveServer:
         """Give a connection a place; see `Workplace`."""
         if not self.address.accepts(request.token):
             raise RefusedError(CloseCode.BAD_TOKEN, "the token is missing or wrong")
+        # A valid hello ends the time as a guest, even if the stream is refused afterwards.
         self._guests.pop(connection.socket, None)
         if self.draining:
             raise RefusedError(CloseCode.GOING_AWAY, "the server is shutting down", retry_after=1.0)
@@ -228,6 +230,7 @@ class LiveServer:
 
     async def _drain(self, server: Server) -> None:
         self.draining = True
+        # No new connections; the open ones go on.
         server.close(close_connections=False)
         if self.connections:
             LOG.info("stopping: %d streams have %g s", len(self.connections), self.limits.drain_seconds)
@@ -286,6 +289,7 @@ class LiveServer:
 
     def _metrics(self, request: Request) -> Response:
         """The metrics, to anybody if the server has no token."""
+        # RFC 6750: Authorization: Bearer TOKEN.
         kind, _, token = request.headers.get("Authorization", "").partition(" ")
         if self.address.token and not (kind.lower() == "bearer" and self.address.accepts(token.strip())):
             refused = self._refusal(http.HTTPStatus.UNAUTHORIZED, "send Authorization: Bearer TOKEN\n")

@@ -88,6 +88,7 @@ class VmcFrames:
         self.fps = motion.fps
         self._root = _head("/VMC/Ext/Root/Pos", "root", 7) + struct.pack(">7f", 0, 0, 0, 0, 0, 0, 1)
         self._heads = [_head("/VMC/Ext/Bone/Pos", unity_bone(name), 7) for name in nodes.names]
+        # All numbers of all frames at once, so that a frame costs only the assembly of bytes.
         self._numbers = self._poses(nodes)
         self._faces = [] if face is None else face_messages(face)
 
@@ -103,6 +104,7 @@ class VmcFrames:
         """A frame as bundles of at most `DATAGRAM` bytes; seconds: the sender's time."""
         messages = [*_available(1, seconds), self._root]
         numbers = self._numbers[frame].astype(">f4").tobytes()
+        # Seven big-endian floats of 4 bytes for each bone.
         messages += [head + numbers[28 * bone:28 * bone + 28] for bone, head in enumerate(self._heads)]
         return packed([*messages, *(self._faces[frame] if self._faces else ())])
 
@@ -214,9 +216,11 @@ class VmcOutput:
             return
         with self._lock:
             now = time.monotonic()
+            # A new stream, or one that fell behind: its first frame is due now.
             if self.stream is None or now > self._zero + first / fps + LATEST:
                 self._zero = now - first / fps
             self.stream = stream
+            # Frames from `first` on are replaced: an interruption generates them again.
             self._parts = [part for part in self._parts if part.first < first]
             if first / fps < now - self._zero + MOST_SECONDS:
                 self._parts.append(_Part(frames))

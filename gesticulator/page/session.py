@@ -138,9 +138,9 @@ class EditSession:
         if have is not None and plan.interpreter != have.plan.interpreter and plan.drawn == have.plan.drawn:
             plan = self._with_lexemes_chosen_anew(plan, options, on_block)
             options = planned(InferenceOptions(plan=plan))
-            assert options.plan is not None
         if not self._renders_parts:
             return self._whole(self.perform(plan), sent)
+        assert options.plan is not None
         generated = self._renderer(options).render(options.plan, on_block)
         shared = self._frames.get(-1 if have is None else have.number) or next(reversed(self._frames.values()), None)
         before = shared[1] if shared is not None and shared[0] == self._framing(options) else None

@@ -12,7 +12,7 @@ a small change of pose or sound rarely changes the choice:
 - Seam: the hands' acceleration at the start over the mean within the block, at most 2, so that blocks that hardly move
   are not rejected for it.
 - Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest; how far a wrist
-  is behind the front of the trunk and an elbow behind its back, where `gesticulator.body.clearance` has to move
+  is behind the front of the trunk and an elbow behind its back, where `gesticulator.contacts.default_body` has to move
   them; how deep a wrist is in a sphere about its shoulder (a folded arm); and how near a forearm with its hand is to
   the middle of the face; as shares of the radii, mean over the block.
 - Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
@@ -42,10 +42,10 @@ from data_module import controls
 from data_module.motion.kinematics import chains, positions_of_some
 from data_module.motion.rotation import cross, from_exponential_map
 from data_module.types import Array, Motion
-from gesticulator.body.clearance import back_at, front_at
 from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
+from gesticulator.contacts.default_body import back_at, front_at
 
 _NEAR = 0.05
 """Standard deviation of w, seconds: half the tolerance of the timing metrics."""

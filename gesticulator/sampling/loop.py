@@ -29,7 +29,7 @@ from data_module.types import Array, Blocks
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Flags, Span, SpeechBlock, control_rows, representation_of
-from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
+from gesticulator.plan.plan import Block, BlockDraw, Flag, LexemeChoice
 from gesticulator.sampling.noise import Keys
 from interpreters.base import BlockFeatures, Explanation, Interpreter, select
 
@@ -363,7 +363,7 @@ def decided(speech: SpeechBlock, lexeme: int, scores: Scores, explanation: Expla
     """
     best = np.argsort(-scores, kind="stable")[:BEST].tolist()
     draw = BlockDraw(keys.seed, keys.variation, speech.number)
-    block = Block(speech.start, speech.end, lexeme, speech.silent[1], draw, speech.flag.name.lower(),
+    block = Block(speech.start, speech.end, lexeme, speech.silent[1], draw, cast(Flag, speech.flag.name.lower()),
                   gate=None if math.isnan(gate) else gate)
     if np.isfinite(scores[lexeme]):  # an edit may ask for a lexeme that the interpreter rules out
         block = replace(block, score=float(scores[lexeme]), rank=int(np.sum(scores >= scores[lexeme])))

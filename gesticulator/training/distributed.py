@@ -52,6 +52,7 @@ def joined(device: str = "cpu") -> Iterator[str]:
                              "processes", "start fewer with --nproc_per_node")
         device = f"cuda:{place}"
         torch.cuda.set_device(place)
+    # gloo carries Python objects and CPU tensors, NCCL the gradients on GPUs.
     process_group.init_process_group("cpu:gloo,cuda:nccl" if device != "cpu" else "gloo", timeout=_PATIENCE)
     try:
         yield device
@@ -162,9 +163,12 @@ def backward(total: Tensor, parameters: Sequence[Tensor]) -> None:
     if count == 1:
         total.backward()
         return
+    # `total` is already that of the whole batch in every process, so the sum of the gradients counts it `count`
+    # times.
     (total / count).backward()
     dense = [p.grad for p in parameters if p.grad is not None and not p.grad.is_sparse]
     if dense:
+        # One message for all gradients: many small ones cost more latency than bandwidth.
         together = torch.cat([gradient.flatten() for gradient in dense])
         process_group.all_reduce(together)
         for gradient, summed in zip(dense, together.split([g.numel() for g in dense]), strict=True):
@@ -183,6 +187,7 @@ def _sparse_sum(gradient: Tensor) -> Tensor:
     most, sizes = int(counts.max()), counts.tolist()
     parts = []
     for part in (rows, values):
+        # all_gather needs equal shapes, so shorter parts are padded and cut again.
         padded = part.new_zeros(most, *part.shape[1:])
         padded[:len(part)] = part
         every = [torch.empty_like(padded) for _ in sizes]
@@ -233,8 +238,8 @@ class BatchDraws(TorchDispatchMode):
             drawn = func(_whole(args[0], self._rows(args[0].shape)), *args[1:], **kwargs)
             return args[0].copy_(self._own(drawn))
         if func is _aten.native_dropout.default and args[1] and args[2]:
-            kept = self._own(func(torch.ones_like(_whole(args[0], self._rows(args[0].shape))), *args[1:])[1])
-            return args[0] * kept / (1 - args[1]), kept
+            mask = self._own(func(torch.ones_like(_whole(args[0], self._rows(args[0].shape))), *args[1:])[1])
+            return args[0] * mask / (1 - args[1]), mask
         if func is _aten.multinomial.default and args[1] == 1:  # as in torch: by an exponential race
             race = _whole(args[0], self._rows(args[0].shape)).exponential_(1.0)
             return (args[0] / self._own(race)).argmax(-1, keepdim=True)
@@ -254,12 +259,12 @@ class BatchDraws(TorchDispatchMode):
         return whole.narrow(rows, share() * count, count)
 
 
-def _whole(own: Tensor, rows: int) -> Tensor:
+def _whole(part: Tensor, rows: int) -> Tensor:
     """An empty tensor like `own` but with all rows and the same memory layout: random functions fill memory in
     order."""
-    size = list(own.shape)
+    size = list(part.shape)
     size[rows] *= shares()
-    strides = own.stride()
-    order = sorted(range(own.dim()), key=lambda axis: -strides[axis])
-    laid = torch.empty([size[axis] for axis in order], dtype=own.dtype, device=own.device)
-    return laid.permute([order.index(axis) for axis in range(own.dim())])
+    strides = part.stride()
+    order = sorted(range(part.dim()), key=lambda axis: -strides[axis])
+    laid = torch.empty([size[axis] for axis in order], dtype=part.dtype, device=part.device)
+    return laid.permute([order.index(axis) for axis in range(part.dim())])

@@ -49,7 +49,7 @@ ENTRIES: Registry[RegistryEntry] = Registry("stages", "a gesticulator.training.s
     "generator": RegistryEntry("the generator: from lexemes and styles to motion", f"{_HERE}.generator:GENERATOR"),
     "style": RegistryEntry("the style interpreter: from speech to style codes", f"{_HERE}.interpreter:STYLE"),
     "style_text": RegistryEntry("the style interpreter with words", f"{_HERE}.interpreter:STYLE_TEXT"),
-}, RegistryEntry, fits=lambda found: isinstance(found, Stage))
+}, RegistryEntry, fits=lambda value: isinstance(value, Stage))
 """Ours in the order in which they are trained, then those of other packages."""
 
 

@@ -82,6 +82,7 @@ class CounterfactualRewards:
         [B]."""
         ends = np.cumsum(self.lengths)
         places = np.searchsorted(ends, rng.integers(ends[-1], size=count), side="right")
+        # Windows start anywhere in an episode that leaves room; a shorter episode is padded.
         room = np.maximum(self.lengths[places] - decisions, 0)
         start = (ends[places] - self.lengths[places] + rng.integers(room + 1))[own_rows(count)]
         places = places[own_rows(count)]
@@ -155,11 +156,13 @@ def counterfactual(episodes: Sequence[Episode], table: EnsembleReward | Centred,
         swap = rng.integers(size, size=(len(episode.blocks) - 1, config.swaps))
         half = config.swaps // 2
         noise = rng.gumbel(size=(len(swap), half, size))
+        # Gumbel-max: half of the swaps are samples of the behaviour policy, the others uniform.
         swap[:, :half] = (log_prior[:, None] + noise).argmax(-1)
         gained = np.full(swap.shape, np.nan, np.float32)
         tried = np.flatnonzero(rng.random(len(swap)) < TRIED)
         gained[tried] = gains(table, actions, blocks, tried + 1, swap[tried], config.gamma)
         every = table.sequence_every(actions, blocks)[1:].float().numpy()
+        # Rewards of the lexemes that were performed.
         earned = every[np.arange(len(every)), episode.actions[1:]]
         for name, value in (("lengths", np.array([len(every)])), ("speaker", np.array([episode.speaker])),
                             ("block", episode.blocks[1:]), ("action", episode.actions[1:]),
@@ -177,10 +180,10 @@ def _make(run: Run) -> CounterfactualRewards:
             return CounterfactualRewards.load(file)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             pass  # truncated by a crash: compute again
-    made = counterfactual(run.get(EPISODES).episodes, run.get(TAUGHT_REWARD), run.get(INTERPRETER), run.get(CORPUS),
+    rewards = counterfactual(run.get(EPISODES).episodes, run.get(TAUGHT_REWARD), run.get(INTERPRETER), run.get(CORPUS),
                           run.config.advantage, run.seed(COUNTERFACTUALS))
-    made.save(file)
-    return made
+    rewards.save(file)
+    return rewards
 
 
 def _needs(config: Config) -> Sequence[Node[Any]]:
@@ -194,20 +197,22 @@ COUNTERFACTUALS: Node[CounterfactualRewards] = Node(
 
 
 def critic_batch(corpus: Corpus, data: CounterfactualRewards, windows: dict[str, Tensor], unit: float,
-                 heard: NDArray[np.float32]) -> dict[str, Tensor]:
-    """Windows with the critics' inputs and rewards in units; heard: [E, J] which critic is trained on which episode."""
+                 trained_on: NDArray[np.float32]) -> dict[str, Tensor]:
+    """Windows with the critics' inputs and rewards in units. trained_on: [E, J] 1 where critic j
+    learns from episode e."""
     scaled = {key: windows[key] / unit for key in ("every", "gained", "return")}
     return {**windows, **scaled, "audio": corpus.high[windows["block"]].float(),
             "speaker": functional.one_hot(windows["speaker"], len(corpus.statistics.speakers)).float(),
-            "heard": torch.as_tensor(heard)[windows["episode"]]}
+            "heard": torch.as_tensor(trained_on)[windows["episode"]]}
 
 
 def _train(run: Run, model: Critics, folder: Path) -> Figures:
     config, corpus, data = run.config.advantage, run.get(CORPUS), run.get(COUNTERFACTUALS)
     labelled, unit = run.get(LABELS), data.unit
     rng = np.random.default_rng(run.seed(ADVANTAGE))
-    heard = (rng.random((len(data.lengths), config.critics)) < LEARNED_FROM).astype(np.float32)
-    heard[heard.sum(1) == 0] = 1.0
+    trained_on = (rng.random((len(data.lengths), config.critics)) < LEARNED_FROM).astype(np.float32)
+    # No episode is left to no critic.
+    trained_on[trained_on.sum(1) == 0] = 1.0
     takes = takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train")
     literal = build(takes, LITERAL, lambda lexemes, blocks: torch.zeros(len(lexemes)),
                     silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
@@ -225,7 +230,7 @@ def _train(run: Run, model: Critics, folder: Path) -> Figures:
         return {key: float(np.nanmean([row[key] for row in rows])) for key in rows[0]}
 
     task = fitting.Task(lambda rng: critic_batch(corpus, data, data.windows(
-        rng, run.schedule(ADVANTAGE).batch, config.decisions), unit, heard), validate=validate)
+        rng, run.schedule(ADVANTAGE).batch, config.decisions), unit, trained_on), validate=validate)
     return run.fit(ADVANTAGE, model, task, folder)
 
 

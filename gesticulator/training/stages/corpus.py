@@ -64,6 +64,7 @@ class Corpus:
 
     def blocks_of(self, recording: int) -> NDArray[np.int64]:
         """Block numbers of a recording, in order."""
+        # Block numbers of a recording are contiguous, and `recording` is sorted.
         first, last = np.searchsorted(self.recording, (recording, recording + 1))
         return np.arange(first, last)
 
@@ -103,15 +104,15 @@ class Corpus:
             ratio = torch.as_tensor(self.durations / before).to(rows_of.dtype)
             return cast(Pasts, PastRows(rows_of, begins, self.first, self.recording, ratio))
         rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
-        return joined(pasts_of(self.motion[own], torch.as_tensor(self.durations)[own], first)
-                      for own, first in zip(rows, self.first, strict=True))
+        return joined(pasts_of(self.motion[blocks], torch.as_tensor(self.durations)[blocks], first)
+                      for blocks, first in zip(rows, self.first, strict=True))
 
     @functools.cached_property
     def circumstances(self) -> Tensor:
         """[N, 8] each block's context in speech (`generator.flow.circumstances`)."""
         rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
-        return torch.cat([circumstances(torch.as_tensor(self.durations)[own], torch.as_tensor(self.silent)[own])
-                          for own in rows])
+        return torch.cat([circumstances(torch.as_tensor(self.durations)[blocks], torch.as_tensor(self.silent)[blocks])
+                          for blocks in rows])
 
     def before(self, blocks: NDArray[np.int64]) -> tuple[Tensor, Tensor]:
         """For blocks [n], the block before as performed [n, K, D_m] (the recording's first pose, held, before its first
@@ -147,6 +148,7 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
     speakers = tuple(sorted({info.speaker for info in infos if info.split == "train"}))
     if not speakers:
         raise InputError(store.path, "has no recordings in its training split", "build the store again")
+    # Speakers that occur in no training recording use the statistics of the first.
     speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0 for info in infos])
     files = cut(store, config, folder, workers=workers, progress=progress)
     without_audio = encoder is None and config.front_end.name == "vqwav2vec"
@@ -154,35 +156,40 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
     if memory is not None:
         blocks = CachedBlocks(files, feature_files, speaker_of, [info.split for info in infos], store.names,
                               word_file(store, config, folder, progress=progress))
+        # Decided from counts and one file, before anything large is read.
         counts = blocks.counts()
         if bytes_of(blocks, counts, config.rhythm.frames) > memory:
             return _on_disk(config, folder, speakers, blocks, counts)
     loaded = [read_arrays(file, leave_out=("sound",)) for file in files]
     encoded: list[dict[str, NDArray[Any]]]
     if feature_files is None:
-        encoded = [{"low": np.zeros((len(own["silent"]), 3 * config.rhythm.frames, 1), np.float16)} for own in loaded]
+        encoded = [{"low": np.zeros((len(arrays["silent"]), 3 * config.rhythm.frames, 1), np.float16)}
+                   for arrays in loaded]
     else:
         encoded = [read_arrays(file) for file in feature_files]
     statistics = measured(config, speakers, speaker_of, [info.split for info in infos], loaded, encoded)
-    motion = [statistics.normalise(own["motion"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
-    first = [statistics.normalise(own["first"], speaker) for own, speaker in zip(loaded, speaker_of, strict=True)]
-    low = _normalised(statistics.low, [own["low"] for own in encoded])
-    high = low if "high" not in encoded[0] else _normalised(statistics.high, [own["high"] for own in encoded])
+    motion = [statistics.normalise(arrays["motion"], speaker)
+              for arrays, speaker in zip(loaded, speaker_of, strict=True)]
+    first = [statistics.normalise(arrays["first"], speaker) for arrays, speaker in zip(loaded, speaker_of, strict=True)]
+    low = _normalised(statistics.low, [arrays["low"] for arrays in encoded])
+    # The same tensor, so that one level takes its memory once and `is` tells the cases apart.
+    high = low if "high" not in encoded[0] else _normalised(statistics.high, [arrays["high"] for arrays in encoded])
     word_at, words, has_text = _text(infos, loaded, read_words(store, config, folder, progress=progress))
     return Corpus(
         names=tuple(info.name for info in infos), splits=tuple(info.split for info in infos), speaker_of=speaker_of,
         motion=torch.as_tensor(np.concatenate(motion).astype(np.float32)), low=low, high=high,
-        silent=np.concatenate([own["silent"] for own in loaded]),
-        durations=np.concatenate([np.diff(own["edges"]) for own in loaded]),
-        recording=np.repeat(np.arange(len(infos)), [len(own["silent"]) for own in loaded]),
+        silent=np.concatenate([arrays["silent"] for arrays in loaded]),
+        durations=np.concatenate([np.diff(arrays["edges"]) for arrays in loaded]),
+        recording=np.repeat(np.arange(len(infos)), [len(arrays["silent"]) for arrays in loaded]),
         first=torch.as_tensor(np.stack(first).astype(np.float32)),
-        mask=torch.as_tensor(np.stack([own["mask"] for own in loaded]).astype(np.float32)),
-        control=np.concatenate([own["control"] for own in loaded]), statistics=statistics, has_text=has_text,
+        mask=torch.as_tensor(np.stack([arrays["mask"] for arrays in loaded]).astype(np.float32)),
+        control=np.concatenate([arrays["control"] for arrays in loaded]), statistics=statistics, has_text=has_text,
         word_at=word_at, words=words, files=files)
 
 
 def _on_disk(config: Config, folder: Path, speakers: tuple[str, ...], blocks: CachedBlocks,
              counts: NDArray[np.int64]) -> Corpus:
+    # The names of the cache folders are hashes of their own inputs.
     key = digest(blocks.files[0].parent.name, blocks.features[0].parent.name if blocks.features else "",
                  blocks.words.name if blocks.words else "", config.motion, MEASURED)
     statistics = measured_of(config, speakers, blocks, counts)
@@ -201,14 +208,15 @@ def _normalised(normaliser: Normaliser, parts: list[NDArray[Any]]) -> Tensor:
 def _text(infos: Iterable[Any], loaded: list[dict[str, NDArray[Any]]], vectors: dict[str, NDArray[np.float16]]
           ) -> tuple[Tensor | None, Tensor | None, NDArray[np.bool_]]:
     """[N, 3K] rows, the table [W + 1, d_t + 1], and which recordings have words [R]."""
-    has = np.array([info.name in vectors and "word_at" in own for info, own in zip(infos, loaded, strict=True)])
+    has = np.array([info.name in vectors and "word_at" in arrays for info, arrays in zip(infos, loaded, strict=True)])
     if not has.any():
         return None, None, has
+    # Row 0 of the table is the empty word, so the first word of all is row 1.
     rows, tables, begin = [], [], 1
-    for info, own in zip(infos, loaded, strict=True):
-        frames = own.get("word_at")
+    for info, arrays in zip(infos, loaded, strict=True):
+        frames = arrays.get("word_at")
         if frames is None or info.name not in vectors:
-            rows.append(np.zeros((len(own["silent"]), 3 * own["motion"].shape[1]), np.int32))
+            rows.append(np.zeros((len(arrays["silent"]), 3 * arrays["motion"].shape[1]), np.int32))
             continue
         rows.append(three_blocks(np.where(frames >= 0, frames + begin, 0).astype(np.int32), np.zeros(())))
         tables.append(vectors[info.name])

@@ -60,16 +60,18 @@ class StoredRows:
         wanted = np.asarray(rows)
         if wanted.dtype == bool:
             wanted = np.flatnonzero(wanted)
-        found = self._read(wanted.reshape(-1)).reshape(*wanted.shape, *self.shape[1:])
-        return found[(*(slice(None) for _ in wanted.shape), *rest)]
+        selected = self._read(wanted.reshape(-1)).reshape(*wanted.shape, *self.shape[1:])
+        return selected[(*(slice(None) for _ in wanted.shape), *rest)]
 
     def _read(self, numbers: NDArray[Any]) -> Tensor:
         """[n, ...] the rows with these numbers [n]. IndexError for numbers out of range."""
+        # Each row is read once, in the order of the file: random batches become few long reads.
         places, back = np.unique(np.where(numbers < 0, numbers + len(self), numbers), return_inverse=True)
         if len(places) and not 0 <= places[0] <= places[-1] < len(self):
             raise IndexError(f"rows {places[0]} to {places[-1]} of {len(self)}")
         rows = np.empty((len(places), *self.shape[1:]), self._numpy)
         bytes_of = rows.reshape(-1).view(np.uint8).data if rows.size else memoryview(b"")
+        # Starts of runs of neighbouring rows, each of which is one read.
         first = np.flatnonzero(np.diff(places, prepend=-2) != 1)
         with self.path.open("rb", buffering=0) as file:
             for begin, end in zip(first, np.append(first[1:], len(places))[:len(first)], strict=True):
@@ -89,6 +91,7 @@ def _to_member(stream: BinaryIO, name: str) -> None:
         info = archive.getinfo(name)
     if info.compress_type != zipfile.ZIP_STORED:
         raise ValueError(f"{name} is compressed")
+    # Bytes 26 to 29 of a zip's local header hold the lengths of the name and the extra field that precede the data.
     stream.seek(info.header_offset + 26)
     names, extra = struct.unpack("<HH", stream.read(4))
     stream.seek(info.header_offset + 30 + names + extra)
@@ -146,11 +149,11 @@ class _PastFrames:
         self.pasts = pasts
 
     def __getitem__(self, rows: Tensor | slice) -> Tensor:
-        own = self.pasts
-        index = np.arange(len(own.motion))[rows] if isinstance(rows, slice) else np.asarray(rows)
-        before = own.motion[np.maximum(index - 1, 0), -PAST:]
-        held = own.first[torch.as_tensor(own.recording[index])].unsqueeze(-2).expand_as(before)
-        return torch.where(torch.as_tensor(own.begins[index])[..., None, None], held, before)
+        pasts = self.pasts
+        index = np.arange(len(pasts.motion))[rows] if isinstance(rows, slice) else np.asarray(rows)
+        before = pasts.motion[np.maximum(index - 1, 0), -PAST:]
+        held = pasts.first[torch.as_tensor(pasts.recording[index])].unsqueeze(-2).expand_as(before)
+        return torch.where(torch.as_tensor(pasts.begins[index])[..., None, None], held, before)
 
 
 def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
@@ -166,10 +169,10 @@ def stretches(counts: Iterable[int], speaker_of: Sequence[int] | NDArray[np.int6
     every = max(1, -(-sum(sizes) // most))
     if every == 1:
         return [[slice(0, size)] for size in sizes]
-    seen: dict[int, int] = {}
+    counted: dict[int, int] = {}
     out = []
     for size, speaker in zip(sizes, speaker_of, strict=True):
-        begins, number = range(0, size, length), seen.get(int(speaker), 0)
+        begins, number = range(0, size, length), counted.get(int(speaker), 0)
         out.append([slice(at, min(at + length, size)) for k, at in enumerate(begins) if (number + k) % every == 0])
-        seen[int(speaker)] = number + len(begins)
+        counted[int(speaker)] = number + len(begins)
     return out

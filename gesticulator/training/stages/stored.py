@@ -44,7 +44,7 @@ class CachedBlocks:
         """[R] number of blocks of each recording."""
         return np.array([len(read_arrays(file, only=("silent",))["silent"]) for file in self.files], dtype=np.int64)
 
-    def heard(self, recording: int, frames: int, count: int) -> dict[str, NDArray[Any]]:
+    def features_of(self, recording: int, frames: int, count: int) -> dict[str, NDArray[Any]]:
         """Features of a recording; one column of zeros without a front end."""
         if self.features is None:
             return {"low": np.zeros((count, 3 * frames, 1), np.float16)}
@@ -53,10 +53,11 @@ class CachedBlocks:
 
 def bytes_of(blocks: CachedBlocks, counts: NDArray[np.int64], frames: int) -> int:
     """Size of the corpus in memory, bytes."""
-    one = read_arrays(blocks.files[0], leave_out=("sound",))
-    row = sum(one[key][0].nbytes for key in ("motion", "control") if len(one[key])) + 12 * frames
-    heard = blocks.heard(0, frames, len(one["silent"]))
-    row += sum(level[0].nbytes for level in heard.values() if len(level))
+    arrays = read_arrays(blocks.files[0], leave_out=("sound",))
+    # 12 bytes a frame: the row numbers of words, three int32 for each frame of a block.
+    row = sum(arrays[key][0].nbytes for key in ("motion", "control") if len(arrays[key])) + 12 * frames
+    features = blocks.features_of(0, frames, len(arrays["silent"]))
+    row += sum(level[0].nbytes for level in features.values() if len(level))
     return int(counts.sum()) * row + (blocks.words.stat().st_size if blocks.words is not None else 0)
 
 
@@ -71,12 +72,13 @@ def measured_of(config: Config, speakers: tuple[str, ...], blocks: CachedBlocks,
     for recording, parts in zip(train, taken, strict=True):
         if not parts:
             continue
-        own = read_arrays(blocks.files[recording], only=("motion", "silent", "mask", "control"))
-        heard = blocks.heard(recording, own["motion"].shape[1], len(own["silent"]))
+        arrays = read_arrays(blocks.files[recording], only=("motion", "silent", "mask", "control"))
+        features = blocks.features_of(recording, arrays["motion"].shape[1], len(arrays["silent"]))
         for part in parts:
-            loaded.append({"mask": own["mask"], **{key: own[key][part].copy()
+            # Copies: a view would keep the whole recording in memory.
+            loaded.append({"mask": arrays["mask"], **{key: arrays[key][part].copy()
                                                    for key in ("motion", "silent", "control")}})
-            encoded.append({key: level[part].copy() for key, level in heard.items()})
+            encoded.append({key: level[part].copy() for key, level in features.items()})
             owners.append(int(blocks.speaker_of[recording]))
     return measured(config, speakers, np.array(owners), ["train"] * len(loaded), loaded, encoded)
 
@@ -113,15 +115,15 @@ def _write(folder: Path, blocks: CachedBlocks, counts: NDArray[np.int64], statis
 
     spoken, begin = _spoken(blocks, vectors), 1
     for recording, name in enumerate(blocks.names):
-        own = read_arrays(blocks.files[recording], leave_out=("sound",))
-        speaker, size = int(blocks.speaker_of[recording]), len(own["silent"])
-        frames = own["motion"].shape[1]
-        heard = blocks.heard(recording, frames, size)
-        add("motion", statistics.normalise(own["motion"], speaker), np.float32)
-        add("low", statistics.low.apply(heard["low"].astype(np.float32)), np.float16)
-        if "high" in heard:
-            add("high", statistics.high.apply(heard["high"].astype(np.float32)), np.float16)
-        add("control", own["control"], np.float32)
+        arrays = read_arrays(blocks.files[recording], leave_out=("sound",))
+        speaker, size = int(blocks.speaker_of[recording]), len(arrays["silent"])
+        frames = arrays["motion"].shape[1]
+        features = blocks.features_of(recording, frames, size)
+        add("motion", statistics.normalise(arrays["motion"], speaker), np.float32)
+        add("low", statistics.low.apply(features["low"].astype(np.float32)), np.float16)
+        if "high" in features:
+            add("high", statistics.high.apply(features["high"].astype(np.float32)), np.float16)
+        add("control", arrays["control"], np.float32)
         if spoken:
             has = name in spoken
             at = np.zeros((size, 3 * frames), np.int32)
@@ -130,12 +132,13 @@ def _write(folder: Path, blocks: CachedBlocks, counts: NDArray[np.int64], statis
                 if begin == 1:  # the empty word
                     add("words", np.eye(1, table.shape[1] + 1, table.shape[1]), np.float16, 1 + sum(spoken.values()))
                 add("words", np.pad(table, ((0, 0), (0, 1))), np.float16)
-                at = three_blocks(np.where(own["word_at"] >= 0, own["word_at"] + begin, 0).astype(np.int32),
+                at = three_blocks(np.where(arrays["word_at"] >= 0, arrays["word_at"] + begin, 0).astype(np.int32),
                                   np.zeros(()))
                 begin += len(table)
             add("word_at", at, np.int32)
-        for key, value in (("silent", own["silent"]), ("durations", np.diff(own["edges"])), ("mask", own["mask"]),
-                           ("first", statistics.normalise(own["first"], speaker)), ("has_text", name in spoken)):
+        for key, value in (("silent", arrays["silent"]), ("durations", np.diff(arrays["edges"])),
+                           ("mask", arrays["mask"]),
+                           ("first", statistics.normalise(arrays["first"], speaker)), ("has_text", name in spoken)):
             small[key].append(value)
     for writer in writers.values():
         writer.close()

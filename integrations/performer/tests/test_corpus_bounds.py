@@ -246,7 +246,7 @@ def test_pauses_that_are_long_enough_are_marked_as_rest() -> None:
     assert rests_of([], 10.0) == (Mark(REST, 0.0, 10.0),)
 
 
-def test_marks_and_styles_are_kept_in_a_store_and_older_stores_are_read(tmp_path: Path) -> None:
+def test_marks_and_styles_are_kept_in_a_store(tmp_path: Path) -> None:
     truth = Truth((), (), (Phrase(0.1, 0.9, -0.25),), (Mark(REST, 0.5, 1.0), Mark(JOIN, 1.5, 1.5)),
                   (StyleKnot(0.0, 0.5, -1.0), StyleKnot(8.0, -0.5, 1.0)))
     writer = StoreWriter(tmp_path / "s", "test", {}, 0, "none")
@@ -255,8 +255,6 @@ def test_marks_and_styles_are_kept_in_a_store_and_older_stores_are_read(tmp_path
     assert store.load("a").truth == truth
     told = json.loads(json.dumps(truth.to_json()))
     assert Truth.from_json(told) == truth
-    older = {name: rows for name, rows in told.items() if name not in ("marks", "style")}
-    assert Truth.from_json(older) == replace(truth, marks=(), style=())
     with pytest.raises(KeyError):
         Truth.from_json({name: rows for name, rows in told.items() if name != "phrases"})
 

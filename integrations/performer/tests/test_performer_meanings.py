@@ -22,7 +22,7 @@ from procedural import procedural_strokes
 from data_module.errors import InputError
 from data_module.files import read_table
 from data_module.motion import kinematics, rotation
-from data_module.truth import Phrase, Syllable, Truth
+from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Speech, Word
 
 PUPPET = "puppet"
@@ -215,17 +215,6 @@ def test_equal_skeletons_need_no_turn(strokes: StrokeSet) -> None:
     skeleton = strokes.figures[PUPPET].skeleton
     for turn in bind_differences(skeleton, skeleton, "Left").values():
         assert rotation.angle_between(turn, np.array([1.0, 0.0, 0.0, 0.0])) < 1e-6
-
-
-def test_a_truth_of_an_older_corpus_has_no_meanings() -> None:
-    row = {"lexeme": "Me", "clip": "c", "hand": "left", "start": 0.0, "beat": 1.0, "hold_end": 2.0, "end": 3.0,
-           "syllable": 1.0, "gain": 1.0, "held_out": False}
-    older = {"strokes": [row], "syllables": [], "phrases": []}
-    assert (Truth.from_json(older).strokes[0].meaning, Truth.from_json(older).strokes[0].word) == ("", -1)
-    newer = {**older, "strokes": [row | {"meaning": "shrug", "word": 4}]}
-    assert Truth.from_json(Truth.from_json(newer).to_json()).strokes[0].word == 4
-    with pytest.raises(KeyError):
-        Truth.from_json({**older, "strokes": [{k: v for k, v in row.items() if k != "gain"}]})
 
 
 MINUTES = {"train": 145, "test": 60}

@@ -14,7 +14,7 @@ plane behind the trunk that recedes beside it; the hand stays. A hand at its sho
 further than a person can, stays where only the slope of the field would move it: there a centimetre of the hand is ten
 of the elbow, which would turn round within a frame. It turns about its wrist if its knuckles are in the trunk.
 Everything depends on the pose alone; a pose that needs no correction stays the same bit for bit. Thighs of a body that
-sits are `gesticulator.body.lap`.
+sits are `gesticulator.contacts.lap`.
 """
 
 from __future__ import annotations
@@ -28,17 +28,20 @@ from data_module.motion import rotation
 from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.characters.contacts import (
+from gesticulator.contacts.limbs import (
     LEAST,
     OURS,
     POLE_OF_ELBOW,
     SOFT,
     Pose,
+    bent,
+    length,
     pose_of,
     soft,
+    swing,
+    swivelled,
     write_turns,
 )
-from gesticulator.characters.inverse_kinematics import bent, length, swing, swivelled
 
 STEEPEST = 1.2
 """Largest slope of the front of the trunk: with 3, a hand that shot past the hip was thrown ahead at 4.7 m/s."""
@@ -85,7 +88,7 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
     body that sits; the motion may still lack them."""
     if not sits:
         return _off_trunk(motion)
-    from gesticulator.body.lap import kept_off_thighs
+    from gesticulator.contacts.lap import kept_off_thighs
 
     for _ in range(_SEATED):
         motion = _off_trunk(kept_off_thighs(motion))

@@ -1,18 +1,59 @@
-"""Two-bone inverse kinematics for all frames at once."""
+"""Arms and legs of two bones that bend to reach a place, for all frames at once; poses of the default skeleton."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
-from data_module.types import Array
+from data_module.motion.kinematics import with_ancestors
+from data_module.types import Array, Motion, Skeleton
 
+SOFT = 0.05
+"""Metres before and after the surface over which a hand is slowed; one at rest on the trunk, at 12 mm, moves by 7."""
+LEAST = 1e-6
+"""Metres below which a hand is not moved."""
+POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
+"""Direction to which the elbow of a straight arm bends."""
+MARGIN = 0.03
+"""Metres from the trunk beyond which a hand is not corrected, for an adult."""
+OURS = (0.145, 0.115)
+"""Half the width and half the depth of the default character's trunk, metres: a slim adult."""
 _STRETCHED = 0.9995
 """Largest share of a limb's length used: a fully stretched knee jumps."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """The joints of the default skeleton over T frames: joint -> [T, 3, 3] world rotations and [T, 3] positions,
+    metres."""
+
+    turns: Mapping[str, Array]
+    places: Mapping[str, Array]
+
+
+def pose_of(motion: Motion, names: Sequence[str] | None = None) -> Pose:
+    """World rotations and positions of a motion's joints; of these and those above them, if names are given."""
+    skeleton = motion.skeleton
+    joints: Sequence[int] = range(len(skeleton))
+    if names is not None:
+        joints = with_ancestors(skeleton.parents, tuple(map(skeleton.index, names)))
+    local = rotation.to_matrix(motion.rotations[:, joints])
+    turns, places = {}, {}
+    for place, joint in enumerate(joints):
+        name, parent = skeleton.names[joint], skeleton.parents[joint]
+        if parent < 0:
+            turns[name], places[name] = local[:, place], motion.root_positions
+        else:
+            above = skeleton.names[parent]
+            turns[name] = turns[above] @ local[:, place]
+            places[name] = places[above] + turns[above] @ skeleton.offsets[joint]
+    return Pose(turns, places)
 
 
 class Limbs(Protocol):
@@ -94,3 +135,36 @@ def swing(a: Array, b: Array) -> Array:
     b = b / length(b)
     q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), rotation.cross(a, b)], axis=-1)
     return rotation.to_matrix(rotation.normalise(q))
+
+
+class BelowShoulder:
+    """The default skeleton as `Limbs`, under a shoulder that stays where it is; its nodes are its joints."""
+
+    def __init__(self, skeleton: Skeleton, shoulder: int, place: Array) -> None:
+        self.skeleton = skeleton
+        self._shoulder = {shoulder: place}
+
+    def place(self, turns: Mapping[int, Array], node: int) -> Array:
+        """[T, 3] position of a joint relative to the hips, metres; turns: joint -> [T, 3, 3] its world rotation."""
+        if node in self._shoulder:
+            return self._shoulder[node]
+        above = self.skeleton.parents[node]
+        return self.place(turns, above) + turns[above] @ self.skeleton.offsets[node]
+
+
+def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array], joints: Sequence[int],
+                at: NDArray[np.int64]) -> None:
+    """Write the world rotations `turns` of some joints, each above the next, into `rotations` [T, J, 4] at the frames
+    `at`."""
+    above = np.array([turns[skeleton.parents[joint]] for joint in joints])
+    local = np.swapaxes(above, -1, -2) @ np.array([turns[joint] for joint in joints])
+    new = rotation.w_first(Rotation.from_matrix(local.reshape(-1, 3, 3))).reshape(*local.shape[:2], 4)
+    where = at, np.array(joints)[:, None]
+    old = rotations[where]
+    # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
+    rotations[where] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
+
+
+def soft(depth: Array, over: float = SOFT) -> Array:
+    """max(depth, 0) without a kink, metres. over: metres on both sides in which it is rounded."""
+    return np.where(depth > over, depth, np.clip(depth + over, 0.0, 2.0 * over) ** 2 / (4.0 * over))

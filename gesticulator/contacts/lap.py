@@ -1,7 +1,7 @@
 """Keeps the hands of the default character above its thighs while it sits.
 
 The models know no legs: a hand that hangs or sweeps low would pass through the thighs. A hand is lifted by bending its
-arm until wrist and knuckles are on the thighs (`gesticulator.characters.thighs`), is turned about its wrist as far as
+arm until wrist and knuckles are on the thighs (`surfaces`), is turned about its wrist as far as
 its fingertips are lower, and is lifted by what still lacks. As with the trunk, a hand is slowed before it touches, and
 everything depends on the pose alone.
 """
@@ -16,13 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from data_module.motion.skeletons import CHARACTER, SIDES
+from data_module.motion.skeletons import SIDES, WHOLE_BODY
 from data_module.types import Array, Motion
-from gesticulator.body.legs import seated
-from gesticulator.characters.contacts import LEAST, POLE_OF_ELBOW, BelowShoulder, Pose, pose_of, soft, write_turns
-from gesticulator.characters.inverse_kinematics import bend, swivel
-from gesticulator.characters.thighs import FINGERTIPS, Thigh, is_level, our_thighs
+from gesticulator.contacts.limbs import (
+    LEAST,
+    POLE_OF_ELBOW,
+    BelowShoulder,
+    Pose,
+    bend,
+    pose_of,
+    soft,
+    swivel,
+    write_turns,
+)
+from gesticulator.contacts.surfaces import FINGERTIPS, Thigh, is_level, our_thighs
 
+SEAT_SPREAD = 7.0
+"""Degrees by which a seated thigh points outward."""
 WRIST, KNUCKLES, TIP = 0.024, 0.018, 0.009
 """Metres from the joints of a hand to its underside: half the thickness of wrist, palm and fingers."""
 SOFT, TIP_SOFT = 0.03, 0.015
@@ -56,7 +66,7 @@ def kept_off_thighs(motion: Motion) -> Motion:
 
 
 def is_seated(motion: Motion) -> bool:
-    """Whether a motion on the default skeleton has legs, and they are those of someone who sits."""
+    """True if a motion on the default skeleton has legs, and they sit."""
     if "LeftUpLeg" not in motion.skeleton.names or not len(motion):
         return False
     first = replace(motion, rotations=motion.rotations[:1], root_positions=np.zeros((1, 3)))
@@ -167,7 +177,10 @@ def _ends(pose: Pose) -> tuple[list[Array], list[Array]]:
 @cache
 def _seat() -> tuple[list[Array], list[Array], Array]:
     """`_ends` of the default character on its seat, [1, 3], and the place of its spine [3] from the hips."""
-    still = np.zeros((1, len(CHARACTER), 4))
-    still[..., 0] = 1.0
-    pose = pose_of(seated(Motion(CHARACTER, still, np.zeros((1, 3)), 1.0)))
-    return *_ends(pose), (pose.places["Spine"] - pose.places["Hips"])[0]
+    offsets = {name: WHOLE_BODY.offsets[WHOLE_BODY.index(name)]
+               for name in ("Spine", *(side + part for side in SIDES for part in ("UpLeg", "Leg")))}
+    hips = [offsets[side + "UpLeg"][None] for side in SIDES]
+    level = Rotation.from_euler("x", -90.0, degrees=True)
+    knees = [hip + (Rotation.from_euler("y", out, degrees=True) * level).apply(offsets[side + "Leg"])
+             for side, hip, out in zip(SIDES, hips, (SEAT_SPREAD, -SEAT_SPREAD), strict=True)]
+    return hips, knees, offsets["Spine"]
