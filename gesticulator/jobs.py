@@ -121,7 +121,7 @@ def _file_hash(path: Path, _modified: int, _size: int) -> str:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was made of a recording.
+    """The result of processing a recording.
 
     name: of the recording. seconds: of sound; beats: their number; used: different lexemes, of `lexicon`; factor:
     computing time over duration (real-time factor). written: the files. notes: remarks for the user, a line each.

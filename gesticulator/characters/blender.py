@@ -77,7 +77,8 @@ def run_in_blender(subject: Path, script: Path, *arguments: str) -> str:
 
 
 def _environment() -> dict[str, str]:
-    """Without the path of our packages, and with a fixed seed of the hashes of strings."""
+    """The environment of Blender: without PYTHONPATH, since Blender has its own Python and packages, and with a fixed
+    seed for the hashes of strings."""
     return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {"PYTHONHASHSEED": "0"}
 
 
@@ -101,11 +102,11 @@ class _Worker:
 
     @property
     def folder(self) -> Path:
-        """A folder that is there as long as this Blender."""
+        """A temporary folder that is removed when this Blender ends."""
         return Path(self._folder.name)
 
     def send(self, script: Path, arguments: tuple[str, ...]) -> Path:
-        """Give it a job, which begins after those before; returns the path of its outcome."""
+        """Queue a job behind the earlier ones; returns the path of the file that will hold its outcome."""
         self._count += 1
         outcome, pipe = self.folder / f"{self._count}.json", self._process.stdin
         assert pipe is not None
@@ -115,7 +116,7 @@ class _Worker:
         return outcome
 
     def wait(self, outcome: Path) -> str:
-        """The message of the error of a job, "" for none. TimeoutError after `SECONDS`."""
+        """Wait for a job; returns its error message, "" for none. TimeoutError after `SECONDS`."""
         until = time.monotonic() + SECONDS
         # The outcome is a file because Blender itself prints on standard output.
         while not outcome.exists():
@@ -170,7 +171,7 @@ def start_blender(subject: Path) -> Path:
 
 @dataclass(frozen=True)
 class BlenderJob:
-    """A job that Blender has been given. subject: what its errors are about."""
+    """A job queued in Blender. subject: the file that its errors name."""
 
     subject: Path
     worker: _Worker

@@ -15,8 +15,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the joint of each node, and what was measured in some poses; `InputError` if the mapping is unusable or
-    what comes out is not sound."""
+    """Print the joint of each node, and measurements of the character in some poses; `InputError` if the mapping is
+    unusable or the moved character is not sound."""
     from gesticulator.characters.joints import find_joints
     from gesticulator.characters.mapping import check, described, load_mapping, save_mapping
     from gesticulator.characters.reading import read_character

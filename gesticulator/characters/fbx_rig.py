@@ -30,8 +30,8 @@ _ahead: dict[Path, tuple[BlenderJob, Path]] = {}
 
 
 def kept_scene(file: Path) -> Path:
-    """Where Blender keeps the scene that it imports a file into, as long as it runs and the file does not change.
-    `InputError` without Blender."""
+    """The .blend file of the scene into which Blender imported a file; valid while Blender runs and the file is
+    unchanged. `InputError` without Blender."""
     status = file.stat()
     # Path, time and size: an edited file must not use the scene of its earlier version.
     name = hashlib.sha256(repr((str(file.resolve()), status.st_mtime_ns, status.st_size)).encode()).hexdigest()[:16]
@@ -39,7 +39,7 @@ def kept_scene(file: Path) -> Path:
 
 
 def read_ahead(path: str | os.PathLike[str]) -> None:
-    """Let Blender start to read a file that `read_fbx_character` will be asked for. What is wrong is said then."""
+    """Let Blender start to read a file before `read_fbx_character` needs it. That function reports the errors."""
     file = Path(path).resolve()
     if file.is_file() and file not in _ahead:
         with suppress(InputError, OSError):

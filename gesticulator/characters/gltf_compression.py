@@ -1,6 +1,6 @@
 """Compressed parts of glTF files, unpacked for reading: EXT_meshopt_compression and KHR_draco_mesh_compression.
 
-The extra `compressed` brings the decoders. The file itself is not rewritten: what is added to it lies beside its
+The extra `compressed` installs the decoders. The file itself is not rewritten: new data are appended beside its
 compressed parts.
 """
 

@@ -27,9 +27,9 @@ _MOST_PARTS = 1 << 16
 """Most mesh primitives in use: one mesh may be referenced by every node."""
 _LONGEST_NAME = 1000
 _MOST_CANDIDATES = 400
-"""Most joints that are asked for the place of the mesh."""
+"""Most joints used to determine the place of the mesh."""
 _MOST = 0.5
-"""Share of the joints that must rest in the bind pose for their word to count."""
+"""Least share of the joints that must rest in the bind pose for their majority to decide."""
 _SAME_PLACE, _SAME_TURN = 1e-3, float(np.radians(0.5))
 """Share of the skeleton's size, and radians, within which a joint is where the bind pose has it."""
 _LEVEL = float(np.radians(1.0))
@@ -84,7 +84,7 @@ def _character(file: GltfFile) -> Character:
     if not matrices:
         return character
     inverse = _inverse_bind(file, place, matrices)
-    # Matrices that are all the same say nothing of a pose: the mesh is in the axes of its joints, wherever they rest.
+    # Matrices that are all equal hold no pose: the mesh is in the axes of its joints, wherever they rest.
     bind, to_world = _bind(character, inverse, _mesh_nodes(file, place)) if inverse else (rest, np.eye(4))
     moves = _to_world(file, place, matrices, bind, to_world)
     flesh, flesh_nodes = _flesh(file, place, moves)
@@ -177,8 +177,7 @@ def _inverse_bind(file: GltfFile, place: Mapping[int, int], matrices: Mapping[in
 
 def _to_world(file: GltfFile, place: Mapping[int, int], matrices: Mapping[int, Array], bind: Array, to_world: Array
               ) -> dict[int, Array]:
-    """Skin -> [J, 4, 4] what brings its mesh into the world of the bind pose, by joint; as a rule all are `to_world`.
-    """
+    """Skin -> [J, 4, 4] the transform of its mesh into the world of the bind pose, by joint; usually all `to_world`."""
     out = {}
     for number, rows in matrices.items():
         moves = bind[[place[node] for node in file.rows("skins")[number]["joints"]]] @ rows
@@ -191,8 +190,8 @@ def _bind(character: Character, inverse: Mapping[int, Array], meshes: Sequence[i
     """[N, 4, 4] world matrices of the bind pose, and [4, 4] from mesh space to the world.
 
     Inverse bind matrices give each joint's place in mesh space. The place of mesh space in the world is that which
-    explains most of them: a joint that rests in its bind pose says where it is, and all that do agree. If most joints
-    rest in another pose, the nodes that carry the meshes say it, or else the joint nearest to the root.
+    explains most of them: each joint that rests in its bind pose determines it, and all of those agree. If most joints
+    rest in another pose, the nodes that carry the meshes determine it, or else the joint nearest to the root.
     """
     rest = character.world_matrices()
     joints = list(inverse)
@@ -240,7 +239,7 @@ def _is_level(to_world: Array) -> bool:
 
 def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, meshes: Sequence[int], most: float
                      ) -> Array | None:
-    """[4, 4] from mesh space to the world as the nodes say that carry the meshes, or the skeleton; None if none of
+    """[4, 4] from mesh space to the world by the nodes that carry the meshes or the skeleton; None if none of
     them has the size of the skeleton and leaves the trunk within `most` radians of its rest pose (in the median)."""
     rest = character.world_matrices()
     place = {node: index for index, node in enumerate(joints)}

@@ -50,7 +50,7 @@ class Search:
 
     @property
     def aids(self) -> frozenset[int]:
-        """The nodes whose names say that they are no joints."""
+        """The nodes that are not joints according to their names."""
         return frozenset(node for node, entry in enumerate(self.labels) if entry.aid)
 
     def path(self, top: int, node: int) -> list[int]:
@@ -91,12 +91,12 @@ def find_joints(character: Character) -> RigMapping:
     best = max(candidates, key=_worth)
     whole = [mapping for name in _skeletons_mixed(character, best)
              if set(NEEDED) <= (mapping := find_joints(chosen(character, name))).joints.keys()]
-    # Where none of them is a body, they are parts of one that was not tied together, which is said later.
+    # If none of them is a body, they are disconnected parts of one; `check` reports that later.
     return max(whole, key=_worth) if whole else best
 
 
 def _worth(mapping: RigMapping) -> tuple[bool, float, int]:
-    """How good a mapping is. One that finds no legs is not the surer for it."""
+    """Sort key of mappings, the best the largest: confident with legs first, then the confidence, then the joints."""
     return mapping.legs and mapping.confidence >= SURE, round(mapping.confidence, 2), len(mapping.joints)
 
 
@@ -160,7 +160,7 @@ def _found(search: Search) -> RigMapping:
     if trunk is not None:
         hips, spine, neck, head, how = trunk
         joints, sure = {"Hips": hips, "Head": head, **joints}, {**sure, **how}
-    else:  # not usable; what its names say shortens the list of what it lacks
+    else:  # not usable; joints known by name alone shorten the list of missing ones in the message
         spine = neck = ()
         joints = {**_by_name_alone(search), **joints}
     for side in SIDES:
@@ -174,7 +174,7 @@ def _found(search: Search) -> RigMapping:
 
 
 def _by_name_alone(search: Search) -> dict[str, int]:
-    """The needed joints that one node each is named as."""
+    """The joints of `NEEDED` for which exactly one node has the name."""
     named: dict[str, list[int]] = {}
     for node, entry in enumerate(search.labels):
         if entry.parts and not entry.aid and not entry.tip:

@@ -191,7 +191,8 @@ def words(name: str) -> list[str]:
 
 
 def labels(names: Sequence[str]) -> tuple[Label, ...]:
-    """The labels of all names of a character. A word that most names begin with says nothing ("EthanLeftArm").
+    """The labels of all names of a character. A first word that most names share is the character's name and is
+    ignored ("EthanLeftArm").
 
     >>> [entry.parts for entry in labels(["Bob_Hips", "Bob_Head", "BobLeftArm", "BobLeftHand", "BobNeck"])]
     [('Hips',), ('Head',), ('Arm', 'ForeArm'), ('Hand',), ('Neck',)]
@@ -215,7 +216,7 @@ _MOST = 0.6
 def label(name: str, noise: frozenset[str] = frozenset(), french: bool = False) -> Label:
     """The label of a name; an empty `Label` if nothing is recognised.
 
-    noise: words that say nothing. french: whether "g" and "d" are sides.
+    noise: words to ignore. french: whether "g" and "d" are sides.
 
     >>> label("upperarm_l").parts, label("upperarm_l").side, label("Bip01 R Finger01").number
     (('Arm',), 'Left', '1')
@@ -280,7 +281,7 @@ _RIGIFY = re.compile(r"(DEF[-_]|ORG[-_]|)spine(?:[._]?(\d{3}))?", re.IGNORECASE)
 """Rigify's spine: its joints 0 to 3 are hips and trunk, the last one is the head, and those before it are the neck."""
 _RIGIFY_TRUNK = 4
 _RIGIFY_NAMES = {"upper_arm", "forearm", "thigh", "shin"}
-"""Names that show, beside such a spine, that it is Rigify's."""
+"""Names that identify a rig with such a spine as Rigify's."""
 
 
 def character_labels(character: Character) -> tuple[Label, ...]:

@@ -19,7 +19,7 @@ from data_module.types import Array
 __all__ = ["Character", "CharacterMotion", "Skin", "decomposed"]
 
 UPS = {"glb": np.array([0.0, 1.0, 0.0]), "fbx": np.array([0.0, 0.0, 1.0])}
-"""What is up, by format, where the format defines it (BVH does not)."""
+"""The up direction of each format, where the format defines it (BVH does not)."""
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ def keys(action: Any, owner: Any, path: str, values: Any) -> None:
             curve = action.fcurve_ensure_for_datablock(owner, path, index=index)
         else:
             curve = action.fcurves.new(path, index=index)
-        # All points in one call, since Blender sorts and reallocates for each single one.
+        # `foreach_set` copies all numbers in one call, without a Python object for each key.
         curve.keyframe_points.add(len(track))
         curve.keyframe_points.foreach_set("co", [number for pair in enumerate(track) for number in pair])
         curve.keyframe_points.foreach_set("interpolation", [1] * len(track))  # linear

@@ -54,7 +54,7 @@ def write_animated(path: Path, moved: CharacterMotion, clip: ClipLayout, face: F
 
 
 def _source(file: Path) -> str:
-    """What Blender reads: the scene that it kept when it read the character, else the file itself."""
+    """The file for Blender to read: the scene that it kept when it read the character, else the file itself."""
     from gesticulator.characters.fbx_rig import kept_scene
 
     scene = kept_scene(file) if file.exists() else file

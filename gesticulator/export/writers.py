@@ -1,4 +1,4 @@
-"""What is written (`Scene`), the table of writers by file suffix, the function `write`, and the writer of BVH files.
+"""The input of writers (`Scene`), the table of writers by file suffix, `write`, and the writer of BVH files.
 
 A new format is one writer in this folder and one entry in `WRITERS`.
 """

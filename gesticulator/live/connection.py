@@ -162,7 +162,7 @@ class Connection:
         try:
             request = await self._hello()
             self.place.admit(self, request)
-            # In the compute thread, like all work with the models: torch must not run beside itself.
+            # Opening a stream computes too, so it takes its turn in the compute thread.
             session = await self.place.compute.run(lambda: self.place.open_session(self.name, request))
             await self.socket.send(json.dumps(session.welcome()))
             await self._serve(request, session)
@@ -317,7 +317,7 @@ class Connection:
             await self._compute(session, session.obey(command.message))
         finally:
             self._computed, self._cut = None, False
-            # Not below 0: `_end_early` may have subtracted it already.
+            # Not below 0, where the rounding of many sums could lead.
             self._waiting_idle = max(0.0, self._waiting_idle - command.seconds)
         if command.message["type"] == "interrupt":
             self._taken_back, self._cut_at = 0.0, math.inf

@@ -169,7 +169,6 @@ class Session:
         if len(self._words) + len(words) > _MOST_WORDS:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {_MOST_WORDS} words wait for their sound")
         spoken = self._stream.add_words(words)
-        # Recognisers may correct earlier words after later ones.
         self._words = sorted([*self._words, *spoken], key=lambda word: word.start)
 
     def _answer(self, frames: StreamFrames) -> SessionAnswer:

@@ -52,6 +52,7 @@ def joined(device: str = "cpu") -> Iterator[str]:
                              "processes", "start fewer with --nproc_per_node")
         device = f"cuda:{place}"
         torch.cuda.set_device(place)
+    # gloo carries Python objects and CPU tensors, NCCL the gradients on GPUs.
     process_group.init_process_group("cpu:gloo,cuda:nccl" if device != "cpu" else "gloo", timeout=_PATIENCE)
     try:
         yield device
@@ -162,9 +163,12 @@ def backward(total: Tensor, parameters: Sequence[Tensor]) -> None:
     if count == 1:
         total.backward()
         return
+    # `total` is already that of the whole batch in every process, so the sum of the gradients counts it `count`
+    # times.
     (total / count).backward()
     dense = [p.grad for p in parameters if p.grad is not None and not p.grad.is_sparse]
     if dense:
+        # One message for all gradients: many small ones cost more latency than bandwidth.
         together = torch.cat([gradient.flatten() for gradient in dense])
         process_group.all_reduce(together)
         for gradient, summed in zip(dense, together.split([g.numel() for g in dense]), strict=True):
@@ -183,6 +187,7 @@ def _sparse_sum(gradient: Tensor) -> Tensor:
     most, sizes = int(counts.max()), counts.tolist()
     parts = []
     for part in (rows, values):
+        # all_gather needs equal shapes, so shorter parts are padded and cut again.
         padded = part.new_zeros(most, *part.shape[1:])
         padded[:len(part)] = part
         every = [torch.empty_like(padded) for _ in sizes]

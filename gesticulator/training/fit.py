@@ -41,6 +41,7 @@ def rate_factor(settings: FitSettings, step: int) -> float:
     """The learning rate at `step` as a share of `settings.rate`."""
     if settings.schedule == "constant":
         return 1.0
+    # Linear warm-up over 2 % of the steps, then a cosine down to 1 % of the rate.
     warm = max(1, round(0.02 * settings.steps))
     if step < warm:
         return (step + 1) / warm
@@ -58,6 +59,7 @@ def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.opt
     sparse = list(offered()) if offered is not None else []
     apart = {id(parameter) for parameter, _ in sparse}
     dense = [p for p in model.parameters() if p.requires_grad and id(p) not in apart]
+    # Without decay both are the same.
     adam = torch.optim.AdamW if settings.weight_decay else torch.optim.Adam
     extra: dict[str, Any] = {"weight_decay": settings.weight_decay} if settings.weight_decay else {}
     out: list[tuple[torch.optim.Optimizer, float]] = [
@@ -81,6 +83,7 @@ class Checkpoint:
             torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers],
                         "best": None if best is None else best.state_dict()}, stream)
             stream.flush()
+            # Synced before it is renamed: a crash must not leave an empty file under the final name.
             os.fsync(stream.fileno())
         rename(temporary, self.path)
 
@@ -91,6 +94,7 @@ class Checkpoint:
         if not self.path.exists():
             return 0
         everything: list[Any] = [model, *optimisers, *([] if best is None else [best])]
+        # A file may be damaged in the middle: what was loaded before the error is undone.
         before = [copy.deepcopy(part.state_dict()) for part in everything]
         try:
             state = torch.load(self.path, weights_only=True, map_location="cpu")
@@ -205,6 +209,7 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     checkpoint = Checkpoint(folder / f"{stage}.ckpt")
     best = BestWeights(task.watch) if settings.patience and task.watch and task.validate is not None else None
     first = checkpoint.load(model, plain, best)
+    # All processes must resume from the same step, or their batches would differ.
     if distributed.lead(lambda: first) != first:
         raise InputError(folder, "holds different checkpoints on different machines", "put --work on shared storage")
     distributed.spread(model)
@@ -262,6 +267,7 @@ def late_gain(log: Path) -> float:
     before = [value for step, value in validations if step <= 0.75 * steps]
     if not before:
         return math.nan
+    # The lowest so far, as a run with patience keeps the weights of that validation.
     least = min(before)
     return (least - min(value for _, value in validations)) / abs(least) if least else 0.0
 
@@ -287,6 +293,7 @@ class _Learner:
             optimiser.zero_grad(set_to_none=True)
         with distributed.dividing():
             batch = {key: value.to(self.options.device) for key, value in self.task.make_batch(rng).items()}
+            # Dropout and Gumbel noise follow from (seed, step), so a resumed run repeats them.
             torch.manual_seed(int(rng.integers(2**62)))
             terms = self._terms(batch, step / max(1, self.settings.steps))
             total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
@@ -297,6 +304,7 @@ class _Learner:
         figures = distributed.mean({"loss": float(total.detach()),
                                     **{key: float(term.detach()) for key, term in terms.items()}})
         loss = figures.pop("loss")
+        # Before the update, so that the weights of the last checkpoint stay finite.
         if not math.isfinite(loss) or not math.isfinite(norm):
             raise FloatingPointError(f"the loss is not finite at step {step}: {figures}")
         for optimiser, _ in self.optimisers:
@@ -313,5 +321,6 @@ class _Learner:
 
     def _clipped(self) -> float:
         """The gradient's norm before clipping."""
+        # The dense parameters alone, which the first optimiser has; sparse ones (style codes) have their own.
         dense = [p for group in self.optimisers[0][0].param_groups for p in group["params"] if p.grad is not None]
         return float(nn.utils.clip_grad_norm_(dense, LARGEST_GRADIENT))

@@ -82,6 +82,7 @@ class CounterfactualRewards:
         [B]."""
         ends = np.cumsum(self.lengths)
         places = np.searchsorted(ends, rng.integers(ends[-1], size=count), side="right")
+        # Windows start anywhere in an episode that leaves room; a shorter episode is padded.
         room = np.maximum(self.lengths[places] - decisions, 0)
         start = (ends[places] - self.lengths[places] + rng.integers(room + 1))[own_rows(count)]
         places = places[own_rows(count)]
@@ -155,11 +156,13 @@ def counterfactual(episodes: Sequence[Episode], table: EnsembleReward | Centred,
         swap = rng.integers(size, size=(len(episode.blocks) - 1, config.swaps))
         half = config.swaps // 2
         noise = rng.gumbel(size=(len(swap), half, size))
+        # Gumbel-max: half of the swaps are samples of the behaviour policy, the others uniform.
         swap[:, :half] = (log_prior[:, None] + noise).argmax(-1)
         gained = np.full(swap.shape, np.nan, np.float32)
         tried = np.flatnonzero(rng.random(len(swap)) < TRIED)
         gained[tried] = gains(table, actions, blocks, tried + 1, swap[tried], config.gamma)
         every = table.sequence_every(actions, blocks)[1:].float().numpy()
+        # Rewards of the lexemes that were performed.
         earned = every[np.arange(len(every)), episode.actions[1:]]
         for name, value in (("lengths", np.array([len(every)])), ("speaker", np.array([episode.speaker])),
                             ("block", episode.blocks[1:]), ("action", episode.actions[1:]),
@@ -208,6 +211,7 @@ def _train(run: Run, model: Critics, folder: Path) -> Figures:
     labelled, unit = run.get(LABELS), data.unit
     rng = np.random.default_rng(run.seed(ADVANTAGE))
     trained_on = (rng.random((len(data.lengths), config.critics)) < LEARNED_FROM).astype(np.float32)
+    # No episode is left to no critic.
     trained_on[trained_on.sum(1) == 0] = 1.0
     takes = takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train")
     literal = build(takes, LITERAL, lambda lexemes, blocks: torch.zeros(len(lexemes)),

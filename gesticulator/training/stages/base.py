@@ -142,6 +142,7 @@ class Run:
         """Hash of everything that affects a node: data, settings, requirements, and for a stage its seed."""
         if node.name in self._keys:
             return self._keys[node.name]
+        # Name and data first: equal settings of different nodes or stores must differ.
         parts: list[Any] = [node.name, self.store.fingerprint]
         parts += [setting(self.config, path) if isinstance(path, str) else path(self.config) for path in node.settings]
         if isinstance(node, Stage):
@@ -183,6 +184,7 @@ class Run:
             distributed.lead(lambda: keep(folder, model, figures))
             if distributed.leads():
                 (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
+        # Read back also after training, so that a first run uses exactly what a resumed one would.
         model.cpu().load_state_dict(load_file(folder / WEIGHTS))
         return read_object(folder / FIGURES, "delete it, and train again", python=True)
 
@@ -204,6 +206,7 @@ def keep(folder: Path, model: nn.Module, figures: Figures) -> None:
     """Write a trained stage: weights first, then the figures, each atomically."""
     temporary = folder / f"{WEIGHTS}.tmp"
     save_file({key: value.detach().cpu().contiguous() for key, value in model.state_dict().items()}, temporary)
+    # Sync before the rename: a crash must not leave a valid name on missing data.
     with temporary.open("rb") as written:
         os.fsync(written.fileno())
     rename(temporary, folder / WEIGHTS)

@@ -94,6 +94,7 @@ def _all(job: Callable[..., str], calls: list[tuple[Any, ...]], workers: int, ti
 
 def blocks_folder(store: Store, config: Config, folder: Path) -> Path:
     """The folder of the blocks of a store, one file per recording."""
+    # Only what changes the blocks: other settings reuse the folder.
     key = digest(store.fingerprint, config.rhythm, config.motion.representation, config.motion.joints,
                  config.control.window, config.text.bridge)
     return folder / f"blocks-{key}"

@@ -64,6 +64,7 @@ class Corpus:
 
     def blocks_of(self, recording: int) -> NDArray[np.int64]:
         """Block numbers of a recording, in order."""
+        # Block numbers of a recording are contiguous, and `recording` is sorted.
         first, last = np.searchsorted(self.recording, (recording, recording + 1))
         return np.arange(first, last)
 
@@ -147,6 +148,7 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
     speakers = tuple(sorted({info.speaker for info in infos if info.split == "train"}))
     if not speakers:
         raise InputError(store.path, "has no recordings in its training split", "build the store again")
+    # Speakers that occur in no training recording use the statistics of the first.
     speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0 for info in infos])
     files = cut(store, config, folder, workers=workers, progress=progress)
     without_audio = encoder is None and config.front_end.name == "vqwav2vec"
@@ -154,6 +156,7 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
     if memory is not None:
         blocks = CachedBlocks(files, feature_files, speaker_of, [info.split for info in infos], store.names,
                               word_file(store, config, folder, progress=progress))
+        # Decided from counts and one file, before anything large is read.
         counts = blocks.counts()
         if bytes_of(blocks, counts, config.rhythm.frames) > memory:
             return _on_disk(config, folder, speakers, blocks, counts)
@@ -169,6 +172,7 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
               for arrays, speaker in zip(loaded, speaker_of, strict=True)]
     first = [statistics.normalise(arrays["first"], speaker) for arrays, speaker in zip(loaded, speaker_of, strict=True)]
     low = _normalised(statistics.low, [arrays["low"] for arrays in encoded])
+    # The same tensor, so that one level takes its memory once and `is` tells the cases apart.
     high = low if "high" not in encoded[0] else _normalised(statistics.high, [arrays["high"] for arrays in encoded])
     word_at, words, has_text = _text(infos, loaded, read_words(store, config, folder, progress=progress))
     return Corpus(
@@ -185,6 +189,7 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
 
 def _on_disk(config: Config, folder: Path, speakers: tuple[str, ...], blocks: CachedBlocks,
              counts: NDArray[np.int64]) -> Corpus:
+    # The names of the cache folders are hashes of their own inputs.
     key = digest(blocks.files[0].parent.name, blocks.features[0].parent.name if blocks.features else "",
                  blocks.words.name if blocks.words else "", config.motion, MEASURED)
     statistics = measured_of(config, speakers, blocks, counts)
@@ -206,6 +211,7 @@ def _text(infos: Iterable[Any], loaded: list[dict[str, NDArray[Any]]], vectors: 
     has = np.array([info.name in vectors and "word_at" in arrays for info, arrays in zip(infos, loaded, strict=True)])
     if not has.any():
         return None, None, has
+    # Row 0 of the table is the empty word, so the first word of all is row 1.
     rows, tables, begin = [], [], 1
     for info, arrays in zip(infos, loaded, strict=True):
         frames = arrays.get("word_at")

@@ -82,6 +82,7 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
     config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
     if config.silence.augmentation > 0:
+        # A random generator of its own (7), so that augmentation changes no other random number.
         parts = with_silence(parts, corpus, labelled.nearest, config.silence.augmentation,
                              LONGEST_INSERT, np.random.default_rng([run.seed(GENERATOR), 7]))
     windows = Windows(corpus, parts, config.window, control=config.control if config.generator.use_control else None)

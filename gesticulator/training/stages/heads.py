@@ -70,10 +70,12 @@ def units_of(hands: Array, edges: Array) -> NDArray[np.int64]:
     """[M, 4] the decision that each of M blocks with edges [M + 1] seconds shows, from the places [T, 2, 3] of the left
     and the right hand at `RATE`: the phase of the hand that moves more."""
     hand_phases = [phases_of(hands[:, side], RATE) for side in (0, 1)]
+    # Only compared between hands, so the unit (metres per frame) does not matter.
     speeds = np.linalg.norm(np.gradient(hands, axis=0), axis=-1)
     frames = np.minimum(np.round(edges * RATE).astype(int), len(hands))
     out = np.zeros((len(edges) - 1, 4), dtype=np.int64)
     for k, (first, last) in enumerate(zip(frames[:-1], frames[1:], strict=True)):
+        # A block shorter than a frame still shows one.
         last = max(last, first + 1)
         phases = [_phase(side.labels[first:last]) for side in hand_phases]
         acting = [phase != Phase.REST for phase in phases]
@@ -183,6 +185,7 @@ def spans(acting: NDArray[np.bool_], longest: int = _LONGEST_UNIT) -> list[tuple
     edges = np.flatnonzero(np.diff(np.concatenate([[False], acting, [False]]).astype(int)))
     out = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
+        # Ceiling division: the fewest parts of at most `longest` blocks.
         parts = -(-(last - first) // longest)
         cuts = np.linspace(first, last, parts + 1).round().astype(int)
         out += list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
@@ -219,6 +222,7 @@ def unit_codes(run: Run) -> NDArray[np.float32]:
     values = np.stack([row[2] for row in rows])
     who = corpus.speaker_of[[row[0] for row in rows]]
     train = np.array([corpus.splits[row[0]] == "train" for row in rows])
+    # Speakers with few units are standardised by all speakers together.
     everyone = values[train] if train.any() else values
     for speaker in np.unique(who):
         known = values[train & (who == speaker)]
@@ -260,6 +264,7 @@ def train_interpreter(run: Run, model: UnitStyleInterpreter, folder: Path, stage
     def validate() -> Figures:
         predicted, measured = compared()
         model.calibrate(predicted, measured)
+        # 1 - residual / total variance: the share of each code that speech explains (R^2).
         left = (predicted - measured).pow(2).mean(0) / measured.var(0).clamp_min(1e-6)
         return {"code_error": float((predicted - measured).pow(2).mean()),
                 **{f"explained_{name}": float(1 - share) for name, share in zip(CODE, left, strict=True)}}

@@ -52,6 +52,7 @@ def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInte
                                      b["text"][:, 1:] if text else None, None, model.poses(b))
             valid, wanted = b["valid"][:, 1:], b["lexeme"][:, 1:]
             right += float(((logits.argmax(-1) == wanted) * valid).sum())
+            # The sum over valid blocks, so that padded windows do not count.
             nll -= float((torch.log_softmax(logits, -1).gather(-1, wanted[..., None])[..., 0] * valid).sum())
             count += float(valid.sum())
         return {"accuracy": right / count, "nll": nll / count}

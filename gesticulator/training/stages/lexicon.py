@@ -230,6 +230,7 @@ def decoded_blocks(tokens: Tokens, labels: NDArray[np.int64], corpus: Corpus) ->
 def token_labels(tokens: Tokens, corpus: Corpus) -> NDArray[np.int64]:
     """[N] the lexeme of every block."""
     if corpus.stored and not isinstance(tokens, RacerCodec):
+        # A corpus on disk is labelled in parts, since all of its motion does not fit into memory.
         parts = torch.arange(len(corpus.motion)).split(_TOGETHER)
         return torch.cat([tokens.label(corpus.motion[part]) if isinstance(tokens, Lexicon)
                           else tokens.label(corpus.motion[part], corpus.pasts[part]) for part in parts]).numpy()
@@ -273,6 +274,7 @@ def lexeme_speeds(corpus: Corpus, labels: NDArray[np.int64], size: int, config: 
     speeds = np.full(size, np.inf)
     for lexeme in range(size):
         blocks = train[labels[train] == lexeme]
+        # Evenly over all recordings: the first ones may be of one speaker.
         blocks = blocks[:: max(1, len(blocks) // most)][:most]
         if len(blocks):
             speeds[lexeme] = _mean_speed(corpus, blocks, representation_of(config), config.rhythm.fps)
@@ -310,6 +312,7 @@ def label(config: Config, corpus: Corpus, tokens: Tokens) -> Labelled:
     nearest = inventories.nearest_silent(tokens.vectors.detach().double().numpy(), silent)
     hinted = np.where(corpus.silent & (config.silence.hint and len(silent) > 0), nearest[labels], labels)
     numbers = np.zeros(len(labels), dtype=np.int64)
+    # 0 is the zero style code, for inserted silence and for blocks outside the training split.
     numbers[train] = np.arange(1, len(train) + 1)
     names = corpus.statistics.speakers
     counts = inventories.count(((names[corpus.speaker_of[r]], hinted[corpus.blocks_of(r)])

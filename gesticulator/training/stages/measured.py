@@ -35,9 +35,11 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
         mean[speaker] = poses.mean(axis=(0, 1))
         still = settled(silent)
         rest[speaker] = resting(poses[still, -1], config) if still.any() else mean[speaker]
+        # One deviation for all speakers about their own means: larger gestures of a speaker stay larger.
         centred.append((poses - mean[speaker]).reshape(-1, width))
     deviation = np.concatenate(centred).std(axis=0)
     present = np.stack([loaded[i]["mask"] for i in train]).any(axis=0)
+    # A joint that hardly moves would be blown up by division: its deviation has a least value.
     deviation = np.where(present, np.maximum(deviation, config.motion.least_deviation), 1.0)
     bounds = np.percentile(np.concatenate(centred) / deviation, BOUNDS, axis=0)
     quiet = [settled(loaded[i]["silent"], 1) for i in train]

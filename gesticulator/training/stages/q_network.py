@@ -159,6 +159,7 @@ def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> d
         nll = data_nll(q, batch["action"], allowed)
         right = (masked.argmax(-1, keepdim=True) == action)[..., 0].float()
         count = valid.sum()
+        # Q of the performers' lexemes, the values that conservative learning raises.
         taken = q.gather(-1, action)[..., 0]
         error = learner.losses({**batch, "cloned": valid}).get("temporal_difference", torch.nan)
         totals += [float((nll * valid).sum() / count), float((right * valid).sum() / count), float(error),

@@ -164,6 +164,7 @@ class RewardWindows:
         lexeme, and the last blocks of the windows' motion [B, W, K, D_m] without theirs."""
         assert self.after is not None and self.added is not None
         last = torch.as_tensor(self.labels[blocks[:, -1]])
+        # Behaviour prior of the last lexeme: its transition from the one before.
         odds = self.after[self.labels[blocks[:, -2]]] + _LEAST_ODDS
         return {"last": last, "lexemes": self.added, "base": motion[:, -1] - self.added[last],
                 "prior": torch.as_tensor(np.log(odds / odds.sum(1, keepdims=True))).float()}
@@ -222,11 +223,13 @@ def groups(blocks: NDArray[np.int64], valid: NDArray[np.float32], silent: NDArra
     first = last - valid.sum(1).astype(np.int64) + 1
     out = np.empty(len(blocks), dtype=np.int64)
     group, end = 0, -1
+    # Sweep over the windows by their first block: one that starts within the group so far joins it.
     for row in np.argsort(first, kind="stable"):
         if first[row] > end:
             group += 1
         end = max(end, int(last[row]))
         out[row] = group
+    # Silent windows all sound alike, whatever their place.
     out[(silent | (valid == 0)).all(axis=1)] = 0
     return out
 
@@ -238,6 +241,7 @@ def _train(run: Run, model: RewardEnsemble, folder: Path, stage: Stage[RewardEns
     # Movements in context with their residuals are the captured motion itself.
     shown = corpus.motion if movements else decoded_blocks(tokens, labelled.labels, corpus)
     known, held = corpus.recordings("train"), corpus.recordings("val")
+    # Every second recording; a single one serves both models.
     half = known[fold::2] or known
     lexemes = None if isinstance(tokens, RacerCodec) or movements else tokens.shown()
     added = added_by(tokens) if isinstance(tokens, MovementLexicon) else None

@@ -65,11 +65,13 @@ class StoredRows:
 
     def _read(self, numbers: NDArray[Any]) -> Tensor:
         """[n, ...] the rows with these numbers [n]. IndexError for numbers out of range."""
+        # Each row is read once, in the order of the file: random batches become few long reads.
         places, back = np.unique(np.where(numbers < 0, numbers + len(self), numbers), return_inverse=True)
         if len(places) and not 0 <= places[0] <= places[-1] < len(self):
             raise IndexError(f"rows {places[0]} to {places[-1]} of {len(self)}")
         rows = np.empty((len(places), *self.shape[1:]), self._numpy)
         bytes_of = rows.reshape(-1).view(np.uint8).data if rows.size else memoryview(b"")
+        # Starts of runs of neighbouring rows, each of which is one read.
         first = np.flatnonzero(np.diff(places, prepend=-2) != 1)
         with self.path.open("rb", buffering=0) as file:
             for begin, end in zip(first, np.append(first[1:], len(places))[:len(first)], strict=True):
@@ -89,6 +91,7 @@ def _to_member(stream: BinaryIO, name: str) -> None:
         info = archive.getinfo(name)
     if info.compress_type != zipfile.ZIP_STORED:
         raise ValueError(f"{name} is compressed")
+    # Bytes 26 to 29 of a zip's local header hold the lengths of the name and the extra field that precede the data.
     stream.seek(info.header_offset + 26)
     names, extra = struct.unpack("<HH", stream.read(4))
     stream.seek(info.header_offset + 30 + names + extra)

@@ -79,6 +79,7 @@ class Crops:
     def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float32]:
         """[count, length] crops, every start equally likely; only this process's rows."""
         ends = np.cumsum(self.room)
+        # Uniform over all possible starts, so long recordings are sampled more often.
         place = rng.integers(ends[-1], size=count)[own_rows(count)]
         recording = np.searchsorted(ends, place, side="right")
         starts = self.first[recording] + place - (ends - self.room)[recording]
@@ -113,6 +114,7 @@ def _train_predictive(run: Run, model: PredictiveCoding, folder: Path, stage: St
 
     @torch.no_grad()
     def validate() -> Figures:
+        # The same random numbers in each validation, so that figures are comparable.
         torch.manual_seed(0)
         return {"predictive": sum(float(model.losses({"samples": b.to(run.device)})["predictive"])
                                   for b in checks) / len(checks)}
@@ -152,6 +154,7 @@ class ContrastWindows:
     def of(cls, corpus: Corpus, recordings: Sequence[int], frames: int) -> ContrastWindows:
         """All of these recordings, which have words; frames: of a block."""
         assert corpus.word_at is not None
+        # The middle block of three; row 0 is the empty word.
         spoken = (corpus.word_at[:, frames:2 * frames] > 0).any(1).numpy()
         blocks = [corpus.blocks_of(r) for r in recordings]
         return cls(corpus, frames, np.concatenate([each[spoken[each]] for each in blocks]),

@@ -44,7 +44,7 @@ class CachedBlocks:
         """[R] number of blocks of each recording."""
         return np.array([len(read_arrays(file, only=("silent",))["silent"]) for file in self.files], dtype=np.int64)
 
-    def heard(self, recording: int, frames: int, count: int) -> dict[str, NDArray[Any]]:
+    def features_of(self, recording: int, frames: int, count: int) -> dict[str, NDArray[Any]]:
         """Features of a recording; one column of zeros without a front end."""
         if self.features is None:
             return {"low": np.zeros((count, 3 * frames, 1), np.float16)}
@@ -54,8 +54,9 @@ class CachedBlocks:
 def bytes_of(blocks: CachedBlocks, counts: NDArray[np.int64], frames: int) -> int:
     """Size of the corpus in memory, bytes."""
     arrays = read_arrays(blocks.files[0], leave_out=("sound",))
+    # 12 bytes a frame: the row numbers of words, three int32 for each frame of a block.
     row = sum(arrays[key][0].nbytes for key in ("motion", "control") if len(arrays[key])) + 12 * frames
-    features = blocks.heard(0, frames, len(arrays["silent"]))
+    features = blocks.features_of(0, frames, len(arrays["silent"]))
     row += sum(level[0].nbytes for level in features.values() if len(level))
     return int(counts.sum()) * row + (blocks.words.stat().st_size if blocks.words is not None else 0)
 
@@ -72,8 +73,9 @@ def measured_of(config: Config, speakers: tuple[str, ...], blocks: CachedBlocks,
         if not parts:
             continue
         arrays = read_arrays(blocks.files[recording], only=("motion", "silent", "mask", "control"))
-        features = blocks.heard(recording, arrays["motion"].shape[1], len(arrays["silent"]))
+        features = blocks.features_of(recording, arrays["motion"].shape[1], len(arrays["silent"]))
         for part in parts:
+            # Copies: a view would keep the whole recording in memory.
             loaded.append({"mask": arrays["mask"], **{key: arrays[key][part].copy()
                                                    for key in ("motion", "silent", "control")}})
             encoded.append({key: level[part].copy() for key, level in features.items()})
@@ -116,7 +118,7 @@ def _write(folder: Path, blocks: CachedBlocks, counts: NDArray[np.int64], statis
         arrays = read_arrays(blocks.files[recording], leave_out=("sound",))
         speaker, size = int(blocks.speaker_of[recording]), len(arrays["silent"])
         frames = arrays["motion"].shape[1]
-        features = blocks.heard(recording, frames, size)
+        features = blocks.features_of(recording, frames, size)
         add("motion", statistics.normalise(arrays["motion"], speaker), np.float32)
         add("low", statistics.low.apply(features["low"].astype(np.float32)), np.float16)
         if "high" in features:

@@ -65,6 +65,7 @@ def train(config: Config, store: Store, out: Path, work: Path, options: TrainOpt
             claim(work, store)
             for stage in closure(stages, config):
                 schedule = run.schedule(stage)
+                # Each process takes the same number of rows.
                 if schedule.batch % processes and schedule.steps:
                     raise InputError(f"schedules.{stage.schedule}.batch={schedule.batch}",
                                      f"cannot be divided among {processes} processes",

@@ -51,6 +51,7 @@ def with_silence(parts: list[Sequence], corpus: Corpus, nearest_silent: NDArray[
     """
     total = sum(len(part.motion) for part in parts)
     places = [(p, int(at)) for p, part in enumerate(parts) for at in np.flatnonzero(corpus.silent[part.motion])]
+    # Inserted blocks are `share` of the sum: x = s (n + x), so x = s n / (1 - s).
     budget = round(share * total / (1 - share)) if places else 0
     runs: dict[tuple[int, int], int] = {}
     for index in rng.permutation(len(places)):
@@ -101,10 +102,12 @@ class Windows:
 
     def sample(self, rng: np.random.Generator, count: int) -> Batch:
         """A batch of `count` random windows; only this process's rows."""
+        # Random numbers for the whole batch first, then this process's rows of them.
         starts = self.starts[rng.integers(len(self.starts), size=count)]
         given = None
         if self.control is not None:
             given = rng.random((count, len(controls.FEATURES))) < self.control.asked
+            # Some windows are left free of all controls, so that the model also learns without.
             given &= rng.random((count, 1)) >= self.control.free
             given &= np.isin(controls.FEATURES, self.control.features)
         rows = own_rows(count)
@@ -129,6 +132,7 @@ class Windows:
         for p, start in starts:
             part = self.parts[p]
             index = np.arange(start, start + self.length)
+            # A recording shorter than a window repeats its last block, marked as not valid.
             inside = np.minimum(index, len(part.motion) - 1)
             for key in ("motion", "held", "audio", "lexeme", "style"):
                 rows[key].append(getattr(part, key)[inside])
