@@ -164,6 +164,7 @@ class EvalContext:
 
 def opened(data: str, work: str | None) -> tuple[Store, Path]:
     """A store with a test split, and its work folder (default: STORE.work), made where it is not there."""
+    # Sums in another order differ in the last digits: one thread gives the same figures whatever the cores.
     torch.set_num_threads(1)
     store = Store.open(data)
     if not any(info.split == "test" for info in store.recordings):
@@ -186,14 +187,15 @@ def with_judges(bundle: Bundle, work: Path | None) -> Bundle:
     if work is None:
         return bundle
     there = {name: folder_of(bundle, work, name) for name in JUDGES if name not in bundle.parts}
-    found = {name: _reward_model(bundle, folder, name) for name, folder in there.items() if finished(folder)}
-    return bundle.with_parts(**found) if found else bundle
+    models = {name: _reward_model(bundle, folder, name) for name, folder in there.items() if finished(folder)}
+    return bundle.with_parts(**models) if models else bundle
 
 
 def _reward_model(bundle: Bundle, folder: Path, name: str) -> RewardEnsemble:
     weights = load_file(folder / WEIGHTS)
     frames, motion = bundle.frames, len(bundle.statistics.deviation)
     audio = weights["members.0.read_audio.weight"].shape[1] // frames
+    # A new network draws its first weights: the caller's random numbers must not move for that.
     with torch.random.fork_rng():
         model = RewardEnsemble(bundle.config.reward if name == "reward" else bundle.config.judge, frames, motion, audio)
     model.load_state_dict(weights)

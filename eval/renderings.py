@@ -216,6 +216,7 @@ class BundleSystem:
     def bare(self) -> BundleSystem:
         """The same without rest and life laid over what the generator draws."""
         other = copy.copy(self)
+        # A decay of 0 takes nothing away, so rest leaves the sampled motion as it is.
         config = with_settings(self.bundle.config, ["silence.rest=decay", "silence.rest_decay=0"])
         other.gesticulator = ListeningGesticulator(replace(self.bundle, config=config))
         other.key, other._encoded = f"{self.key} bare", {}

@@ -33,12 +33,12 @@ def document(folder: Path, out: Path, title: str = TITLE) -> str:
     sections, unreadable = {}, []
     for name in dict.fromkeys((*FIRST, *names)):
         try:
-            lines = _section(folder, name, out)
+            parts = _figures(folder, name, out) if name.endswith("figures") else {name: _section(folder, name, out)}
         except InputError:
             unreadable.append(f"`{name}.json`")
             continue
-        if lines:
-            sections[name.rpartition("/")[2].replace("_", " ").replace("-", " ").capitalize()] = lines
+        sections |= {part.rpartition("/")[2].replace("_", " ").replace("-", " ").capitalize(): lines
+                     for part, lines in parts.items() if lines}
     if not sections:
         raise InputError(folder, "holds no results", "run an evaluation command first: gesticulator --help")
     contents = [f"- [{name}](#{name.lower().replace(' ', '-')})" for name in sections]
@@ -54,22 +54,26 @@ def _section(folder: Path, name: str, out: Path) -> list[str]:
         return [_included(file.with_suffix(".md"), out)]
     if not file.is_file():
         return []
-    if file.stem.startswith("figure-"):
-        return _figure(file, out)
     tables, about = load_with_provenance(file)
     return [about.markdown(), *(table.markdown() for table in tables)]
 
 
-def _figure(file: Path, out: Path) -> list[str]:
-    """A figure of the ablation with its caption; InputError where the file is none."""
+def _figures(folder: Path, name: str, out: Path) -> dict[str, list[str]]:
+    """Name -> lines of the figures of an ablation with their captions; InputError where the file holds no figures."""
+    file = folder / f"{name}.json"
     try:
-        told = loads(read_text(file, "draw it again"))
-        named, caption = f"{told['figure']}: {told['title']}", str(told["caption"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(file, "is no figure of an ablation", "draw it again") from error
-    picture = next((one for ending in (".svg", ".png") if (one := file.with_suffix(ending)).is_file()), None)
-    alt = re.sub(r"[\[\]\n]", " ", named)
-    return [f"![{alt}]({_link(picture, out)})" if picture else "The picture is not there.", "", f"{named}. {caption}"]
+        drawn = {figure: (f"{facts['figure']}: {facts['title']}", str(facts["caption"]))
+                 for figure, facts in loads(read_text(file, "draw them again")).items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(file, "holds no figures of an ablation", "draw them again") from error
+    return {figure: _figure(file.with_name(figure), title, caption, out) for figure, (title, caption) in drawn.items()}
+
+
+def _figure(place: Path, title: str, caption: str, out: Path) -> list[str]:
+    """A picture, whose path has no suffix here, with its caption."""
+    picture = next((file for ending in (".svg", ".png") if (file := Path(f"{place}{ending}")).is_file()), None)
+    alt = re.sub(r"[\[\]\n]", " ", title)
+    return [f"![{alt}]({_link(picture, out)})" if picture else "The picture is not there.", "", f"{title}. {caption}"]
 
 
 def _included(file: Path, out: Path) -> str:

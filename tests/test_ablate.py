@@ -208,7 +208,7 @@ def test_another_systems_motion_is_a_row(ablation: Ablation, tmp_path: Path) -> 
     tables = {table.title: table for table in load(here.cells.out / "table.json")}
     assert tables["RG Table 1 (test)"].rows["SG"]["maje, paper"] == "97.29 / -" and facts["rows"]["SG"]["decided"]
     assert "SG" in tables["RG Table 5 (test)"].rows
-    figure = loads((here.cells.out / "figure-5.json").read_text())
+    figure = loads((here.cells.out / "figures.json").read_text())["figure-5"]
     assert figure["figure"] == "RG Fig. 5 and 8a" and 0 < figure["numbers"]["share_within_bounds"] <= 1
 
 

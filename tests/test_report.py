@@ -45,8 +45,8 @@ def results(tmp_path: Path) -> Path:
     for name, title, value in (("quality", "Quality", 14.5), ("claims", "Claims", 1.0),
                                ("ablation/table", "RG Table 1 (test)", 12.5)):
         save([one(title, value)], folder / f"{name}.json", ABOUT)
-    (folder / "ablation" / "figure-18.json").write_text(dumps({
-        "figure": "RG Fig. 18", "title": "how many lexemes", "caption": "Of different sizes.", "numbers": {}}))
+    (folder / "ablation" / "figures.json").write_text(dumps({"figure-18": {
+        "figure": "RG Fig. 18", "title": "how many lexemes", "caption": "Of different sizes.", "numbers": {}}}))
     (folder / "ablation" / "figure-18.svg").write_text("<svg/>")
     (folder / "limits.md").write_text("# Limits\n\nIt was made by rule, see [the corpus](corpus.md).\n")
     return folder
@@ -67,9 +67,9 @@ def test_every_table_stands_under_its_heading_and_the_contents_lead_there(result
 
 def test_what_cannot_be_read_is_left_out_and_named(results: Path) -> None:
     (results / "quality.json").write_text('{"tables": 3}')
-    (results / "ablation" / "figure-18.json").write_text("{")
+    (results / "ablation" / "figures.json").write_text("{")
     text = report.document(results, results.parent / "report")
-    assert "No tables of results: `ablation/figure-18.json`, `quality.json`." in text and "12.5 [11.5, 13.5]" in text
+    assert "No tables of results: `ablation/figures.json`, `quality.json`." in text and "12.5 [11.5, 13.5]" in text
 
 
 def test_nothing_at_all_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -90,11 +90,11 @@ def ablate(ablation: Ablation, *, only: Sequence[str] = (), seeds: int = SEEDS,
     for name, seed in bar:
         bar.set_postfix_str(f"{name}, seed {seed}")
         ablation.cell(name, seed)
-    ours = [name for name in names if not is_racer(name)]
-    shared = {True: ablation.racer.shared} if len(ours) < len(names) else {}
-    if ours or not names:
+    rg_names = [name for name in names if not is_racer(name)]
+    shared = {True: ablation.racer.shared} if len(rg_names) < len(names) else {}
+    if rg_names or not names:
         shared[False] = ablation.rg.shared
-        for split in dict.fromkeys(["test", *(ROWS[name].split for name in ours)]):
+        for split in dict.fromkeys(["test", *(ROWS[name].split for name in rg_names)]):
             for name in (*REFERENCES, *CONTROLS):
                 ablation.reference(name, split)
     for name, folder in (systems or {}).items():

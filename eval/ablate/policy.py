@@ -67,6 +67,7 @@ def matched_temperature(scores: Tensor, nats: float) -> float:
     """The temperature at which softmax(scores [n, S] / T) has this mean entropy; by bisection: entropy rises with T."""
     low, high = _TEMPERATURES
     for _ in range(40):
+        # The geometric middle: temperatures span four decades.
         middle = (low * high) ** 0.5
         low, high = (middle, high) if entropy_of(scores / middle) < nats else (low, middle)
     return float(f"{(low * high) ** 0.5:.4g}")
@@ -146,6 +147,7 @@ def walk(policy: Policy, decisions: Decisions, take: Demonstration, teacher: boo
     """
     rng, allowed = np.random.default_rng([SEED, take.recording]), decisions.allowed(take)
     reads = isinstance(policy.interpreter, LstmInterpreter) and policy.interpreter.config.reads
+    # The first lexeme is the performer's: no policy decides it.
     lexemes, scores = take.lexemes.copy(), np.empty((len(take.blocks) - 1, decisions.size))
     state = policy.interpreter.start(take.speaker, int(lexemes[0]))
     for i in range(1, len(lexemes)):

@@ -88,11 +88,11 @@ def figures(play: Play, clips: Sequence[Recording], levels: Levels, *, progress:
     "values" has each row's measures clip by clip, "series" the asked feature of the first clip over time (averaged over
     four seconds, as in training), "rows" means with intervals.
     """
-    asked = {FREE: Controls.free()} | {row_name(feature, level): Controls(**{feature: levels.value(feature, level)})
+    requests = {FREE: Controls.free()} | {row_name(feature, level): Controls(**{feature: levels.value(feature, level)})
                                        for feature, level in itertools.product(FEATURES, LEVELS)}
     values = {REFERENCE: np.array([realised(clip.motion) for clip in clips])}
     series: dict[str, Any] = {}
-    for name, controls in tqdm(asked.items(), desc="style editing", disable=not progress):
+    for name, controls in tqdm(requests.items(), desc="style editing", disable=not progress):
         motions = [play(clip, controls) for clip in clips]
         values[name] = np.array([realised(motion) for motion in motions])
         series[name] = {"fps": motions[0].fps, "values": measure(motions[0]).T.round(4).tolist()}

@@ -52,16 +52,17 @@ def mean_of(rows: Rows, name: str, key: str) -> float:
 
 def beaten(rows: Rows, key: str, suffix: str = "") -> dict[str, float]:
     """The controls that do as well as `ours` or better by a column, with their values; of another split by suffix."""
-    good, ours = COLUMNS[key].good, mean_of(rows, OURS, key)
+    good, reference = COLUMNS[key].good, mean_of(rows, OURS, key)
     aim = mean_of(rows, PERFORMER + suffix, key) if good == "near" else 0.0
-    if not good or not np.isfinite(ours + aim):
+    if not good or not np.isfinite(reference + aim):
         return {}
 
     def badness(value: float) -> float:
         return -value if good == "high" else abs(value - aim)
 
-    found = {name: mean_of(rows, name + suffix, key) for name in CONTROLS if name != FLOOR}
-    return {name: value for name, value in found.items() if np.isfinite(value) and badness(value) <= badness(ours)}
+    values = {name: mean_of(rows, name + suffix, key) for name in CONTROLS if name != FLOOR}
+    return {name: value for name, value in values.items()
+            if np.isfinite(value) and badness(value) <= badness(reference)}
 
 
 def _plain(key: str) -> Column:
@@ -109,8 +110,8 @@ def paper_table(title: str, rows: Rows) -> Table:
                                               line.paper.get(COLUMNS[key].paper, ())) for key in table.columns}
         body[_label(line, rows)] = {key: cells.get(key) for key in columns}
     notes = [f"(!) {COLUMNS[key].heading}, {mean_of(rows, OURS, key):.{COLUMNS[key].digits}f}: no worse are "
-             + ", ".join(f"{name} ({value:.{COLUMNS[key].digits}f})" for name, value in found.items()) + "."
-             for key, found in fooled.items() if found]
+             + ", ".join(f"{name} ({value:.{COLUMNS[key].digits}f})" for name, value in values.items()) + "."
+             for key, values in fooled.items() if values]
     return Table(f"{title} ({table.split})", columns, body, "row", notes)
 
 
@@ -160,9 +161,9 @@ def racer_differences(cells: Cells) -> Table:
     columns = TABLES["RACER Table 2"].columns
     body: dict[str, dict[str, Cell]] = {}
     for name in filter(is_racer, ROWS):
-        ours = f"{RACER_OURS}-matched" if ROWS[name].matched else RACER_OURS
-        if name != ours and set(cells.get(name, {})) & set(cells.get(ours, {})):
-            body[f"{ours} - {name}"] = {key: difference(cells, ours, name, key) for key in columns}
+        reference = f"{RACER_OURS}-matched" if ROWS[name].matched else RACER_OURS
+        if name != reference and set(cells.get(name, {})) & set(cells.get(reference, {})):
+            body[f"{reference} - {name}"] = {key: difference(cells, reference, name, key) for key in columns}
     return Table("RACER Table 2, differences", {key: _plain(key) for key in columns}, body, "row")
 
 

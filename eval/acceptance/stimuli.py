@@ -87,6 +87,7 @@ def with_pauses(speech: Speech, lengths: Sequence[float] = PAUSES) -> Speech:
         at = round((first + int(smooth[first:middle + around // 2 + 1].argmin()) + 0.5) * FRAME * rate)
         pieces += [speech.samples[start:at], noise(length, quiet, rate, index)]
         start = at
+    # Words are dropped: their times would no longer be those of the sound.
     samples = np.concatenate([*pieces, speech.samples[start:]])
     return Speech(samples.astype(np.float32), rate, None, speech.speaker)
 

@@ -90,24 +90,24 @@ def _body_notes(folders: Mapping[str, Mapping[str, Clip]], names: Sequence[str],
     return notes
 
 
-def _add(made: ClipSet, clips: Mapping[str, Clip], piece: float | None) -> None:
+def _add(joined: ClipSet, clips: Mapping[str, Clip], piece: float | None) -> None:
     """One clip of all rows, cut to the shortest and into pieces."""
-    first, fps = clips[TRUTH], made.fps
+    first, fps = clips[TRUTH], joined.fps
     speech = next((clip.speech for clip in clips.values() if clip.speech is not None), None)
     motions = {row: resample(clip.motion, fps) for row, clip in clips.items()}
     frames = min(map(len, motions.values()))
     if speech is not None:
         frames = max(1, min(frames, int(speech.duration * fps + 1e-6)))
-    made.notes += [f"{first.name}: {row} lasts {motion.duration:.2f} s, and {frames / fps:.2f} s are compared"
+    joined.notes += [f"{first.name}: {row} lasts {motion.duration:.2f} s, and {frames / fps:.2f} s are compared"
                    for row, motion in motions.items() if motion.duration - frames / fps > _UNEVEN]
     step = frames if piece is None else max(1, round(piece * fps))
     for number in range(max(1, frames // step)):
         begin, end = number * step, min((number + 1) * step, frames)
-        made.names.append(first.name if frames // step < 2 else f"{first.name}, piece {number + 1}")
-        made.groups.append(first.group or first.name)
-        made.speeches.append(None if speech is None else _cropped(speech, begin / fps, end / fps))
+        joined.names.append(first.name if frames // step < 2 else f"{first.name}, piece {number + 1}")
+        joined.groups.append(first.group or first.name)
+        joined.speeches.append(None if speech is None else _cropped(speech, begin / fps, end / fps))
         for row, motion in motions.items():
-            made.motions[row].append(motion.crop(begin, end))
+            joined.motions[row].append(motion.crop(begin, end))
 
 
 def _cropped(speech: Speech, begin: float, end: float) -> Speech:

@@ -146,6 +146,7 @@ def _same_sound(a: Speech, b: Speech) -> bool:
         return False
     size = min(len(a.samples), len(b.samples))
     x, y = a.samples[:size].astype(np.float64), b.samples[:size].astype(np.float64)
+    # By correlation: the same recording at another level or from a lossy file counts as one.
     return float(x @ y) >= _ALIKE * float(np.sqrt((x @ x) * (y @ y)))
 
 
