@@ -74,6 +74,7 @@ def stretch_speech(speech: Speech, blocks: Blocks, method: str = "wsola") -> Sam
     length = blocks.frames * samples_per_frame(rate, blocks.fps)
     context = round(CONTEXT * rate)
     padded = np.pad(speech.samples, (context, context + 1))
+    # Rounding at the last edge must not reach past the end of the samples.
     edges = np.minimum(np.round(blocks.edges * rate).astype(int), len(speech.samples))
     return np.stack([stretch_piece(padded[start:max(stop, start + 1) + 2 * context], length, rate, method)
                      for start, stop in itertools.pairwise(edges)])
@@ -161,6 +162,7 @@ def denormalise(knots: Array, first: Array, blocks: Blocks, fps: float, smooth_o
     """
     if np.size(knots) != len(blocks) * blocks.frames * len(first):
         raise ValueError(f"{np.size(knots) // len(first)} knots for {len(blocks)} blocks of {blocks.frames} frames")
+    # By block, as in a stream, so that a file and a stream give the same bits.
     values = np.asarray(knots).reshape(len(blocks), blocks.frames, -1)
     path = KnotPath(first, fps, smooth_over)
     times = blocks.knot_times.reshape(len(blocks), -1) - blocks.edges[0]
@@ -203,6 +205,7 @@ class KnotPath:
         self._slopes = np.concatenate([self._slopes[:keep], more])
         if len(self._times) < 2:
             return self._values[:0]
+        # The slope at the newest knot depends on the next one, so the path is certain up to the knot before.
         limit = self._times[-1] if self.prompt else self._times[-2]
         certain = self._certain(float(limit), float(self._times[-1]))
         return self._given(max(certain if until is None else min(certain, until), self.next))
@@ -267,6 +270,7 @@ def hermite(times: Array, values: Array, at: Array, slope: Array | None = None) 
     if len(times) == 1:
         return np.repeat(values, len(at), axis=0)
     slope = slopes(times, values) if slope is None else slope
+    # Clamped, because a cubic runs away beyond its knots.
     x = np.clip(at, times[0], times[-1])
     left = np.clip(np.searchsorted(times, x, side="right") - 1, 0, len(times) - 2)
     width = np.diff(times)[left][:, None]
@@ -291,6 +295,7 @@ def smooth(frames: Array, fps: float, sigma: float = SMOOTHING) -> Array:
 
 def _mirrored(at: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """Numbers of frames `at` [T], mirrored at the first and the last of `count` frames."""
+    # A triangle wave of period 2 (count - 1), so that it also holds for kernels longer than the motion.
     return at * 0 if count == 1 else np.abs((at + count - 1) % (2 * (count - 1)) - (count - 1))
 
 
@@ -303,5 +308,6 @@ def _kernel(frames: Array, fps: float, sigma: float) -> Array:
     from scipy.ndimage import correlate1d
 
     half = _half(fps, sigma)
+    # Normalised after it is cut off at two sigma, so that a constant pose stays as it is.
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / (sigma * fps)) ** 2)
     return correlate1d(frames, weights / weights.sum(), axis=0, mode="mirror")

@@ -1,4 +1,4 @@
-"""What every evaluation stands on: recordings, settings, models, networks and a work folder, opened once.
+"""The common ground of every evaluation: recordings, settings, models, networks and a work folder, opened once.
 
 A bundle plays; the reward models that taught its policies and judge them play nothing, so it does not hold them: they
 are found in the work folder of its training, under the hash of all that shapes them.
@@ -68,7 +68,7 @@ class EvalContext:
 
     @staticmethod
     def arguments(parser: argparse.ArgumentParser) -> None:
-        """What `of` reads."""
+        """Add the options that `of` reads."""
         parser.add_argument("--data", required=True, metavar="STORE", help="a store built by `gesticulator build`")
         parser.add_argument("--bundle", metavar="NAME|DIR",
                             help="bundle: default, paper, or a folder (default: default)")
@@ -106,7 +106,7 @@ class EvalContext:
 
     @property
     def progress(self) -> bool:
-        """Whether progress bars are printed."""
+        """True if progress bars are printed."""
         return self.run.progress
 
     @property
@@ -141,7 +141,7 @@ class EvalContext:
 
     @cached_property
     def space(self) -> ReferenceSpace | None:
-        """What Frechet distances to real people are measured in; None where it is not at hand."""
+        """The space of Frechet distances to real people; None where it is not at hand."""
         return ReferenceSpace.found()
 
     def numbers(self, split: str = "test", with_text: bool = False) -> list[int]:
@@ -164,6 +164,7 @@ class EvalContext:
 
 def opened(data: str, work: str | None) -> tuple[Store, Path]:
     """A store with a test split, and its work folder (default: STORE.work), made where it is not there."""
+    # Sums in another order differ in the last digits: one thread gives the same figures whatever the cores.
     torch.set_num_threads(1)
     store = Store.open(data)
     if not any(info.split == "test" for info in store.recordings):
@@ -186,14 +187,15 @@ def with_judges(bundle: Bundle, work: Path | None) -> Bundle:
     if work is None:
         return bundle
     there = {name: folder_of(bundle, work, name) for name in JUDGES if name not in bundle.parts}
-    found = {name: _reward_model(bundle, folder, name) for name, folder in there.items() if finished(folder)}
-    return bundle.with_parts(**found) if found else bundle
+    models = {name: _reward_model(bundle, folder, name) for name, folder in there.items() if finished(folder)}
+    return bundle.with_parts(**models) if models else bundle
 
 
 def _reward_model(bundle: Bundle, folder: Path, name: str) -> RewardEnsemble:
     weights = load_file(folder / WEIGHTS)
     frames, motion = bundle.frames, len(bundle.statistics.deviation)
     audio = weights["members.0.read_audio.weight"].shape[1] // frames
+    # A new network draws its first weights: the caller's random numbers must not move for that.
     with torch.random.fork_rng():
         model = RewardEnsemble(bundle.config.reward if name == "reward" else bundle.config.judge, frames, motion, audio)
     model.load_state_dict(weights)

@@ -100,6 +100,7 @@ def components(values: ArrayLike, weights: ArrayLike | None = None) -> Component
     shares, squares, expected = _moments(y, parts, ("rest",) if seeds >= FEW_SEEDS else ("rest", "seed"))
     squares_kept = [parts[name] for name in shares]
     toward = _solved(expected.T, np.array([c @ part @ c for part in squares_kept]))
+    # The method of moments may give a negative variance, which is none.
     held = [max(share, 0.0) for share in shares.values()]
     variance = sum(share * float(c @ part @ c) for share, part in zip(held, squares_kept, strict=True))
     spread = np.einsum("k,kij->ij", toward, squares) @ np.einsum("k,kij->ij", held, np.stack(squares_kept))
@@ -124,6 +125,7 @@ def _moments(y: Array, parts: dict[str, Array], stay: tuple[str, ...]) -> tuple[
                     if share < 0 and name not in stay]
         if not negative or len(names) == 1:
             return dict(zip(names, map(float, shares), strict=True)), squares, expected
+        # The most negative one first: without it the others may come out positive.
         names.remove(min(negative)[1])
 
 
@@ -169,6 +171,7 @@ def trimmed(values: Array) -> Components:
     """
     means = np.nanmean(values, axis=0)
     count = len(means)
+    # From either end, so that the mean stays one of the middle.
     cut = int(TRIMMED * count)
     inner = np.sort(np.argsort(means, kind="stable")[cut:count - cut])
     middle, stay = components(values[:, inner]), len(inner)

@@ -111,6 +111,7 @@ def mean_interval(values: ArrayLike, weights: ArrayLike | None = None, *, groups
         total, mass = (np.bincount(member, part).astype(np.float64) for part in (total, mass))
     if len(value) == 0:
         return Interval.undefined()
+    # Sums over groups are redrawn, not clips: a group is drawn with all of its clips or not at all.
     index = np.random.default_rng(seed).integers(len(mass), size=(draws, len(mass)))
     means = total[index].sum(1) / mass[index].sum(1)
     return limits(float(total.sum() / mass.sum()), means, len(mass))
@@ -136,6 +137,7 @@ def crossed_means(values: Array, seed: int = 0, draws: int = DRAWS) -> Array:
 
     Systems are averaged over the same draw, so their differences are paired.
     """
+    # Counts instead of indices: a draw of raters and clips is then a product of three arrays.
     times = _crossed_draws(values.shape[:2], seed, draws)
     there = np.isfinite(values)
     total, count = (np.einsum("dr,rck,dc->dk", times[0], part, times[1], optimize=True)
@@ -162,6 +164,7 @@ def limits(got: float, drawn: ArrayLike, n: int, *, basic: bool = False, least: 
         return Interval.exact(got, n)
     low, high = (float(value) for value in np.percentile(values, LEVEL))
     if basic:
+        # The figure less the deviations of the redrawn ones, so the bounds change places.
         low, high = 2.0 * got - high, 2.0 * got - low
     return Interval(got, max(low, least), max(high, least), n)
 

@@ -48,13 +48,14 @@ class Provenance:
     machine: str
 
     def __post_init__(self) -> None:
-        empty = [one.name for one in fields(self) if not getattr(self, one.name).strip()]
+        empty = [entry.name for entry in fields(self) if not getattr(self, entry.name).strip()]
         if empty:
             raise ValueError(f"a table needs its {', '.join(empty)}")
 
     @classmethod
     def now(cls, command: str, index: Path | None = None) -> Provenance:
         """Of figures that are made now and here. index: the bundle's; None where no bundle is measured."""
+        # The index holds the hashes of all other files, so its own hash names the whole bundle.
         bundle = NO_BUNDLE if index is None else hashlib.sha256(index.read_bytes()).hexdigest()[:12]
         return cls(command, _commit(), bundle, datetime.date.today().isoformat(),
                    f"{os.cpu_count()} cores, {platform.machine()}, {platform.system()}")

@@ -42,6 +42,7 @@ class BeatSettings:
     def __post_init__(self) -> None:
         if not 0 < self.d_min < np.inf or not self.d_max < np.inf:
             raise InputError("d_min", f"is {self.d_min}, not a valid interval between beats", "give for example 0.2")
+        # Fixed blocks need no room for a pseudo-beat.
         one_rate = self.rule == "even" and abs(self.d_max - self.d_min) <= _EPS
         if self.d_max < 2 * self.d_min - _EPS and not one_rate:
             raise InputError("d_max", f"is {self.d_max}, less than twice d_min ({self.d_min})",
@@ -62,10 +63,13 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
     """
     low, high = beat + settings.d_min, beat + settings.d_max
     horizon = high + settings.d_min
+    # An end beyond the horizon restricts nothing: two intervals fit in before it. A stream does not know it yet, and
+    # must decide alike.
     if end is not None and end >= horizon:
         end = None
     first_near = int(np.searchsorted(onsets, low - _EPS))
     near = onsets[first_near:np.searchsorted(onsets, horizon)]
+    # The interval from the beat to the end must not be shorter than d_min, either.
     fits = (near <= high + _EPS) & (True if end is None else end - near >= settings.d_min - _EPS)
     if fits.any():
         rises = None if strengths is None else strengths[first_near:first_near + len(near)]
@@ -156,6 +160,7 @@ class BeatTracker:
             beat = next_beat(self.last, np.array(self._onsets), np.array(self._loud), end, s, strengths)
         self.last = beat[0]
         self._beats += 1
+        # Nothing before a beat can be a later beat, so memory does not grow with the recording.
         old = sum(time < self.last for time in self._onsets)
         del self._onsets[:old], self._strengths[:old]
         del self._loud[:sum(time < self.last for time in self._loud)]
@@ -220,6 +225,8 @@ def _paper_beats(onsets: Array, loud: Array, duration: float, settings: BeatSett
             time = float(np.clip(loud[first], start + settings.d_min, stop - settings.d_min))
             todo.append((time, BeatFlag.LOUD_PSEUDO))
             continue
+        # Nothing is loud there: the fewest equal parts that are not too long. As d_max is at least 2 d_min, they are
+        # not too short.
         pieces = int(np.ceil(gap / settings.d_max - _EPS))
         done += [(start + gap * piece / pieces, BeatFlag.EVEN_PSEUDO) for piece in range(1, pieces)]
     return done

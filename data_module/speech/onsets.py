@@ -62,11 +62,11 @@ def detect_onsets(samples: Samples, sample_rate: int, merge: float = 0.05) -> Ar
 
 def onsets_of(samples: Samples, sample_rate: int) -> tuple[Array, Array]:
     """The onsets of a recording [n], before merging, and their strengths [n] in dB."""
+    # One step with all of the sound: a file takes the path of a stream.
     tracker, loud = OnsetTracker(sample_rate), loudness(frame_levels(samples, sample_rate))
     onsets = tracker.step(samples, loud)
     onsets += tracker.finish()
     return np.array([time for time, _ in onsets]), np.array([strength for _, strength in onsets])
-
 
 
 def merged(times: Array, closest: float) -> Array:
@@ -112,9 +112,11 @@ class RiseTracker:
         return np.concatenate(out)
 
     def finish(self) -> Array:
+        """The remaining strengths, at the end of the recording."""
         left = self._samples // self._hop + 1 - self._frames
         out = [np.zeros(0)]
         for start in range(0, left, _TILE):
+            # Silence after the end fills the last windows, as silence before the start fills the first.
             short = (_TILE - 1) * self._hop + self._window - len(self._sound)
             self._take(np.zeros(max(short, 0), np.float32), np.full(_TILE, self._last_ground))
             out.append(self._tile()[:left - start])
@@ -164,10 +166,12 @@ class OnsetTracker:
         """The onsets (seconds, dB) that are certain after more sound [n] and its loudness."""
         self._add(self._rise.step(samples, loudness_step.ground))
         self._audible += (~loudness_step.silent).tolist()
+        # A peak is compared with what follows it, too.
         self._judge(self._first + len(self._strengths) - self._around)
         return self._certain(ended=False)
 
     def finish(self) -> list[tuple[float, float]]:
+        """The remaining onsets (seconds, dB), at the end of the recording."""
         self._add(self._rise.finish())
         self._judge(self._first + len(self._strengths))
         return self._certain(ended=True)
@@ -178,19 +182,19 @@ class OnsetTracker:
         return (self._peaks[0][0] if self._peaks else self._excluded) * _HOP + _LATE * _HOP
 
     def _add(self, strengths: Array) -> None:
-        for one in strengths.tolist():
-            self._strengths.append(one)
-            self._totals.append(self._totals[-1] + one)
+        for strength in strengths.tolist():
+            self._strengths.append(strength)
+            self._totals.append(self._totals[-1] + strength)
 
     def _judge(self, until: int) -> None:
         """Find the peaks before a frame: the highest within `_PEAK`, and `_RISE` above the mean within `_AROUND`."""
         while self._next < until:
             at = self._next - self._first
             low, high = max(at - self._around, 0), min(at + self._around + 1, len(self._strengths))
-            one = self._strengths[at]
+            strength = self._strengths[at]
             highest = max(self._strengths[max(at - self._reach, 0):at + self._reach + 1])
-            if one >= highest and one >= (self._totals[high] - self._totals[low]) / (high - low) + _RISE:
-                self._peaks.append((self._next, one))
+            if strength >= highest and strength >= (self._totals[high] - self._totals[low]) / (high - low) + _RISE:
+                self._peaks.append((self._next, strength))
             self._next += 1
         self._excluded = max(self._excluded, self._next)
         while self._excluded < self._first + len(self._strengths) and self._no_peak(self._excluded - self._first):
@@ -203,10 +207,12 @@ class OnsetTracker:
     def _no_peak(self, at: int) -> bool:
         """Whether a stored strength cannot be a peak, whatever follows: a higher one is near, or its surroundings are
         too high already (strengths are never negative)."""
-        one, low = self._strengths[at], max(at - self._around, 0)
+        strength, low = self._strengths[at], max(at - self._around, 0)
+        # Divided by the full width: unknown strengths count as 0, so the mean can only rise.
         mean = (self._totals[min(at + self._around + 1, len(self._strengths))] - self._totals[low]) / (
             at + self._around + 1 - low)
-        return one < mean + _RISE or one < max(self._strengths[max(at - self._reach, 0):at + self._reach + 1])
+        highest = max(self._strengths[max(at - self._reach, 0):at + self._reach + 1])
+        return strength < mean + _RISE or strength < highest
 
     def _certain(self, ended: bool) -> list[tuple[float, float]]:
         out = []
@@ -214,6 +220,7 @@ class OnsetTracker:
             frame, strength = self._peaks[0]
             time = frame * _HOP + _LATE * _HOP
             first, last = (max(round((time + shift) / FRAME), 0) for shift in _AUDIBLE)
+            # The frames after the onset decide whether it is audible, so they must be known.
             if not ended and last > self._audible_from + len(self._audible):
                 break
             self._peaks.popleft()

@@ -106,7 +106,7 @@ class LoudnessTracker:
     def __init__(self) -> None:
         self._means: deque[float] = deque(maxlen=round(MEMORY / (FRAME * STEP)))
         self._current = np.zeros(0)  # the levels of the step that is not complete
-        self._steps = self._heard = 0
+        self._steps = self._above_noise = 0
         self._percentile = 0.0
         self._loudest, self._faintest = -math.inf, math.inf
 
@@ -136,6 +136,7 @@ class LoudnessTracker:
         """Take the current step into the floor."""
         mean = _step_mean(self._current)
         self._means.append(mean)
+        # A percentile and no minimum, which a single dropout of the sound would set for ten seconds.
         self._percentile = sorted(self._means)[int(_PERCENTILE * (len(self._means) - 1))]
         self._loudest, self._faintest = max(self._loudest, mean), min(self._faintest, max(mean, QUIETEST))
 
@@ -145,13 +146,13 @@ class LoudnessTracker:
             floor = min(floor, self._loudest - _START_CAP)
         under = max(self._loudest - BELOW_LOUDEST, FAINTEST_SPEECH)
         limit = ground = np.full(len(levels), under)
-        if self._heard * FRAME < FAINT_EVIDENCE:
-            count = self._heard + np.cumsum(levels > floor + MARGIN)
-            self._heard = int(count[-1])
-            heard = count * FRAME >= FAINT_EVIDENCE
-            limit = np.where(heard, under, max(under, QUIETEST))
+        if self._above_noise * FRAME < FAINT_EVIDENCE:
+            count = self._above_noise + np.cumsum(levels > floor + MARGIN)
+            self._above_noise = int(count[-1])
+            evident = count * FRAME >= FAINT_EVIDENCE
+            limit = np.where(evident, under, max(under, QUIETEST))
             noise = floor if floor > FAINTEST_SPEECH else QUIETEST  # without noise there is no other measure
-            ground = np.where(heard, under, max(under, noise))
+            ground = np.where(evident, under, max(under, noise))
         expected = self._loudest + (-_VOICE_BELOW if spoken else _VOICE_ABOVE)
         silent = levels <= np.maximum(floor + MARGIN, limit)
         return LoudnessStep(levels, np.full(len(levels), floor), limit, ground, silent, np.full(len(levels), expected))
@@ -192,8 +193,8 @@ class PauseTracker:
     def step(self, silent: Iterable[bool]) -> list[bool]:
         """The results, in order, that are certain after some more frames; possibly none."""
         certain: list[bool] = []
-        for one in silent:
-            if one:
+        for quiet in silent:
+            if quiet:
                 self._quiet(self._blip + 1, certain)
                 self._blip = 0
             elif self._speaks:
@@ -331,6 +332,7 @@ class VoiceLevel:
         if seconds:
             self._level = (self._level * self._weight + summed * FRAME) / (self._weight + seconds)
             self._weight = min(self._weight + seconds, _VOICE_MEMORY)
+        # The expectation fades out with the evidence: after 30 s of speech the level is measured alone.
         prior = _VOICE_PRIOR * (1.0 - self._weight / _VOICE_MEMORY)
         return (prior * expected + self._weight * self._level) / (prior + self._weight)
 
@@ -362,18 +364,21 @@ def pitch_of(samples: Samples, sample_rate: int) -> tuple[Array, NDArray[np.bool
     if len(samples) < size:
         return np.zeros(0), np.zeros(0, dtype=bool)
     frames = sliding_window_view(samples.astype(np.float32, copy=False), size)[::hop]
+    # An offset would repeat at every lag.
     frames = frames - frames.mean(axis=1, keepdims=True)
     shortest, longest = int(sample_rate / _HIGHEST), int(np.ceil(sample_rate / _LOWEST)) + 1
-    window, own = _pitch_window(size, longest + 1)
+    window, of_window = _pitch_window(size, longest + 1)
     repeats = _autocorrelation(frames * window, longest + 1)
     power = repeats[:, :1]
-    share = np.where(power > _NO_SOUND * size, repeats / np.maximum(power, 1e-30) / own, 0.0)
+    share = np.where(power > _NO_SOUND * size, repeats / np.maximum(power, 1e-30) / of_window, 0.0)
     here, lags = share[:, shortest:longest], np.arange(shortest, longest)
     peak = (here >= share[:, shortest - 1:longest - 1]) & (here >= share[:, shortest + 1:longest + 1])
     height = np.where(peak, here - _OCTAVE * np.log2(lags / shortest), -np.inf)
     best = lags[height.argmax(axis=1)]
     rows = np.arange(len(share))
     left, middle, right = (share[rows, best + step].astype(np.float64) for step in (-1, 0, 1))
+    # The vertex of the parabola through the peak and its neighbours: lags are whole samples, too coarse for high
+    # voices.
     bend = left - 2.0 * middle + right
     shift = np.where(bend < -1e-12, 0.5 * (left - right) / np.where(bend < -1e-12, bend, 1.0), 0.0)
     return np.log2(sample_rate / (best + np.clip(shift, -0.5, 0.5))), (middle >= _VOICED) & np.isfinite(
@@ -384,6 +389,7 @@ def _autocorrelation(frames: Samples, lags: int) -> Samples:
     """[F, lags] of frames [F, n], in single precision, which is faster."""
     from scipy import fft
 
+    # Padded with zeros, or the product of spectra would be a circular correlation.
     size = 1 << int(np.ceil(np.log2(frames.shape[1] + lags)))
     spectrum = fft.rfft(frames, size, axis=1)
     power = spectrum.real ** 2 + spectrum.imag ** 2
@@ -392,10 +398,10 @@ def _autocorrelation(frames: Samples, lags: int) -> Samples:
 
 @lru_cache(maxsize=4)
 def _pitch_window(size: int, lags: int) -> tuple[Samples, Samples]:
-    """[size] the window of a frame, and [1, lags] its own autocorrelation, 1 at lag 0."""
+    """[size] the window of a frame, and [1, lags] the autocorrelation of that window, 1 at lag 0."""
     window = np.hanning(size).astype(np.float32)
-    own = _autocorrelation(window[None], lags)
-    return window, own / own[:, :1]
+    repeats = _autocorrelation(window[None], lags)
+    return window, repeats / repeats[:, :1]
 
 
 class PitchLevel:
@@ -411,6 +417,7 @@ class PitchLevel:
             return np.zeros(count)
         seconds = PITCH_HOP * float(voiced.sum())
         self._seconds = min(self._seconds + seconds, _PITCH_MEMORY)
+        # A running mean with the weight of the voice so far, limited so that it follows a change of speaker.
         self._mean += (float(logs[voiced].mean()) - self._mean) * min(seconds / self._seconds, 1.0)
         middles = PITCH_WINDOW / 2 + PITCH_HOP * np.arange(len(logs))
         times = len(samples) / sample_rate * np.arange(1, count + 1) / count

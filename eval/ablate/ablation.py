@@ -32,10 +32,10 @@ class Ablation:
     def cell(self, name: str, seed: int) -> Cell:
         """One row at one seed: read if it was finished under the same key, else trained, played, measured and kept."""
         row, rows = ROWS[name], self.rg if ROWS[name].train == "stages" else self.racer
-        found = self._kept(name, seed, rows.cell_key(name, seed), rows.shared, lambda: rows.measured(name, seed),
+        result = self._kept(name, seed, rows.cell_key(name, seed), rows.shared, lambda: rows.measured(name, seed),
                            kind="row", question=row.ask, settings=list(row.set), split=row.split)
-        assert found is not None
-        return found
+        assert result is not None
+        return result
 
     def reference(self, name: str, split: str) -> Cell | None:
         """The cell of a reference or a control; None where it cannot be made."""
@@ -63,9 +63,9 @@ class Ablation:
               **about: Any) -> Cell | None:
         """The cell of a row, a seed and a key, made and written where it is not there; None where none can be made."""
         known = self.cells.finished(name, seed, key)
-        found = None if known is not None else make()
-        if not found:
+        result = None if known is not None else make()
+        if not result:
             return known
-        made = {**found, "row": name, "seed": seed, "key": key, "shared": shared, **about}
-        self.cells.add(made)
-        return made
+        written = {**result, "row": name, "seed": seed, "key": key, "shared": shared, **about}
+        self.cells.add(written)
+        return written

@@ -107,6 +107,7 @@ def _weights(cell: Cell, key: str) -> list[float] | None:
 def pairs(first: Mapping[int, Cell], second: Mapping[int, Cell], key: str) -> tuple[list[int], Array]:
     """Seeds, and [seeds, clips] first less second, on those that both have; what has no seed pairs with all."""
     shared = sorted(set(first) & set(second))
+    # Seed 0 stands for what has no seed, such as the performer: it pairs with every seed of the other.
     if (set(first) == {0}) != (set(second) == {0}):
         shared = sorted({*first, *second} - {0})
     if not shared:

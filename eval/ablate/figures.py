@@ -70,7 +70,7 @@ def shown_recording(rg: RgRows) -> Recording:
 
 def encoded(rg: RgRows, name: str) -> list[EncodedMotion]:
     """Latents and nearest lexemes of the motion of a row or of the performer, clip by clip, by the lexicon of ours."""
-    return [one for one in rg.scored(rg.names("test")).encoded(rg.motions(name)) if one is not None]
+    return [clip for clip in rg.scored(rg.names("test")).encoded(rg.motions(name)) if clip is not None]
 
 
 def start_of(recording: Recording) -> float:
@@ -137,12 +137,12 @@ def edited(rg: RgRows, rows: Summaries) -> Drawn:
     bundle, _ = rg.trained("style-editing", SHOWN_SEED)
     if bundle.levels is None:
         raise InputError("style-editing", "hears no controls", "leave generator.use_control as the row sets it")
-    found = style_editing.figures(style_editing.played_by(Gesticulator(bundle)),
+    figures = style_editing.figures(style_editing.played_by(Gesticulator(bundle)),
                                   style_editing.excerpts(rg.context.store, 4), bundle.levels)
     numbers = {f"{feature}, asked {level}": row.mean for feature in style_editing.FEATURES
                for level in style_editing.LEVELS
-               for row in [found["rows"][style_editing.row_name(feature, level)][feature]]}
-    return figure_10(found), (
+               for row in [figures["rows"][style_editing.row_name(feature, level)][feature]]}
+    return figure_10(figures), (
         "Motion for the same speech when low, middle and high values of each feature are asked for."), numbers
 
 
@@ -161,22 +161,23 @@ def clusters(rg: RgRows, rows: Summaries) -> Drawn:
     corpus, frames = rg.context.corpus, rg.first.config.rhythm.frames
     groups = np.unique(rg.groups("test"), return_inverse=True)[1]
     blocks = [corpus.blocks_of(corpus.names.index(name)) for name in rg.names("test")]
-    spoken = [~np.asarray(corpus.silent)[own].astype(bool) for own in blocks]
-    every = np.concatenate([own[heard] for own, heard in zip(blocks, spoken, strict=True)])
-    place = np.repeat(np.arange(len(blocks)), [int(heard.sum()) for heard in spoken])
+    spoken = [~np.asarray(corpus.silent)[numbers].astype(bool) for numbers in blocks]
+    every = np.concatenate([numbers[voiced] for numbers, voiced in zip(blocks, spoken, strict=True)])
+    place = np.repeat(np.arange(len(blocks)), [int(voiced.sum()) for voiced in spoken])
     levels = {f"{kind} level": audio_clusters.cluster(
         features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
         for kind, features in (("low", corpus.low), ("high", corpus.high))}
-    found = {}
+    associations = {}
     for name in (PERFORMER, OURS):
-        lexemes = [clip.labels[heard] for clip, heard in zip(encoded(rg, name), spoken, strict=True)]
-        found[name] = audio_clusters.association(levels, np.concatenate(lexemes), place, groups[place])
-    return cluster_bars(found), (
+        lexemes = [clip.labels[voiced] for clip, voiced in zip(encoded(rg, name), spoken, strict=True)]
+        associations[name] = audio_clusters.association(levels, np.concatenate(lexemes), place, groups[place])
+    return cluster_bars(associations), (
         "H(lexeme of the motion | cluster of the audio), less than by chance where the level says something of the "
         "lexeme. The paper's claim is that the high level says more than the low one."), {
-        f"{name}, {what}": value for name, own in found.items() for what, value in (
-            *((f"{level}, gain in nats", own[level]["gain"].mean) for level in levels),
-            *((f"{pair}, difference of gains", one.mean) for pair, one in own["gain_differences"].items()))}
+        f"{name}, {what}": value for name, association in associations.items() for what, value in (
+            *((f"{level}, gain in nats", association[level]["gain"].mean) for level in levels),
+            *((f"{pair}, difference of gains", gain.mean)
+              for pair, gain in association["gain_differences"].items()))}
 
 
 def panels(title: str, *names: str) -> Draw:
@@ -189,7 +190,7 @@ def panels(title: str, *names: str) -> Draw:
         shown = {name: (points, labels[name][chosen])
                  for name, (points, chosen) in joint_embedding(latents, EACH).items()}
         return embedding_panels(shown, size, silent), title, {
-            f"{name}, lexemes": len(np.unique(own)) for name, own in labels.items()}
+            f"{name}, lexemes": len(np.unique(lexemes)) for name, lexemes in labels.items()}
 
     return drawn
 
@@ -220,10 +221,12 @@ def sizes(rg: RgRows, rows: Summaries) -> Drawn:
     beside = rows.get(f"{PERFORMER}-val")
     reference = {title: beside["figures"][key].mean for title, key in keys.items()} if beside else {}
     chosen = rg.first.config.lexicon.size
-    return size_sweep(there, {title: [(one.mean, one.low, one.high) for one in own] for title, own in figures.items()},
-                      reference, chosen=chosen), (
+    bounds = {title: [(interval.mean, interval.low, interval.high) for interval in intervals]
+              for title, intervals in figures.items()}
+    return size_sweep(there, bounds, reference, chosen=chosen), (
         "Lexicons of different sizes on the validation split; the performer dashed."), {
-        f"{size} lexemes, {title}": own[k].mean for title, own in figures.items() for k, size in enumerate(there)}
+        f"{size} lexemes, {title}": intervals[k].mean
+        for title, intervals in figures.items() for k, size in enumerate(there)}
 
 
 # ------------------------------------------------------------------------------------------------------------ the list
@@ -266,8 +269,8 @@ def figure_key(rg: RgRows, name: str, rows: Summaries) -> str:
     """Hash of what a figure is drawn from: the rows whose motion it shows, or else all figures of the tables."""
     shown = FIGURES[name].rows
     stands = ([rg.shared if row == PERFORMER else rg.cell_key(row, SHOWN_SEED) for row in shown] if shown else
-              [rg.shared, {row: {key: value.to_dict() for key, value in own["figures"].items()}
-                                      for row, own in rows.items()}])
+              [rg.shared, {row: {key: value.to_dict() for key, value in summary["figures"].items()}
+                                      for row, summary in rows.items()}])
     return configs.digest(VERSION, name, stands)
 
 

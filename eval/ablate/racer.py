@@ -74,7 +74,7 @@ MOTION = 60
 
 @dataclass(frozen=True)
 class RacerRows:
-    """What RACER's rows share. context: a store and a bundle with both reward models; settings: those that the rows
+    """Shared by RACER's rows. context: a store and a bundle with both reward models; settings: those that the rows
     change; takes: the training split; judge: decisions on the test split with the reward tables, "" the one that
     policies are taught and "judge_" the other; shapes: hash of the data and of the bundle's parts; rg: what scores
     motion."""
@@ -127,7 +127,7 @@ class RacerRows:
 
     @property
     def bundle(self) -> bundles.Bundle:
-        """What the rows stand on."""
+        """The bundle that the rows stand on."""
         return self.context.bundle
 
     @property
@@ -158,7 +158,7 @@ class RacerRows:
         """Hash of what the rows share."""
         parts = self.bundle.block_models
         style = weights_hash(parts.style) if parts.style else ""
-        networks = [[one.sha256, one.name, one.frames] for one in self.rg.context.networks.values()]
+        networks = [[network.sha256, network.name, network.frames] for network in self.rg.context.networks.values()]
         return configs.digest(VERSION, self.shapes, weights_hash(parts.generator), style, networks,
                               self.context.limit, MOTION)
 
@@ -187,8 +187,8 @@ class RacerRows:
     @cached_property
     def encoded(self) -> list[SpeechFeatures]:
         """Their speech as the system hears it without words, the same for every row."""
-        return [self.context.system.encode_speech(replace(resample_speech(one.speech, SAMPLE_RATE), words=None))
-                for one in self.recordings]
+        return [self.context.system.encode_speech(replace(resample_speech(recording.speech, SAMPLE_RATE), words=None))
+                for recording in self.recordings]
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
@@ -210,7 +210,7 @@ class RacerRows:
         return [take for take in takes if len(take.blocks) > 1][:4]
 
     def temperature(self, name: str, policy: QNetwork | ActorCritic) -> float:
-        """What a row's scores are divided by: 0 for the best lexeme, or what makes it as undecided as the lstm."""
+        """The divisor of a row's scores: 0 to take the best lexeme, or that which gives the entropy of the lstm."""
         if not ROWS[name].matched:
             return 0.0
         with torch.no_grad():
@@ -220,10 +220,10 @@ class RacerRows:
 
 def forced_values(policy: QNetwork | ActorCritic, corpus: Corpus, take: Demonstration) -> Tensor:
     """[M - 1, S] a policy's scores on a recording of M blocks, on the performer's past."""
-    seen = {"block": torch.as_tensor(take.blocks[1:])[None], "previous": torch.as_tensor(take.lexemes[:-1])[None],
+    observed = {"block": torch.as_tensor(take.blocks[1:])[None], "previous": torch.as_tensor(take.lexemes[:-1])[None],
             "silent": torch.as_tensor(take.silent[1:])[None], "speaker": torch.tensor([take.speaker])}
     config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
-    batch = q_batch(corpus, seen, config.lookahead)
+    batch = q_batch(corpus, observed, config.lookahead)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[0]
 
 
@@ -248,10 +248,11 @@ def rescaled(table: Tensor, episodes: Episodes) -> Tensor:
 
     That changes no order between lexemes, and by how much to trust the data's is then asked at one scale for both.
     """
-    theirs = np.concatenate([episode.reward[1:] for episode in episodes.episodes]).astype(np.float64)
-    ours = np.concatenate([table.numpy()[episode.blocks, episode.actions][1:] for episode in episodes.episodes])
-    scale = theirs.std() / max(float(ours.std()), 1e-6)
-    return (table - float(ours.mean())) * float(scale) + float(theirs.mean())
+    recorded = np.concatenate([episode.reward[1:] for episode in episodes.episodes]).astype(np.float64)
+    new = np.concatenate([table.numpy()[episode.blocks, episode.actions][1:] for episode in episodes.episodes])
+    # Both rewards at one mean and spread, or alpha would weigh the data's term differently in both rows.
+    scale = recorded.std() / max(float(new.std()), 1e-6)
+    return (table - float(new.mean())) * float(scale) + float(recorded.mean())
 
 
 def rewarded(racer: RacerRows, config: Config) -> tuple[Episodes, Rewards]:
@@ -283,20 +284,20 @@ def _episodes(racer: RacerRows, config: Config) -> Episodes:
 # --------------------------------------------------------------------------------------------------------- learning
 
 Learner = tuple[ConservativeQ | ActorCritic, fitting.MakeBatch]
-"""What `fit` needs: a model, which knows what happens before a step, and its batches."""
+"""A model for `fit`, with its `before_step`, and the maker of its batches."""
 
 
-def latest(policy: QNetwork | ActorCritic, corpus: Corpus, seen: dict[str, Tensor]) -> Tensor:
+def latest(policy: QNetwork | ActorCritic, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
     """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `eval.ablate.simulator.Choose`)."""
     config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
-    batch = q_batch(corpus, seen, config.lookahead)
+    batch = q_batch(corpus, observed, config.lookahead)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[:, -1]
 
 
 def epsilon_greedy(network: QNetwork, corpus: Corpus, epsilon: float, rng: np.random.Generator) -> Choose:
     """The best allowed lexeme, or with probability epsilon any allowed one."""
-    def choose(seen: dict[str, Tensor]) -> Tensor:
-        values, silent = latest(network, corpus, seen), seen["silent"][:, -1]
+    def choose(observed: dict[str, Tensor]) -> Tensor:
+        values, silent = latest(network, corpus, observed), observed["silent"][:, -1]
         anything = network.choose(torch.as_tensor(rng.random(values.shape)), silent)
         explores = torch.as_tensor(rng.random(len(values)) < epsilon)
         return torch.where(explores, anything, network.choose(values, silent))
@@ -306,10 +307,11 @@ def epsilon_greedy(network: QNetwork, corpus: Corpus, epsilon: float, rng: np.ra
 
 def sampled(policy: ActorCritic, corpus: Corpus, rng: np.random.Generator) -> Choose:
     """A lexeme sampled from pi(. | s) over those allowed: the best after Gumbel noise on the log-probabilities."""
-    def choose(seen: dict[str, Tensor]) -> Tensor:
-        values = latest(policy, corpus, seen)
+    def choose(observed: dict[str, Tensor]) -> Tensor:
+        values = latest(policy, corpus, observed)
+        # The greatest of log-probabilities with Gumbel noise is a draw from the softmax.
         noise = torch.as_tensor(rng.gumbel(size=values.shape))
-        return policy.actor.choose(values + noise, seen["silent"][:, -1])
+        return policy.actor.choose(values + noise, observed["silent"][:, -1])
 
     return choose
 
@@ -407,6 +409,7 @@ def _trained(racer: RacerRows, name: str, seed: int, folder: Path) -> tuple[QNet
             make_batch = scaled(make_batch, row.scale)
         began = time.monotonic()  # without the data set, or the network that it begins as
         folder.mkdir(parents=True, exist_ok=True)
+        # No checkpoint is kept: what roll-outs remembered would be lost, so a resumed training would be another one.
         with tempfile.TemporaryDirectory() as scratch:
             fitting.fit(f"{name}, seed {seed}", model, fitting.Task(
                 make_batch, before_step=model.before_step), config.schedules.cql, Path(scratch),
@@ -419,7 +422,7 @@ def _trained(racer: RacerRows, name: str, seed: int, folder: Path) -> tuple[QNet
 
 def judged(racer: RacerRows, name: str, policy: QNetwork | ActorCritic
            ) -> tuple[list[Lexemes], list[dict[str, Any]]]:
-    """What a policy did on the test recordings [M], and its figures on each."""
+    """The lexemes [M] that a policy chose on each test recording, and its figures there."""
     decisions = racer.judge.decisions
     chooser, chosen, rows = Policy(policy, racer.temperature(name, policy)), [], []
     for take in decisions.takes:

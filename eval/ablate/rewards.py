@@ -156,6 +156,7 @@ def retrieval(scores: Array, rivals: Mask) -> dict[str, Array]:
     motion_r1: audio sought for a motion; audio_r1: motion sought for an audio; chance_r1: blind guessing. rivals:
     [n, n], symmetric. A tie is lost, so that a constant score finds nothing.
     """
+    # A window is no rival of itself.
     rivals = rivals & ~np.eye(len(rivals), dtype=bool)
     count = rivals.sum(axis=1)
     out = {"chance_r1": np.where(count > 0, 100.0 / (count + 1), np.nan)}
@@ -174,9 +175,10 @@ def true_rank(rewards: Array, true: Integers) -> Array:
 
 def agreement(first: Array, second: Array) -> Array:
     """[n] Pearson correlation over actions of two models' rewards [n, S]; NaN where either is constant."""
-    one, other = (rows - rows.mean(axis=1, keepdims=True) for rows in (first, second))
-    norm = np.sqrt((one ** 2).sum(axis=1) * (other ** 2).sum(axis=1))
-    return np.divide((one * other).sum(axis=1), norm, out=np.full(len(first), np.nan), where=norm > 0)
+    first_centred, second_centred = (rows - rows.mean(axis=1, keepdims=True) for rows in (first, second))
+    norm = np.sqrt((first_centred ** 2).sum(axis=1) * (second_centred ** 2).sum(axis=1))
+    products = (first_centred * second_centred).sum(axis=1)
+    return np.divide(products, norm, out=np.full(len(first), np.nan), where=norm > 0)
 
 
 def shifted(score: Score, each: Integers, owner: Integers, shift: int) -> Array:
@@ -202,6 +204,7 @@ def by_shift(probe: RewardProbe, kind: str, takes: Sequence[Demonstration]) -> d
     anything, others, random = np.concatenate([take.blocks for take in takes]), [], []
     for place, take in enumerate(takes):
         audio, rng = each[owner == place], np.random.default_rng([SEED, take.recording])
+        # The next recording's windows, repeated where it is shorter.
         donor = np.resize(each[owner == (place + 1) % len(takes)], audio.shape)
         others.append(probe.score(kind, donor, audio) if len(takes) > 1 else np.full(len(audio), np.nan))
         random.append(probe.played(rng.integers(probe.table.size, size=audio.shape), audio) if kind == "decoded"

@@ -1,4 +1,4 @@
-"""What `gesticulator ablate` runs and compares: the rows of rows.toml, the tables and claims of papers.toml, as types.
+"""The contents of `gesticulator ablate`: the rows of rows.toml, the tables and claims of papers.toml, as types.
 
 Both files say at their head what each key means. A row is a change of settings, as one would type it after --set, so
 which of its stages are trained again follows from the hashes of its settings. The presets are of the papers' system
@@ -130,15 +130,15 @@ def _held(name: str) -> dict[str, Any]:
 def read_rows() -> dict[str, Row]:
     """The rows by name, each with the settings of the row that it is `from` before its own."""
     rows: dict[str, Row] = {}
-    for name, told in _held("rows.toml").items():
-        base = rows.get(told.pop("from", ""))
-        settings = (*(base.set if base else ()), *told.pop("set", ()))
-        if told.get("matched"):
+    for name, entry in _held("rows.toml").items():
+        base = rows.get(entry.pop("from", ""))
+        settings = (*(base.set if base else ()), *entry.pop("set", ()))
+        if entry.get("matched"):
             assert base is not None, f"{name} is matched, so it needs `from`"
             source = next(other for other, row in rows.items() if row is base)
-            rows[name] = dataclasses.replace(base, ask=told["ask"], matched=True, network=source)
+            rows[name] = dataclasses.replace(base, ask=entry["ask"], matched=True, network=source)
         else:
-            rows[name] = Row(set=settings, **told)
+            rows[name] = Row(set=settings, **entry)
     return rows
 
 
@@ -151,21 +151,21 @@ def _claims(title: str, sentences: list[str]) -> Iterator[Claim]:
                 yield Claim(title, metric, first, sign, second)
 
 
-def _table(told: dict[str, Any]) -> PaperTable:
+def _table(entry: dict[str, Any]) -> PaperTable:
     lines = tuple(TableLine(label, row, {key: tuple(map(float, values)) for part in paper
                                          for key, values in part.items()})
-                  for label, row, *paper in told.pop("lines"))
-    return PaperTable(columns=tuple(told.pop("columns")), lines=lines,
-                      claims=tuple(_claims(told["title"], told.pop("claims", []))),
-                      places=tuple(told.pop("places", PaperTable.places)), **told)
+                  for label, row, *paper in entry.pop("lines"))
+    return PaperTable(columns=tuple(entry.pop("columns")), lines=lines,
+                      claims=tuple(_claims(entry["title"], entry.pop("claims", []))),
+                      places=tuple(entry.pop("places", PaperTable.places)), **entry)
 
 
 _PAPERS = _held("papers.toml")
 ROWS: dict[str, Row] = read_rows()
-COLUMNS: dict[str, FigureColumn] = {key: FigureColumn(**told) for key, told in _PAPERS["columns"].items()}
-TABLES: dict[str, PaperTable] = {told["title"]: _table(told) for told in _PAPERS["table"]}
-ELSEWHERE: list[Elsewhere] = [Elsewhere(**{**told, "lowest": tuple(told.get("lowest", ()))})
-                              for told in _PAPERS["elsewhere"]]
+COLUMNS: dict[str, FigureColumn] = {key: FigureColumn(**entry) for key, entry in _PAPERS["columns"].items()}
+TABLES: dict[str, PaperTable] = {entry["title"]: _table(entry) for entry in _PAPERS["table"]}
+ELSEWHERE: list[Elsewhere] = [Elsewhere(**{**entry, "lowest": tuple(entry.get("lowest", ()))})
+                              for entry in _PAPERS["elsewhere"]]
 
 
 # ------------------------------------------------------------------------------------------------------------- presets
@@ -192,10 +192,10 @@ RACER_PRESETS = {
     "ablation": ("cql.width=64", "cql.layers=4", "cql.heads=4", "schedules.cql.steps=400", "schedules.cql.batch=32",
                  "cql.warm_up=0", "cql.copy_every=8"),
     "tiny": ("cql.width=16", "cql.layers=4", "cql.heads=2", "schedules.cql.steps=10", "schedules.cql.batch=8")}
-"""What RACER's rows share on top of the bundle's settings. Targets are copied far more often than 1 / (1 - gamma), so
+"""Shared by RACER's rows on top of the bundle's settings. Targets are copied far more often than 1 / (1 - gamma), so
 that temporal differences are learned all along; a run takes 45 s to 3 min of one core."""
 
 
 def is_racer(row: str) -> bool:
-    """Whether a row is one of RACER's, which stand on a bundle of their own and are compared with each other."""
+    """True for a row of RACER's, which stand on a bundle of their own and are compared with each other."""
     return row.startswith("racer-")

@@ -86,7 +86,7 @@ class RowRun(Run):
 
     taken: Mapping[str, Run] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
-    """What each stage took; 0 where it was there."""
+    """By stage the seconds of its training; 0 where it was finished before."""
     late_gains: dict[str, float] = field(default_factory=dict)
     """By how much each stage's validation still became better in the last quarter of its training, as a share."""
 
@@ -135,7 +135,7 @@ class RgRows:
     @cached_property
     def shared(self) -> str:
         """Hash of what the rows share; figures that are compared must agree in it."""
-        networks = [[one.sha256, one.name, one.frames] for one in self.context.networks.values()]
+        networks = [[network.sha256, network.name, network.frames] for network in self.context.networks.values()]
         return configs.digest(VERSION, self.first.store.fingerprint, self.first.config, self.first.key(LEXICON),
                               self.first.key(CORPUS), networks, self.context.limit)
 
@@ -150,14 +150,14 @@ class RgRows:
     def _corpus_run(self, config: Config) -> Run:
         """The run that cuts the store by these settings; that of the preset and the last other one stay in memory."""
         first = self.first
-        key, preset = (configs.digest(one.rhythm, one.motion, one.control, one.text, one.front_end)
-                       for one in (config, first.config))
+        key, preset = (configs.digest(settings.rhythm, settings.motion, settings.control, settings.text,
+                                      settings.front_end) for settings in (config, first.config))
         return first if key == preset else _latest(self._corpora, key, 1, lambda: RowRun(
             config, first.store, first.work, first.device, first.progress, first.speech, first.workers,
             taken={ENCODER.name: first}))
 
     def trained(self, name: str, seed: int) -> tuple[Bundle, RowRun]:
-        """What a row plays with, and its run; what is not in the work folder is trained."""
+        """The bundle of a row, and its run; what is not in the work folder is trained."""
         before, run = self.runs(name, seed)
         bundle = assemble(run)
         run.seconds["lexicon"] = before.seconds.get("lexicon", 0.0)
@@ -176,10 +176,10 @@ class RgRows:
     def names(self, split: str) -> list[str]:
         """Recordings of a split that are long enough for shares and speeds (all, where none is), `limit` at most."""
         every = [info for info in self.first.store.recordings if info.split == split]
-        found = [info.name for info in every if info.seconds >= SHORTEST] or [info.name for info in every]
-        if not found:
+        long_enough = [info.name for info in every if info.seconds >= SHORTEST] or [info.name for info in every]
+        if not long_enough:
             raise InputError(self.first.store.path, f"has no recording in its {split} split", "build the store again")
-        return found[:self.context.limit]
+        return long_enough[:self.context.limit]
 
     def recording(self, name: str) -> Recording:
         """One with its sound and motion."""
@@ -208,15 +208,15 @@ class RgRows:
 
     def scored(self, names: Sequence[str], lexicon: bool = True) -> ScoredClips:
         """The recordings of these names as `gesticulator score` reads its truth; lexicon: with figures of lexemes."""
-        def made() -> ScoredClips:
+        def read() -> ScoredClips:
             recordings = [self.recording(name) for name in names]
             groups = {info.name: info.group or info.name for info in self.first.store.recordings}
-            speeches = [replace(one.speech, speaker=one.info.speaker) for one in recordings]
+            speeches = [replace(recording.speech, speaker=recording.info.speaker) for recording in recordings]
             clips = ClipSet(list(names), [groups[name] for name in names], [*speeches],
-                            {TRUTH: [one.motion for one in recordings]}, recordings[0].motion.fps)
+                            {TRUTH: [recording.motion for recording in recordings]}, recordings[0].motion.fps)
             return self._read(clips, lexicon)
 
-        return _latest(self._scored, (*names, lexicon), 2, made)
+        return _latest(self._scored, (*names, lexicon), 2, read)
 
     def _read(self, clips: ClipSet, lexicon: bool = True) -> ScoredClips:
         return ScoredClips.of(replace(self.context, models=self.judge if lexicon else None), clips)
@@ -224,8 +224,8 @@ class RgRows:
     def summary(self, scored: ScoredClips, motions: Sequence[Motion]) -> dict[str, Any]:
         """"clips" and "sets" of a cell: the values of each clip, those of the whole set by the jackknife."""
         truth = scored.clips.motions[TRUTH]
-        fitting = [resample(to_character(motion), own.fps).crop(0, len(own))
-                   for motion, own in zip(motions, truth, strict=True)]
+        fitting = [resample(to_character(motion), reference.fps).crop(0, len(reference))
+                   for motion, reference in zip(motions, truth, strict=True)]
         row = scored.row("", "system", fitting)
         values = {key: row.values[column.metric] for key, column in COLUMNS.items() if column.metric in row.values}
         for key, column in COLUMNS.items():
@@ -247,8 +247,8 @@ class RgRows:
 
         def distance(chosen: list[int]) -> float:
             sides = ([part[k] for k in chosen if len(part[k])] for part in (row.features[network], real))
-            ours, theirs = (np.concatenate(side) if side else np.zeros((0, 1)) for side in sides)
-            return fgd.distance(ours, theirs) if min(len(ours), len(theirs)) > 1 else float("nan")
+            features, reference = (np.concatenate(side) if side else np.zeros((0, 1)) for side in sides)
+            return fgd.distance(features, reference) if min(len(features), len(reference)) > 1 else float("nan")
 
         return stats.jackknife(distance, len(truth))
 
@@ -268,19 +268,20 @@ class RgRows:
         system = Gesticulator(bundle)
         motions = []
         for recording in tqdm(recordings, desc=f"{name}, seed {seed}", disable=not self.context.progress):
-            made = system(recording.speech, speaker=recording.info.speaker, interpreter=row.play, seed=seed,
+            performance = system(recording.speech, speaker=recording.info.speaker, interpreter=row.play, seed=seed,
                           encoded=self.encoded(system, recording),
                           temperature=1.0 if row.play == "statistical" else None)
-            motions.append(made.motion)
+            motions.append(performance.motion)
         if seed == SHOWN_SEED:
             self.keep(name, motions)
-        found = self.summary(self.scored(self.names(row.split)), motions)
+        summary = self.summary(self.scored(self.names(row.split)), motions)
+        # Accuracy compares lexemes by number, which means the same in one lexicon only.
         if self.runs(name, seed)[0].key(LEXICON) == self.first.key(LEXICON):
-            for clip in found["clips"]:
+            for clip in summary["clips"]:
                 clip |= self.accuracies(system, row.play, clip["name"])
         trained = sum(seconds for stage, seconds in run.seconds.items() if stage != "lexicon")
         return {"stages": run.seconds, "late_gains": run.late_gains,
-                "seconds": {"training": round(trained, 1), "in_all": round(time.monotonic() - began, 1)}, **found}
+                "seconds": {"training": round(trained, 1), "in_all": round(time.monotonic() - began, 1)}, **summary}
 
     def accuracies(self, system: Gesticulator, interpreter: str, name: str) -> dict[str, float]:
         """Free-running and teacher-forced (RG Table 6), of a recording and a row over the lexicon of `ours`."""
@@ -317,7 +318,7 @@ class RgRows:
     # -------------------------------------------------------------------------------------------- cells without a seed
 
     def reference(self, name: str, split: str) -> dict[str, Any] | None:
-        """What is measured of a reference or a control; None where it cannot be made (no real take, too few
+        """The cell of a reference or a control; None where it cannot be made (no real take, too few
         recordings)."""
         if name == REAL_TAKE:
             return self._real_take()
@@ -334,9 +335,9 @@ class RgRows:
         if take is None:
             return None
         clips = ClipSet(["take"], ["take"], [take[1]], {TRUTH: [take[0]]}, take[0].fps)
-        found = self.summary(self._read(clips), [take[0]])
-        found["clips"][0] |= dict.fromkeys(("maje", "mad", "fgd"), float("nan"))
-        return found
+        summary = self.summary(self._read(clips), [take[0]])
+        summary["clips"][0] |= dict.fromkeys(("maje", "mad", "fgd"), float("nan"))
+        return summary
 
     def _floor(self, scored: ScoredClips) -> dict[str, Any] | None:
         """FGD between halves of the performer's clips, halved in several ways: no skill gets below it."""
@@ -349,9 +350,9 @@ class RgRows:
             except ValueError:
                 return None
             real = self._features(truth, next(iter(self.context.networks)))
-            one, other = (np.concatenate([real[place[id(motion)]] for motion in half]) for half in halves)
-            if min(len(one), len(other)) > 1:
-                clips.append({"name": f"halving {seed}", "fgd": fgd.distance(one, other)})
+            first, second = (np.concatenate([real[place[id(motion)]] for motion in half]) for half in halves)
+            if min(len(first), len(second)) > 1:
+                clips.append({"name": f"halving {seed}", "fgd": fgd.distance(first, second)})
         return {"clips": clips, "sets": {}} if clips else None
 
     def foreign(self, name: str, folder: Path) -> tuple[str, list[str]]:
@@ -371,10 +372,11 @@ class RgRows:
         """"clips" and "sets" of another system's cell: each clip as far as both motions last."""
         clips, _ = read_folder(folder, only=list(names))
         truth = self.scored(names).clips
-        motions = [resample(clips[name].motion, own.fps)
-                   for name, own in zip(names, truth.motions[TRUTH], strict=True)]
-        shorter = [own.crop(0, min(len(own), len(motion)))
-                   for own, motion in zip(truth.motions[TRUTH], motions, strict=True)]
+        motions = [resample(clips[name].motion, reference.fps)
+                   for name, reference in zip(names, truth.motions[TRUTH], strict=True)]
+        # FGD and the joint errors compare frame by frame: the performer's clip is cut where the other system stops.
+        shorter = [reference.crop(0, min(len(reference), len(motion)))
+                   for reference, motion in zip(truth.motions[TRUTH], motions, strict=True)]
         return self.summary(self._read(replace(truth, motions={TRUTH: shorter})), motions)
 
 
@@ -384,7 +386,7 @@ def _jackknife(of: Callable[[NDArray[np.int64]], float], count: int) -> Array:
 
 
 def _latest(known: dict[Any, T], key: Any, most: int, make: Callable[[], T]) -> T:
-    """What is known by a key, made where it is not; of `most` others the last one goes."""
+    """The value of a key, computed where it lacks; of `most` others the last one goes."""
     if key not in known:
         while len(known) >= most:
             known.popitem()

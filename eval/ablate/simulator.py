@@ -65,6 +65,7 @@ class Simulator:
             raise ValueError("an episode must begin before the last block of its recording")
         self._horizon, self._done = horizon, 0
         self._live = torch.ones(len(which), dtype=torch.bool)
+        # Recorded lexemes from before the start: the first rewards then look back as far as any.
         past = self._at[:, None] + torch.arange(-self.window, 0)
         self._valid = past >= 0
         rows = self._offset[:, None] + past.clamp_min(0)
@@ -85,6 +86,7 @@ class Simulator:
         reward = self.score(self._past_lexemes, self._past_blocks, self._valid).to(torch.float32) * live
         self._done += 1
         terminal = live & (self._at == self._last)
+        # An episode that the horizon ends has a future, whose value is bootstrapped; the end of a recording has none.
         truncated = live & ~terminal & (self._done == self._horizon)
         self._at = torch.where(live & ~terminal, self._at + 1, self._at)
         self._live = live & ~terminal & ~truncated

@@ -52,16 +52,17 @@ def mean_of(rows: Rows, name: str, key: str) -> float:
 
 def beaten(rows: Rows, key: str, suffix: str = "") -> dict[str, float]:
     """The controls that do as well as `ours` or better by a column, with their values; of another split by suffix."""
-    good, ours = COLUMNS[key].good, mean_of(rows, OURS, key)
+    good, reference = COLUMNS[key].good, mean_of(rows, OURS, key)
     aim = mean_of(rows, PERFORMER + suffix, key) if good == "near" else 0.0
-    if not good or not np.isfinite(ours + aim):
+    if not good or not np.isfinite(reference + aim):
         return {}
 
     def badness(value: float) -> float:
         return -value if good == "high" else abs(value - aim)
 
-    found = {name: mean_of(rows, name + suffix, key) for name in CONTROLS if name != FLOOR}
-    return {name: value for name, value in found.items() if np.isfinite(value) and badness(value) <= badness(ours)}
+    values = {name: mean_of(rows, name + suffix, key) for name in CONTROLS if name != FLOOR}
+    return {name: value for name, value in values.items()
+            if np.isfinite(value) and badness(value) <= badness(reference)}
 
 
 def _plain(key: str) -> Column:
@@ -72,7 +73,7 @@ def _plain(key: str) -> Column:
 # -------------------------------------------------------------------------------------------------------- the papers'
 
 def _lines(table: PaperTable, rows: Rows, suffix: str) -> list[TableLine]:
-    """What stands in a table, in order, by the names of the rows on its split."""
+    """The rows of a table, in order, by the names of the rows on its split."""
     beside = {**REFERENCES, **CONTROLS}
     lines = [replace(line, row=line.row + suffix) if line.row in beside else line for line in table.lines]
     if not table.references:
@@ -109,8 +110,8 @@ def paper_table(title: str, rows: Rows) -> Table:
                                               line.paper.get(COLUMNS[key].paper, ())) for key in table.columns}
         body[_label(line, rows)] = {key: cells.get(key) for key in columns}
     notes = [f"(!) {COLUMNS[key].heading}, {mean_of(rows, OURS, key):.{COLUMNS[key].digits}f}: no worse are "
-             + ", ".join(f"{name} ({value:.{COLUMNS[key].digits}f})" for name, value in found.items()) + "."
-             for key, found in fooled.items() if found]
+             + ", ".join(f"{name} ({value:.{COLUMNS[key].digits}f})" for name, value in values.items()) + "."
+             for key, values in fooled.items() if values]
     return Table(f"{title} ({table.split})", columns, body, "row", notes)
 
 
@@ -123,7 +124,7 @@ def curve_table(rows: Rows) -> Table:
 
 
 def training_table(rows: Rows) -> Table:
-    """What each row changes, what its training took, and how far it was from done."""
+    """Of each row its settings, the seconds of its training, and how much that still gained at its end."""
     columns = {"settings": Column("settings"), "seconds": Column("training by seed", "s"),
                "late": Column("most that a stage's validation gained in its last quarter", "%", 1, "low")}
     return Table("What rows change", columns, {
@@ -136,7 +137,7 @@ def training_table(rows: Rows) -> Table:
 # -------------------------------------------------------------------------------------------------------- differences
 
 def difference_table(cells: Cells) -> Table:
-    """What `ours` is less each other row of the papers' tables, beside the papers' own (on Trinity)."""
+    """`ours` less each other row of the papers' tables, beside the papers' own (on Trinity)."""
     lines = [line for title in ("RG Table 1", "RG Table 2", "RG Table 4", "RG Table 6", "RG Table 7")
              for line in TABLES[title].lines]
     papers: dict[str, dict[str, float]] = {}
@@ -160,16 +161,16 @@ def racer_differences(cells: Cells) -> Table:
     columns = TABLES["RACER Table 2"].columns
     body: dict[str, dict[str, Cell]] = {}
     for name in filter(is_racer, ROWS):
-        ours = f"{RACER_OURS}-matched" if ROWS[name].matched else RACER_OURS
-        if name != ours and set(cells.get(name, {})) & set(cells.get(ours, {})):
-            body[f"{ours} - {name}"] = {key: difference(cells, ours, name, key) for key in columns}
+        reference = f"{RACER_OURS}-matched" if ROWS[name].matched else RACER_OURS
+        if name != reference and set(cells.get(name, {})) & set(cells.get(reference, {})):
+            body[f"{reference} - {name}"] = {key: difference(cells, reference, name, key) for key in columns}
     return Table("RACER Table 2, differences", {key: _plain(key) for key in columns}, body, "row")
 
 
 # ---------------------------------------------------------------------------------------------------------- all of it
 
 def corpus_table(facts: Mapping[str, Any]) -> Table:
-    """What the figures are of, which a reader has to know before any of them."""
+    """The data and their limits, which a reader has to know before any figure."""
     store = facts["store"]
     title = ("The corpus is synthetic, made by rule" if store.get("name") == PERFORMER
              else f"The corpus is {store.get('name', 'not recorded')}")
@@ -180,7 +181,7 @@ def corpus_table(facts: Mapping[str, Any]) -> Table:
 
 
 def about_table(facts: Mapping[str, Any]) -> Table:
-    """What the tables are of; its facts are the rows' figures by every column."""
+    """The store, the seeds and the clips of the tables; its facts are the rows' figures by every column."""
     plain = {name: {**row, "figures": {key: value.to_dict() for key, value in row["figures"].items()}}
              for name, row in facts["rows"].items()}
     return Table("Ablation", {}, {}, notes=[

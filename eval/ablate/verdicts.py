@@ -68,7 +68,7 @@ _SEEDS, _CLIPS = (np.unique(np.geomspace(least, 20_000, 400).round()) for least 
 
 @dataclass(frozen=True)
 class Decision:
-    """What became of a claim: one of `WORDS`; why; the difference; the margin (NaN: none); seeds and clips, as many as
+    """The decision on a claim: one of `WORDS`; why; the difference; the margin (NaN: none); seeds and clips, as many as
     there were and as would decide it (empty: not known)."""
 
     word: str
@@ -81,16 +81,17 @@ class Decision:
 
 # ---------------------------------------------------------------------------------------------------------- the rule
 
-def decide(found: Components, sign: str, margin: float) -> Decision:
+def decide(components: Components, sign: str, margin: float) -> Decision:
     """The verdict on a difference. sign: "<", ">" or "="; margin: positive, in the difference's unit, NaN for none."""
-    value, over = found.interval(), (found.seeds, found.clips)
-    remark = "of the middle clips, as one has most of the spread" if found.trimmed else ""
-    if found.seeds < DECIDED:
-        return Decision(UNDECIDED, f"{found.seeds} of {DECIDED} seeds", value, margin, over)
-    narrow = found.interval(0.9)
+    value, over = components.interval(), (components.seeds, components.clips)
+    remark = "of the middle clips, as one has most of the spread" if components.trimmed else ""
+    if components.seeds < DECIDED:
+        return Decision(UNDECIDED, f"{components.seeds} of {DECIDED} seeds", value, margin, over)
+    narrow = components.interval(0.9)
+    # Two one-sided tests at 5 % are one interval of 90 %. A NaN margin makes this false.
     equivalent = -margin < narrow.low and narrow.high < margin
     word, reason = alike(value, equivalent, margin) if sign == "=" else one_sided(value, equivalent, sign)
-    needed = needed_for(found, margin, sign) if word == UNDECIDED and math.isfinite(margin) else ()
+    needed = needed_for(components, margin, sign) if word == UNDECIDED and math.isfinite(margin) else ()
     return Decision(word, "; ".join(filter(None, (reason, remark))), value, margin, over, needed)
 
 
@@ -130,18 +131,19 @@ def present(claim: Elsewhere) -> Decision:
     return Decision(UNDECIDED, reason, worst, over=(1, worst.n), needed=(1, needed))
 
 
-def needed_for(found: Components, margin: float, sign: str = ">") -> tuple[int, ...]:
+def needed_for(components: Components, margin: float, sign: str = ">") -> tuple[int, ...]:
     """Seeds and clips that would decide between no effect and twice the margin, each four times in five at least.
 
     As many seeds as `CLIPS` clips need; where no number does, the pair with the smallest product; empty where there is
     none.
     """
     seeds, clips = np.meshgrid(_SEEDS, np.append(_CLIPS[_CLIPS != CLIPS], CLIPS), indexing="ij")
-    error, freedom = satterthwaite(found.seed, found.clip, found.rest, seeds, clips)
+    error, freedom = satterthwaite(components.seed, components.clip, components.rest, seeds, clips)
     with np.errstate(divide="ignore"):
         decided = 2 * t.cdf(margin / error - t.ppf(0.95, freedom), freedom) - 1 >= POWER
         if sign != "=":
             decided &= t.cdf(2 * margin / error - t.ppf(0.975, freedom), freedom) >= POWER
+    # A whole test split is at hand in any case, so seeds are counted first.
     whole = decided & (clips == CLIPS)
     pick = whole if whole.any() else decided
     if not pick.any():
@@ -169,6 +171,7 @@ def margin_of(claim: Claim, cells: Cells, column: str, of_the_middle: bool = Fal
         return abs(first - second) / 2
     here = values_of(list(cells[claim.second].values()), column)
     here = here[:, np.isfinite(here).any(axis=0)]
+    # A share of the second row's figure, as the paper's effect is a share of its own.
     base = math.nan if not here.size else trimmed(here).mean if of_the_middle else float(np.nanmean(here))
     return abs(first - second) / second / 2 * base if base > 0 else math.nan
 
@@ -202,8 +205,8 @@ def reading(claim: Claim, cells: Cells, column: str) -> Decision:
     apart = apart[np.isfinite(apart).any(axis=1)] if apart.size else apart
     if not apart.size:
         return Decision(UNDECIDED, f"{COLUMNS[column].heading} was not measured of both")
-    found = robust(apart)
-    return decide(found, claim.sign, margin_of(claim, cells, column, found.trimmed))
+    components = robust(apart)
+    return decide(components, claim.sign, margin_of(claim, cells, column, components.trimmed))
 
 
 def readings(claim: Claim, cells: Cells) -> tuple[Decision, Decision, str]:
@@ -228,19 +231,19 @@ _COLUMNS = {key: Column(title) for key, title in (
     ("controls", "controls that do as well"), ("valid", "valid"))}
 
 
-def _shown(found: Decision, digits: int) -> str | None:
+def _shown(decision: Decision, digits: int) -> str | None:
     """The difference with its interval, and the margin where there is one."""
-    if not math.isfinite(found.value.mean):
+    if not math.isfinite(decision.value.mean):
         return None
-    return found.value.text(digits) + (f" ({found.margin:.{digits}f})" if math.isfinite(found.margin) else "")
+    return decision.value.text(digits) + (f" ({decision.margin:.{digits}f})" if math.isfinite(decision.margin) else "")
 
 
-def _worded(found: Decision) -> str:
+def _worded(decision: Decision) -> str:
     """The verdict, why, and what would decide it."""
-    seeds, clips = found.needed or (0, 0)
-    needs = f"{seeds} seeds of {clips} clips would decide" if found.needed else ""
-    reason = "; ".join(filter(None, (found.reason, needs)))
-    return found.word + (f" ({reason})" if reason else "")
+    seeds, clips = decision.needed or (0, 0)
+    needs = f"{seeds} seeds of {clips} clips would decide" if decision.needed else ""
+    reason = "; ".join(filter(None, (decision.reason, needs)))
+    return decision.word + (f" ({reason})" if reason else "")
 
 
 def _row(claim: Claim, table: PaperTable, cells: Cells) -> tuple[dict[str, str | None], dict[str, Any]]:
@@ -248,7 +251,7 @@ def _row(claim: Claim, table: PaperTable, cells: Cells) -> tuple[dict[str, str |
     plain, valid, fooled = readings(claim, cells)
     column = COLUMNS[claim.metric]
     sentence = f"{column.heading}: {claim.first} {SIGNS[claim.sign]} {claim.second}"
-    printed = "; ".join(f"{place} {one:g} and {other:g}" for place, one, other in table.both(claim))
+    printed = "; ".join(f"{place} {first:g} and {second:g}" for place, first, second in table.both(claim))
     by = f"{COLUMNS[column.valid].heading}, {_shown(valid, column.digits) or '-'}: " if column.valid else ""
     return {"where": claim.where, "claim": sentence, "paper": printed, "difference": _shown(plain, column.digits),
             "published": _worded(plain), "controls": fooled or None, "valid": by + _worded(valid)}, {
@@ -262,10 +265,10 @@ def _facts(decision: Decision) -> dict[str, Any]:
 
 
 def _row_elsewhere(claim: Elsewhere) -> tuple[dict[str, str | None], dict[str, Any]]:
-    found = present(claim)
-    word = _worded(found)
-    return {"where": claim.where, "claim": claim.says, "difference": _shown(found, 2), "published": word,
-            "valid": word}, {**asdict(claim), "published": _facts(found), "valid": _facts(found)}
+    decision = present(claim)
+    word = _worded(decision)
+    return {"where": claim.where, "claim": claim.says, "difference": _shown(decision, 2), "published": word,
+            "valid": word}, {**asdict(claim), "published": _facts(decision), "valid": _facts(decision)}
 
 
 def claims_table(cells: Cells) -> Table:
@@ -274,10 +277,10 @@ def claims_table(cells: Cells) -> Table:
     both += [_row_elsewhere(claim) for claim in ELSEWHERE]
     count = {reading: {word: Counter(facts[reading]["verdict"] for _, facts in both)[word] for word in WORDS}
              for reading in ("published", "valid")}
-    told = {reading: ", ".join(f"{number} {word}" for word, number in words.items() if number)
+    counted = {reading: ", ".join(f"{number} {word}" for word, number in words.items() if number)
             for reading, words in count.items()}
     return Table("Claims", _COLUMNS, {str(number): row for number, (row, _) in enumerate(both, 1)}, "", [
-        f"As published: {told['published']}. Valid: {told['valid']}. Differences are paired, with 95 % "
+        f"As published: {counted['published']}. Valid: {counted['valid']}. Differences are paired, with 95 % "
         "intervals over seeds and clips; the margin is half of the paper's effect; seeds and clips that would decide "
         "are for 80 % power. The papers' figures are of other data: compare the order."],
         {"claims": [facts for _, facts in both], "count": count})

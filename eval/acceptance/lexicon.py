@@ -124,6 +124,7 @@ def fit_of(held: HeldOut, decoded: Tensor) -> Fit:
     last = np.concatenate([held.positions(held.first[None, None])[:, -1:], truth[:-1, -1:]])
     moving = stroke_blocks(truth, held.durations.numpy())
     x, y, l0 = truth[moving], drawn[moving], last[moving]
+    # About the block's own mean: within a block the shape counts, its place is the displacement's.
     inner = x - x.mean(axis=1, keepdims=True)
     wrists = [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]
     heights = [hands.correlation(places[..., wrists, 1].reshape(-1, 2)) for places in (drawn, truth)]
@@ -169,6 +170,7 @@ def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
     lacking = present < 0.5
     if not lacking.any():
         return Measured(missing="every joint is present in some source")
+    # The range, not the mean: a constant offset of a joint that no source has is harmless.
     moved = max(float(np.ptp(blocks[..., lacking].reshape(-1, int(lacking.sum())).numpy(), axis=0).max())
                 for blocks in decoded)
     return Measured(Interval.exact(moved, 1), f"{int(lacking.sum())} of {len(present)} numbers")

@@ -91,6 +91,7 @@ class Rested:
 
     def in_speech(self) -> float:
         """Mean speed outside real pauses, m/s."""
+        # Only the long gaps: between words the hands move on, and those frames belong to speech.
         quiet = np.zeros(len(self.speed), bool)
         for start, stop in self.pauses:
             quiet[round(start * HZ):round(stop * HZ)] = True
@@ -112,6 +113,7 @@ class Rested:
 
     def wakes(self) -> Array:
         """[n, 2] the peak acceleration (m/s2) and speed (m/s) around the end of each long pause."""
+        # A pause at the end of the sound has no wake.
         ends = [stop for start, stop in self.pauses if stop - start >= LONG and stop + WAKE[1] <= self.body.duration]
         return peaks(self.body, [(stop + WAKE[0], stop + WAKE[1]) for stop in ends])
 

@@ -66,6 +66,7 @@ def split_halves(clips: Clips, seed: int, groups: Sequence[str] | None = None) -
     for name in order:
         members = np.flatnonzero(names == name)
         side = int(length[1] < length[0])
+        # The next group goes to the shorter half, so that both have about as many windows.
         halves[side].extend(members.tolist())
         length[side] += float(seconds[members].sum())
     first, second = ([clips[k] for k in sorted(half)] for half in halves)
@@ -128,6 +129,7 @@ def mean_pose(clips: Clips) -> list[Motion]:
     """Each clip held still in its mean pose (the rotation nearest to all of a joint's)."""
     out = []
     for clip in clips:
+        # The nearest rotation to all: the greatest eigenvector of their outer products, for which q and -q are one.
         outer = np.einsum("tji,tjk->jik", clip.rotations, clip.rotations)
         turns = np.linalg.eigh(outer)[1][..., -1]
         out.append(replace(clip, rotations=np.tile(turns, (len(clip), 1, 1)),
@@ -144,6 +146,7 @@ def mirrored(clips: Clips, seed: int = 0) -> list[Motion]:
         for left, name in enumerate(clip.skeleton.names):
             if name.startswith("Left"):
                 right = clip.rotations[:, clip.skeleton.index("Right" + name.removeprefix("Left"))]
+                # A mirror at the plane of symmetry keeps the turn about X and reverses those about Y and Z.
                 turns[:, left] = right * np.array([1.0, 1.0, -1.0, -1.0])
         out.append(replace(clip, rotations=turns))
     return out
@@ -161,6 +164,7 @@ def splayed(clips: Clips, seed: int = 0, degrees: float = 20.0) -> list[Motion]:
             elbow = joints[side + "ForeArm"]
             turn = rotation.from_exponential_map(np.array([0.0, sign * math.radians(degrees), 0.0]))
             above = world[:, skeleton.parents[elbow]]
+            # The turn is about the world's vertical, and rotations are told in the parent's frame.
             rotations[:, elbow] = rotation.multiply(
                 rotation.conjugate(above), rotation.multiply(turn, world[:, elbow]))
         out.append(replace(clip, rotations=rotation.continuous(rotations)))
@@ -246,6 +250,7 @@ def _leading_children(skeleton: Skeleton) -> dict[int, int]:
 def _shortest(begin: Array, end: Array) -> Array:
     """[T, 4] the shortest rotations of directions [T, 3] onto others; the identity where they are opposite or none."""
     lengths = np.linalg.norm(begin, axis=-1) * np.linalg.norm(end, axis=-1)
+    # The half-angle form: (1 + cos, axis sin), normalised below, needs no inverse cosine.
     real = lengths + np.sum(begin * end, axis=-1)
     turn = np.concatenate([real[:, None], np.cross(begin, end)], axis=-1)
     return rotation.normalise(np.where(real[:, None] > _EPS ** 2, turn, np.array([1.0, 0.0, 0.0, 0.0])))
@@ -275,6 +280,7 @@ def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
 
     def late(features: NDArray[np.float32]) -> NDArray[np.float32]:
         moved = np.roll(features, by, axis=0)
+        # The last column is the tempo of the grid, which stays.
         moved[..., -1] = features[..., -1]
         return moved
 

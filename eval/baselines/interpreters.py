@@ -53,7 +53,7 @@ class Majority:
     """Always the lexeme that the speaker uses most: the floor of every table."""
 
     def __init__(self, bundle: Bundle) -> None:
-        self._best = [int(own.argmax()) for own in bundle.frequencies]
+        self._best = [int(frequencies.argmax()) for frequencies in bundle.frequencies]
         self._size = len(bundle.vectors)
 
     def start(self, speaker: int, first_lexeme: int) -> int:

@@ -72,8 +72,9 @@ class Sounds:
     @classmethod
     def of(cls, speech: Speech, blocks: Blocks) -> Sounds:
         """Of a recording cut into blocks."""
-        heard = resample(speech, SAMPLE_RATE)
-        levels = frame_levels(heard.samples, heard.sample_rate)
+        resampled = resample(speech, SAMPLE_RATE)
+        levels = frame_levels(resampled.samples, resampled.sample_rate)
+        # Relative to the recording's loud speech, so that the gain of a microphone does not choose the units.
         levels = np.maximum(levels - np.percentile(levels, 90), _QUIETEST)
         edges = np.concatenate([np.interp(np.arange(len(blocks) * _PARTS) / _PARTS, np.arange(len(blocks) + 1),
                                           blocks.edges), blocks.edges[-1:]])
@@ -140,7 +141,7 @@ class UnitDatabase:
             sounds.append(Sounds.of(recording.speech, blocks))
             follower.append(np.append(np.arange(1, len(blocks)) + count, -1))
             count += len(blocks)
-        every = Sounds(*(np.concatenate([getattr(one, name) for one in sounds])
+        every = Sounds(*(np.concatenate([getattr(sound, name) for sound in sounds])
                          for name in ("silent", "durations", "contour")))
         return cls(np.concatenate(poses), every, np.concatenate(follower).astype(np.int64), settings)
 
@@ -173,6 +174,7 @@ class UnitSelection:
         self.database = database
         weight = np.ones(3 * len(CHARACTER), np.float32)
         arms = [name.startswith(("Left", "Right")) for name in CHARACTER.names]
+        # A jump of an arm is seen at once, one of the spine hardly.
         weight[np.repeat(arms, 3)] = ARMS
         poses = database.poses
         self._weight = weight
@@ -193,6 +195,7 @@ class UnitSelection:
 
     def select(self, sounds: Sounds, seed: int = 0) -> Indices:
         """[N] the units of the cheapest sequence."""
+        # Viterbi over the cheapest candidates of each block.
         steps: list[tuple[Indices, Indices]] = []
         tried, total = np.zeros(0, np.int64), np.zeros(0)
         for index, cost in enumerate(self._target_costs(sounds, seed)):
@@ -201,6 +204,7 @@ class UnitSelection:
                 tried, total = np.sort(now), cost[np.sort(now)]
                 continue
             best = tried[np.argsort(total, kind="stable")[:CANDIDATES]]
+            # Followers of the best paths may be dear by themselves and are free to join.
             follows = self.database.follower[best]
             now = np.union1d(now, follows[follows >= 0])
             reach = total[:, None] + self._join_costs(tried, now)
@@ -216,13 +220,13 @@ class UnitSelection:
 
     def _target_costs(self, sounds: Sounds, seed: int) -> Iterator[Array]:
         """For each block [units]: how ill each unit fits what is heard."""
-        own = self.database.sounds
+        sounds_of_units = self.database.sounds
         for index in range(len(sounds.silent)):
-            apart = own.contour - sounds.contour[index]
-            yield (SILENCE * (own.silent != sounds.silent[index])
-                   + TEMPO * np.abs(np.log(own.durations / sounds.durations[index]))
+            apart = sounds_of_units.contour - sounds.contour[index]
+            yield (SILENCE * (sounds_of_units.silent != sounds.silent[index])
+                   + TEMPO * np.abs(np.log(sounds_of_units.durations / sounds.durations[index]))
                    + LOUDNESS * np.sqrt((apart ** 2).mean(axis=1))
-                   + np.random.default_rng([seed, index]).gumbel(0.0, NOISE, len(own.silent)))
+                   + np.random.default_rng([seed, index]).gumbel(0.0, NOISE, len(sounds_of_units.silent)))
 
     def _join_costs(self, before: Indices, after: Indices) -> Array:
         """[before, after] what each transition costs; nothing where it is the training data's own."""
@@ -252,6 +256,7 @@ def joined(pieces: NDArray[np.float32], jumps: NDArray[np.bool_]) -> Array:
                 rotation.multiply(out[index - 1, -1], rotation.conjugate(expected)))
             since = 1
         u = np.clip((since + np.arange(frames)) / FADE, 0.0, 1.0)
+        # 1 at the join and 0 after `FADE` frames, with no speed and no acceleration at either end.
         left = (1.0 - u) ** 3 * (1.0 + 3.0 * u + 6.0 * u ** 2)
         out[index] = rotation.multiply(rotation.from_exponential_map(left[:, None, None] * apart), piece)
         since += frames

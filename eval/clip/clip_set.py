@@ -65,6 +65,7 @@ def shared_names(names: Mapping[str, Sequence[str]]) -> tuple[list[str], list[st
             lacking = ", ".join(other for other, theirs in names.items() if name not in theirs)
             if lacking:
                 over.setdefault(lacking, []).append(name)
+        # A name that one row lacks is compared for none, and the reader is told which.
         notes += [f"{row}: {listed(some, 4)} {'is' if len(some) == 1 else 'are'} not compared, because {lacking} "
                   f"{'have' if ',' in lacking else 'has'} none of {'that name' if len(some) == 1 else 'these names'}"
                   for lacking, some in over.items()]
@@ -90,24 +91,25 @@ def _body_notes(folders: Mapping[str, Mapping[str, Clip]], names: Sequence[str],
     return notes
 
 
-def _add(made: ClipSet, clips: Mapping[str, Clip], piece: float | None) -> None:
+def _add(joined: ClipSet, clips: Mapping[str, Clip], piece: float | None) -> None:
     """One clip of all rows, cut to the shortest and into pieces."""
-    first, fps = clips[TRUTH], made.fps
+    first, fps = clips[TRUTH], joined.fps
     speech = next((clip.speech for clip in clips.values() if clip.speech is not None), None)
     motions = {row: resample(clip.motion, fps) for row, clip in clips.items()}
+    # Every row loses what the shortest lacks: else a longer clip would be judged on other speech.
     frames = min(map(len, motions.values()))
     if speech is not None:
         frames = max(1, min(frames, int(speech.duration * fps + 1e-6)))
-    made.notes += [f"{first.name}: {row} lasts {motion.duration:.2f} s, and {frames / fps:.2f} s are compared"
+    joined.notes += [f"{first.name}: {row} lasts {motion.duration:.2f} s, and {frames / fps:.2f} s are compared"
                    for row, motion in motions.items() if motion.duration - frames / fps > _UNEVEN]
     step = frames if piece is None else max(1, round(piece * fps))
     for number in range(max(1, frames // step)):
         begin, end = number * step, min((number + 1) * step, frames)
-        made.names.append(first.name if frames // step < 2 else f"{first.name}, piece {number + 1}")
-        made.groups.append(first.group or first.name)
-        made.speeches.append(None if speech is None else _cropped(speech, begin / fps, end / fps))
+        joined.names.append(first.name if frames // step < 2 else f"{first.name}, piece {number + 1}")
+        joined.groups.append(first.group or first.name)
+        joined.speeches.append(None if speech is None else _cropped(speech, begin / fps, end / fps))
         for row, motion in motions.items():
-            made.motions[row].append(motion.crop(begin, end))
+            joined.motions[row].append(motion.crop(begin, end))
 
 
 def _cropped(speech: Speech, begin: float, end: float) -> Speech:

@@ -235,8 +235,8 @@ def _usable() -> dict[str, Metric]:
 
 
 _USABLE = _usable()
-CLIP_METRICS = {name: one for name, one in _USABLE.items()
-                if one.part not in ("sets", "fgd") and name not in EYE_METRICS}
+CLIP_METRICS = {name: metric for name, metric in _USABLE.items()
+                if metric.part not in ("sets", "fgd") and name not in EYE_METRICS}
 """Those that have a value for each clip, without the eye's."""
-SET_METRICS = {name: one for name, one in _USABLE.items() if one.part == "sets"}
+SET_METRICS = {name: metric for name, metric in _USABLE.items() if metric.part == "sets"}
 """Those of a set of clips, but for FGD."""

@@ -19,7 +19,8 @@ figure and does not say which of two it is:
 
 What fools it:
 - The commonest lexeme for every block: accuracy is then that lexeme's share, and kappa 0. With many silent blocks and a
-  silent mask it is high without any ear; take spoken blocks alone as well (pass `chosen[~silent]`, `own[~silent]`).
+  silent mask it is high without any ear; take spoken blocks alone as well (pass `chosen[~silent]`,
+  `reference[~silent]`).
 - The order of lexemes: kappa takes the shares of lexemes into account and not their order. Under teacher forcing the
   commonest successor of the speaker's last lexeme, which hears nothing, reaches 35.9 % on the shipped store, the
   network 33.9 % (free-running: 9.9 and 14.6 %). Print such a deaf rule beside the figure.
@@ -70,24 +71,24 @@ class Agreement:
     reason: str = ""
 
 
-def lexeme_accuracy(chosen: ArrayLike, own: ArrayLike) -> Accuracy:
+def lexeme_accuracy(chosen: ArrayLike, reference: ArrayLike) -> Accuracy:
     """Percent of blocks [n] whose chosen lexeme is the speaker's own (RG Table 6).
 
     Leave out block 0 where the interpreter was given it. To pool clips, weigh each by its `blocks`. ValueError for
     unequal shapes, another shape than [n], and labels that are negative or no whole numbers.
     """
-    first, second = _pair(chosen, own)
+    first, second = _pair(chosen, reference)
     if len(first) == 0:
         return Accuracy(float("nan"), 0, _NO_BLOCK)
     return Accuracy(100.0 * float(np.mean(first == second)), len(first))
 
 
-def agreement_by_chance(own: ArrayLike, chosen: ArrayLike) -> Agreement:
+def agreement_by_chance(reference: ArrayLike, chosen: ArrayLike) -> Agreement:
     """Agreement of sequences of lexemes [n] with these shares by chance, and the share of agreement above it.
 
     The mean accuracy over all orders of `chosen` is this chance level, exactly. ValueError as in `lexeme_accuracy`.
     """
-    first, second = _pair(own, chosen)
+    first, second = _pair(reference, chosen)
     nan, blocks = float("nan"), len(second)
     if blocks == 0:
         return Agreement(nan, nan, nan, 0, _NO_BLOCK)

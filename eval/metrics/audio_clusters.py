@@ -57,6 +57,7 @@ def turned(labels: Labels, recording: Labels, rng: np.random.Generator) -> Label
     out = labels.copy()
     for number in np.unique(recording):
         at = np.flatnonzero(recording == number)
+        # Short recordings have no turn that far; any is taken there.
         least = _FARTHEST if len(at) > 2 * _FARTHEST else 0
         out[at] = np.roll(labels[at], int(rng.integers(least, max(len(at) - least, 1))))
     return out
@@ -82,6 +83,7 @@ def association(levels: Mapping[str, Labels], lexemes: Labels, recording: Labels
     groups = int(group.max()) + 1
     weights = np.stack([np.ones(groups), *(np.bincount(rng.integers(groups, size=groups), minlength=groups)
                                            for _ in range(draws))]).astype(np.float64)
+    # Turned, not shuffled: lexemes keep their order, so chance has the runs that real sequences have.
     shuffled = [turned(lexemes, recording, rng) for _ in range(turns)]
     out: dict[str, Any] = {}
     gains: dict[str, Array] = {}

@@ -75,6 +75,7 @@ def onset_score(motion_beats: Array, onsets: Array, sigma: float = SIGMA) -> flo
     beats, times = np.asarray(motion_beats, dtype=np.float64), np.asarray(onsets, dtype=np.float64)
     if beats.ndim != 1 or times.ndim != 1 or not (np.isfinite(beats).all() and np.isfinite(times).all()):
         raise ValueError(f"times must be finite seconds, [n], not {beats.shape} and {times.shape}")
+    # `searchsorted` below needs them in order, and a circular shift leaves them out of it.
     beats = np.sort(beats)
     if len(times) == 0:
         return float("nan")
@@ -125,6 +126,7 @@ def motion_joint_beats(motion: Motion) -> list[Array]:
     counts = [k for k, name in enumerate(motion.skeleton.names) if k and name not in motion.absent]
     places = positions_of(facing(sampled))[:, counts]
     speeds = np.linalg.norm(np.diff(places, axis=0), axis=-1) * FPS
+    # A joint that keeps its place has only minima of rounding errors.
     return joint_beats(speeds[:, speeds.mean(axis=0) > 1e-6])
 
 

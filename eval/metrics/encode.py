@@ -85,6 +85,7 @@ def normalised_blocks(config: Config, statistics: Statistics, motion: Motion, bl
     """
     representation = representation_of(config)
     poses = block_module.normalise_motion(motion, blocks, representation)
+    # The mean pose is what a performer is centred on; of a stranger only the clip itself tells it.
     known = speaker in statistics.speakers
     mean = statistics.mean_pose[statistics.speakers.index(speaker)] if known else poses.mean(axis=(0, 1))
 
@@ -138,6 +139,7 @@ def judged_reward(bundle: Bundle, encoded: EncodedMotion, speech: SpeechBlocks) 
     model = bundle.reward_judge
     if model is None or speech.audio is None:
         return float("nan")
+    # Windows that begin before the clip are padded and marked as not valid.
     at = torch.arange(len(encoded.poses))[:, None] + torch.arange(1 - model.config.window, 1)
     valid, at = (at >= 0).float(), at.clamp_min(0)
     times = torch.as_tensor(np.log(speech.blocks.durations)).float()

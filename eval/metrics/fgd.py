@@ -80,12 +80,12 @@ class Figure:
 
     @property
     def enough(self) -> bool:
-        """Whether both sets have the windows that they need."""
+        """True if both sets have the windows that they need."""
         return min(self.windows) >= self.needed
 
     @property
     def verdict(self) -> str:
-        """Whether the sample suffices, and how many windows in each set would: "yes", or what is wrong with it.
+        """A judgement of the sample: "yes" if it suffices, else the fault and how many windows each set should have.
 
         Twice: the covariance takes `needed` windows, and the bias of the sample, which falls as one over the number of
         windows, should be a tenth of the distance at most.
@@ -216,6 +216,7 @@ class _Moments:
         centred = [np.asarray(clip, dtype=np.float64) for clip in clips]
         width = max(clip.shape[1] for clip in centred if len(clip))
         middle = np.concatenate([clip for clip in centred if len(clip)]).mean(axis=0)
+        # Sums of squares about the common mean: about zero they would lose the digits that variances are made of.
         centred = [clip - middle if len(clip) else np.zeros((0, width)) for clip in centred]
         self._middle = middle
         self._counts = np.array([len(clip) for clip in centred], dtype=np.float64)
@@ -234,10 +235,12 @@ class _Moments:
 
 def _interval(generated: Sequence[Array], real: Sequence[Array], got: float, paired: bool, seed: int, draws: int
               ) -> Interval:
+    # The smaller side bounds how well the distance is known.
     clips = min(len(generated), len(real))
     if clips < 2:
         return Interval.exact(got, clips)
     first, second = _Moments(generated), _Moments(real)
+    # Paired clips are of one speech: redrawing them apart would widen the interval by what speeches differ.
     sizes = [len(generated)] if paired else [len(generated), len(real)]
     values = []
     for chosen in stats.resamples(np.random.default_rng(seed), sizes, draws):

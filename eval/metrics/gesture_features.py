@@ -60,6 +60,7 @@ _LEAST_FRAMES = 12
 
 def directions(motion: Motion, fps: float) -> Array:
     """[T, 27] unit vectors along the nine bones of the ten joints, at `fps`, of a motion of the 16-joint character."""
+    # The last sample must not lie behind the last frame; the small number is for rates that divide evenly.
     count = int(np.floor((len(motion) - 1) * fps / motion.fps + 1e-9)) + 1
     points = POSITIONS.vectors(motion, np.arange(count) / fps)
     return bone_directions(points.reshape(count, len(TED_JOINTS), 3)).reshape(count, DIRECTIONS)
@@ -108,7 +109,7 @@ class RawFeatures(Features):
     def __init__(self, frames: int, count: int = 2) -> None:
         at = np.linspace(0, frames - 1, count).round().astype(int)
         super().__init__(f"raw directions of {count} frames", frames, FPS, "none",
-                         lambda own: own[:, at].reshape(len(own), count * DIRECTIONS))
+                         lambda directions: directions[:, at].reshape(len(directions), count * DIRECTIONS))
 
 
 def _batched(encode: Callable[[Tensor], Tensor], axes: Sequence[float] = (1.0, 1.0, 1.0)) -> Callable[[Array], Array]:
@@ -268,6 +269,7 @@ class Autoencoder(nn.Module):
         be blown up."""
         frames = data.reshape(-1, DIRECTIONS)
         self.mean.copy_(torch.as_tensor(frames.mean(axis=0)))
+        # The floor keeps a store of one pose from dividing by zero.
         self.deviation.copy_(torch.as_tensor(max(float(np.sqrt(frames.var(axis=0).mean())), 1e-6)))
 
     def encode(self, windows: Tensor) -> Tensor:
@@ -290,6 +292,7 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
     The figures of its validation split are kept in `origin`. InputError when no recording is as long as two windows.
     """
     chosen, schedule = config or AutoencoderConfig(), settings or SETTINGS
+    # A quarter of a window apart: training sees more phases of a movement than the distance does.
     data, held = (np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)), *(
         windows(store.load(info.name).motion, chosen.frames, chosen.fps, max(1, chosen.frames // 4))
         for info in store.of_split(split))]) for split in ("train", "val"))
@@ -347,6 +350,7 @@ def load(folder: str | Path) -> Autoencoder:
             raise ValueError("its .json tells of another format or another file")
         network = Autoencoder(AutoencoderConfig(**settings["config"]))
         network.load_state_dict(safetensors.torch.load(data))
+        # The settings are in the hash too: weights of the right shapes may stand beside another rate of frames.
         if _bytes(network) != data:
             raise ValueError("its .json tells of another configuration")
     except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
@@ -368,10 +372,10 @@ def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def by_name(found: Sequence[Features]) -> dict[str, Features]:
+def by_name(features: Sequence[Features]) -> dict[str, Features]:
     """Networks by a name that tells them apart: with the length of their windows."""
     table: dict[str, Features] = {}
-    for network in found:
+    for network in features:
         length = f"{network.frames} frames"
         name = network.name if network.name.endswith(length) else f"{network.name}, {length}"
         # Two networks of our own may differ only in what they were trained on.

@@ -50,7 +50,6 @@ class JointError:
     maje: mm, mean over coordinates (public code); maje_length: mm, mean length of a joint's error.
     mad: mm/s^2, mean length of a joint's acceleration error (RG 7.3.2); mad_coordinate: mm/s^2, mean over coordinates.
     mad_per_frame, mad_coordinate_per_frame: the same in mm per squared frame, as the published figures are.
-    poses, accelerations: how many (frame, joint) pairs each mean is over.
     """
 
     maje: float
@@ -59,9 +58,6 @@ class JointError:
     mad_coordinate: float
     mad_per_frame: float
     mad_coordinate_per_frame: float
-    fps: float
-    poses: int
-    accelerations: int
     reason: str = ""
 
 
@@ -72,33 +68,33 @@ def joint_error(generated: Array, truth: Array, fps: float, mask: NDArray[np.boo
     leaves out may be NaN. ValueError for shapes that differ, for an fps that is not positive, and for positions that
     count and are not finite.
     """
-    ours, theirs = np.asarray(generated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    if ours.shape != theirs.shape or ours.ndim != 3 or ours.shape[2] != 3:
-        raise ValueError(f"positions must both be [T, J, 3], not {ours.shape} and {theirs.shape}")
+    places, reference = np.asarray(generated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    if places.shape != reference.shape or places.ndim != 3 or places.shape[2] != 3:
+        raise ValueError(f"positions must both be [T, J, 3], not {places.shape} and {reference.shape}")
     if not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"fps must be positive, not {fps}")
-    kept = _kept(mask, ours.shape[:2])
+    counts = _kept(mask, places.shape[:2])
     with np.errstate(invalid="ignore"):
-        error = np.where(kept[..., None], MILLIMETRES * (ours - theirs), 0.0)
+        error = np.where(counts[..., None], MILLIMETRES * (places - reference), 0.0)
     if not np.isfinite(error).all():
         raise ValueError("positions that count must be finite")
     # The acceleration errors are those of the error itself: differences are linear.
     braking = np.diff(error, n=2, axis=0)
-    kept_thrice = kept[:-2] & kept[1:-1] & kept[2:]
-    length, coordinate = _means(error, kept)
-    braking_length, braking_coordinate = _means(braking, kept_thrice)
-    reason = "" if kept_thrice.any() else ("no joint is known in three frames in a row" if kept.any()
+    counts_thrice = counts[:-2] & counts[1:-1] & counts[2:]
+    length, coordinate = _means(error, counts)
+    braking_length, braking_coordinate = _means(braking, counts_thrice)
+    reason = "" if counts_thrice.any() else ("no joint is known in three frames in a row" if counts.any()
                                            else "no joint is known in any frame")
     return JointError(coordinate, length, braking_length * fps ** 2, braking_coordinate * fps ** 2, braking_length,
-                      braking_coordinate, float(fps), int(kept.sum()), int(kept_thrice.sum()), reason)
+                      braking_coordinate, reason)
 
 
-def motion_error(generated: Motion, truth: Motion, *, seed_frames: int = 0) -> JointError:
+def motion_error(generated: Motion, truth: Motion) -> JointError:
     """MAJE and MAD of a motion against the speaker's own, on the same skeleton, frame by frame.
 
     Of the character the 16 joints count, with fingers or without. Both are brought into their own facing frame with the
     root at the origin, as the models see them (RG 4.1.1). Joints that either source lacks do not count, nor does the
-    root, nor do the first `seed_frames`, which a system was given.
+    root.
     ValueError when skeletons, lengths or frame rates differ: crop or resample first, and say so.
     """
     generated, truth = upper_body(generated), upper_body(truth)
@@ -108,11 +104,10 @@ def motion_error(generated: Motion, truth: Motion, *, seed_frames: int = 0) -> J
     if len(generated) != len(truth) or generated.fps != truth.fps:
         raise ValueError(f"{len(generated)} frames at {generated.fps} fps cannot be compared with {len(truth)} at "
                          f"{truth.fps}")
-    if not 0 <= seed_frames < len(truth):
-        raise ValueError(f"seed_frames must leave a frame of {len(truth)}, not {seed_frames}")
+    # The root is at the origin in both, without error by construction.
     absent = {*generated.absent, *truth.absent, truth.skeleton.names[0]}
     counts = np.array([name not in absent for name in truth.skeleton.names])
-    first, second = (positions_of(facing(motion))[seed_frames:] for motion in (generated, truth))
+    first, second = (positions_of(facing(motion)) for motion in (generated, truth))
     return joint_error(first, second, truth.fps, counts)
 
 
@@ -126,9 +121,9 @@ def _kept(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.
     return np.broadcast_to(chosen, shape)
 
 
-def _means(vectors: Array, kept: NDArray[np.bool_]) -> tuple[float, float]:
+def _means(vectors: Array, counts: NDArray[np.bool_]) -> tuple[float, float]:
     """Mean length of the kept vectors [T, J, 3], and the mean of their absolute coordinates; NaN for none."""
-    chosen = vectors[kept]
+    chosen = vectors[counts]
     if len(chosen) == 0:
         return float("nan"), float("nan")
     return float(np.linalg.norm(chosen, axis=-1).mean()), float(np.abs(chosen).mean())

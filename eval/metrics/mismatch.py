@@ -53,16 +53,16 @@ class Mismatch:
                 "p_value": self.p_value, "reason": self.reason}
 
 
-def wrapped(onsets: Array, own: float, wanted: float) -> Array:
-    """Onsets [n] of a speech of `own` seconds as if it went round and round, up to `wanted` seconds.
+def wrapped(onsets: Array, duration: float, wanted: float) -> Array:
+    """Onsets [n] of a speech of `duration` seconds as if it went round and round, up to `wanted` seconds.
 
     So that another's speech is as long as the motion that it is tried on.
     """
-    if not (own > 0 and wanted > 0):
-        raise ValueError(f"durations must be positive, not {own} and {wanted}")
-    heard = np.asarray(onsets, dtype=np.float64)
-    rounds = np.arange(math.ceil(wanted / own)) * own
-    every = (rounds[:, None] + heard[heard < own]).ravel()
+    if not (duration > 0 and wanted > 0):
+        raise ValueError(f"durations must be positive, not {duration} and {wanted}")
+    times = np.asarray(onsets, dtype=np.float64)
+    rounds = np.arange(math.ceil(wanted / duration)) * duration
+    every = (rounds[:, None] + times[times < duration]).ravel()
     return every[every < wanted]
 
 
@@ -86,12 +86,14 @@ def mismatch(values: Array, *, seed: int = 0, draws: int = DRAWS) -> Mismatch:
     right = np.diag(table)
     wrong = (table.sum(axis=1) - right) / (n - 1)
     reached = float(right.mean()) - 1e-12 * (1.0 + abs(float(right.mean())))
+    # Up to seven clips every assignment is tried, and p is exact.
     if math.factorial(n) <= EVERY:
         means = [table[np.arange(n), list(order)].mean() for order in itertools.permutations(range(n))]
         p = float(np.mean(np.array(means) >= reached))
     else:
         rng = np.random.default_rng(seed)
         drawn = np.array([table[np.arange(n), rng.permutation(n)].mean() for _ in range(draws)])
+        # The identity counts as one of the draws, so that p is never 0.
         p = (1 + int(np.count_nonzero(drawn >= reached))) / (1 + draws)
     return Mismatch(float(right.mean()), float(wrong.mean()), mean_interval(right - wrong, seed=seed), p)
 
@@ -101,5 +103,6 @@ def _defined(table: Array) -> Array:
     clips = np.arange(len(table))
     while len(clips) and not np.isfinite(table[np.ix_(clips, clips)]).all():
         lacking = ~np.isfinite(table[np.ix_(clips, clips)])
+        # One clip at a time: its loss may leave all others with every value.
         clips = np.delete(clips, int((lacking.sum(axis=0) + lacking.sum(axis=1)).argmax()))
     return table[np.ix_(clips, clips)]

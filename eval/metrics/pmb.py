@@ -6,7 +6,7 @@ beat, so it can pass 100 %; one-to-one it cannot. Motion beats are those of `mot
 brake hardest (mode A, the default) or where they are slowest (mode B). The paper's words fit either, so name the mode.
 
 Unit: percent of motion beats; `above_chance` is a share. Good: high above chance, near the speaker's own. More is not
-better without end: nobody beats to every syllable.
+better without end: no speaker beats to every syllable.
 
 What fools it:
 - A wide delta. At 0.2 s, where the papers print it, unrelated beats already reach 95 % among onsets 0.2 to 0.5 s apart
@@ -76,6 +76,7 @@ def matched(motion_beats: Array, onsets: Array, delta: float) -> NDArray[np.int6
     pairs = np.full(len(motion_beats), -1, dtype=np.int64)
     free = 0
     for index, beat in enumerate(motion_beats):
+        # An onset that lies too early for this beat is too early for all later ones.
         while free < len(onsets) and onsets[free] <= beat - delta:
             free += 1
         if free < len(onsets) and onsets[free] < beat + delta:
@@ -90,12 +91,12 @@ def pmb(motion_beats: Array, onsets: Array, delta: float = DELTA) -> float:
     Onsets closer than `MERGE` are merged first. NaN without motion beats, as a share of none (`NO_BEAT`); 0 without
     onsets. ValueError for times that are not finite or not [n], and for a delta that is not positive.
     """
-    own, heard = _times(motion_beats), _times(onsets)
+    beats, events = _times(motion_beats), _times(onsets)
     if not (np.isfinite(delta) and delta > 0):
         raise ValueError(f"delta must be positive, not {delta}")
-    if len(own) == 0:
+    if len(beats) == 0:
         return float("nan")
-    return 100.0 * float(np.mean(matched(own, merged(heard, MERGE), delta) >= 0))
+    return 100.0 * float(np.mean(matched(beats, merged(events, MERGE), delta) >= 0))
 
 
 def chance(motion_beats: Array, onsets: Array, duration: float, delta: float = DELTA, *, seed: int = 0,
@@ -111,8 +112,10 @@ def chance(motion_beats: Array, onsets: Array, duration: float, delta: float = D
     if math.isnan(pmb(motion_beats, onsets, delta)):
         return Chance(float("nan"), float("nan"), NO_BEAT)
     least = min(1.0, 0.1 * duration)
+    # A shift near 0 is hardly a shift, and would count as chance what is synchrony.
     by = np.random.default_rng(seed).uniform(least, duration - least, shifts)
     values = np.array([pmb((np.asarray(motion_beats) + shift) % duration, onsets, delta) for shift in by])
+    # The tolerance is for rounding: a shift that ties must count against the motion.
     as_good = np.count_nonzero(values >= pmb(motion_beats, onsets, delta) - 1e-9)
     return Chance(float(values.mean()), (1 + as_good) / (1 + shifts))
 
@@ -138,6 +141,7 @@ def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float,
     if at.ndim != 1 or len(at) == 0 or (np.diff(at) <= 0).any():
         raise ValueError("deltas must rise, one at least")
     percent = np.array([pmb(motion_beats, onsets, float(delta)) for delta in at])
+    # At delta 0 nothing matches, so the curve begins at the origin.
     x, y = np.concatenate([[0.0], at]), np.concatenate([[0.0], percent])
     area = float(np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / x[-1])
     return DeltaCurve(at, percent, area, NO_BEAT if len(motion_beats) == 0 else "")

@@ -105,6 +105,7 @@ def motion_smoothness(motion: Motion) -> Smoothness:
     motion = upper_body(motion)
     names = motion.skeleton.names
     hands = np.array([name in HANDS for name in names])
+    # The root stands still in the facing frame and would lower every mean.
     joints = np.array([k > 0 and name not in motion.absent for k, name in enumerate(names)])
     return smoothness(positions_of(facing(motion)), motion.fps, hands, joints)
 

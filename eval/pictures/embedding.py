@@ -34,6 +34,7 @@ def embed(latents: Array, seed: int = 0) -> Array:
     """[n, 2] t-SNE of latents [n, D]."""
     from sklearn.manifold import TSNE
 
+    # scikit-learn asks for fewer neighbours than points; the perplexity is a third of them.
     perplexity = min(PERPLEXITY, (len(latents) - 1) / 3)
     points = TSNE(perplexity=perplexity, init="pca", random_state=seed).fit_transform(latents)
     return np.asarray(points, dtype=np.float64)

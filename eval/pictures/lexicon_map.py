@@ -91,6 +91,7 @@ def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int
     2008), which keeps rare words from coming out on top. Words with fewer than `least` or below `sure` are left out.
     """
     total, per_word = counts.sum(), counts.sum(axis=0)
+    # In proportion to the whole: a rare word needs more evidence than a common one.
     prior = PRIOR * per_word / max(total, 1)
     here, here_all = counts + prior, counts.sum(axis=1, keepdims=True) + PRIOR
     rest, rest_all = per_word - counts + prior, total - counts.sum(axis=1, keepdims=True) + PRIOR
@@ -108,6 +109,7 @@ def words_on_blocks(recording: Recording, edges: Array) -> list[tuple[int, str]]
     out = []
     for word in recording.speech.words or ():
         text = word.text.lower().strip(" .,;:!?\"'“”‘’„«»()[]-–—…¿¡")
+        # By the middle, so that a word counts for one block only.
         middle = (word.start + word.end) / 2
         if text and edges[0] <= middle < edges[-1]:
             out.append((int(np.searchsorted(edges, middle, side="right")) - 1, text))
@@ -223,6 +225,7 @@ def write_map(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], out:
     speeds = np.array([float(hand_speeds(motion).mean()) for motion in motions])
     entries = [replace(entry, does=in_words(motion))
                for entry, motion in zip(counts.entries(silent, speeds), motions, strict=True)]
+    # t-SNE grows faster than linearly in the number of points; sorted, so that the order stays that of time.
     few = np.sort(np.random.default_rng(0).permutation(len(labels))[:points])
     flat = embed(latents[few])
     shown, true = neighbours_agree(flat, labels[few]), neighbours_agree(latents[few], labels[few])

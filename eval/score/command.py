@@ -217,6 +217,7 @@ def row_figures(row: ScoreRow, truth: ScoreRow, context: EvalContext
     out: dict[str, Interval] = {name: stats.mean_interval(values, seed=context.seed)
                                 for name, values in row.values.items()}
     for name in SET_METRICS:
+        # A distance is never negative; the basic bootstrap's bounds may be.
         least = 0.0 if name == "speed_distance" else -math.inf
         out[name] = (stats.of_set(row.sets[name], len(row.motions), seed=context.seed, least=least)
                      if name in row.sets else Interval.undefined())
@@ -386,6 +387,7 @@ def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict
         work.mkdir(parents=True, exist_ok=True)
         chosen += [network for network in networks(Store.open(truth), work) if network.name.startswith("own")]
     chosen += [as_features(load(folder)) for folder in folders]
+    # FGD depends on the window's length, so one length alone is never shown.
     for frames in RAW_FRAMES:
         lengths = {round(network.frames / network.fps, 6) for network in chosen}
         if len(lengths) < 2 and round(frames / FPS, 6) not in lengths:
@@ -414,6 +416,7 @@ def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]],
         folders[name], left_out = read_folder(place, arguments.speech, rates.get(name), names, arguments.split)
         notes += [f"{name}: {reason}" for reason in left_out]
     folders |= {name: bundle.row(folders[TRUTH], arguments.seed) for name, bundle in bundles.items()}
+    # A folder of sounds was named, so a clip without one is a mistake of names and not a choice.
     silent = [name for name in names if all(clips[name].speech is None for clips in folders.values())]
     if silent and arguments.speech is not None:
         raise InputError(arguments.speech, f"has no sound for {listed(silent, 3)}",

@@ -232,6 +232,7 @@ def rank_counts(values: Array) -> NDArray[np.int64]:
     """
     systems = values.shape[2]
     whole = values.reshape(-1, systems)
+    # A place among three is no place among four.
     whole = whole[np.isfinite(whole).all(axis=1)]
     places = (whole[:, None, :] > whole[:, :, None]).sum(axis=2)
     return np.stack([np.bincount(places[:, k], minlength=systems) for k in range(systems)])

@@ -29,4 +29,4 @@ def page_of(template: str, data: dict[str, Any], media: str = "blob:") -> str:
     text, figure = ((resources.files("eval") / "assets" / name).read_text(encoding="utf-8")
                     for name in (template, "figure.js"))
     parts = {"data": text_of_data, "study": data["study"], "media": media, "figure": figure}
-    return _SLOT.sub(lambda found: parts[found.group(1)], text)
+    return _SLOT.sub(lambda match: parts[match.group(1)], text)

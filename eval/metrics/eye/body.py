@@ -73,6 +73,7 @@ class CommonBody:
 
     def crop(self, start: int, stop: int) -> CommonBody:
         """The frames start..stop-1."""
+        # Speeds lie between frames, so a crop of n frames has n - 1 of them.
         fingers = None if self.finger_speed is None else self.finger_speed[start:max(stop - 1, start)]
         return replace(self, points={name: place[start:stop] for name, place in self.points.items()},
                        chest=self.chest[start:stop], head=self.head[start:stop], finger_speed=fingers,
@@ -91,6 +92,7 @@ def common_body(motion: Motion) -> CommonBody:
     change = _axes(skeleton, joints)
     world = rotation.multiply(rotation.multiply(change, world), rotation.conjugate(change))
     places = rotation.rotate(change, places - places[:, joints["Hips"], None])
+    # The heading of every frame is taken off: a speaker who turns to someone else gestures alike.
     back = _heading(world[:, joints["Hips"]])
     world, places = rotation.multiply(back[:, None], world), rotation.rotate(back[:, None], places)
     points = _trunk(motion, joints, world)
@@ -130,11 +132,12 @@ def _chest(parents: Sequence[int], names: Sequence[str], joints: dict[str, int])
 def _axes(skeleton: Skeleton, joints: dict[str, int]) -> Array:
     """[4] the rotation that brings the source's axes onto ours (Y up, left +X), by its rest pose."""
     rest = kinematics.joint_positions(skeleton, np.tile([1.0, 0.0, 0.0, 0.0], (len(skeleton), 1)))
-    trunk = _unit(rest[joints["Head"]] - rest[joints["Hips"]])
-    across = _unit(rest[joints["LeftArm"]] - rest[joints["RightArm"]])
+    trunk = unit(rest[joints["Head"]] - rest[joints["Hips"]])
+    across = unit(rest[joints["LeftArm"]] - rest[joints["RightArm"]])
     up = _dominant(trunk)
     if trunk @ up <= _UPRIGHT or abs(across @ up) >= _LEVEL:
         raise ValueError("the rest pose is not upright, so there is no common body")
+    # What is square to up: shoulders of a rest pose may slope.
     left = _dominant(across - (across @ up) * up)
     matrix = np.stack([left, up, np.cross(left, up)])
     return np.asarray(Rotation.from_matrix(matrix).as_quat(scalar_first=True), dtype=np.float64)
@@ -147,8 +150,8 @@ def _dominant(vector: Array) -> Array:
     return out
 
 
-def _unit(vectors: Array) -> Array:
-    """[..., 3] of length 1."""
+def unit(vectors: Array) -> Array:
+    """[..., 3] scaled to length 1; what has no length stays at zero."""
     lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.maximum(lengths, _EPS)
 
@@ -156,6 +159,7 @@ def _unit(vectors: Array) -> Array:
 def _heading(hips: Array) -> Array:
     """[T, 4] the turns about Y that bring the hips [T, 4] to face +Z."""
     ahead = rotation.rotate(hips, np.array([0.0, 0.0, 1.0]))
+    # A quaternion holds half of the angle.
     half = -0.5 * np.arctan2(ahead[:, 0], ahead[:, 2])
     return np.stack([np.cos(half), np.zeros_like(half), np.sin(half), np.zeros_like(half)], axis=-1)
 
@@ -199,7 +203,7 @@ def _arm(points: dict[str, Array], side: str, sign: float, joints: dict[str, int
                             + rotation.rotate(world[:, collar], mirror * _SHOULDER))
     for bone, tip, length in (("Arm", "ForeArm", _UPPER_ARM), ("ForeArm", "Hand", _FOREARM)):
         way = places[:, joints[side + tip]] - places[:, joints[side + bone]]
-        points[side + tip] = points[side + bone] + length * _unit(way)
+        points[side + tip] = points[side + bone] + length * unit(way)
 
 
 def _finger_speed(motion: Motion, hands: Sequence[int]) -> Array | None:
@@ -222,6 +226,7 @@ def _hand_angles(motion: Motion, joints: dict[str, int], places: Array
                  ) -> tuple[Array | None, dict[tuple[str, str], Array]]:
     """[T, 2] bend of the wrists, and side and finger -> [T, n] bend of its joints, degrees, from joint places."""
     skeleton, parents = motion.skeleton, motion.skeleton.parents
+    # Rigs call the fifth finger pinky, pinkie or little.
     names = [name.rsplit(":", 1)[-1].lower().replace("pinkie", "pinky").replace("little", "pinky")
              for name in skeleton.names]
     wrists, bends = [], {}
@@ -246,6 +251,7 @@ def _hand_angles(motion: Motion, joints: dict[str, int], places: Array
 def _angle(first: Array, second: Array) -> Array | None:
     """[T] degrees between vectors [T, 3]; None where one has no length."""
     lengths = np.linalg.norm(first, axis=-1), np.linalg.norm(second, axis=-1)
+    # A bone that shrinks to nothing in some frame has no direction there.
     if min(float(length.min()) for length in lengths) <= 1e-6:
         return None
     cosine = (first * second).sum(axis=-1) / (lengths[0] * lengths[1])

@@ -61,6 +61,7 @@ def windows(body: CommonBody) -> Array:
     for start in range(0, len(places) - _WINDOW, _STEP):
         piece = places[start:start + _WINDOW]
         speed = np.linalg.norm(np.diff(piece, axis=0), axis=-1) * 15.0
+        # Logarithms of spreads and speeds, as these are skewed and the distance takes them for Gaussian.
         descriptors.append(np.concatenate([piece.mean(0).ravel(), np.log(piece.std(0).ravel() + _LEAST_SPREAD),
                                     np.log(speed.mean(0) + _LEAST_SPEED), np.log(speed.max(0) + _LEAST_SPEED)]))
     return np.array(descriptors, dtype=np.float64).reshape(-1, WIDTH)

@@ -52,6 +52,7 @@ def pitch_track(speech: Speech) -> Array:
                             hop_length=SAMPLE_RATE // _PITCH_HZ, frame_length=1024)
     voiced = np.isfinite(f0)
     logs = np.log(np.where(voiced, f0, 1.0))
+    # Unvoiced frames are set to the mean, 0, and the weight below takes them out of the smoothing again.
     logs = np.where(voiced, logs - (logs[voiced].mean() if voiced.any() else 0.0), 0.0)
     width = _SMOOTHING * _PITCH_HZ
     weight = gaussian_filter1d(voiced.astype(np.float64), width)
@@ -72,6 +73,7 @@ def lagged(pitch: Array, speed: Array) -> Array:
     for at, lag in enumerate(LAGS.tolist()):
         early, late = pitch[max(0, -lag):frames - max(0, lag)], speed[max(0, lag):frames + min(0, lag)]
         voiced = np.isfinite(early)
+        # Frames that the lag moves out of the recording are lost, so the count differs by lag.
         if voiced.sum() >= _FEWEST:
             out[at] = correlation(np.stack([early[voiced], late[voiced]], axis=1))
     return out

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 
 from data_module.motion import rotation
 from data_module.types import Array
-from eval.metrics.eye.body import HZ, SIDES, CommonBody
+from eval.metrics.eye.body import HZ, SIDES, CommonBody, unit
 from eval.metrics.eye.hands import correlation
 
 OUTSIDE = 0.08
@@ -56,12 +56,6 @@ the wrist, as a share of the forearm."""
 _FEWEST = HZ / 2
 """Frames without which an azimuth is not defined."""
 _EPS = 1e-9
-
-
-def unit(vectors: Array) -> Array:
-    """[..., 3] scaled to length 1."""
-    lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.maximum(lengths, _EPS)
 
 
 def bend(first: Array, second: Array) -> Array:
@@ -82,6 +76,7 @@ def level(vectors: Array) -> Array:
 
 def _arms(body: CommonBody) -> dict[str, float]:
     left, points = chest_left(body), body.points
+    # Seen from above, so that a chest that leans does not turn the forearms outward.
     across = level(left)
     ahead = np.cross(across, np.array([0.0, 1.0, 0.0]))
     splayed, azimuths, bends = [], [], []
@@ -90,6 +85,7 @@ def _arms(body: CommonBody) -> dict[str, float]:
         fore = points[side + "Hand"] - points[side + "ForeArm"]
         splayed.append(sign * (fore * left).sum(axis=1) > OUTSIDE)
         angle, direction = bend(upper, fore), unit(fore)
+        # Only arms in the posture of a gesture: an azimuth of a forearm that hangs or points up is noise.
         counts = (unit(upper)[:, 1] < -math.cos(math.radians(_HANGING_ARM))) \
             & (angle > _BENT[0]) & (angle < _BENT[1])
         outward = np.arctan2(sign * (direction * across).sum(axis=1), (direction * ahead).sum(axis=1))
@@ -109,6 +105,7 @@ def _before_face(body: CommonBody) -> float:
     near = np.zeros(len(body), bool)
     for side in SIDES:
         elbow = body.points[side + "ForeArm"]
+        # The common body has no hand, so the forearm is made longer, to the middle of where one would be.
         arm = (1.0 + _HAND) * (body.points[side + "Hand"] - elbow)
         along = np.clip(((face - elbow) * arm).sum(axis=1) / np.maximum((arm * arm).sum(axis=1), _EPS), 0.0, 1.0)
         near |= np.linalg.norm(elbow + along[:, None] * arm - face, axis=1) < _FACE

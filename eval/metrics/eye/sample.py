@@ -80,6 +80,7 @@ class EyeSample:
     def pooled(self, space: ReferenceSpace, other: EyeSample | None) -> Interval:
         """Frechet distance of all windows together from real people's, or from another sample's, with the basic
         bootstrap's interval over clips."""
+        # Projected once: the bootstrap draws the same windows two hundred times.
         projected = [space.see(windows) for windows in self.windows]
         target = space.real if other is None else space.moments(np.concatenate(other.windows))
         if target is None:

@@ -81,6 +81,7 @@ def difference(first: CommonBody, second: CommonBody, within: float = UNIT) -> D
     frames = min(len(first), len(second))
     first, second = first.crop(0, frames), second.crop(0, frames)
     away = np.stack([np.linalg.norm(first.points[joint] - second.points[joint], axis=1) for joint in _JOINTS], axis=1)
+    # The last two of `_JOINTS` are the wrists.
     apart = away[:, -2:].max(axis=1) > ALIKE
     near = [stop for begin, stop in runs(~apart).tolist() if stop - begin >= round(TOGETHER * HZ)]
     parting = float(np.argmax(apart)) / HZ if apart.any() else math.nan
@@ -92,6 +93,7 @@ def difference(first: CommonBody, second: CommonBody, within: float = UNIT) -> D
 
 def other_lexemes(first: Blocks, second: Blocks) -> float:
     """Percentage of the time in common in which two plans have another lexeme; NaN without any."""
+    # Between neighbouring edges of both plans neither changes its lexeme.
     edges = np.union1d(first[0], second[0])
     edges = edges[(edges >= max(first[0][0], second[0][0])) & (edges <= min(first[0][-1], second[0][-1]))]
     lengths, middles = np.diff(edges), edges[:-1] + np.diff(edges) / 2.0

@@ -55,6 +55,7 @@ _FEWEST = 25
 def strokes(path: Array) -> Array:
     """[n, 2] seconds and metres of each stroke of one wrist's path [T, 3] at 60 Hz."""
     speed = smoothed_speed(path[:, None])[:, 0]
+    # The first and last frame count as minima: a clip may begin or end within a stroke.
     minima = np.concatenate([[0], find_peaks(-speed, prominence=_PROMINENCE)[0], [len(path) - 1]])
     pairs = [((end - start) / HZ, float(np.linalg.norm(path[end] - path[start])))
              for start, end in zip(minima[:-1], minima[1:], strict=True) if speed[start:end].max(initial=0.0) > MOVES]
@@ -73,6 +74,7 @@ def attack(path: Array) -> Array:
 
 def rising(hands: Array) -> float:
     """Percentage of frames in which the summed speed of hands [T, 2, 3] grows; NaN where it never changes."""
+    # The sum of both hands, or a rise of one and a fall of the other would count twice.
     change = np.diff(smoothed_speed(hands).sum(axis=1))
     return 100.0 * float((change > 0).mean()) if (change != 0).any() else math.nan
 
@@ -80,12 +82,14 @@ def rising(hands: Array) -> float:
 def seam(hands: Array, edges: Array) -> float:
     """Acceleration beside the inner edges [N + 1] (seconds) over that elsewhere, of hands [T, 2, 3]; NaN where either
     has no frame, or nothing moves."""
+    # The hand that changes more: a seam in one arm must not be diluted by a still one.
     change = np.linalg.norm(np.diff(hands, 2, axis=0), axis=-1).max(axis=1)
     at = np.round(np.asarray(edges)[1:-1] * HZ).astype(int)
     at = at[(at > 2) & (at < len(change) - 3)]
     near = np.zeros(len(change), dtype=bool)
     for step in _BESIDE:
         near[at + step] = True
+    # A frozen pose has no acceleration to compare with: the ratio would be one of rounding errors.
     if not near.any() or near.all() or change[~near].mean() * HZ ** 2 <= 1e-9:
         return math.nan
     return float(change[near].mean() / change[~near].mean())
@@ -95,6 +99,7 @@ def repetition(hands: Array) -> float:
     """The median distance to the nearest other window over the spread, of hands [T, 2, 3]; NaN for short or still."""
     path = hands[::_THIN].reshape(len(hands[::_THIN]), -1)
     starts = np.arange(0, len(path) - _WINDOW, _STEP)
+    # Of one hand on average, as the distance below is.
     spread = float(np.sqrt(path.var(axis=0).sum() / 2.0))
     if len(starts) <= _FEWEST or spread <= 1e-6:
         return math.nan
@@ -102,7 +107,9 @@ def repetition(hands: Array) -> float:
     nearest = np.empty(len(windows))
     squares = (windows ** 2).sum(axis=1)
     for k, start in enumerate(starts):
+        # |a - b|^2 by the scalar product: the differences themselves would be [n, n, 120]; rounding may go below 0.
         apart = np.maximum(squares[k] + squares - 2.0 * windows @ windows[k], 0.0)
+        # Windows that overlap share frames and are near by construction.
         apart[np.abs(starts - start) < _WINDOW] = np.inf
         nearest[k] = apart.min()
     return float(np.median(np.sqrt(nearest / (2.0 * _WINDOW))) / spread)

@@ -48,6 +48,7 @@ WINDOW = 4.0
 
 def hand_speeds(body: CommonBody) -> Array:
     """[T, 2] m/s of both wrists over the hips, the right first, smoothed."""
+    # The places are smoothed, not the speed: a mean of speeds of noise stays above zero at rest.
     velocity = np.gradient(gaussian_filter1d(body.hands, SMOOTHING, axis=0), 1.0 / HZ, axis=0)
     return np.asarray(np.linalg.norm(velocity, axis=-1))
 
@@ -76,6 +77,7 @@ def variation(speed: Array, counts: NDArray[np.bool_]) -> float:
 
 def _side(body: CommonBody) -> float:
     left = level(chest_left(body))
+    # Without unwrapping a turn through 180 degrees would jump and decide the correlation.
     turn = np.unwrap(np.arctan2(-left[:, 2], left[:, 0]))
     aside = [((body.points[side + "Hand"] - body.points["Chest"]) * left).sum(axis=1) for side in SIDES]
     return correlation(np.stack([turn, np.mean(aside, axis=0)], axis=1))
@@ -85,8 +87,10 @@ def fast_share(body: CommonBody) -> float:
     """Percentage of the power of the wrists' velocity about the chest that lies between 3 and 6 Hz."""
     about = np.concatenate([body.points[side + "Hand"] - body.points["Chest"] for side in SIDES], axis=1)
     velocity = np.gradient(gaussian_filter1d(about, _BAND_SMOOTHING, axis=0), 1.0 / HZ, axis=0)
+    # Windows of 256 frames: 4.3 s, which tell apart a quarter of a hertz; shorter clips are one window.
     frequencies, power = welch(velocity, HZ, nperseg=min(256, len(about)), axis=0)
     total = float(power.sum())
+    # A frozen pose has no power, and no share of it.
     if total < 1e-12:
         return math.nan
     return 100.0 * float(power[(frequencies >= _BAND[0]) & (frequencies < _BAND[1])].sum()) / total

@@ -54,6 +54,7 @@ _FINGER_MOVES = 5.0
 
 def spread(turns: Array) -> float:
     """Degrees: root mean square of rotations [T, 4] about their mean."""
+    # The mean of quaternions by the greatest eigenvector, which does not mind that q and -q are one rotation.
     mean = np.linalg.eigh(turns.T @ turns)[1][:, -1]
     away = rotation.to_exponential_map(rotation.multiply(rotation.conjugate(mean), turns))
     return float(np.degrees(np.sqrt((away ** 2).sum(axis=-1).mean())))
@@ -74,6 +75,7 @@ def longest(mask: NDArray[np.bool_] | np.bool_) -> float:
 def inside(points: Array, low: Array, high: Array, radius: float) -> float:
     """Percentage of frames in which points [T, 3] lie nearer than `radius` to the line from low to high, [T, 3]."""
     axis = high - low
+    # The nearest point of the segment, not of the endless line: a hand over the head is not in the torso.
     share = np.clip(((points - low) * axis).sum(-1) / np.maximum((axis * axis).sum(-1), 1e-12), 0.0, 1.0)
     return 100.0 * float((np.linalg.norm(points - low - share[:, None] * axis, axis=-1) < radius).mean())
 
@@ -82,6 +84,7 @@ def elbow_behind(body: CommonBody, side: str) -> float:
     """Percentage of frames in which the elbow of a side is behind the trunk while the hand gestures."""
     up = body.points["Chest"] / np.maximum(np.linalg.norm(body.points["Chest"], axis=1, keepdims=True), 1e-9)
     left = rotation.rotate(body.chest, np.array([1.0, 0.0, 0.0]))
+    # Square to the trunk's line, so that a twist of the chest does not pass for leaning.
     left = left - (left * up).sum(axis=1, keepdims=True) * up
     left = left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-9)
     ahead, sign = np.cross(left, up), 1.0 if side == "Left" else -1.0

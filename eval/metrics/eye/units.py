@@ -138,6 +138,7 @@ def _pauses(speed: Array, pauses: NDArray[np.bool_]) -> dict[str, float]:
         out["eye_pause_moving"] = 100.0 * float((speed.max(axis=1)[pauses] > HELD).mean())
     around, ratios = round(_AROUND * HZ), []
     for begin, stop in runs(pauses).tolist():
+        # A pause at either end of the recording has no speed around it on one side.
         if begin > around and stop < len(mean) - around:
             beside = np.concatenate([mean[begin - around:begin], mean[stop:stop + around]]).mean()
             ratios.append(math.log((mean[begin:stop].mean() + _EASE) / (beside + _EASE)))
@@ -189,6 +190,7 @@ def _first_movements(fast: Array, silences: Sequence[tuple[int, int]]) -> Array:
     """[n] seconds from the end of each silence (frames) to where a speed [T] first rises over `MOVES`."""
     out = []
     for begin, stop in silences:
+        # Not before the silence began: a movement that still belongs to the last phrase is no preparation.
         start = max(begin, stop - round(_BEFORE * HZ), 0)
         window = fast[start:stop + round(_AFTER * HZ)]
         rises = np.flatnonzero((window[1:] >= MOVES) & (window[:-1] < MOVES))
@@ -223,6 +225,7 @@ def _lead(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
 
 
 def _loudness(speed: Array, voice: VoiceActivity) -> dict[str, float]:
+    # Digital silence at -120 dB would decide the correlation by itself.
     level = np.maximum(voice.level, np.percentile(voice.level, 95) - _DEPTH)
     half, track = round(HZ / 2), TRACK_HZ // 2
     count = min(len(speed) // half, len(level) // track)

@@ -85,9 +85,11 @@ def _flux_onsets(frequencies: Array, times: Array, power: Array) -> Array:
     # A band narrower than a bin of the spectrum still holds one.
     bands = np.array([power[(frequencies >= low) & (frequencies < max(high, low + 32))].sum(axis=0)
                       for low, high in zip(edges[:-1], edges[1:], strict=True)])
+    # 40 dB under the loudest band: below that a logarithm would make onsets of the noise floor.
     logs = np.log10(bands + 1e-4 * max(float(bands.max()), _FLOOR))
     if logs.shape[1] < 3:
         return np.zeros(0)
+    # The rise over two frames, 20 ms: the difference of neighbours is noisier.
     flux = gaussian_filter1d(np.maximum(logs[:, 2:] - logs[:, :-2], 0.0).sum(axis=0), 1.5)
     limit = median_filter(flux, 101) + 0.35 * flux.std()
     peaks = find_peaks(flux, distance=_SHORTEST)[0]
@@ -113,6 +115,8 @@ def _silent(level: Array) -> NDArray[np.bool_]:
     if len(level) == 0:
         return np.zeros(0, dtype=bool)
     quiet, loud = np.percentile(level, [5, 95])
+    # Near the quiet level and 15 dB under the loud one, but never lower than 38 dB under that or -60 dB: all below is
+    # silence, however clean the recording.
     limit = max(min(quiet + 8.0, loud - 15.0), loud - 38.0, -60.0)
     return np.asarray(median_filter(level, 5) < limit, dtype=bool)
 
@@ -143,6 +147,7 @@ def summed_beats(hands: Array) -> Array:
 
 def above_chance(beats: Array, onsets: Array, duration: float) -> float:
     """PMB above chance at `DELTA`, percent; NaN without beats, and for clips too short to be shifted."""
+    # Sound and motion may differ in length by a frame, and a shift wraps around at one length.
     beats, onsets = beats[beats < duration], onsets[onsets < duration]
     if len(beats) == 0 or duration <= 2.5:
         return math.nan
@@ -155,6 +160,7 @@ def loudness_coupling(level: Array, speed: Array) -> float:
     count = int(min(len(level) / TRACK_HZ, len(speed) / HZ) / _HALF)
     if count < 3:
         return math.nan
+    # Power is averaged, not decibels: a half second with one loud vowel is loud.
     loud = 10.0 ** (level[:count * round(_HALF * TRACK_HZ)] / 10.0)
     fast = speed[:count * round(_HALF * HZ)]
     pair = np.log(np.stack([loud.reshape(count, -1).mean(axis=1) + 1e-10, fast.reshape(count, -1).mean(axis=1) + 0.02]))
