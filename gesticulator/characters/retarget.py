@@ -1,4 +1,4 @@
-"""Retargeting: the motion of our character on the skeleton of any other.
+"""Retargeting: the motion of the default skeleton (the source) on the skeleton of any character (the target).
 
 What a viewer sees of a pose is where bones point and how they are rolled about themselves: an upper arm that points
 ahead, a palm that faces up. Each tool chooses the axes of its joints, the pose in which its rotations are zero, its
@@ -7,27 +7,27 @@ copies geometry instead.
 
 Each bone has a *frame*, three unit vectors with the same meaning on every body: the direction of the bone, and a
 direction across it (the palm's normal for hand, fingers and forearm; the axis of a bent hinge; for other bones the
-result of the shortest rotation from a T-pose). Let F be the frame of one of our bones at rest, and f that of the same
-bone of the target in the local axes of its node: a constant of the target's rig, whatever its rest pose. Our bone has
-the world rotation R(t). Then the target's node must have the world rotation
+result of the shortest rotation from a T-pose). Let F be the frame of a bone of the source at rest, and f that of the
+same bone of the target in the local axes of its node: a constant of the target's rig, whatever its rest pose. The
+source's bone has the world rotation R(t). Then the target's node must have the world rotation
 
     G(t) = R(t) C,   C = F f^T                                                                                    (1)
 
-which aligns its bone with ours: G(t) f = R(t) F. One constant matrix per node is the whole of retargeting; the rest
+which aligns the two bones: G(t) f = R(t) F. One constant matrix per node is the whole of retargeting; the rest
 only expresses G(t) in the target's file. The local rotation is relative to the world rotation P(t) of the parent node,
 
     q(t) = P(t)^-1 G(t)                                                                                           (2)
 
 so clavicles may be attached to the neck, thighs to the spine, and helper nodes may lie anywhere in between.
 
-Trunk and neck are chains with other numbers of joints: R(t) is interpolated along ours, by the position between hips
-and chest (chest and head). The hips move scaled by the ratio of leg lengths, and two-bone inverse kinematics keeps each
-foot in place, which bends knees by fractions of a degree. Hands that would enter the trunk are led around it
+Trunk and neck are chains with other numbers of joints: R(t) is interpolated along the source's, by the position between
+hips and chest (chest and head). The hips move scaled by the ratio of leg lengths, and two-bone inverse kinematics keeps
+each foot in place, which bends knees by fractions of a degree. Hands that would enter the trunk are led around it
 (`gesticulator.contacts.other_bodies`), and twist bones of the forearm share the roll of
 the hand (`gesticulator.characters.twist`).
 
-Letters: T frames, J our joints, N nodes of the target. World axes are ours (Y up, facing +Z, left +X, metres) unless
-stated otherwise.
+Letters: T frames, J joints of the source, N nodes of the target. World axes are those of the source (Y up, facing +Z,
+left +X, metres) unless stated otherwise.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from gesticulator.characters.twist import share_roll
 from gesticulator.contacts.limbs import Pose, bend, pose_of
 
 _SOCKETS = 0.18
-"""Distance between our hip sockets, metres."""
+"""Distance between the source's hip sockets, metres."""
 _MOST_TILT = 1.3
 """Largest factor on the rotation of narrow hips."""
 _STANDS = 0.003
@@ -57,7 +57,7 @@ _FINGERED = len(skeletons.FINGERED)
 
 
 class Retargeter:
-    """Transfers motions of our character (16, 46 or 54 joints) to one other character.
+    """Transfers motions of the default skeleton (16, 46 or 54 joints) to one character.
 
     >>> character = read_character("rig.glb")
     >>> Retargeter(character)(performance.motion)          # doctest: +SKIP
@@ -68,9 +68,9 @@ class Retargeter:
         """mapping: detected if None. contacts: keep hands out of the trunk.
 
         legs: False keeps hips and legs at rest (a seated character), True makes the character stand; None: it stands
-        unless it sits in its file. `InputError` if the joints cannot be identified reliably, or if what comes out is
-        not sound (`gesticulator.characters.soundness`). Attributes: doubts, what is odd about it, in words; confidence,
-        that of the mapping, or the share of the checks that found nothing odd if that is less.
+        unless it sits in its file. `InputError` if the joints cannot be identified reliably, or if the moved
+        character is not sound (`gesticulator.characters.soundness`). Attributes: doubts, its oddities in words;
+        confidence, that of the mapping, or the share of the checks that found nothing if that is less.
         """
         from gesticulator.characters.joints import find_joints
         from gesticulator.characters.soundness import require_sound
@@ -79,10 +79,10 @@ class Retargeter:
         self.mapping = mapping or find_joints(character)
         check(self.mapping, character)
         self.body: Body = measure(character, self.mapping)
-        # Legs whose feet hang elsewhere would be torn from them by hips that move.
+        # If the feet are not below the legs in the tree, moving hips would tear the legs off them.
         whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
         self.legs = whole and (not self.body.sits if legs is None else legs)
-        self.contacts = False  # what they correct on purpose is not a fault
+        self.contacts = False  # contacts bend arms on purpose, which the checks would report
         measured = require_sound(self)
         self.doubts = (*self.mapping.doubts, *measured.doubts)
         self.confidence = min(self.mapping.confidence, measured.share)
@@ -92,19 +92,19 @@ class Retargeter:
         """The motion on the character. ValueError if the motion is not on one of our skeletons."""
         source = self._source(motion)
         stands = self.legs and self.mapping.legs
-        ours = pose_of(source)
-        turns = self._world(ours, set(source.absent))
+        pose = pose_of(source)
+        turns = self._world(pose, set(source.absent))
         if not self.legs:
             turns.pop(self.mapping.joints["Hips"], None)
         turns = {node: turn for node, turn in turns.items() if stands or node not in self.body.leg_nodes}
         root = None
         if stands:
-            root = self._stand(turns, ours)
+            root = self._stand(turns, pose)
         elif self.body.lift:
             hips = self.body.rest_places[self.mapping.joints["Hips"]] + [0.0, self.body.lift, 0.0]
             root = np.tile(hips, (len(motion), 1))
         if self.contacts:
-            keep_hands_out(turns, self.body, ours, motion.fps)
+            keep_hands_out(turns, self.body, pose, motion.fps)
         share_roll(turns, self.body)
         return self._finish(turns, root, len(motion), motion.fps)
 
@@ -124,27 +124,27 @@ class Retargeter:
             return with_standing_legs(motion)
         return skeletons.resized(motion, skeletons.WHOLE_BODY)
 
-    def _world(self, ours: Pose, absent: set[str]) -> dict[int, Array]:
-        """Node -> [T, 3, 3] its world rotation G(t) (1). Joints absent from our motion move nothing."""
+    def _world(self, pose: Pose, absent: set[str]) -> dict[int, Array]:
+        """Node -> [T, 3, 3] its world rotation G(t) (1). Joints absent from the motion move nothing."""
         turns = {}
         for segment in self.body.segments:
             if segment.joint in absent and segment.joint not in skeletons.JOINTS:
                 continue
-            turn = ours.turns[segment.joint]
+            turn = pose.turns[segment.joint]
             if segment.share > 0.0:
-                turn = _between(turn, ours.turns[segment.other], segment.share)
+                turn = _between(turn, pose.turns[segment.other], segment.share)
             turns[segment.node] = turn @ segment.constant
         return turns
 
-    def _stand(self, turns: dict[int, Array], ours: Pose) -> Array:
+    def _stand(self, turns: dict[int, Array], pose: Pose) -> Array:
         """[T, 3] path of the hips; bends the legs in `turns` so that feet stay in place.
 
-        Each ankle moves as ours does, scaled by the ratio of leg lengths, about its mean place under our bone
-        directions. The hips go where both ankles are nearest to that.
+        Each ankle moves as the source's does, scaled by the ratio of leg lengths, about its mean place under the
+        source's bone directions. The hips go where both ankles are nearest to that.
         """
         joints, body = self.mapping.joints, self.body
-        self._scale_hips(turns, ours.turns["Hips"])
-        ankles = np.stack([ours.places[side + "Foot"] for side in SIDES], axis=1)
+        self._scale_hips(turns, pose.turns["Hips"])
+        ankles = np.stack([pose.places[side + "Foot"] for side in SIDES], axis=1)
         travel = body.leg_ratio * (ankles - ankles.mean(axis=0))
         reached = np.stack([body.place(turns, joints[side + "Foot"]) for side in SIDES], axis=1)
         start = body.rest_places[joints["Hips"]].copy()
@@ -153,17 +153,16 @@ class Retargeter:
         wanted = stance + travel
         root = (wanted - reached).mean(axis=1)
         for place, side in enumerate(SIDES):
-            # The remaining error comes from different leg proportions. A nearly straight knee would bend by degrees to
-            # correct
-            # millimetres, so the first few are tolerated.
+            # The remaining error comes from different leg proportions. A nearly straight knee would bend by degrees
+            # to correct millimetres, so the first few are tolerated.
             miss = wanted[:, place] - root - reached[:, place]
             far = np.linalg.norm(miss, axis=-1, keepdims=True)
             share = np.maximum(0.0, 1.0 - _STANDS * body.leg_ratio / np.maximum(far, 1e-9))
             reach_with_leg(turns, body, self.mapping, side, reached[:, place] + share * miss)
         return root
 
-    def _scale_hips(self, turns: dict[int, Array], ours: Array) -> None:
-        """Rotate hips of another width so that the hip sockets move as ours do, scaled by the legs.
+    def _scale_hips(self, turns: dict[int, Array], hips_turns: Array) -> None:
+        """Rotate hips of another width so that the hip sockets move as the source's do, scaled by the legs.
 
         Wide hips that tilt like narrow ones would lift a foot off the floor. The rotation about the up and forward axes
         is scaled, relative to its mean over time, usually by less than a degree.
@@ -172,8 +171,9 @@ class Retargeter:
         sockets = [body.place(turns, self.mapping.joints[side + "UpLeg"]) for side in SIDES]
         width = float(np.linalg.norm(sockets[0] - sockets[1], axis=-1).mean())
         ratio = min(body.leg_ratio * _SOCKETS / max(width, 1e-6), _MOST_TILT)
-        mean = Rotation.from_matrix(ours).mean().as_matrix()
-        log = Rotation.from_matrix(mean.T @ ours).as_rotvec()
+        mean = Rotation.from_matrix(hips_turns).mean().as_matrix()
+        # About the mean, so that a constant lean stays as it is.
+        log = Rotation.from_matrix(mean.T @ hips_turns).as_rotvec()
         scaled = mean @ Rotation.from_rotvec(log * [1.0, ratio, ratio]).as_matrix()
         for segment in body.segments:
             if segment.joint == "Hips" and segment.share == 0.0:
@@ -189,12 +189,13 @@ class Retargeter:
             above = world.get(parent, body.rest_turns[parent] if parent >= 0 else body.axes)
             if node in turns:
                 world[node] = turns[node]
-                # A node that mirrors does so in the file: the rotation is what is left.
+                # The file's negative scale already mirrors this node, so it is divided out of the rotation.
                 mirror = np.where(character.scales[node] < 0.0, -1.0, 1.0)
                 local.append(np.swapaxes(above, -1, -2) @ turns[node] * mirror)
             elif parent in world:
                 world[node] = above @ body.local_turns[node]
         moved = tuple(sorted(turns))
+        # q and -q are the same rotation; a sign that flips between frames would spin under interpolation.
         rotations[:, moved] = rotation.continuous(np.stack([
             Rotation.from_matrix(turn).as_quat(scalar_first=True) for turn in local], axis=1))
         translations = None
@@ -202,6 +203,7 @@ class Retargeter:
             hips = self.mapping.joints["Hips"]
             parent = character.parents[hips]
             matrix = character.world_matrices()[parent] if parent >= 0 else np.eye(4)
+            # The hips in the file's axes and units, then in the frame of their parent.
             places = root / body.unit @ body.axes
             translations = (places - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
         return CharacterMotion(character, rotations, translations, fps, self.mapping.named(), moved, body.unit)

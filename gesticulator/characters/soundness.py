@@ -1,9 +1,9 @@
-"""Checks what comes out on a character: whether its skeleton and mesh stand and gesture as a human body does.
+"""Checks a moved character: its skeleton and mesh must stand and gesture as a human body does.
 
-A mapping is a belief. Here the character takes a few poses, and its nodes and the points of its mesh are measured as a
-viewer sees them: the head over the hips, the feet lowest and on the floor, toes and eyes ahead, left on the left, limbs
+A mapping is only a hypothesis. Here the character takes a few poses, and its nodes and mesh points are measured in the
+world: the head over the hips, the feet lowest and on the floor, toes and eyes ahead, left on the left, limbs
 of human proportions that point where those of the motion point, a mesh that follows its bones and does not tear. A
-fault is a reason to write nothing; a doubt is a reason to look.
+fault prevents output; a doubt is reported, so that the user looks at the result.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gesticulator.contacts.limbs import pose_of
 
 
 class Mover(Protocol):
-    """What moves one character: a `Retargeter`. legs: whether it moves hips and legs."""
+    """A function that moves one character, such as a `Retargeter`. legs: whether it moves hips and legs."""
 
     character: Character
     mapping: RigMapping
@@ -55,28 +55,29 @@ _ON_FOURS = 125.0
 four legs; 180 is straight, and a horse has 90."""
 _RATIOS = {"upper arm to forearm": (0.4, 2.5), "thigh to shin": (0.4, 2.5), "arm to trunk": (0.25, 2.5),
            "leg to trunk": (0.1, 4.0), "left to right": (0.8, 1.25)}
-"""Human proportions, generously: toys have legs of a quarter of the trunk, some robots arms of twice its length."""
+"""Accepted ranges of human proportions, wide on purpose: toys have legs of a quarter of the trunk, some robots arms of
+twice its length."""
 _EVEN = (0.7, 1.43)
-"""Lengths of a bone on the left and on the right, against each other: a longer one is another bone."""
+"""Range of the ratio of a bone's length on the left and on the right; outside it the two are different bones."""
 _FAR = 1.5
 """Distance of the middle of a bone's mesh from the bone beyond that of the bind pose, as a share of its length."""
 _APART = 0.2
-"""The same in the bind pose itself, as a share of the height: where it is more for most bones, the mesh is a heap."""
+"""The same in the bind pose itself, as a share of the height: if most bones exceed it, the mesh does not fit them."""
 _STRETCH, _LONG, _TORN = 4.0, 0.08, 0.01
 """An edge of the mesh is torn if it is this many times as long as in the bind pose, and by this share of the height; a
 mesh is torn if this share of its edges (by number) is."""
 
 
 Remedy = str | tuple[str, ...]
-"""What to do about a fault, or the joints to correct in a mapping."""
+"""Advice on a fault, or the joints to correct in a mapping."""
 Check = Iterable[tuple[bool, str, Remedy]]
 _ANOTHER = "give a human character"
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What is wrong with a moved character. faults: (reason, what to do, or our joints to correct); doubts: reasons;
-    share: of the checks, those that found nothing."""
+    """Problems of a moved character. faults: (reason, advice or the joints to correct); doubts: reasons; share:
+    fraction of the checks that found nothing."""
 
     faults: tuple[tuple[str, Remedy], ...] = ()
     doubts: tuple[str, ...] = ()
@@ -84,7 +85,7 @@ class Findings:
 
 
 def probe_motion() -> Motion:
-    """Five poses of our whole body that show what is checked: arms hanging, aside, ahead, one up; a turned trunk."""
+    """Five poses of the default body, for the checks: arms hanging, aside, ahead, one up; a turned trunk."""
     poses: list[dict[str, tuple[float, float, float]]] = [
         {"LeftArm": (0, 0, -78), "RightArm": (0, 0, 78)},
         {},
@@ -103,18 +104,18 @@ def probe_motion() -> Motion:
 
 
 def require_sound(retargeter: Mover) -> Findings:
-    """What was measured of a character that is sound; `InputError` with the reason and the line to correct, for a
+    """The findings for a sound character; `InputError` with the reason and the line of the mapping to correct, for a
     fault."""
-    found = examine(retargeter)
-    if found.faults:
-        reason, remedy = found.faults[0]
+    findings = examine(retargeter)
+    if findings.faults:
+        reason, remedy = findings.faults[0]
         if not isinstance(remedy, str):
             keys, joints = node_keys(retargeter.character), retargeter.mapping.joints
             lines = [f'"{name}": {_quoted(keys[joints[name]]) if name in joints else "null"}' for name in remedy]
             remedy = ("name the right nodes in a mapping: --save-mapping FILE.json, correct the line "
                       f"{', '.join(lines)}, then --mapping FILE.json")
         raise InputError(retargeter.character.path, f"would come out wrong: {reason}", remedy)
-    return found
+    return findings
 
 
 def _quoted(key: str) -> str:
@@ -122,18 +123,18 @@ def _quoted(key: str) -> str:
 
 
 def examine(retargeter: Mover) -> Findings:
-    """What is wrong with the character when it takes the poses of `probe_motion`."""
-    seen = _Seen(retargeter)
+    """Check the character in the poses of `probe_motion`; returns its problems."""
+    probed = _ProbedCharacter(retargeter)
     faults: list[tuple[str, Remedy]] = []
     doubts: list[str] = []
     checks: tuple[Callable[[], Check], ...] = (
-        seen.connected, seen.on_four_legs, seen.upright, seen.sides, seen.facing, seen.proportions, seen.directions,
-        seen.feet, seen.following, seen.tears)
+        probed.connected, probed.on_four_legs, probed.upright, probed.sides, probed.facing, probed.proportions,
+        probed.directions, probed.feet, probed.following, probed.tears)
     silent = 0
     for check in checks:
-        found = list(check())
-        silent += not found
-        for grave, reason, remedy in found:
+        issues = list(check())
+        silent += not issues
+        for grave, reason, remedy in issues:
             if grave:
                 faults.append((reason, remedy))
             else:
@@ -141,10 +142,10 @@ def examine(retargeter: Mover) -> Findings:
     return Findings(tuple(faults), tuple(doubts), silent / len(checks))
 
 
-class _Seen:
-    """A character in the poses of the probe, measured in our axes (Y up, facing +Z) and in metres.
+class _ProbedCharacter:
+    """A character in the poses of the probe, measured with Y up, facing +Z, in metres.
 
-    Each check yields (whether it is a fault, the reason, what to do or the joints to correct).
+    Each check yields (whether it is a fault, the reason, advice or the joints to correct).
     """
 
     def __init__(self, retargeter: Mover) -> None:
@@ -198,6 +199,7 @@ class _Seen:
             return
         up = self.body.bind_axes @ UPS.get(self.character.kind, self.body.bind_axes[1])
         lies = _degrees(shoulders - bound[at["Hips"]], up) > _LIES
+        # Without legs the file's up axis is the only reference.
         if lies and _degrees(arms, -up) < 45.0:
             yield True, "its trunk lies and its arms reach the floor: it stands on four legs", _ANOTHER
         elif not self.mapping.given and (lies or _degrees(bound[at["Head"]] - bound[at["Hips"]], up) > _LIES):
@@ -207,7 +209,7 @@ class _Seen:
     def upright(self) -> Check:
         """The head is over the hips."""
         way = self.place("Head") - self.place("Hips")
-        angle = max(_degrees(one, np.array([0.0, 1.0, 0.0])) for one in way[:2])
+        angle = max(_degrees(direction, np.array([0.0, 1.0, 0.0])) for direction in way[:2])
         if angle > _LEANS:
             yield True, f"its head is {angle:.0f} degrees from straight above its hips", ("Hips", "Head")
         elif self.mapping.legs and self.stands:
@@ -236,30 +238,31 @@ class _Seen:
         head = self.joints["Head"]
         eyes = [node for node, name in enumerate(self.character.names) if _is_eye(name)
                 and head in ancestors(self.character.parents, node)]
+        # Both eyes: their mean lies in the middle, ahead of the head joint.
         if len(eyes) >= 2:
             way = (self.places[1, eyes].mean(axis=0) - self.places[1, head]) * [1.0, 0.0, 1.0]
             if np.linalg.norm(way) > 0.01 * self.height and _degrees(way, ahead) > _BEHIND:
                 yield True, "its eyes look backwards", ("LeftArm", "RightArm")
 
     def proportions(self) -> Check:
-        """Limbs as long, against each other, as those of a human or a toy."""
-        found: list[tuple[str, float, tuple[str, ...]]] = []
+        """The ratios of limb lengths are those of a human or a toy."""
+        ratios: list[tuple[str, float, tuple[str, ...]]] = []
         trunk = self.length("Hips", "Head")
         arms = {side: self.length(side + "Arm", side + "ForeArm") + self.length(side + "ForeArm", side + "Hand")
                 for side in SIDES}
-        found += [("upper arm to forearm", self.length(side + "Arm", side + "ForeArm")
+        ratios += [("upper arm to forearm", self.length(side + "Arm", side + "ForeArm")
                    / max(self.length(side + "ForeArm", side + "Hand"), 1e-9),
                    (side + "Arm", side + "ForeArm", side + "Hand")) for side in SIDES]
-        found += [("arm to trunk", arms[side] / max(trunk, 1e-9), (side + "Arm", side + "Hand")) for side in SIDES]
-        found.append(("left to right", arms["Left"] / max(arms["Right"], 1e-9), ("LeftArm", "RightArm")))
+        ratios += [("arm to trunk", arms[side] / max(trunk, 1e-9), (side + "Arm", side + "Hand")) for side in SIDES]
+        ratios.append(("left to right", arms["Left"] / max(arms["Right"], 1e-9), ("LeftArm", "RightArm")))
         if self.mapping.legs:
             legs = {side: (self.length(side + "UpLeg", side + "Leg"), self.length(side + "Leg", side + "Foot"))
                     for side in SIDES}
-            found += [("thigh to shin", upper / max(lower, 1e-9), (side + "UpLeg", side + "Leg", side + "Foot"))
+            ratios += [("thigh to shin", upper / max(lower, 1e-9), (side + "UpLeg", side + "Leg", side + "Foot"))
                       for side, (upper, lower) in legs.items()]
-            found += [("leg to trunk", sum(both) / max(trunk, 1e-9), (side + "UpLeg", side + "Foot"))
+            ratios += [("leg to trunk", sum(both) / max(trunk, 1e-9), (side + "UpLeg", side + "Foot"))
                       for side, both in legs.items()]
-            found.append(("left to right", sum(legs["Left"]) / max(sum(legs["Right"]), 1e-9),
+            ratios.append(("left to right", sum(legs["Left"]) / max(sum(legs["Right"]), 1e-9),
                           ("LeftUpLeg", "RightUpLeg")))
         for above, below in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
             if all(side + name in self.joints for side in SIDES for name in (above, below)):
@@ -269,25 +272,26 @@ class _Seen:
                     joints = tuple(side + name for side in SIDES for name in (above, below))
                     yield (not self.mapping.given,
                            f"its {_PLAIN[above]} is {share:.2f} times as long on the left as on the right", joints)
-        for what, ratio, joints in found:
+        for what, ratio, joints in ratios:
             low, high = _RATIOS[what]
             if not low < ratio < high:
+                # Squared limits separate odd from impossible; a mapping that the user checked is never rejected here.
                 grave = not self.mapping.given and not low ** 2 < ratio < high ** 2
                 yield grave, f"its {_SIDE.get(joints[0][:4], '')}{what} is {ratio:.2f}, not {low:g} to {high:g}", joints
 
     def directions(self) -> Check:
         """Arms and legs point where those of the motion point."""
-        ours = pose_of(self.motion)
+        source = pose_of(self.motion)
         for above, below in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
             if "Leg" in above and not self.stands:
                 continue
             for side in SIDES:
                 if side + above not in self.joints or side + below not in self.joints:
                     continue
-                theirs = self.place(side + below) - self.place(side + above)
-                wanted = ours.places[side + below] - ours.places[side + above]
+                bone = self.place(side + below) - self.place(side + above)
+                wanted = source.places[side + below] - source.places[side + above]
                 # Only the poses in which no hand comes near the trunk: contacts bend the others on purpose.
-                angle = max(_degrees(a, b) for a, b in zip(theirs[1:3], wanted[1:3], strict=True))
+                angle = max(_degrees(a, b) for a, b in zip(bone[1:3], wanted[1:3], strict=True))
                 if angle > (_ASTRAY if "Leg" not in above else 10.0):
                     yield (True, f"its {_SIDE[side[:4]]}{_PLAIN[above]} points {angle:.0f} degrees elsewhere",
                            (side + above, side + below))
@@ -304,11 +308,12 @@ class _Seen:
             return
         feet = [node for node in range(len(self.character)) if any(
             self.joints[side + "Foot"] in (node, *ancestors(self.character.parents, node)) for side in SIDES)]
-        own = np.isin(self._movers(), feet)
-        if own.sum() < 8:
+        of_feet = np.isin(self._movers(), feet)
+        if of_feet.sum() < 8:
             return
-        soles, lowest = self.mesh[0][own, 1].min(), self.mesh[0][:, 1].min()
-        before = self.mesh_bound[own, 1].min() - self.mesh_bound[:, 1].min()
+        # Compared with the bind pose, where a skirt or a tail may already hang lower.
+        soles, lowest = self.mesh[0][of_feet, 1].min(), self.mesh[0][:, 1].min()
+        before = self.mesh_bound[of_feet, 1].min() - self.mesh_bound[:, 1].min()
         if soles - lowest > before + _FLOOR * self.height:
             yield (True, f"a part of its mesh hangs {100 * (soles - lowest) / self.height:.0f} % of its height below "
                    "its feet", ("LeftFoot", "RightFoot", "Hips"))
@@ -323,16 +328,16 @@ class _Seen:
             for side in SIDES if top != "Head" else ("",):
                 if side + top not in self.joints or side + low not in self.joints:
                     continue
-                own = np.isin(movers, self._between(side + top, side + low))
-                if not own.any():
+                of_limb = np.isin(movers, self._between(side + top, side + low))
+                if not of_limb.any():
                     yield (top == "Head" and not self.mapping.given,
                            f"its mesh has nothing that follows the {_SIDE.get(side[:4], '')}{_PLAIN[top]}",
                            (side + top,))
-                if own.sum() < 8:  # too few to tell where they are
+                if of_limb.sum() < 8:  # too few to tell where they are
                     continue
-                before = self._gap(self.mesh_bound[own], self.bound, side + top, side + low)
+                before = self._gap(self.mesh_bound[of_limb], self.bound, side + top, side + low)
                 apart.append(before > _APART * self.height)
-                after = max(self._gap(self.mesh[frame][own], self.places[frame], side + top, side + low)
+                after = max(self._gap(self.mesh[frame][of_limb], self.places[frame], side + top, side + low)
                             for frame in range(len(self.mesh)))
                 length = max(self.length(side + top, side + low) if top != "Head" else 0.1 * self.height, 1e-9)
                 if after - before > _FAR * length:
@@ -346,6 +351,7 @@ class _Seen:
         """Edges of the mesh do not become much longer."""
         if not len(self.skin.triangles):
             return
+        # Both ends of the three edges of each triangle.
         a, b = self.skin.triangles[:, [0, 1, 2]].ravel(), self.skin.triangles[:, [1, 2, 0]].ravel()
         before = np.linalg.norm(self.mesh_bound[a] - self.mesh_bound[b], axis=-1)
         torn, where = 0.0, 0
@@ -355,6 +361,7 @@ class _Seen:
             if split.mean() > torn:
                 torn = float(split.mean())
                 where = int(np.bincount(self._movers()[a[split]]).argmax())
+        # A few stretched edges, as in the armpits of rough skins, are not worth a message.
         if torn > 0.0005:
             name = shown(self.character.names[where])
             yield torn > _TORN, f"its mesh tears: {100 * torn:.1f} % of its edges, most at {name}", self._nearest(where)
@@ -386,7 +393,7 @@ class _Seen:
         """The mapped joint at a node or above it."""
         back = {mapped: name for name, mapped in self.joints.items()}
         line = node, *ancestors(self.character.parents, node)
-        return next(((back[one],) for one in line if one in back), ("Hips",))
+        return next(((back[above],) for above in line if above in back), ("Hips",))
 
 
 _PLAIN = {"Arm": "upper arm", "ForeArm": "forearm", "Hand": "hand", "UpLeg": "thigh", "Leg": "shin", "Foot": "foot",
