@@ -1,4 +1,4 @@
-"""What every evaluation stands on: recordings, settings, models, networks and a work folder, opened once.
+"""The common ground of every evaluation: recordings, settings, models, networks and a work folder, opened once.
 
 A bundle plays; the reward models that taught its policies and judge them play nothing, so it does not hold them: they
 are found in the work folder of its training, under the hash of all that shapes them.
@@ -68,7 +68,7 @@ class EvalContext:
 
     @staticmethod
     def arguments(parser: argparse.ArgumentParser) -> None:
-        """What `of` reads."""
+        """Add the options that `of` reads."""
         parser.add_argument("--data", required=True, metavar="STORE", help="a store built by `gesticulator build`")
         parser.add_argument("--bundle", metavar="NAME|DIR",
                             help="bundle: default, paper, or a folder (default: default)")
@@ -106,7 +106,7 @@ class EvalContext:
 
     @property
     def progress(self) -> bool:
-        """Whether progress bars are printed."""
+        """True if progress bars are printed."""
         return self.run.progress
 
     @property
@@ -141,7 +141,7 @@ class EvalContext:
 
     @cached_property
     def space(self) -> ReferenceSpace | None:
-        """What Frechet distances to real people are measured in; None where it is not at hand."""
+        """The space of Frechet distances to real people; None where it is not at hand."""
         return ReferenceSpace.found()
 
     def numbers(self, split: str = "test", with_text: bool = False) -> list[int]:

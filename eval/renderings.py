@@ -70,7 +70,7 @@ class AcceptanceVoice:
 
     @cached_property
     def heard(self) -> VoiceActivity:
-        """What the figures need of the sound."""
+        """The onsets, levels and silences of the sound, for the figures."""
         return hear(self.speech)
 
     @cached_property
@@ -102,7 +102,7 @@ def held_out_voices(store: Store, limit: int | None, joints: int) -> list[Accept
 
 @dataclass(frozen=True)
 class Rendering:
-    """What a system made. edges: [N + 1] seconds of its blocks, None where they are not known; silent: [N]; lexemes:
+    """Output of a system. edges: [N + 1] seconds of its blocks, None where they are not known; silent: [N]; lexemes:
     [N] those played; drawn: [N, K, D_m] the blocks as they were drawn; both empty where there are none. spent: seconds
     of computing."""
 
@@ -210,7 +210,7 @@ class BundleSystem:
 
     @property
     def bundle(self) -> bundles.Bundle:
-        """What is played."""
+        """The bundle that is rendered."""
         return self.gesticulator.bundle
 
     def bare(self) -> BundleSystem:
@@ -327,6 +327,6 @@ def described(voices: Sequence[AcceptanceVoice]) -> dict[str, Any]:
 
 
 def plan_of(rendering: Rendering) -> str:
-    """What lies beside a motion file, so that it is judged at its own blocks."""
+    """The JSON file beside a motion file, by which its motion is judged at the edges of its own blocks."""
     return json.dumps({"edges": [] if rendering.edges is None else rendering.edges.tolist()})
 

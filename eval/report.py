@@ -22,7 +22,7 @@ from eval.table import load_with_provenance, loads
 
 TITLE = "Gesticulator: what was measured"
 FIRST = ("limits", "claims", "ablation/table", "score")
-"""What stands first, where it is there: what the corpus cannot show, then what both papers are about."""
+"""Sections that stand first where they exist: the limits of the corpus, then the subject of both papers."""
 
 
 def document(folder: Path, out: Path, title: str = TITLE) -> str:
@@ -88,7 +88,7 @@ def _link(file: Path, out: Path) -> str:
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """What `gesticulator report` takes."""
+    """Add the options of `gesticulator report`."""
     parser.add_argument("--results", type=Path, default=Path("docs/results"), metavar="DIR",
                         help="folder of stored results (default docs/results)")
     parser.add_argument("--out", type=Path, default=Path("docs/report"), metavar="DIR",

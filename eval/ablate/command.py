@@ -43,7 +43,7 @@ ELSEWHERE: dict[str, str] = {
     "RG Fig. 10, of a bundle": "probe style-editing", "RG Fig. 12, RACER Fig. 4 (people)": "study",
     "RG Fig. 13 (other languages)": "score on a folder of speech of that language",
     "RACER 4.2 (the reward)": "ablate --rewards", "all metrics, of any motion": "score"}
-"""What has a command of its own."""
+"""Figures that have a command of their own."""
 
 
 def everything() -> list[str]:
@@ -52,7 +52,7 @@ def everything() -> list[str]:
 
 
 def listing() -> str:
-    """What there is to run, and where the rest is."""
+    """The rows that can be run, and the commands of other figures."""
     lines = []
     for name, row in ROWS.items():
         changes = [*(f"--set {setting}" for setting in row.set),
@@ -117,7 +117,7 @@ def ablate(ablation: Ablation, *, only: Sequence[str] = (), seeds: int = SEEDS,
 # ------------------------------------------------------------------------------------------------------------- command
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """Add the options of `gesticulator ablate`."""
     add = parser.add_argument
     add("--data", metavar="STORE", help="required, except with --list and --tables")
     add("--work", metavar="DIR", help="work folder for stages (required, except with --list and --tables)")

@@ -85,7 +85,7 @@ def allowed_lexemes(silent: Mask, silent_lexemes: Lexemes, size: int) -> Mask:
 
 @dataclass(frozen=True)
 class Decisions:
-    """What all policies decide on. takes: recordings with the performer's lexemes (hinted); the first lexeme of a take
+    """Decisions of every policy. takes: recordings with the performer's lexemes (hinted); the first lexeme of a take
     is given, decision i is block i from 1 on. silent: [n] the silent lexemes; masked: whether they are all that may be
     chosen in silence. size: S."""
 
@@ -106,7 +106,7 @@ class Decisions:
         return allowed_lexemes(take.silent & self.masked, self.silent, self.size)
 
     def features(self, block: int, text: bool = False) -> BlockFeatures:
-        """What an interpreter hears, sees and reads of a block of the corpus (see `features_of`)."""
+        """The input of an interpreter on a block of the corpus (see `features_of`)."""
         words = self.corpus.text(np.array([block]))[0] if text else None
         return replace(features_of(self.corpus)(block), text=words)
 
@@ -121,7 +121,7 @@ class Policy:
 
 
 class Rewards(Protocol):
-    """What is asked of a reward table (interpreters/reward.py)."""
+    """The methods of a reward table that are used here (interpreters/reward.py)."""
 
     window: int
     """Blocks that a reward looks back on."""
@@ -141,7 +141,7 @@ Walk = tuple[Lexemes, Array]
 
 @torch.inference_mode()
 def walk(policy: Policy, decisions: Decisions, take: Demonstration, teacher: bool = False) -> Walk:
-    """What a policy does with a recording; the first lexeme is given.
+    """Run a policy over a recording; the first lexeme is given.
 
     teacher: its past is the performer's lexemes. Draws depend on the seed and the recording alone.
     """
@@ -174,7 +174,7 @@ def every_reward(rewards: Rewards, take: Demonstration, lexemes: Lexemes) -> Arr
 
 @dataclass(frozen=True)
 class PolicyJudge:
-    """What choices are judged by. tables: reward tables by the prefix of their columns."""
+    """Judges chosen lexemes. tables: reward tables by the prefix of their columns."""
 
     decisions: Decisions
     tables: Mapping[str, Rewards]
@@ -191,7 +191,7 @@ class PolicyJudge:
 
 def perform(system: Gesticulator, recordings: Sequence[Recording], lexemes: Sequence[Lexemes], label: str,
             progress: bool, encoded: Sequence[SpeechFeatures] | None = None) -> list[Motion]:
-    """What the generator makes of these lexemes [M] for the speech of these recordings, the gate open. encoded: the
+    """Motion that the generator draws of lexemes [M] for the speech of recordings, the gate open. encoded: the
     recordings' speech, where it was encoded before."""
     size = len(system.bundle.vectors)
     return [system(replace(recording.speech, words=None), speaker=recording.info.speaker,

@@ -74,7 +74,7 @@ MOTION = 60
 
 @dataclass(frozen=True)
 class RacerRows:
-    """What RACER's rows share. context: a store and a bundle with both reward models; settings: those that the rows
+    """Shared by RACER's rows. context: a store and a bundle with both reward models; settings: those that the rows
     change; takes: the training split; judge: decisions on the test split with the reward tables, "" the one that
     policies are taught and "judge_" the other; shapes: hash of the data and of the bundle's parts; rg: what scores
     motion."""
@@ -127,7 +127,7 @@ class RacerRows:
 
     @property
     def bundle(self) -> bundles.Bundle:
-        """What the rows stand on."""
+        """The bundle that the rows stand on."""
         return self.context.bundle
 
     @property
@@ -210,7 +210,7 @@ class RacerRows:
         return [take for take in takes if len(take.blocks) > 1][:4]
 
     def temperature(self, name: str, policy: QNetwork | ActorCritic) -> float:
-        """What a row's scores are divided by: 0 for the best lexeme, or what makes it as undecided as the lstm."""
+        """The divisor of a row's scores: 0 to take the best lexeme, or that which gives the entropy of the lstm."""
         if not ROWS[name].matched:
             return 0.0
         with torch.no_grad():
@@ -284,7 +284,7 @@ def _episodes(racer: RacerRows, config: Config) -> Episodes:
 # --------------------------------------------------------------------------------------------------------- learning
 
 Learner = tuple[ConservativeQ | ActorCritic, fitting.MakeBatch]
-"""What `fit` needs: a model, which knows what happens before a step, and its batches."""
+"""A model for `fit`, with its `before_step`, and the maker of its batches."""
 
 
 def latest(policy: QNetwork | ActorCritic, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
@@ -422,7 +422,7 @@ def _trained(racer: RacerRows, name: str, seed: int, folder: Path) -> tuple[QNet
 
 def judged(racer: RacerRows, name: str, policy: QNetwork | ActorCritic
            ) -> tuple[list[Lexemes], list[dict[str, Any]]]:
-    """What a policy did on the test recordings [M], and its figures on each."""
+    """The lexemes [M] that a policy chose on each test recording, and its figures there."""
     decisions = racer.judge.decisions
     chooser, chosen, rows = Policy(policy, racer.temperature(name, policy)), [], []
     for take in decisions.takes:

@@ -1,4 +1,4 @@
-"""What `gesticulator ablate` runs and compares: the rows of rows.toml, the tables and claims of papers.toml, as types.
+"""The contents of `gesticulator ablate`: the rows of rows.toml, the tables and claims of papers.toml, as types.
 
 Both files say at their head what each key means. A row is a change of settings, as one would type it after --set, so
 which of its stages are trained again follows from the hashes of its settings. The presets are of the papers' system
@@ -192,10 +192,10 @@ RACER_PRESETS = {
     "ablation": ("cql.width=64", "cql.layers=4", "cql.heads=4", "schedules.cql.steps=400", "schedules.cql.batch=32",
                  "cql.warm_up=0", "cql.copy_every=8"),
     "tiny": ("cql.width=16", "cql.layers=4", "cql.heads=2", "schedules.cql.steps=10", "schedules.cql.batch=8")}
-"""What RACER's rows share on top of the bundle's settings. Targets are copied far more often than 1 / (1 - gamma), so
+"""Shared by RACER's rows on top of the bundle's settings. Targets are copied far more often than 1 / (1 - gamma), so
 that temporal differences are learned all along; a run takes 45 s to 3 min of one core."""
 
 
 def is_racer(row: str) -> bool:
-    """Whether a row is one of RACER's, which stand on a bundle of their own and are compared with each other."""
+    """True for a row of RACER's, which stand on a bundle of their own and are compared with each other."""
     return row.startswith("racer-")

@@ -86,7 +86,7 @@ class RowRun(Run):
 
     taken: Mapping[str, Run] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
-    """What each stage took; 0 where it was there."""
+    """By stage the seconds of its training; 0 where it was finished before."""
     late_gains: dict[str, float] = field(default_factory=dict)
     """By how much each stage's validation still became better in the last quarter of its training, as a share."""
 
@@ -157,7 +157,7 @@ class RgRows:
             taken={ENCODER.name: first}))
 
     def trained(self, name: str, seed: int) -> tuple[Bundle, RowRun]:
-        """What a row plays with, and its run; what is not in the work folder is trained."""
+        """The bundle of a row, and its run; what is not in the work folder is trained."""
         before, run = self.runs(name, seed)
         bundle = assemble(run)
         run.seconds["lexicon"] = before.seconds.get("lexicon", 0.0)
@@ -318,7 +318,7 @@ class RgRows:
     # -------------------------------------------------------------------------------------------- cells without a seed
 
     def reference(self, name: str, split: str) -> dict[str, Any] | None:
-        """What is measured of a reference or a control; None where it cannot be made (no real take, too few
+        """The cell of a reference or a control; None where it cannot be made (no real take, too few
         recordings)."""
         if name == REAL_TAKE:
             return self._real_take()
@@ -386,7 +386,7 @@ def _jackknife(of: Callable[[NDArray[np.int64]], float], count: int) -> Array:
 
 
 def _latest(known: dict[Any, T], key: Any, most: int, make: Callable[[], T]) -> T:
-    """What is known by a key, made where it is not; of `most` others the last one goes."""
+    """The value of a key, computed where it lacks; of `most` others the last one goes."""
     if key not in known:
         while len(known) >= most:
             known.popitem()

@@ -37,12 +37,12 @@ FREE, REFERENCE = "no request", "the store's own motion"
 SHOWN = {"height": Column("right hand height", UNITS["height"], 3), "speed": Column("hand speed", UNITS["speed"], 3),
          "radius": Column("hand radius", UNITS["radius"], 3),
          "steady_speed": Column("hand speed without tremor", UNITS["speed"], 3)}
-"""What is measured on every clip: the features, and the speed of the hands without tremor."""
+"""Figures of every clip: the features, and the speed of the hands without tremor."""
 _HAND_COLUMNS = [column for column, name in enumerate(ACTING) if name.endswith("Hand")]
 
 
 Play = Callable[[Recording, Controls], Motion]
-"""Whoever is judged: motion for a recording's speech, with what is asked of its style."""
+"""The system under test: motion for a recording's speech, with what is asked of its style."""
 
 
 def excerpts(store: Store, count: int = CLIPS, seconds: float = SECONDS) -> list[Recording]:
@@ -54,6 +54,7 @@ def excerpts(store: Store, count: int = CLIPS, seconds: float = SECONDS) -> list
     groups: dict[str, RecordingInfo] = {}
     for info in store.of_split("test"):
         if info.seconds >= SHORTEST:
+            # One recording of each group: clips of one sound or text would count as several.
             groups.setdefault(info.group or info.name, info)
     chosen = sorted(groups.values(), key=lambda info: -min(info.seconds, seconds))[:count]
     if len(chosen) < 2:
@@ -72,7 +73,7 @@ def played_by(system: Gesticulator) -> Play:
 
 
 def realised(motion: Motion) -> Array:
-    """What a motion does, [4] in the order of `SHOWN`: means over all frames, nothing smoothed but the last."""
+    """Figures of a motion, [4] in the order of `SHOWN`: means over all frames, nothing smoothed but the last."""
     hands = acting_positions(motion)[:, _HAND_COLUMNS]
     return np.append(per_frame(motion).mean(axis=0), acting_speed(hands, motion.fps).mean() / len(_HAND_COLUMNS))
 

@@ -73,7 +73,7 @@ def _plain(key: str) -> Column:
 # -------------------------------------------------------------------------------------------------------- the papers'
 
 def _lines(table: PaperTable, rows: Rows, suffix: str) -> list[TableLine]:
-    """What stands in a table, in order, by the names of the rows on its split."""
+    """The rows of a table, in order, by the names of the rows on its split."""
     beside = {**REFERENCES, **CONTROLS}
     lines = [replace(line, row=line.row + suffix) if line.row in beside else line for line in table.lines]
     if not table.references:
@@ -124,7 +124,7 @@ def curve_table(rows: Rows) -> Table:
 
 
 def training_table(rows: Rows) -> Table:
-    """What each row changes, what its training took, and how far it was from done."""
+    """Of each row its settings, the seconds of its training, and how much that still gained at its end."""
     columns = {"settings": Column("settings"), "seconds": Column("training by seed", "s"),
                "late": Column("most that a stage's validation gained in its last quarter", "%", 1, "low")}
     return Table("What rows change", columns, {
@@ -137,7 +137,7 @@ def training_table(rows: Rows) -> Table:
 # -------------------------------------------------------------------------------------------------------- differences
 
 def difference_table(cells: Cells) -> Table:
-    """What `ours` is less each other row of the papers' tables, beside the papers' own (on Trinity)."""
+    """`ours` less each other row of the papers' tables, beside the papers' own (on Trinity)."""
     lines = [line for title in ("RG Table 1", "RG Table 2", "RG Table 4", "RG Table 6", "RG Table 7")
              for line in TABLES[title].lines]
     papers: dict[str, dict[str, float]] = {}
@@ -170,7 +170,7 @@ def racer_differences(cells: Cells) -> Table:
 # ---------------------------------------------------------------------------------------------------------- all of it
 
 def corpus_table(facts: Mapping[str, Any]) -> Table:
-    """What the figures are of, which a reader has to know before any of them."""
+    """The data and their limits, which a reader has to know before any figure."""
     store = facts["store"]
     title = ("The corpus is synthetic, made by rule" if store.get("name") == PERFORMER
              else f"The corpus is {store.get('name', 'not recorded')}")
@@ -181,7 +181,7 @@ def corpus_table(facts: Mapping[str, Any]) -> Table:
 
 
 def about_table(facts: Mapping[str, Any]) -> Table:
-    """What the tables are of; its facts are the rows' figures by every column."""
+    """The store, the seeds and the clips of the tables; its facts are the rows' figures by every column."""
     plain = {name: {**row, "figures": {key: value.to_dict() for key, value in row["figures"].items()}}
              for name, row in facts["rows"].items()}
     return Table("Ablation", {}, {}, notes=[

@@ -68,7 +68,7 @@ _SEEDS, _CLIPS = (np.unique(np.geomspace(least, 20_000, 400).round()) for least 
 
 @dataclass(frozen=True)
 class Decision:
-    """What became of a claim: one of `WORDS`; why; the difference; the margin (NaN: none); seeds and clips, as many as
+    """The decision on a claim: one of `WORDS`; why; the difference; the margin (NaN: none); seeds and clips, as many as
     there were and as would decide it (empty: not known)."""
 
     word: str

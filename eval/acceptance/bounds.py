@@ -39,7 +39,7 @@ LACKING = {"voices": "needs several recordings with a voice", "pauses": "too few
            "reference": "no reference space, or no store", "corpus": "no store was given",
            "waking": "no long pause was found", "silence": "no silent lexeme followed another",
            "partings": "they never part", "long": "the sounds are too short"}
-"""What a figure may lack without a fault of the motion (`needs` of a row): the reason why it is not measured."""
+"""Inputs that a figure may lack without a fault of the motion (`needs` of a row): the reason why it is not measured."""
 
 
 @dataclass(frozen=True)

@@ -252,7 +252,7 @@ def _aligned(samples: np.ndarray, reference: np.ndarray) -> np.ndarray:
 EXPORTS: Mapping[str, Callable[[Speech], Speech]] = {
     "0.1 dB quieter": _quieter(0.1), "1 dB quieter": _quieter(1.0), "6 dB quieter": _quieter(6.0),
     "resampled from 48 kHz": _resampled, "MP3, 192 kbit/s": _as_mp3, "noise at -60 dB": _noisy}
-"""What a tool may do to a sound that it exports again."""
+"""Changes that a tool may make to a sound that it exports again."""
 
 
 # -------------------------------------------------------------------------------------------------------------- words

@@ -65,6 +65,7 @@ def shared_names(names: Mapping[str, Sequence[str]]) -> tuple[list[str], list[st
             lacking = ", ".join(other for other, theirs in names.items() if name not in theirs)
             if lacking:
                 over.setdefault(lacking, []).append(name)
+        # A name that one row lacks is compared for none, and the reader is told which.
         notes += [f"{row}: {listed(some, 4)} {'is' if len(some) == 1 else 'are'} not compared, because {lacking} "
                   f"{'have' if ',' in lacking else 'has'} none of {'that name' if len(some) == 1 else 'these names'}"
                   for lacking, some in over.items()]
@@ -95,6 +96,7 @@ def _add(joined: ClipSet, clips: Mapping[str, Clip], piece: float | None) -> Non
     first, fps = clips[TRUTH], joined.fps
     speech = next((clip.speech for clip in clips.values() if clip.speech is not None), None)
     motions = {row: resample(clip.motion, fps) for row, clip in clips.items()}
+    # Every row loses what the shortest lacks: else a longer clip would be judged on other speech.
     frames = min(map(len, motions.values()))
     if speech is not None:
         frames = max(1, min(frames, int(speech.duration * fps + 1e-6)))

@@ -78,6 +78,7 @@ def find_motions(folder: Path) -> tuple[dict[str, Path], list[str]]:
             if file.suffix.lower() != kind or not file.is_file():
                 continue
             if file.stem in files:
+                # One name, one motion: the order of `MOTIONS` decides, and the other file is named to the reader.
                 notes.append(f"{file}: {files[file.stem].name} is read instead")
             else:
                 files[file.stem] = file
@@ -241,6 +242,7 @@ def _faced(ten: Array, across: Array, plain: dict[str, int], points: Array) -> A
     pair = next((pair for pair in _HIP_JOINTS if pair[0] in plain and pair[1] in plain), None)
     line = across.mean(axis=0, keepdims=True) if pair is None else points[:, plain[pair[0]]] - points[:, plain[pair[1]]]
     length = np.hypot(line[:, 0], line[:, 2])
+    # Where the line has no length its angle is arbitrary; 0 keeps the frame as it is.
     angle = np.unwrap(np.where(length > _EPS, np.arctan2(line[:, 2], line[:, 0]), 0.0))
     turn = np.zeros((len(ten), 1, 4))
     turn[:, 0, 0], turn[:, 0, 2] = np.cos(angle / 2), np.sin(angle / 2)

@@ -121,6 +121,7 @@ def measure(motion: Motion, speech: Speech, edges: Array | None = None, onsets: 
 def _settled(speech: Speech, frames: int, fps: float) -> NDArray[np.bool_]:
     """[frames] of motion before which the speech was silent for `SETTLED` seconds."""
     quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
+    # A frame is settled when the whole second before it was silent: the retraction is then over.
     window = round(SETTLED / FRAME)
     settled = np.convolve(quiet, np.ones(window))[:len(quiet)] >= window - 0.5
     at = np.minimum((np.arange(frames) / fps / FRAME).astype(int), len(settled) - 1)
@@ -135,6 +136,7 @@ def real_take(fps: float, own_rig: bool = False) -> tuple[Motion, Speech] | None
     if folder is None or not folder.is_dir():
         return None
     with warnings.catch_warnings():
+        # The file's header contradicts itself; `TAKE_FPS` is what its authors state.
         warnings.simplefilter("ignore", bvh.BvhWarning)
         motion = bvh.read_bvh(next(iter(sorted(folder.glob("*.bvh")))), fps=TAKE_FPS)
     motion = motion if own_rig else skeletons.to_character(motion)

@@ -1,6 +1,6 @@
 """Every metric of one clip: each one's number, and why where there is none.
 
-With a bundle, a motion is also read as blocks at the beat of its speech, whoever made it:
+With a bundle, a motion is also read as blocks at the beat of its speech, from any system:
 
 - the reward is the mean cosine between the motion and the speech in the windows that end with each block, by the
   model that judges, which no policy was trained to please (RACER Eq. 8). No unit, from -1 to 1, more is better. What

@@ -80,12 +80,12 @@ class Figure:
 
     @property
     def enough(self) -> bool:
-        """Whether both sets have the windows that they need."""
+        """True if both sets have the windows that they need."""
         return min(self.windows) >= self.needed
 
     @property
     def verdict(self) -> str:
-        """Whether the sample suffices, and how many windows in each set would: "yes", or what is wrong with it.
+        """A judgement of the sample: "yes" if it suffices, else the fault and how many windows each set should have.
 
         Twice: the covariance takes `needed` windows, and the bias of the sample, which falls as one over the number of
         windows, should be a tenth of the distance at most.

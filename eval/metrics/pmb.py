@@ -6,7 +6,7 @@ beat, so it can pass 100 %; one-to-one it cannot. Motion beats are those of `mot
 brake hardest (mode A, the default) or where they are slowest (mode B). The paper's words fit either, so name the mode.
 
 Unit: percent of motion beats; `above_chance` is a share. Good: high above chance, near the speaker's own. More is not
-better without end: nobody beats to every syllable.
+better without end: no speaker beats to every syllable.
 
 What fools it:
 - A wide delta. At 0.2 s, where the papers print it, unrelated beats already reach 95 % among onsets 0.2 to 0.5 s apart

@@ -93,6 +93,7 @@ def _system(name: str, value: str, arguments: argparse.Namespace) -> Source:
     if place.is_dir():
         held, _ = find_motions(place)
         wanted = arguments.sound.stem if arguments.sound else ""
+        # A folder with one motion leaves no doubt, whatever its name.
         if wanted not in held and len(held) > 1:
             raise InputError(place, f"holds {len(held)} motions" + (f" and none is named {wanted}" if wanted else ""),
                              "name the file itself")

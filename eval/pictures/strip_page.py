@@ -5,7 +5,7 @@
 
 No figure says what a picture says, so a page belongs to every judgement of motion: the real take, the corpus, ours and
 others, front and side, four poses a second. Time runs from left to right and goes on in the next line; the coloured
-trails are the paths of the hands since the pose before (the character's right hand red, her left hand green).
+trails are the paths of the hands since the pose before (the character's right hand red, the left green).
 
 `--take` is the real take in GESTICULATOR_DATA; its licence asks for credit, so the credit line is drawn with it.
 Without it the sound is `--sound`, or that of the corpus recording, and then corpus and ours gesture to the same voice.

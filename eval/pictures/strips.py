@@ -1,8 +1,8 @@
 """Strips: motion as rows of still figures, seen from the front and from the side, for papers, README and judgement.
 
 A strip shows what a number hides: a soldier's return to rest, an elbow behind the back, a hand in the face, the same
-clip twice. Each figure is drawn at its own time, with the paths of both hands since the figure before it (her right
-hand red, her left hand green); underneath, where they are given, the waveform and its beats on the same time axis.
+clip twice. Each figure is drawn at its own time, with the paths of both hands since the figure before it (the right
+hand red, the left hand green); underneath, where they are given, the waveform and its beats on the same time axis.
 Several sources stand below each other at the same seconds, and a long stretch goes on in the next line.
 """
 

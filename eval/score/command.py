@@ -416,6 +416,7 @@ def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]],
         folders[name], left_out = read_folder(place, arguments.speech, rates.get(name), names, arguments.split)
         notes += [f"{name}: {reason}" for reason in left_out]
     folders |= {name: bundle.row(folders[TRUTH], arguments.seed) for name, bundle in bundles.items()}
+    # A folder of sounds was named, so a clip without one is a mistake of names and not a choice.
     silent = [name for name in names if all(clips[name].speech is None for clips in folders.values())]
     if silent and arguments.speech is not None:
         raise InputError(arguments.speech, f"has no sound for {listed(silent, 3)}",

@@ -110,6 +110,7 @@ def _mismatch_table(scores: Scores) -> Table:
     rows: dict[str, dict[str, Any]] = {}
     for name, tests in scores.mismatch.items():
         for metric, test in tests.items():
+            # One digit more than the metric's own: differences are smaller than values.
             digits = scores.metrics[metric].digits + 1
             cells: dict[str, Cell] = {"right": test.right, "wrong": test.wrong, "difference": test.difference}
             rows[f"{name}, {scores.metrics[metric].about}"] = {

@@ -52,7 +52,7 @@ ASPECTS = {
     "appropriateness": "How appropriate are the gestures for this speech, all in all?",
     "style": "How well do the gestures match the way the speaker speaks (calm, lively, ...)?",
 }
-"""What can be asked. The first three are those of RG 7.3.3; RACER 5.4 calls the first one realism."""
+"""Questions for raters. The first three are those of RG 7.3.3; RACER 5.4 calls the first one realism."""
 DEFAULT_ASPECTS = ("human_likeness", "content_match", "beat_match")
 SCALE = (1, 5)
 """1 is worst, 3 average, 5 best (RG 7.3.3)."""
@@ -141,7 +141,7 @@ def read_takes(systems: Mapping[str, Path]) -> list[StudyTake]:
 
 
 def _same_sound(a: Speech, b: Speech) -> bool:
-    """Whether both are one recording, whatever the files' formats; an end cut by less than a frame of video counts."""
+    """True if both are one recording, whatever the files' formats; an end cut by less than a frame of video counts."""
     if abs(a.duration - b.duration) > 0.05:
         return False
     size = min(len(a.samples), len(b.samples))
