@@ -165,8 +165,9 @@ def paper_quick() -> Config:
 
     The input is mel bands: the speech encoder of `regression` carries less information and costs more than all other
     stages together. Sixteen joints, as in the paper. Shorter and narrower: the generator (an LSTM of 1 x 128, 8 groups,
-    800 steps of 16 windows) and both interpreters (96 and 64 wide, stopped early). Over the last quarter of its steps the validation
-    of a generator still gains 1 to 2 %. There is no gate and no style control: the paper's system has neither.
+    800 steps of 16 windows) and both interpreters (96 and 64 wide, stopped early). Over the last quarter of its
+    steps the validation of a generator still gains 1 to 2 %. There is no gate and no style control: the paper's system
+    has neither.
     """
     base = regression()
     s = base.schedules
