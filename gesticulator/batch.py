@@ -124,6 +124,7 @@ def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTas
     loads = [(0.0, index) for index in range(1, count + 1)]
     chosen = []
     for task in sorted(tasks, key=lambda task: task.order):
+        # Greedy longest-first scheduling: the least loaded shard takes the next task.
         load, index = heapq.heappop(loads)
         # Recordings of unknown duration still take some time, so they are spread too.
         heapq.heappush(loads, (load + max(task.seconds, 0.1), index))
