@@ -84,12 +84,14 @@ def transformers_front_end(model_name: str, mel: MelFrontEnd, layers: Sequence[i
 
     def hidden(samples: Tensor) -> Sequence[Tensor]:
         if normalise:
+            # As transformers' feature extractor normalises a window, here in torch.
             spread, mean = torch.var_mean(samples, dim=-1, keepdim=True, correction=0)
             samples = (samples - mean) / torch.sqrt(spread + 1e-7)
         return model(samples, output_hidden_states=True).hidden_states
 
     try:
         with torch.inference_mode():
+            # A trial run: some models accept their configuration and fail on samples.
             layers_found = hidden(torch.zeros(1, mel.frames * mel.samples_per_frame))
         widths = [state.shape[2] for state in layers_found]
     except (RuntimeError, ValueError, TypeError, IndexError, AttributeError) as error:

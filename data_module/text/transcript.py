@@ -333,9 +333,9 @@ def _in_cues(speech: Speech, transcript: Transcript) -> tuple[tuple[Word, ...], 
         late = tuple(name for _, name in marks)
         if not written or len(piece) == 0:
             continue
-        words, heard = _in_cue(replace(speech, samples=piece, words=None), cue.text, written)
-        guessed += 0 if heard else len(words)
-        words, late = with_marks(words, cue.text, marks, aligner.spoken_words if heard else aligner.written_words)
+        words, aligned = _in_cue(replace(speech, samples=piece, words=None), cue.text, written)
+        guessed += 0 if aligned else len(words)
+        words, late = with_marks(words, cue.text, marks, aligner.spoken_words if aligned else aligner.written_words)
         out += [replace(w, start=w.start + cue.start, end=min(w.end + cue.start, max(cue.end, w.start + cue.start)))
                 for w in words]
     return _with_late(out, late), guessed
