@@ -195,6 +195,7 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, sh
                 complain(f"{PROGRAM}: {one_line(task.fault)}")
             elif before is None or before.made_of != row.made_of or not before.stands():
                 waiting[task.number] = row
+        # Rows of an earlier run that are still valid.
         unchanged = sum(notes.rows[str(task.source)].status == DONE for task in chosen
                    if task.number not in waiting and task.fault is None)
         # A killed run or worker may have left partially written files.

@@ -106,6 +106,7 @@ class StreamRequest:
         samples = np.frombuffer(sound, "<f4").astype(np.float32)
         if not np.isfinite(samples).all():
             raise RefusedError(CloseCode.BAD_MESSAGE, "the sound holds samples that are not numbers (NaN or infinite)")
+        # Refused rather than clipped: such a stream is scaled wrongly throughout.
         if np.abs(samples, out=np.empty_like(samples)).max(initial=0.0) > _MOST_SAMPLE:
             raise RefusedError(CloseCode.BAD_MESSAGE, "the sound holds samples far beyond full scale, which is 1")
         return samples
