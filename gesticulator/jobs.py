@@ -163,6 +163,7 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
         _check_output(given, suffix, 1 if together else len(sources))
     if text is not None:
         _check_text(text, len(sources))
+    # Two recordings of one name in different folders would overwrite each other's output.
     written_by: dict[Path, Path | None] = {}
     jobs = []
     for source in sources:

@@ -274,6 +274,7 @@ def merged(paths: Iterable[Path]) -> dict[str, ManifestRow]:
     rows: dict[str, ManifestRow] = {}
     for path in paths:
         for row in read_manifest(path).values():
+            # Shards overlap after the number of shards was changed.
             before = rows.get(row.input)
             if before is None or before.status == FAILED or row.status == DONE:
                 rows[row.input] = row

@@ -133,6 +133,7 @@ class Pauses:
                 resting = resting or real
             elif length >= WAKES:
                 resting = False
+            # Runs that are too short keep the state of the run before: hysteresis.
             out[first:last] = resting
         return out
 
@@ -376,6 +377,7 @@ class _Hands:
 
     def __call__(self, features: Array) -> Array:
         """[M, 2, 3] hand positions in metres for features [M, D] of the part."""
+        # The head keeps its resting pose: it does not move the hands.
         poses = np.repeat(self._statistics.rest_pose[self._speaker][None], len(features), axis=0)
         whole = self._statistics.normalise(poses, self._speaker)
         whole[:, self._columns] = features

@@ -158,7 +158,7 @@ class Connection:
         """Whether late audio is processed at lower cost or skipped."""
 
     async def run(self) -> None:
-        """Serve the client; returns whatever the client does."""
+        """Serve the client; never raises, whatever the client sends."""
         try:
             request = await self._hello()
             self.place.admit(self, request)

@@ -249,7 +249,7 @@ class VmcOutput:
         self._thread.start()
 
     def close(self) -> None:
-        """Let go of the socket, of an output that was not started."""
+        """Close the socket of an output that was not started."""
         self._socket.close()
 
     def stop(self) -> None:

@@ -1,6 +1,6 @@
 """Blender add-on: recorded speech becomes an action on the selected armature.
 
-Install this folder as an extension (docs/blender.md), name the `gesticulator` program in its preferences, select an
+Install this folder as an extension (docs/tools.md), name the `gesticulator` program in its preferences, select an
 armature, and run `Object > Animation > Gesture from Speech`. The rig is handed over as a small GLB, the motion comes
 back as one, and its keys become an action; frame rate, frame range and a sound strip are set to match. The add-on needs
 only Blender (4.2 or newer). While the program runs, Blender can be used, and Esc cancels.
