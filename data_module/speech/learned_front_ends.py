@@ -72,7 +72,7 @@ def encoder_front_end(encoder: SpeechEncoder, mel: MelFrontEnd, layers: Sequence
 
 
 def transformers_front_end(model_name: str, mel: MelFrontEnd, layers: Sequence[int] | None = None) -> LearnedFrontEnd:
-    """Two hidden layers of a speech model that takes samples (wav2vec 2.0, HuBERT, WavLM and their kin).
+    """Two hidden layers of a speech model that takes samples (wav2vec 2.0, HuBERT, WavLM and similar ones).
 
     model_name: a folder, or the name of a model in the cache of transformers; nothing is downloaded. layers: 0 is the
     input of the first layer; by default the first and one at three quarters of the depth. InputError if the model is

@@ -1,4 +1,4 @@
-"""Where the moments of a recording lie in another export of it: the two fingerprints are aligned (`aligned`).
+"""Alignment of a recording with another export of it, by their fingerprints (`aligned`).
 
 Frames a_i of the old recording and b_j of the new one are matched, in order, at the cost d(i, j) = sum over bands of
 |a_i - b_j|; a frame without a match costs `GAP`, and each gap `OPEN` more (the alignment of Gotoh 1982 with affine

@@ -92,7 +92,7 @@ def transcribed(speech: Speech, model: str | os.PathLike[str]) -> Transcript | N
         word_timestamps=True, vad_filter=False)
     recognised = [Word(word.word.strip(), float(word.start), float(word.end)) for segment in segments
                   for word in segment.words or ()]
-    # Brackets are sounds that the model describes, such as [music]: nobody says them, and they are no marks.
+    # Brackets are sounds that the model describes, such as [music]: they are neither spoken words nor marks.
     words = [word for word in recognised if word.text and not set(word.text) & set("[]()*♪")]
     # Whisper invents a "you" or a "thank you" in silence.
     silent = silent_frames(speech.samples, speech.sample_rate)
