@@ -380,6 +380,7 @@ def performed(job: Job, speech: Speech, gesticulator: Gesticulator, retargeter: 
     retargeter stands."""
     from tqdm import tqdm
 
+    # Legs cost time, so they are generated only where something shows them.
     stands = retargeter is not None and retargeter.mapping.legs and retargeter.legs
     options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
     with closing(tqdm(desc=job.name, unit=" blocks", leave=False,

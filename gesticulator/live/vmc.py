@@ -235,6 +235,7 @@ class VmcOutput:
         with self._lock:
             if not self._parts:
                 return None
+            # The frame whose time is now; skipped ones are never sent late.
             frame = int((now - self._zero) * self._parts[0].fps)
             place = max(bisect_right([part.first for part in self._parts], frame) - 1, 0)
             del self._parts[:place]

@@ -78,6 +78,7 @@ def units_of(hands: Array, edges: Array) -> NDArray[np.int64]:
         # A block shorter than a frame still shows one.
         last = max(last, first + 1)
         phases = [_phase(side.labels[first:last]) for side in hand_phases]
+        # A block gestures if either hand does; the faster acting hand gives phase and size.
         acting = [phase != Phase.REST for phase in phases]
         if not any(acting):
             continue
@@ -197,6 +198,7 @@ def style_of(hands: Array) -> Array:
     """[4] speed, range, height and reach (`interpreters.planner.CODE`) of hands [T, 2, 3] over the hips at `RATE`,
     logarithms of m/s and m, and m."""
     speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean() * RATE if len(hands) > 1 else 0.0
+    # The larger of the two hands: one-handed gestures must not count as half.
     spread = np.sqrt(hands.var(axis=0).sum(axis=-1)).max()
     reach = np.linalg.norm(hands[..., [0, 2]], axis=-1)
     height = hands[..., 1].max(axis=1).mean()
