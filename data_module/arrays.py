@@ -99,6 +99,7 @@ def _members(stream: IO[bytes], names: Collection[str] | None) -> dict[str, NDAr
             total += member.file_size
             if total > LARGEST:
                 raise ValueError(f"it claims more than {LARGEST >> 30} GiB")
+            # A zip bomb, or a forged size: refused before anything is unpacked.
             if member.file_size > _DEFLATED_MOST * (member.compress_size + 1):
                 raise ValueError(f"{name[:40]} claims {member.file_size} bytes in {member.compress_size}")
             with archive.open(member) as content:
@@ -131,6 +132,7 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
     data = stream.read(count * kind.itemsize)
     if len(data) != count * kind.itemsize:
         raise ValueError(f"it is cut short: {len(data)} of {count * kind.itemsize} bytes")
+    # frombuffer refuses items of no bytes.
     if not kind.itemsize:  # text of no length
         return np.zeros(shape, kind)
     return np.frombuffer(data, kind).reshape(shape, order="F" if fortran else "C")
@@ -142,6 +144,7 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any], in
         raise ValueError("it has no numpy header")
     width = 2 if start[6] == 1 else 4
     length = int.from_bytes(stream.read(width), "little")
+    # The header is parsed as a Python literal, whose cost grows with its length.
     if length > _HEADER:
         raise ValueError(f"its header of {length} bytes is too long")
     header = ast.literal_eval(stream.read(length).decode("utf-8" if start[6] > 2 else "latin-1").strip())

@@ -1,7 +1,7 @@
 """gesticulator build CORPUS --out STORE (python -m data_module.build): read or make a data set, and write its store.
 
     gesticulator build folder --source DIR --out STORE    # your own NAME.bvh beside NAME.wav
-    gesticulator build trinity --source DIR --out STORE   # somebody's data set; --help lists them all
+    gesticulator build trinity --source DIR --out STORE   # a published data set; --help lists them all
     gesticulator build folder --help                      # the options of one of them
 
 An interrupted build is resumed; the result does not depend on that, nor on the number of workers. A report (minutes,
@@ -64,6 +64,7 @@ class Workshop:
         return outcome if whole else None
 
     def make(self, item: Item) -> Outcome:
+        # The outcome is written after the recording, so one that has an outcome is complete.
         outcome = self._written(item)
         write_text(self.outcome_file(item), outcome.as_json())
         return outcome
@@ -92,6 +93,7 @@ class Workshop:
             except DroppedError as reason:
                 return Outcome(item.info.name, dropped=str(reason))
             except InputError as error:
+                # A skeleton that cannot be retargeted spoils one recording; any other error spoils the build.
                 if error.subject != "skeleton":
                     raise
                 return Outcome(item.info.name, dropped=str(error))
@@ -196,6 +198,7 @@ class _Site:
     def finish(self, outcomes: Mapping[str, Outcome]) -> Report:
         workshop, items, writer = self.workshop, self.items, self.workshop.writer
         failed = [item.info.name for item in items if item.info.name not in outcomes]
+        # Not renamed to its final name: the next build resumes it.
         if failed:
             raise InputError(self.request.out, f"is not finished: {len(failed)} of {len(items)} recordings failed, "
                              f"such as {failed[0]}", "correct them and build again; finished recordings are kept")

@@ -59,6 +59,7 @@ def per_frame(motion: Motion) -> Array:
     for hand in (right, left):
         if len(motion) > 1:
             step = np.linalg.norm(np.diff(hand, axis=0), axis=-1) * motion.fps
+            # A quarter: the mean of two intervals and of two hands.
             out[:, 1] += 0.25 * (np.append(step, step[-1]) + np.insert(step, 0, step[0]))
         out[:, 2] += 0.5 * np.linalg.norm(hand[:, [0, 2]], axis=-1)
     return out
@@ -73,6 +74,7 @@ def measure(motion: Motion, window: float = WINDOW) -> Array:
 
 
 def _averaged(values: Array, half: int) -> Array:
+    # Differences of cumulative sums: one pass, whatever the length of the window.
     sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     at = np.arange(len(values))
     first, last = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
@@ -111,6 +113,7 @@ class Levels:
         that standardising it stays harmless."""
         if values.ndim != 2 or values.shape[1] != len(FEATURES) or len(values) == 0:
             raise ValueError(f"levels are fitted on [n, 3] values, not {values.shape}")
+        # Quantiles for the three levels, which are steps of what occurs; moments to standardise the input.
         spread = values.std(axis=0)
         return cls(np.quantile(values, QUANTILES, axis=0).T, values.mean(axis=0),
                    np.where(spread > _LEAST_SPREAD, spread, 1.0))
@@ -245,6 +248,7 @@ def _rows(file: Path) -> list[tuple[int, list[str]]]:
             if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         raise InputError(file, "is empty", "give the columns time and value")
+    # A comma may be a decimal comma, so it separates only where no other mark does.
     mark = next((mark for mark in ";\t" if mark in lines[0][1]), ",")
     try:
         return [(number, list(_cells(line, mark))) for number, line in lines]

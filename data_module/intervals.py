@@ -103,6 +103,7 @@ def drawn(intervals: Intervals, title: str = "") -> Figure:
     edges = np.arange(_BINS) * STEP
     for kind, colour in zip(KINDS, ("tab:blue", "tab:orange"), strict=True):
         counts = np.array(getattr(intervals, kind), dtype=np.float64)
+        # Shares, because onsets and beats differ in number.
         axes.bar(edges, counts / max(1.0, counts.sum()), STEP, align="edge", alpha=0.5, color=colour,
                  label=f"between {kind} ({int(counts.sum())})")
     for bound, name in ((beats.d_min, "d_min"), (beats.d_max, "d_max")):

@@ -144,6 +144,7 @@ def batch_moments(rows: Tensor) -> tuple[Tensor, Tensor, int]:
         return rows.mean(0), rows.var(0, unbiased=False), len(rows)
     total = batch_sum(torch.cat([rows.sum(0), rows.new_full((1,), len(rows))]))
     count = total[-1].detach()
+    # In two passes, as E[x^2] - E[x]^2 loses its digits where the mean is large.
     mean = total[:-1] / count.clamp_min(1.0)
     return mean, batch_sum((rows - mean).square().sum(0)) / count.clamp_min(1.0), int(count)
 
@@ -157,6 +158,7 @@ def full_precision(function: F) -> F:
         device = next((value.device.type for value in args if isinstance(value, Tensor)), "cpu")
         if not torch.is_autocast_enabled(device):
             return function(*args, **kwargs)
+        # Inputs computed under autocast are in half precision already: widening them keeps the further steps exact.
         widened = [value.float() if isinstance(value, Tensor) and value.dtype in _NARROW else value for value in args]
         with torch.autocast(device, enabled=False):
             return function(*widened, **kwargs)

@@ -199,6 +199,7 @@ def _put(tree: dict[str, Any], node: Any, path: list[str], value: Any, setting: 
         return
     if isinstance(old, tuple) and isinstance(value, list):
         value = tuple(value)
+    # `=1` for a float setting is meant as 1.0.
     if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
         try:
             value = float(value)

@@ -400,6 +400,7 @@ class FlowHead(nn.Module):
         self.inner = nn.ModuleList([Linear(hidden, hidden) for _ in range(layers)])
         self.outer = nn.ModuleList([Linear(hidden, hidden) for _ in range(layers)])
         self.leave = Linear(hidden, width)
+        # F = 0 at the start: v is that of unit Gaussian data, as in the class's equation.
         nn.init.zeros_(self.leave.weight)
         nn.init.zeros_(self.leave.bias)
         self._sampling: SamplingHead | None = None

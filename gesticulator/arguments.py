@@ -209,6 +209,7 @@ def check_choices(options: InferenceOptions, bundle: str | None) -> None:
         find_model(options.transcribe)
     name = options.interpreter
     if options.beta is not None and (name is None or not INTERPRETERS[str(name)].prior):
+        # Only interpreters with a prior read beta.
         steered = ", ".join(name for name, entry in INTERPRETERS.items() if entry.prior)
         raise InputError(f"--beta {options.beta:g}", f"is read by the interpreter {steered} alone",
                          f"add --interpreter {steered}, or leave it out")
@@ -319,6 +320,7 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
     clip = _clip_of(args)
     if clip is not None:
         check_clip_outputs(clip, list(outputs), args.one_file)
+        # These produce or name one output per recording, which a shared file contradicts.
         for name in ("manifest", "shard", "ray", "clip_name", "sound", "plan") if args.one_file else ():
             if getattr(args, name):
                 raise InputError("--one-file", f"does not go with --{name.replace('_', '-')}",

@@ -124,6 +124,7 @@ def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTas
     loads = [(0.0, index) for index in range(1, count + 1)]
     chosen = []
     for task in sorted(tasks, key=lambda task: task.order):
+        # Greedy longest-first scheduling: the least loaded shard takes the next task.
         load, index = heapq.heappop(loads)
         # Recordings of unknown duration still take some time, so they are spread too.
         heapq.heappush(loads, (load + max(task.seconds, 0.1), index))
@@ -194,6 +195,7 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, sh
                 complain(f"{PROGRAM}: {one_line(task.fault)}")
             elif before is None or before.made_of != row.made_of or not before.stands():
                 waiting[task.number] = row
+        # Rows of an earlier run that are still valid.
         unchanged = sum(notes.rows[str(task.source)].status == DONE for task in chosen
                    if task.number not in waiting and task.fault is None)
         # A killed run or worker may have left partially written files.

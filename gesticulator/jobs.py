@@ -163,6 +163,7 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
         _check_output(given, suffix, 1 if together else len(sources))
     if text is not None:
         _check_text(text, len(sources))
+    # Two recordings of one name in different folders would overwrite each other's output.
     written_by: dict[Path, Path | None] = {}
     jobs = []
     for source in sources:
@@ -379,6 +380,7 @@ def performed(job: Job, speech: Speech, gesticulator: Gesticulator, retargeter: 
     retargeter stands."""
     from tqdm import tqdm
 
+    # Legs cost time, so they are generated only where something shows them.
     stands = retargeter is not None and retargeter.mapping.legs and retargeter.legs
     options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
     with closing(tqdm(desc=job.name, unit=" blocks", leave=False,

@@ -192,6 +192,7 @@ def _schema() -> Any:
 
 def write_manifest(path: Path, rows: Iterable[ManifestRow]) -> None:
     """Write rows sorted by input, atomically."""
+    # Sorted, so that the order in which recordings finish does not change the file.
     entries = [asdict(row) for row in sorted(rows, key=lambda row: row.input)]
     if path.suffix == ".jsonl":
         write_bytes(path, "".join(json.dumps(entry, ensure_ascii=True) + "\n" for entry in entries).encode())
@@ -274,6 +275,7 @@ def merged(paths: Iterable[Path]) -> dict[str, ManifestRow]:
     rows: dict[str, ManifestRow] = {}
     for path in paths:
         for row in read_manifest(path).values():
+            # Shards overlap after the number of shards was changed.
             before = rows.get(row.input)
             if before is None or before.status == FAILED or row.status == DONE:
                 rows[row.input] = row

@@ -230,6 +230,7 @@ class _Pool:
         for _ in range(workers):
             self._employ(self.hire())
         while self.left:
+            # With a timeout, because a lost cluster would otherwise block forever.
             ready, _ = self.ray.wait(list(self.running), num_returns=1, timeout=PULSE)
             if not ready:
                 self.head.check()
@@ -246,6 +247,7 @@ class _Pool:
             result = self.ray.get(reference)
         except self.ray.exceptions.RayActorError as error:
             message = " ".join(str(error).split())
+            # `RayWorker` itself reports models that cannot be loaded, so here the program on that machine differs.
             if "creation task" in message:
                 raise InputError("a worker", f"could not start ({message[-160:]})",
                                  "install the same program on every machine") from None

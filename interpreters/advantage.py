@@ -83,6 +83,7 @@ class Critics(nn.Module):
         super().__init__()
         self.config, self.lexemes = config, lexemes
         self.trunk = QNetwork(config.network, frames, audio_width, lexemes, speakers)
+        # The trunk ends in features; the three linear heads below read them.
         self.trunk.head = nn.LayerNorm(config.width)  # type: ignore[assignment]
         self.reward = nn.Linear(config.width, config.critics * lexemes)
         self.future = nn.Linear(config.width, config.critics * lexemes)

@@ -234,6 +234,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
             audio = audio * (torch.rand(len(audio), 1, 1, 1, device=audio.device) >= self.config.audio_dropout)
         if self.training and self.config.after_dropout and not self.frozen:
             audio = without_after(audio, torch.rand(len(audio), device=audio.device) < self.config.after_dropout)
+        # Every window starts from a zero state: what lies before the seed block is not in the batch.
         logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control, pose)
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none")
         valid = batch["valid"][:, 1:].flatten()

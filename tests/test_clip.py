@@ -24,10 +24,10 @@ def moving(fps: float, seconds: float = 3.0) -> Motion:
 def test_speeds_in_speech_and_in_silence() -> None:
     speed, silent = np.array([[1.0, 3.0], [2.0, 2.0], [0.5, 0.1]]), np.array([False, False, True])
     beats = np.array([0.5, 1.0, 1.5])
-    clip = ClipMeasurement(beats, beats, 3.0, speed, silent, np.zeros(3))
-    assert clip.speech_speed == 2.0 and clip.silence_speed == pytest.approx(0.3)
+    clip = ClipMeasurement(beats, beats, 3.0, speed, silent)
+    assert clip.speech_speed == 2.0
     assert clip.rhythm(seed=0).above_chance == pytest.approx(100.0)
-    assert math.isnan(dataclasses.replace(clip, silent=np.zeros(3, bool)).silence_speed)
+    assert math.isnan(dataclasses.replace(clip, silent=np.ones(3, bool)).speech_speed)
 
 
 def test_speeds_are_metres_per_second_and_silence_is_told_apart() -> None:

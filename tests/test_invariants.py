@@ -251,5 +251,5 @@ def test_a_minute_of_room_noise_is_a_minute_of_rest() -> None:
     made = shipped(Speech(noise.astype(np.float32), RATE), fps=20)
     assert made.blocks.silent.all()
     assert set(made.lexemes.tolist()) <= set(shipped.bundle.silent.tolist())
-    speed = measure(made.motion, made.speech, made.blocks.edges).hand_speed[40:]
+    speed = measure(made.motion, made.speech).hand_speed[40:]
     assert speed.mean() < 0.03 and speed.max() < 0.1, "m/s, from two seconds on"

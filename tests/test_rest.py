@@ -54,7 +54,7 @@ def performed(quiet: list[tuple[float, float]], seconds: float, activity: float 
     shown = []
     asked = spans(quiet, seconds, frames=frames)
     for span in asked:
-        rest.hear(span)
+        rest.analyse(span)
         block = rest.step(gestures(span.times))
         shown.append(rest.alive(block) if alive else block)
     return np.concatenate([span.times for span in asked]), np.concatenate(shown)
@@ -188,7 +188,7 @@ def raised(speed: float) -> tuple[Array, Array]:
     rest = Rest(own, ROTATIONS, 0, 1.0, seed=1)
     shown, asked = [], spans([(2.0, 8.0)], 8.0)
     for span in asked:
-        rest.hear(span)
+        rest.analyse(span)
         poses = np.repeat(own.rest_pose, K, axis=0)
         poses[:, ARM + 2] = -speed * (span.times - 2.0)
         shown.append(rest.step(own.normalise(poses, 0)))
@@ -222,7 +222,7 @@ def test_what_rests_in_a_phrase_is_the_body_and_the_head_goes_on() -> None:
     rest = Rest(statistics(), ROTATIONS, 0, 0.0, seed=0)
     neck = 3 * CHARACTER.index("Neck")
     for span in spans([], 4.0):
-        assert rest.hear(span)
+        assert rest.analyse(span)
         drawn = gestures(span.times)
         drawn[:, neck] = np.sin(span.times)
         shown = rest.step(drawn)
@@ -260,5 +260,5 @@ def test_absent_joints_stay_absent() -> None:
     rest = Rest(Statistics(own.speakers, own.mean_pose, own.rest_pose, own.deviation, bounds, own.low, own.high),
                 ROTATIONS, 0, 1.0, seed=0)
     for span in spans([(0.0, 2.0)], 4.0):
-        rest.hear(span)
+        rest.analyse(span)
         assert not rest.alive(rest.step(gestures(span.times)))[:, spine].any()

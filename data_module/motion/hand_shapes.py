@@ -49,8 +49,9 @@ the side (metres)."""
 
 @dataclass(frozen=True)
 class HandMotion:
-    """What a hand does, each [T]. lifted: 0 (hangs) to 1 (raised); speed, falling: m/s; palm_up: -1 to 1; stretched:
-    distance of wrist and shoulder as a share of the arm; side: metres to its own side of the body."""
+    """The course of a hand, each [T]. lifted: 0 (hangs) to 1 (raised); speed, falling: m/s; palm_up: -1 to 1;
+    stretched: distance of wrist and shoulder as a share of the arm; side: metres outwards from the middle of the body.
+    """
 
     lifted: Array
     speed: Array

@@ -68,7 +68,7 @@ def openness(motion: Motion, side: str) -> Array:
 
 
 def hand_motion(motion: Motion, side: str) -> HandMotion:
-    """What a hand of a motion of the character does, smoothed."""
+    """Height, speed, turn, stretch and side of a hand of the character, smoothed."""
     arm = skeletons.facing(skeletons.resized(motion, skeletons.CHARACTER))
     places = kinematics.positions_of(arm)
     hand, shoulder = (places[:, arm.skeleton.index(side + name)] for name in ("Hand", "Arm"))

@@ -298,6 +298,7 @@ def _as_mono(samples: NDArray[Any]) -> Samples:
                          "give [n, channels]: samples first (transpose it)")
     if samples.dtype.kind in "iu":
         half = 2.0 ** (8 * samples.dtype.itemsize - 1)
+        # Unsigned samples (8-bit WAV) are centred on half of their range.
         samples = (samples.astype(np.float64) - (half if samples.dtype.kind == "u" else 0.0)) / half
     if samples.ndim == 2:
         samples = samples.mean(axis=1, dtype=np.float64)
@@ -411,6 +412,7 @@ def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Ite
     if frames == 0:
         raise InputError(name, "holds no samples", "record or copy it again")
     if resampler is not None:
+        # The resampler holds back as much as its filter is long.
         rest = resampler.resample_chunk(np.zeros(0, np.float32), last=True)
         given += len(rest)
         yield np.clip(rest, -1.0, 1.0)

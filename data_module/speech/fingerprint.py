@@ -32,8 +32,11 @@ Frames = NDArray[np.uint8]
 """[F, BANDS] values of 0 to 15."""
 
 _WINDOW = 0.05
+"""Seconds of sound in a frame."""
 _STEP_DB, _ZERO, _MOST = 3.0, 13, 15
+"""Decibels per step, the value of the loud level of a band, and the largest value: four bits."""
 _LOUD, _SPEECH_RANGE = 95.0, 30.0
+"""Percentile of the loud level of a band, and decibels below the loudest frames in which a frame counts for it."""
 _FAINTEST = 1e-9
 """Floor of a band's power, relative to full scale: -90 dB."""
 _PIECE = 3000
@@ -45,6 +48,7 @@ def fingerprint(speech: Speech) -> Frames:
     """The fingerprint of a recording at any sample rate of 8 kHz or more, [F, BANDS]."""
     levels = 10.0 * np.log10(np.maximum(_band_powers(speech.samples, speech.sample_rate), _FAINTEST))
     total = levels.max(axis=1)
+    # The 99th percentile and no maximum, which one click would set.
     spoken = levels[total >= np.percentile(total, 99.0) - _SPEECH_RANGE]
     loud = np.percentile(spoken, _LOUD, axis=0)
     return np.clip(np.round((levels - loud) / _STEP_DB) + _ZERO, 0, _MOST).astype(np.uint8)

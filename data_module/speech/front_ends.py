@@ -99,6 +99,7 @@ class MelFrontEnd:
         """[window / 2 + 1, bands]: power of a spectrum to mean power per band; white noise of RMS r gives r^2."""
         import librosa
 
+        # Without librosa's norm: each band is scaled to the mean power below.
         bank = librosa.filters.mel(sr=self.sample_rate, n_fft=self._window, n_mels=self.bands, norm=None,
                                    fmax=_ROBUST_TOP if self.robust else None)
         scale = np.maximum(bank.sum(axis=1, keepdims=True), 1e-6) * np.sum(self._taper.astype(np.float64) ** 2)
@@ -133,6 +134,7 @@ class MelFrontEnd:
         spectrum = rfft(at * self._taper, axis=-1)
         power = (spectrum.real ** 2 + spectrum.imag ** 2) @ self._filters
         logs = self._log(power)
+        # Only rises count, as in `onsets`; the first spectrum has nothing before it and rises by 0.
         rise = np.maximum(np.diff(logs, axis=1, prepend=logs[:, :1]), 0.0).mean(axis=-1)
         energy = windows.reshape(count, self.frames, -1)
         energy = np.einsum("nfs,nfs->nf", energy, energy) / self.samples_per_frame

@@ -72,7 +72,7 @@ def encoder_front_end(encoder: SpeechEncoder, mel: MelFrontEnd, layers: Sequence
 
 
 def transformers_front_end(model_name: str, mel: MelFrontEnd, layers: Sequence[int] | None = None) -> LearnedFrontEnd:
-    """Two hidden layers of a speech model that takes samples (wav2vec 2.0, HuBERT, WavLM and their kin).
+    """Two hidden layers of a speech model that takes samples (wav2vec 2.0, HuBERT, WavLM and similar ones).
 
     model_name: a folder, or the name of a model in the cache of transformers; nothing is downloaded. layers: 0 is the
     input of the first layer; by default the first and one at three quarters of the depth. InputError if the model is
@@ -84,12 +84,14 @@ def transformers_front_end(model_name: str, mel: MelFrontEnd, layers: Sequence[i
 
     def hidden(samples: Tensor) -> Sequence[Tensor]:
         if normalise:
+            # As transformers' feature extractor normalises a window, here in torch.
             spread, mean = torch.var_mean(samples, dim=-1, keepdim=True, correction=0)
             samples = (samples - mean) / torch.sqrt(spread + 1e-7)
         return model(samples, output_hidden_states=True).hidden_states
 
     try:
         with torch.inference_mode():
+            # A trial run: some models accept their configuration and fail on samples.
             layers_found = hidden(torch.zeros(1, mel.frames * mel.samples_per_frame))
         widths = [state.shape[2] for state in layers_found]
     except (RuntimeError, ValueError, TypeError, IndexError, AttributeError) as error:

@@ -171,6 +171,7 @@ def _promised_by_riff(raw: BinaryIO, size: int, name: object, order: Literal["li
                 length = long_length
             elif length == 0 and there > 0:
                 return Promise(False, patch=position + 4)
+            # A recorder that writes to a pipe leaves a placeholder: nothing can be checked.
             elif length >= _STREAMED and length > there:
                 return Promise(False)
             if length > there:
@@ -179,6 +180,7 @@ def _promised_by_riff(raw: BinaryIO, size: int, name: object, order: Literal["li
             return Promise(True)
         if not chunk[:4].isascii() or not chunk[:4].decode("ascii").isprintable():
             break
+        # Chunks begin at even positions: an odd length is followed by a byte of padding.
         position += 8 + length + (length & 1)
     raise InputError(name, "holds no sound: its header breaks off", "copy it again from its source")
 

@@ -1,10 +1,10 @@
-"""Where the moments of a recording lie in another export of it: the two fingerprints are aligned (`aligned`).
+"""Alignment of a recording with another export of it, by their fingerprints (`aligned`).
 
-Frames a_i of the one and b_j of the other are matched, in order, at the cost d(i, j) = sum over bands of |a_i - b_j|; a
-frame without a match costs `GAP`, and each gap `OPEN` more (the alignment of Gotoh 1982 with affine gaps; costs are
-whole numbers, so the result does not depend on the machine). Identical stretches are matched at one shift, cuts and
-insertions are one gap each. Matches in stretches that are too short, or too unlike, are dropped: two sentences always
-have some frames in common.
+Frames a_i of the old recording and b_j of the new one are matched, in order, at the cost d(i, j) = sum over bands of
+|a_i - b_j|; a frame without a match costs `GAP`, and each gap `OPEN` more (the alignment of Gotoh 1982 with affine
+gaps; costs are whole numbers, so the result does not depend on the machine). Identical stretches are matched at one
+shift, cuts and insertions are one gap each. Matches in stretches that are too short, or too unlike, are dropped: two
+sentences always have some frames in common.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch that both recordings have. times, there: [M] seconds in the one and in the other, both rising; linear
+    """A stretch that both recordings have. times, there: [M] seconds in the old and in the new one, both rising; linear
     between them. cost: mean cost of its frames of speech."""
 
     times: Array
@@ -78,7 +78,7 @@ class Stretch:
         return float(np.interp(time, self.times, self.there))
 
     def between(self, start: float | None = None, end: float | None = None) -> Stretch:
-        """The stretch with another start or end, in seconds of the first recording."""
+        """The stretch with another start or end, in seconds of the old recording."""
         begin = float(self.times[0]) if start is None else start
         stop = float(self.times[-1]) if end is None else end
         inner = (self.times > begin) & (self.times < stop)
@@ -94,11 +94,11 @@ class Stretch:
 class SoundMap:
     """The stretches that two recordings have in common, in order and without overlap in either.
 
-    one, other: their fingerprints. speech: share of the first one's frames of speech that lie in the stretches.
+    old, new: their fingerprints. speech: share of the old one's frames of speech that lie in the stretches.
     """
 
-    one: Frames
-    other: Frames
+    old: Frames
+    new: Frames
     stretches: tuple[Stretch, ...]
     speech: float
 
@@ -114,10 +114,10 @@ class SoundMap:
         return earlier, later
 
     def _equal(self, frames: range, shift: int) -> int:
-        """How many of the frames, from the first on, are equal to those of the other recording at a shift."""
+        """How many of the frames, from the first on, are equal to those of the new recording at a shift."""
         for count, frame in enumerate(frames):
-            if not (0 <= frame < len(self.one) and 0 <= frame + shift < len(self.other)) \
-                    or _distances(self.one[frame], self.other[frame + shift]) > UNLIKE:
+            if not (0 <= frame < len(self.old) and 0 <= frame + shift < len(self.new)) \
+                    or _distances(self.old[frame], self.new[frame + shift]) > UNLIKE:
                 return count
         return len(frames)
 
@@ -133,26 +133,26 @@ def _shift(stretch: Stretch, point: int) -> float:
     return float(stretch.there[point] - stretch.times[point])
 
 
-def aligned(one: Frames, other: Frames) -> SoundMap:
-    """The map of a recording onto another, from their fingerprints [F, BANDS] and [G, BANDS]. `InputError` for long
-    recordings of very different lengths.
+def aligned(old: Frames, new: Frames) -> SoundMap:
+    """The map of an old recording onto a new one, from their fingerprints [F, BANDS] and [G, BANDS]. `InputError` for
+    long recordings of very different lengths.
 
     The first stretch is the moment before both recordings, and the last the moment after them.
     """
-    pairs = _matches(one, other)
-    costs = _distances(one[pairs[:, 0]], other[pairs[:, 1]])
-    speech = _spoken(one)
+    pairs = _matches(old, new)
+    costs = _distances(old[pairs[:, 0]], new[pairs[:, 1]])
+    speech = _spoken(old)
     stretches = []
-    covered = np.zeros(len(one), bool)
+    covered = np.zeros(len(old), bool)
     for first, last in _chains(pairs):
         chain, cost = pairs[first:last], costs[first:last]
         spoken = speech[chain[:, 0]]
         if spoken.sum() >= SHORTEST and cost[spoken].mean() <= UNLIKE:
             covered[chain[:, 0]] = True
             stretches.append(_stretch(chain, float(cost[spoken].mean())))
-    begin, end = (np.array([-1.0]) / RATE,) * 2, (np.array([len(one)]) / RATE, np.array([len(other)]) / RATE)
-    joined = _joined([Stretch(*begin), *stretches, Stretch(*end)], speech, _spoken(other))
-    return SoundMap(one, other, tuple(joined), float(covered[speech].mean()) if speech.any() else 0.0)
+    begin, end = (np.array([-1.0]) / RATE,) * 2, (np.array([len(old)]) / RATE, np.array([len(new)]) / RATE)
+    joined = _joined([Stretch(*begin), *stretches, Stretch(*end)], speech, _spoken(new))
+    return SoundMap(old, new, tuple(joined), float(covered[speech].mean()) if speech.any() else 0.0)
 
 
 def _spoken(frames: Frames) -> Flags:
@@ -161,17 +161,17 @@ def _spoken(frames: Frames) -> Flags:
     return levels >= np.clip(np.percentile(levels, _NOISE) + _ABOVE_NOISE, *SPEECH)
 
 
-def _joined(stretches: list[Stretch], speech: Flags, other_speech: Flags) -> list[Stretch]:
+def _joined(stretches: list[Stretch], speech: Flags, new_speech: Flags) -> list[Stretch]:
     """The stretches continued through pauses that are unlike in both recordings, such as by their noise: a pause is a
     pause. Two stretches that meet then are one."""
     out, last = stretches[:1], len(stretches) - 1
     for at, after in enumerate(stretches[1:], 1):
         before = out[-1]
-        frames = [range(round(float(one[-1]) * RATE) + 1, round(float(two[0]) * RATE))
-                  for one, two in ((before.times, after.times), (before.there, after.there))]
+        frames = [range(round(float(old[-1]) * RATE) + 1, round(float(two[0]) * RATE))
+                  for old, two in ((before.times, after.times), (before.there, after.there))]
         pause = min(map(len, frames))
         if pause and max(speech[frames[0].start:frames[0].stop].mean(),
-                         other_speech[frames[1].start:frames[1].stop].mean()) <= _PAUSE:
+                         new_speech[frames[1].start:frames[1].stop].mean()) <= _PAUSE:
             before = before.between(end=float(before.times[-1]) + pause / RATE)
             if max(map(len, frames)) == pause and 1 < at < last:
                 out[-1] = Stretch(np.concatenate([before.times, after.times]),
@@ -181,9 +181,9 @@ def _joined(stretches: list[Stretch], speech: Flags, other_speech: Flags) -> lis
     return out
 
 
-def _distances(one: Frames, other: Frames) -> NDArray[np.int32]:
+def _distances(old: Frames, new: Frames) -> NDArray[np.int32]:
     """[..., ] costs of matches."""
-    return np.abs(one.astype(np.int16) - other.astype(np.int16)).sum(axis=-1, dtype=np.int32)
+    return np.abs(old.astype(np.int16) - new.astype(np.int16)).sum(axis=-1, dtype=np.int32)
 
 
 def _chains(pairs: Shifts) -> list[tuple[int, int]]:
@@ -204,35 +204,37 @@ def _stretch(chain: Shifts, cost: float) -> Stretch:
 
 # ------------------------------------------------------------------------------------------------ the alignment
 
-def _matches(one: Frames, other: Frames) -> Shifts:
+def _matches(old: Frames, new: Frames) -> Shifts:
     """[M, 2] indices of the matched frames, rising in both columns: the alignment of least cost."""
-    low, width = _band(len(one), len(other))
-    # Frames beyond the ends of the other recording match nothing.
-    padded = np.full((len(one) + width, BANDS), 100, np.int16)
-    inside = slice(max(low, 0), min(low + len(padded), len(other)))
-    padded[inside.start - low:inside.stop - low] = other[inside]
-    trace = np.empty((len(one) + 1, width), np.uint8)
-    # best[s][k]: cost of all before frame i of the one and frame i + low + k of the other, ending in state s.
+    low, width = _band(len(old), len(new))
+    # Frames beyond the ends of the new recording match nothing.
+    # 100 is far from all values of a fingerprint (0 to 15), so that no match is cheaper than a gap there.
+    padded = np.full((len(old) + width, BANDS), 100, np.int16)
+    inside = slice(max(low, 0), min(low + len(padded), len(new)))
+    padded[inside.start - low:inside.stop - low] = new[inside]
+    trace = np.empty((len(old) + 1, width), np.uint8)
+    # best[s][k]: cost of all before frame i of the old and frame i + low + k of the new one, ending in state s.
     start = np.arange(width) + low
     best = np.full((3, width), _FAR, np.int32)
     best[_MATCH, start == 0] = 0
     best[_ADD, start > 0] = OPEN + GAP * start[start > 0]
     trace[0] = _ADD << 4
-    for i, frame in enumerate(one.astype(np.int16)):
+    for i, frame in enumerate(old.astype(np.int16)):
+        # Column k of row i is the pair (i, i + low + k): the band around the diagonal, as a rectangle.
         cost = np.abs(padded[i:i + width] - frame).sum(axis=1, dtype=np.int32)
         best, trace[i + 1] = _row(best, cost)
-    return _traced(trace, best, low, len(other) - len(one) - low)
+    return _traced(trace, best, low, len(new) - len(old) - low)
 
 
-def _band(one: int, other: int) -> tuple[int, int]:
+def _band(old: int, new: int) -> tuple[int, int]:
     """The least shift that is considered, and the number of shifts."""
-    if one * other <= _MOST_CELLS:
-        return -one, one + other + 1
-    width = 2 * REACH + abs(one - other) + 1
-    if one * width > _MOST_KEPT:
-        raise InputError("the new sound", f"lasts {other / RATE:.0f} s, and the old one {one / RATE:.0f} s, too much "
+    if old * new <= _MOST_CELLS:
+        return -old, old + new + 1
+    width = 2 * REACH + abs(old - new) + 1
+    if old * width > _MOST_KEPT:
+        raise InputError("the new sound", f"lasts {new / RATE:.0f} s, and the old one {old / RATE:.0f} s, too much "
                          "of a difference for sounds of this length", "give another export of the whole sound")
-    return -REACH - max(one - other, 0), width
+    return -REACH - max(old - new, 0), width
 
 
 def _row(best: NDArray[np.int32], cost: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
@@ -241,19 +243,22 @@ def _row(best: NDArray[np.int32], cost: NDArray[np.int32]) -> tuple[NDArray[np.i
     width = len(cost)
     before = best.argmin(axis=0)
     match = best[before, np.arange(width)] + cost
-    # A skipped frame of the one lowers the shift by one.
-    opened, kept = best[_MATCH] + OPEN, best[_SKIP]
+    # A skipped frame of the old recording lowers the shift by one.
+    opened, going_on = best[_MATCH] + OPEN, best[_SKIP]
     skip, from_skip = np.full(width, _FAR, np.int32), np.zeros(width, np.uint8)
-    skip[:-1] = np.minimum(opened, kept)[1:] + GAP
-    from_skip[:-1] = (kept < opened)[1:]
-    # An added frame of the other raises it by one, any number of times within the row.
+    skip[:-1] = np.minimum(opened, going_on)[1:] + GAP
+    from_skip[:-1] = (going_on < opened)[1:]
+    # An added frame of the new recording raises it by one, any number of times within the row.
     source = np.minimum(match, skip) + OPEN
     ramp = GAP * np.arange(width, dtype=np.int32)
+    # The minimum over all beginnings of the gap in one pass: its cost is linear in its length, so it splits into a part
+    # of the end and one of the beginning.
     least = np.minimum.accumulate(source - ramp)
     add = np.full(width, _FAR, np.int32)
     add[1:] = least[:-1] + ramp[1:]
     begins = np.zeros(width, np.uint8)
     begins[1:] = source[:-1] + GAP == add[1:]
+    # The state before an added frame: a longer gap, or what the gap began after.
     state = np.where(begins == 0, _ADD, np.where(np.concatenate([[False], (skip < match)[:-1]]), _SKIP, _MATCH))
     trace = before.astype(np.uint8) | from_skip << 2 | state.astype(np.uint8) << 4
     return np.minimum(np.stack([match, skip, add]), _FAR), trace

@@ -81,6 +81,7 @@ class SpeechEncoder(nn.Module):
 def _pooling(level: int, samples: int, frames: int) -> Tensor:
     """[T_l, frames] pooling weights; a row belongs to the frame that contains the middle of its receptive field."""
     hop, reach = hop_and_reach(level)
+    # No padding: row i covers samples [i hop, i hop + reach).
     middles = hop * torch.arange((samples - reach) // hop + 1, dtype=torch.float64) + (reach - 1) / 2
     owner = torch.floor(middles * frames / samples).long()
     weights = F.one_hot(owner, frames).float()
@@ -112,13 +113,16 @@ class PredictiveCoding(nn.Module):
         if count < 2:
             raise ValueError(f"crops of {samples.shape[1]} samples are too short for a prediction")
         context, _ = self.context(rows)
+        # Scaled as in attention: dot products of wide vectors would saturate the softmax.
         predicted = self.predict(context).unflatten(-1, (-1, width)) / width ** 0.5
         time = torch.arange(count, device=rows.device)
         ahead = torch.arange(self.config.prediction_steps, device=rows.device)
         since = time[:, None] - 1 - ahead
+        # Row t is compared with the prediction for t made `ahead` + 1 steps earlier.
         foreseen = predicted[:, since.clamp_min(0), ahead]
         positive = time[None, :, None].expand(batch, -1, 1)
         others = torch.randint(count - 1, (batch, count, self.config.negatives), device=rows.device)
+        # Sampled among count - 1 rows and moved past the true one, so that it is never its own negative.
         picked = torch.cat([positive, others + (others >= positive)], dim=-1)
         candidates = rows[torch.arange(batch, device=rows.device)[:, None, None], picked]
         return torch.einsum("btsc,btnc->btsn", foreseen, candidates), since >= 0

@@ -79,6 +79,7 @@ _LONG = {"a": "EY", "e": "IY", "i": "AY", "o": "OW", "u": "UW"}
 def letters_to_sounds(word: str) -> str:
     """A plausible English pronunciation of a word, as ARPABET sounds separated by spaces; "AH" without letters."""
     text = re.sub("[^a-z]", "", word.lower())
+    # A doubled consonant is one sound.
     text = re.sub(r"([bcdfgklmnprstvz])\1", r"\1", text)
     sounds: list[str] = []
     at = 0
@@ -218,6 +219,7 @@ def dictionary_phones(word: str) -> list[list[str]]:
 def _loudness(samples: NDArray[np.int16]) -> NDArray[np.float64]:
     hop = int(FRAME * ALIGNER_RATE)
     count = max(1, len(samples) // hop)
+    # A recording shorter than a frame is repeated to fill one.
     frames = np.resize(samples, count * hop).astype(np.float64).reshape(count, hop) / 32768
     return 10 * np.log10((frames**2).mean(axis=1) + 1e-10)
 
@@ -238,6 +240,7 @@ def pieces(samples: NDArray[np.int16]) -> list[tuple[int, int]]:
     middles = [int(a + b) // 2 for a, b in edges if (b - a) * FRAME >= SHORTEST_PAUSE]
     cuts = [0]
     while len(level) - cuts[-1] > reach:
+        # A pause in the first tenth of the reach is no cut: the piece would be tiny.
         within = [m for m in middles if cuts[-1] + reach // 10 < m <= cuts[-1] + reach]
         quietest = cuts[-1] + reach // 2 + int(np.argmin(level[cuts[-1] + reach // 2:cuts[-1] + reach]))
         cuts.append(within[-1] if within else quietest)
@@ -253,6 +256,8 @@ def _by_pieces(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[f
     cut = pieces(samples)
     for start, stop in cut:
         at = len(spans)
+        # More words than anybody speaks in the piece: the grammar stays small, and the end of the piece need not be
+        # known.
         ahead = words[at:at + int(_WORDS_PER_SECOND * (stop - start) / ALIGNER_RATE) + 10]
         if not ahead:
             break
@@ -266,6 +271,7 @@ def _follow(decoder: Any, words: Sequence[str], *, to_the_end: bool) -> None:
     """Set the decoder's grammar to any beginning of the chain `words`, or only the whole of it."""
     goal = len(words) + 1
     steps: list[tuple[Any, ...]] = [(n, n + 1, 1.0, word) for n, word in enumerate(words)]
+    # From every word an empty transition to the goal, as a piece may end after any of them.
     steps += [(n, goal, 1.0) for n in range(len(words) + 1) if n == len(words) or not to_the_end]
     decoder.add_fsg("chain", decoder.create_fsg("chain", 0, goal, steps))
     decoder.activate_search("chain")

@@ -83,7 +83,7 @@ def marked_text(text: str) -> tuple[str, tuple[tuple[int, str], ...]]:
 
 
 def _names(match: re.Match[str]) -> Iterator[str]:
-    """The name of a mark, unless it is a mark of somebody else (another `<mark>`) or a note of a sound."""
+    """The name of a mark, unless it is a mark for another program (another `<mark>`) or a note of a sound."""
     if match["emoji"]:
         yield EMOJI[match["emoji"]]
     elif match["bracket"]:

@@ -160,12 +160,12 @@ def _content(segments: Sequence[_Segment]) -> Content:
 
 def _segments(source: str, items: Sequence[Any], name: str, keys: _Keys = _PLAIN, words: _Keys = _PLAIN) -> Content:
     """Segments with a text, their times and perhaps their words."""
-    found = []
+    segments = []
     for n, item in enumerate(items):
         where = f"{name}[{n}]"
         inner = _entries(source, _list(item, "words"), f"{where}.words", words)
-        found.append(_Segment(Entry("", None, None, where) if inner else _cue(source, item, where, keys), inner))
-    return _content(found)
+        segments.append(_Segment(Entry("", None, None, where) if inner else _cue(source, item, where, keys), inner))
+    return _content(segments)
 
 
 def _cue(source: str, item: object, where: str, keys: _Keys) -> Entry:
@@ -243,12 +243,13 @@ def _joined_tokens(tokens: Sequence[Entry]) -> list[Entry]:
 def _deepgram(source: str, content: Any, speaker: str | None) -> Content:
     """Deepgram: channels with alternatives, of which the first has the words."""
     results = content["results"]
-    found = []
+    spoken = []
     for n, channel in enumerate(results["channels"]):
         where = f"results.channels[{n}].alternatives[0]"
         best = (_list(channel, "alternatives") or [None])[0]
-        found.append((_entries(source, _list(best, "words"), f"{where}.words", _DEEPGRAM), _of(best, "transcript")))
-    spoken = [(words, text) for words, text in found if words or text]
+        words, text = _entries(source, _list(best, "words"), f"{where}.words", _DEEPGRAM), _of(best, "transcript")
+        if words or text:
+            spoken.append((words, text))
     if len(spoken) > 1:
         raise InputError(source, f"holds the words of {len(spoken)} channels", "leave one channel in it")
     words, text = spoken[0] if spoken else ([], "")
@@ -286,8 +287,8 @@ def _google_results(content: Any) -> Iterator[tuple[str, Any]]:
     for outer in (content, _of(content, "response")):
         results = _of(outer, "results")
         if isinstance(results, Mapping):
-            results = [one for file in results.values() for inner in (file, _of(file, "inlineResult"))
-                       for one in _list(_of(inner, "transcript"), "results")]
+            results = [result for file in results.values() for inner in (file, _of(file, "inlineResult"))
+                       for result in _list(_of(inner, "transcript"), "results")]
         if isinstance(results, list):
             yield from ((f"results[{n}]", result) for n, result in enumerate(results))
             return
@@ -295,9 +296,9 @@ def _google_results(content: Any) -> Iterator[tuple[str, Any]]:
 
 def _is_google(content: Any) -> bool:
     results = list(_google_results(content))
-    return bool(results) and all(isinstance(one, Mapping) for _, one in results) and any(
-        _has_list(one, "alternatives") and not any(_has_list(inner, "result") for inner in one["alternatives"])
-        for _, one in results)
+    return bool(results) and all(isinstance(result, Mapping) for _, result in results) and any(
+        _has_list(result, "alternatives") and not any(_has_list(inner, "result") for inner in result["alternatives"])
+        for _, result in results)
 
 
 def _azure(source: str, content: Any, speaker: str | None) -> Content:
@@ -323,7 +324,7 @@ def _azure(source: str, content: Any, speaker: str | None) -> Content:
 
 def _is_azure(content: Any) -> bool:
     if isinstance(content, list):
-        return any(_has_list(one, "NBest") for one in content)
+        return any(_has_list(phrase, "NBest") for phrase in content)
     return _has_list(content, "recognizedPhrases", "NBest") or (
         _has_list(content, "phrases") and _has_list(content, "combinedPhrases")) or (
         _of(content, "RecognitionStatus") is not None)
@@ -332,8 +333,8 @@ def _is_azure(content: Any) -> bool:
 def _vosk(source: str, content: Any, speaker: str | None) -> Content:
     """vosk: a result, or a list of them; of several alternatives the first counts; or the monologues of its program."""
     if _has_list(content, "monologues"):
-        terms = [[term for term in _list(one, "terms") if _of(term, "type") in (None, "WORD")]
-                 for one in content["monologues"]]
+        terms = [[term for term in _list(monologue, "terms") if _of(term, "type") in (None, "WORD")]
+                 for monologue in content["monologues"]]
         return Content(words=tuple(entry for n, inner in enumerate(terms)
                                    for entry in _entries(source, inner, f"monologues[{n}].terms")))
     words: list[Entry] = []
@@ -347,9 +348,9 @@ def _vosk(source: str, content: Any, speaker: str | None) -> Content:
 
 def _is_vosk(content: Any) -> bool:
     if isinstance(content, list):
-        return any(_is_vosk(one) for one in content if isinstance(one, Mapping))
+        return any(_is_vosk(result) for result in content if isinstance(result, Mapping))
     return _has_list(content, "result", "monologues") or (
-        any(_has_list(one, "result") for one in _list(content, "alternatives")))
+        any(_has_list(alternative, "result") for alternative in _list(content, "alternatives")))
 
 
 def _transformers(source: str, content: Any, speaker: str | None) -> Content:

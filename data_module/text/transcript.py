@@ -70,9 +70,9 @@ class Transcript:
 MOST_WORDS = 8.0
 """Most plausible words per second; fast talkers reach five or six."""
 IMPOSSIBLE = 15.0
-"""Words per second that nobody speaks: a file with more has other times than it seems, and is refused."""
+"""Words per second above which a file is refused: no speaker is that fast, so its times mean something else."""
 LONGEST_MEDIAN = 5.0
-"""Seconds that the median word lasts at most: beyond, the times are not in seconds, or not of words."""
+"""Longest plausible median duration of a word, seconds: beyond it, times are not in seconds, or not of words."""
 _FEW = 8
 """Words below which a rate says nothing."""
 _ENGLISH_ONLY = "the aligner supports English only"
@@ -100,8 +100,8 @@ def read_transcript(path: str | os.PathLike[str], speech: Speech | None = None) 
     `data_module.text.recognisers`.
 
     speech: the recording, if it is known: its speaker selects among the tiers of several, and words beyond its end are
-    left out. `InputError` names the file and the line of an error, a file without words, one whose words nobody could
-    speak in their times, and one with most of its words beyond the recording.
+    left out. `InputError` names the file and the line of an error, a file without words, one with impossible times (see
+    `IMPOSSIBLE` and `LONGEST_MEDIAN`), and one with most of its words beyond the recording.
     """
     name = Path(path)
     reader = FORMATS.get(name.suffix.lower())
@@ -246,10 +246,11 @@ def _in_text(entries: Sequence[Entry]) -> tuple[tuple[int, str], ...]:
 
 
 def _check_rate(source: str, words: Sequence[Word]) -> None:
-    """`InputError` for words that nobody could speak in their times."""
+    """`InputError` for words that no speaker could say in their times."""
     spoken = [word for word in words if word.text]
     if len(spoken) < 3:
         return
+    # The median, because a single word may well have a wrong end.
     lasts = float(np.median([word.end - word.start for word in spoken]))
     seconds = max(word.end for word in spoken) - spoken[0].start
     if lasts > LONGEST_MEDIAN:
@@ -333,9 +334,9 @@ def _in_cues(speech: Speech, transcript: Transcript) -> tuple[tuple[Word, ...], 
         late = tuple(name for _, name in marks)
         if not written or len(piece) == 0:
             continue
-        words, heard = _in_cue(replace(speech, samples=piece, words=None), cue.text, written)
-        guessed += 0 if heard else len(words)
-        words, late = with_marks(words, cue.text, marks, aligner.spoken_words if heard else aligner.written_words)
+        words, aligned = _in_cue(replace(speech, samples=piece, words=None), cue.text, written)
+        guessed += 0 if aligned else len(words)
+        words, late = with_marks(words, cue.text, marks, aligner.spoken_words if aligned else aligner.written_words)
         out += [replace(w, start=w.start + cue.start, end=min(w.end + cue.start, max(cue.end, w.start + cue.start)))
                 for w in words]
     return _with_late(out, late), guessed

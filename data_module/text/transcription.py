@@ -69,11 +69,11 @@ def find_model(model: str | os.PathLike[str]) -> Path:
 @functools.cache
 def _packaged(name: str) -> Path:
     model = MODELS[name]
-    found = importlib.util.find_spec(model.module)
-    if found is None or found.origin is None:
+    package = importlib.util.find_spec(model.module)
+    if package is None or package.origin is None:
         raise InputError(f"--transcribe {name}", f"needs the package {model.module.replace('_', '-')}, which is not "
                          "installed", _INSTALL)
-    folder = Path(found.origin).parent / model.folder
+    folder = Path(package.origin).parent / model.folder
     for file, digest in model.hashes.items():
         path = folder / file
         if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
@@ -82,18 +82,18 @@ def _packaged(name: str) -> Path:
 
 
 def transcribed(speech: Speech, model: str | os.PathLike[str]) -> Transcript | None:
-    """The words that a model hears in a speech at 16 kHz, with their times; None if it hears none. `InputError` for a
-    model that is missing or cannot be opened, and for times that no speaker can have spoken."""
+    """The words that a model recognises in a speech at 16 kHz, with their times; None if there are none. `InputError`
+    for a missing or unreadable model, and for implausible times (see `timed_transcript`)."""
     if speech.sample_rate != RATE:
-        raise ValueError(f"the recogniser hears {RATE} Hz, not {speech.sample_rate:g}")
+        raise ValueError(f"the recogniser needs {RATE} Hz, not {speech.sample_rate:g}")
     folder = find_model(model)
     segments, _ = _opened(folder).transcribe(
         speech.samples.astype(np.float32), beam_size=_BEAM, temperature=0.0, condition_on_previous_text=False,
         word_timestamps=True, vad_filter=False)
-    heard = [Word(one.word.strip(), float(one.start), float(one.end)) for segment in segments
-             for one in segment.words or ()]
-    # Brackets are sounds that the model describes, such as [music]: nobody says them, and they are no marks.
-    words = [word for word in heard if word.text and not set(word.text) & set("[]()*♪")]
+    recognised = [Word(word.word.strip(), float(word.start), float(word.end)) for segment in segments
+                  for word in segment.words or ()]
+    # Brackets are sounds that the model describes, such as [music]: they are neither spoken words nor marks.
+    words = [word for word in recognised if word.text and not set(word.text) & set("[]()*♪")]
     # Whisper invents a "you" or a "thank you" in silence.
     silent = silent_frames(speech.samples, speech.sample_rate)
     words = [word for word in words

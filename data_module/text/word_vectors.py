@@ -88,6 +88,7 @@ class WordEncoder:
         out = np.zeros((len(words), self.width), np.float32)
         parts = [part for sentence in sentences(words) for part in self._fitting(words, sentence)]
         if so_far:
+            # A BERT attends in both directions, so a causal vector takes a pass over each beginning of the sentence.
             parts = [beginning for part in parts for beginning in part.beginnings()]
         # Sorted by length, so that batches need little padding.
         parts.sort(key=lambda part: len(part.pieces), reverse=True)
@@ -136,7 +137,7 @@ class _Pieces:
         for owner in dict.fromkeys(owner for owner in self.owners if owner >= 0):
             stop = len(self.owners) - self.owners[::-1].index(owner)
             ends = [*self.pieces[:stop], self.pieces[-1]]
-            yield _Pieces(ends, [own if own == owner else -1 for own in [*self.owners[:stop], -1]])
+            yield _Pieces(ends, [other if other == owner else -1 for other in [*self.owners[:stop], -1]])
 
 
 def sentences(words: Sequence[Word]) -> list[list[int]]:
@@ -149,6 +150,7 @@ def sentences(words: Sequence[Word]) -> list[list[int]]:
     for number in spoken:
         word = words[number]
         ended = parts and _SENTENCE_END.search(words[parts[-1][-1]].text.strip())
+        # The tolerance keeps a pause of exactly 0.5 s a pause when its times are rounded.
         if ended or word.start - end >= PAUSE - _ROUNDING:
             parts.append([])
         parts[-1].append(number)

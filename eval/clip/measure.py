@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -55,67 +55,32 @@ def rhythm(beats: Array, onsets: Array, duration: float, delta: float = pmb.DELT
 @dataclass
 class ClipMeasurement:
     """One clip. onsets [m], beats [n]: of the speech and the motion, seconds. hand_speed [T - 1, 2]: m/s; silent
-    [T - 1]: frames in a settled silence; heights [T, 2]: of the hands over the hips, metres. seam_speed: the fastest
-    joint beside each inner block edge, m/s; empty where no edges are known."""
+    [T - 1]: frames in a settled silence."""
 
     onsets: Array
     beats: Array
     duration: float
     hand_speed: Array
     silent: NDArray[np.bool_]
-    heights: Array
-    seam_speed: Array = field(default_factory=lambda: np.zeros(0))
 
     def rhythm(self, delta: float = pmb.DELTA, *, seed: int = 0) -> Rhythm:
         """PMB and its chance level."""
         return rhythm(self.beats, self.onsets, self.duration, delta, seed=seed)
 
     @property
-    def beats_per_second(self) -> float:
-        """Motion beats, Hz."""
-        return len(self.beats) / self.duration
-
-    @property
     def speech_speed(self) -> float:
         """Mean hand speed outside settled silence, m/s; NaN where there is no such frame."""
         return stats.mean(self.hand_speed[~self.silent])
 
-    @property
-    def silence_speed(self) -> float:
-        """Mean hand speed in settled silence, m/s; NaN where there is no such frame."""
-        return stats.mean(self.hand_speed[self.silent])
 
-    def piece(self, start: float, end: float, fps: float) -> ClipMeasurement:
-        """The part between two times, at the motion's frame rate. It keeps the thresholds of the whole, and no seams.
-
-        Pieces whose times join hold everything once.
-        """
-        onsets, beats = (times[(times >= start) & (times < end)] - start for times in (self.onsets, self.beats))
-        first = round(start * fps)
-        last = round(end * fps) if end < self.duration else len(self.hand_speed) + 1
-        return ClipMeasurement(onsets, beats, end - start, self.hand_speed[first:last], self.silent[first:last],
-                               self.heights[first:last])
-
-
-def measure(motion: Motion, speech: Speech, edges: Array | None = None, onsets: Array | None = None) -> ClipMeasurement:
-    """Everything about a motion of the 16-joint character and its speech.
-
-    edges: [B + 1] block edges in seconds, for the speed across the seams. onsets: those of the speech, where they are
-    known already.
-    """
+def measure(motion: Motion, speech: Speech) -> ClipMeasurement:
+    """Beats, speeds and silences of a motion of the 16-joint character and its speech."""
     motion = skeletons.upper_body(motion)
     positions = positions_of(skeletons.facing(motion))
     hands = positions[:, [motion.skeleton.index(name) for name in HANDS]]
     speed = derivative(hands, motion.fps, 1)
-    onsets = detect_onsets(speech.samples, speech.sample_rate) if onsets is None else onsets
-    clip = ClipMeasurement(onsets, motion_beats(motion), speech.duration, speed,
-                           _settled(speech, len(speed), motion.fps), hands[..., 1] - positions[:, :1, 1])
-    if edges is not None and len(speed):
-        seams = np.clip(np.round(edges[1:-1] * motion.fps).astype(int), 1, len(speed) - 1)
-        # The two frames that meet at the beat.
-        fastest = derivative(positions, motion.fps, 1).max(axis=1)
-        clip.seam_speed = np.maximum(fastest[seams - 1], fastest[seams])
-    return clip
+    return ClipMeasurement(detect_onsets(speech.samples, speech.sample_rate), motion_beats(motion), speech.duration,
+                           speed, _settled(speech, len(speed), motion.fps))
 
 
 def _settled(speech: Speech, frames: int, fps: float) -> NDArray[np.bool_]:

@@ -74,6 +74,7 @@ class HeadTurns:
         self._turns = [turn for turn in self._turns if turn.end is None or turn.end + turn.fall > times[0]]
         if not self._turns:
             return None
+        # Turns add up: a nod during a tilt is both.
         degrees = sum(turn.share(times)[:, None] * np.array(turn.degrees) for turn in self._turns)
         return np.einsum("td,dja->tja", degrees, self._mixing).reshape(len(times), -1)
 

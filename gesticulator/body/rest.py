@@ -133,6 +133,7 @@ class Pauses:
                 resting = resting or real
             elif length >= WAKES:
                 resting = False
+            # Runs that are too short keep the state of the run before: hysteresis.
             out[first:last] = resting
         return out
 
@@ -376,6 +377,7 @@ class _Hands:
 
     def __call__(self, features: Array) -> Array:
         """[M, 2, 3] hand positions in metres for features [M, D] of the part."""
+        # The head keeps its resting pose: it does not move the hands.
         poses = np.repeat(self._statistics.rest_pose[self._speaker][None], len(features), axis=0)
         whole = self._statistics.normalise(poses, self._speaker)
         whole[:, self._columns] = features
@@ -396,8 +398,8 @@ class RestKnots:
 class Rest:
     """Rest and idle motion of one performance, block by block.
 
-    For each block call `hear`, which tells whether it needs generating; then `step` with the generated block, which
-    returns the block that becomes the generator's past; then `alive`, which returns the block to show.
+    For each block call `analyse`, which returns whether the hands rest for most of it; then `step` with the generated
+    block, which returns the block that becomes the generator's past; then `alive`, which returns the block to show.
     """
 
     def __init__(self, statistics: Statistics, representation: Representation, speaker: int, activity: float, seed: int
@@ -431,8 +433,8 @@ class Rest:
         self._parts = other.fork()._parts
         self._life.stand_as(other._life)
 
-    def hear(self, span: Span, score: float = math.nan, still: Flags | None = None, activity: float | None = None
-             ) -> bool:
+    def analyse(self, span: Span, score: float = math.nan, still: Flags | None = None, activity: float | None = None
+                ) -> bool:
         """Analyse a block; True if the hands rest for half of it or more. score: the gate's probability; still: [K]
         frames in which the hands must rest; activity: from this block on, None for as before."""
         pause = self._pauses.step(span)
@@ -449,7 +451,7 @@ class Rest:
         return all(bool(rests.all()) for rests in self._rests)
 
     def rest(self, span: Span) -> None:
-        """Instead of `hear`, for a block without sound: rest throughout."""
+        """Instead of `analyse`, for a block without sound: rest throughout."""
         # A new `Pauses` starts at rest, as after a long silence.
         self._pauses, self._span, self._asked = Pauses(), span, False
         self._rests = [np.ones(len(span.quiet), bool)] * 2
@@ -468,7 +470,7 @@ class Rest:
 
     def step(self, generated: Array) -> Array:
         """[K, D_m] a generated block [K, D_m] with rest applied, both normalised, without idle motion."""
-        assert self._span is not None, "hear comes first"
+        assert self._span is not None, "analyse comes first"
         out = np.empty_like(generated, dtype=np.float64)
         for (columns, part), rests in zip(self._parts, self._rests, strict=True):
             out[:, columns] = part.step(self._span.times, generated[:, columns].astype(np.float64), rests,
@@ -477,5 +479,5 @@ class Rest:
 
     def alive(self, block: Array) -> Array:
         """[K, D_m] the block of `step` with idle motion added."""
-        assert self._span is not None, "hear comes first"
+        assert self._span is not None, "analyse comes first"
         return self._life(block, self._span, self._rests)

@@ -32,6 +32,7 @@ def export_armature(source: str, target: str, scene: str = "") -> None:
         armature = max(armatures, key=lambda thing: len(thing.data.bones))
         nodes.append({"name": armature.name, "parent": -1, "matrix": _rows(armature.matrix_world), "length": 0.0})
         at = {}
+        # Depth first with a stack: `reversed` keeps the file's order of siblings.
         todo: list[tuple[Any, int]] = [(bone, 0) for bone in reversed(armature.data.bones) if bone.parent is None]
         while todo:
             bone, parent = todo.pop()

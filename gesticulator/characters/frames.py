@@ -92,6 +92,7 @@ class Body:
         bound = self.rest_turns[hips]
         if self.character.bind is not None:
             bound = self.bind_axes @ turns_of(self.character.bind[hips])
+        # The turn of the hips from rest back to the bind pose: the lean of the whole body.
         upright = bound @ self.rest_turns[hips].T  # a body that leans as a whole does not sit
 
         def way(above: str, below: str) -> Array:
@@ -189,6 +190,7 @@ def _unit(character: Character, mapping: RigMapping, rest: Array) -> float:
         return 1.0
     if character.unit is None:
         return min((1.0, 0.01, 0.001), key=lambda unit: abs(float(np.log(length * unit / _LENGTH))))
+    # Powers of ten by which the body is too small or too large.
     off = float(np.log10(_LENGTH / (length * character.unit)))
     # Exports with the wrong unit are off by a power of ten; other sizes may be meant (a child, a giant).
     return character.unit * 10.0 ** round(off) if abs(off) > 1.0 else character.unit
@@ -201,6 +203,7 @@ def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
     axis = _nearest_axis(up)
     known = UPS.get(character.kind)
     modelled = character.space @ _nearest_axis(character.space.T @ up)  # along an axis of the mesh
+    # In order of trust: an axis of the mesh, the format's up axis, any axis of the file that is near.
     if known is not None and up @ modelled > np.cos(_UPRIGHT) and modelled @ known < np.cos(_LEVEL):
         up = modelled
     elif known is not None and up @ known > 0.5:
@@ -250,6 +253,7 @@ def _unit_vector(character: Character, vector: Array, what: str) -> Array:
 
 def frame(along: Array, across: Array) -> Array:
     """[3, 3] columns: the direction of `along`, of the part of `across` orthogonal to it, and their cross product."""
+    # Gram-Schmidt: `along` exactly, `across` as near as orthogonality allows.
     first = along / np.linalg.norm(along)
     second = across - (across @ first) * first
     second = second / np.linalg.norm(second)
@@ -310,6 +314,7 @@ class _Rig:
         joints, bind = self.joints, self.bind
         out = [BoneSegment(joints["Hips"], "Hips", bind[joints["Hips"]])]
         chest_change = self._chest_change()
+        # By length, not by number: some rigs have a short first spine bone.
         shares = self._shares([joints["Hips"], *self.mapping.spine])
         source = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
         steps = np.cumsum([0.0, *(np.linalg.norm(_SOURCE[name]) for name in source[1:])])
@@ -352,6 +357,7 @@ class _Rig:
         """[3] rotation vector from the bind pose of the chest to the source at rest; zero if the character is
         upright."""
         top = self.mapping.neck[0] if self.mapping.neck else self.joints["Head"]
+        # Spine and shoulders together define the chest's orientation, as two directions of a frame.
         spine = self._bind_place(top)
         across = self._bind_place(self.joints["LeftArm"]) - self._bind_place(self.joints["RightArm"])
         source = np.sum([_SOURCE[name] for name in ("Spine", "Spine1", "Spine2", "Spine3", "Neck")], axis=0)
@@ -409,6 +415,7 @@ class _Rig:
         """Direction along the hand and out of its back in the bind pose (None without fingers), and those of the
         source."""
         fingers = [finger for finger in FINGERS[1:] if f"{side}Hand{finger}1" in self.joints]
+        # Two knuckles far apart give the palm's plane best.
         pair = next((pair for pair in _KNUCKLES if set(pair) <= set(fingers)), None)
         hand, source_back = self.joints[side + "Hand"], np.array([0.0, 1.0, 0.0])
         if not fingers:
@@ -462,6 +469,7 @@ class _Rig:
         """[3] direction of a finger bone in the bind pose: to the next joint or its tip, else that of the bone
         before."""
         node, following = self.joints[name], name[:-1] + str(int(name[-1]) + 1)
+        # A finger's last joint may have several children (nail, tip); the farthest shows the direction.
         ways = [self.way(node, self.joints[following])] if following in self.joints else [
             self.way(node, child) for child, parent in enumerate(self.character.parents) if parent == node]
         if node in self.character.tips and following not in self.joints:
@@ -486,6 +494,7 @@ class _Rig:
             turn = np.eye(3)
             if side + "ToeBase" in self.joints:
                 toes = self.bone(side + "Foot", side + "ToeBase")
+                # Only the horizontal part: heels of shoes raise the ankle, and the foot is flat all the same.
                 level = toes * [1.0, 0.0, 1.0]
                 # The foot turns about the vertical alone; on a very high heel the toes point down and give no
                 # direction.

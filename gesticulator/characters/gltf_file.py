@@ -101,6 +101,7 @@ class GltfFile:
         self._check_extensions()
         self._check_buffers()
         self._check_nodes()
+        # After the checks: it relies on valid lists.
         self._draco = draco_attributes(document)
 
     def rows(self, name: str) -> list[dict[str, Any]]:
@@ -277,6 +278,7 @@ class GltfFile:
             # The format requires rising indices; repeated ones would make the result depend on the order.
             if few and (at.max() >= source["count"] or (np.diff(at) <= 0).any()):
                 raise self.error(f"accessors[{accessor}].sparse.indices do not rise below {source['count']}")
+            # Only those sparse values whose rows were requested.
             here = np.isin(at, np.array(chosen, dtype=np.int64)) if step > 1 or most is not None else at >= first
             values[(at[here] - first) // step] = self._numbers(source["sparse"]["values"], few, kind, width)[here]
         if source.get("normalized") is True and kind.kind in "iu":
@@ -355,6 +357,7 @@ class GltfFile:
     def bytes_of(self, place: Path) -> bytes:
         """A separate file of the document, read only once."""
         if place not in self._beside:
+            # The limit is for all separate files together.
             left = LARGEST - sum(map(len, self._beside.values()))
             self._beside[place] = read_bytes(place, "leave out its textures", left)
         return self._beside[place]

@@ -197,6 +197,7 @@ def _bind(character: Character, inverse: Mapping[int, Array], meshes: Sequence[i
     joints = list(inverse)
     there = np.array([np.linalg.inv(inverse[node]) for node in joints])
     candidates = np.array([rest[node] @ inverse[node] for node in joints])[::max(1, len(joints) // _MOST_CANDIDATES)]
+    # Each joint proposes a transform; the one that most joints agree with wins (as in RANSAC).
     counts = [int(_explained(candidate @ there, rest[joints]).sum()) for candidate in candidates]
     to_world = candidates[int(np.argmax(counts))]  # the first of equals, which is nearest to the root of the skin
     agree = max(counts) >= _MOST * len(joints)
@@ -221,6 +222,7 @@ def _bind(character: Character, inverse: Mapping[int, Array], meshes: Sequence[i
 def _explained(there: Array, rest: Array) -> NDArray[np.bool_]:
     """[J] which joints are at rest where the bind pose has them: both [J, 4, 4] in the world."""
     size = max(float(np.ptp(rest[:, :3, 3], axis=0).max()), 1e-9)
+    # Both place and rotation must agree: many rigs have several joints in one place.
     near = np.linalg.norm(there[:, :3, 3] - rest[:, :3, 3], axis=-1) < _SAME_PLACE * size
     return np.asarray(near & (_angles(there, rest) < _SAME_TURN))
 
@@ -228,6 +230,7 @@ def _explained(there: Array, rest: Array) -> NDArray[np.bool_]:
 def _angles(a: Array, b: Array) -> Array:
     """[J] radians between the rotations of matrices [J, 4, 4]; pi if one is mirrored and the other is not."""
     apart = np.swapaxes(turns_of(a), -1, -2) @ turns_of(b)
+    # The trace of a rotation matrix is 1 + 2 cos(angle).
     cosine = (np.trace(apart, axis1=-2, axis2=-1) - 1.0) / 2.0
     return np.where(np.linalg.det(apart) > 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)), np.pi)
 
@@ -249,6 +252,7 @@ def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, 
     below, above = np.array(bones).T
     here, bound = (np.linalg.norm(m[below, :3, 3] - m[above, :3, 3], axis=-1) for m in (rest[joints], there))
     long = bound > 0.1 * bound.max()
+    # The size of the skeleton at rest relative to mesh space must be that of the node's matrix.
     scale = float(np.median(here[long] / bound[long]))
     tops = [character.parents[node] for node in joints if character.parents[node] not in place]
     depth = [len(ancestors(character.parents, node)) for node in joints]
@@ -387,6 +391,7 @@ def _influences(file: GltfFile, attributes: Mapping[str, int], used: NDArray[np.
 def _without_bad_triangles(points: Array, joints: NDArray[np.int64], weights: Array, triangles: NDArray[np.int64]
                            ) -> Skin:
     """The skin without the triangles that have a corner at no finite place or without weight."""
+    # Weights are normalised here, since files store them rounded to 8 or 16 bits.
     whole = weights.sum(axis=1)
     good = (np.abs(points) <= FARTHEST).all(axis=1) & (whole > 0.0)
     return Skin(np.where(good[:, None], points, 0.0), joints, weights / np.where(good, whole, 1.0)[:, None],

@@ -142,6 +142,7 @@ def _from_vrm(character: Character) -> RigMapping:
 def _found(search: Search) -> RigMapping:
     ends = _ends(search)
     joints: dict[str, int] = {}
+    # Confidence of each joint found.
     sure: dict[str, float] = {}
     doubts: list[str] = []
     joints |= _legs_without_feet(search, ends)
@@ -150,6 +151,7 @@ def _found(search: Search) -> RigMapping:
         if pair[0] is None or pair[1] is None:
             doubts.append(f"its {'arms' if kind == 'Hand' else 'legs'} cannot be identified")
             continue
+        # Both limbs hang on this node, so everything below it belongs to one of them.
         top = search.meeting(pair[0], pair[1])
         for side, end in zip(SIDES, pair, strict=True):
             assert end is not None
@@ -216,6 +218,7 @@ def _ends(search: Search) -> dict[str, int]:
     if heads:
         out["Head"] = min(heads, key=lambda node: (-_nearness(search, node, out),
                                                    len(ancestors(search.character.parents, node)), node))
+    # Names gave fewer than two hands, two feet and a head.
     if len(out) < 5:
         for name, node in _ends_by_shape(search).items():
             if _ends_another(search, name, node, out):
@@ -363,6 +366,7 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
             doubts.append("its head cannot be identified")
             return None
     fork = search.meeting(fork, head)
+    # Hips join the legs and the trunk.
     meeting = search.meeting(search.meeting(legs[0], legs[-1]), fork) if legs else fork
     line = [meeting, *ancestors(search.character.parents, meeting)] if meeting >= 0 else []
     named = [node for node in line if search.labels[node].parts[:1] == ("Hips",) and not search.labels[node].aid]
@@ -376,6 +380,7 @@ def _trunk(search: Search, joints: Mapping[str, int], head: int | None, doubts: 
         doubts.append("its arms and its head have no node in common")
         return None
     way = [node for node in search.path(hips, head) if node != head]
+    # Where names tell, the neck begins at its first named joint.
     first_neck = next((place for place, node in enumerate(way) if search.labels[node].parts[:1] == ("Neck",)), None)
     if first_neck is None:
         # Without names the neck begins above the fork of the arms; arms attached to the neck are below the fork.
@@ -455,6 +460,7 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
     for upper, lower in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
         both = [search.length(joints[side + upper], joints[side + lower]) for side in SIDES
                 if side + upper in joints and side + lower in joints]
+        # Bodies are symmetric: very different lengths show that a wrong node was chosen on one side.
         if len(both) == 2 and min(both) < 0.7 * max(both):
             doubts.append(f"the bone from {upper} to {lower} is {max(both) / max(min(both), 1e-9):.1f} times as long "
                           "on one side as on the other")

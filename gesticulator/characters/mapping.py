@@ -73,6 +73,7 @@ def check(mapping: RigMapping, character: Character) -> None:
     missing = [name for name in NEEDED if name not in mapping.joints]
     if missing:
         doubts = [doubt for doubt in mapping.doubts if not doubt.startswith(LACKS)]
+        # A missing arm is the commonest case and gets a message of its own.
         for side, other in zip(SIDES, SIDES[::-1], strict=True):
             if all(name.startswith(side) for name in missing):
                 raise InputError(character.path, f"has the {other.lower()} arm, but no joint that could be "
@@ -93,6 +94,7 @@ def check(mapping: RigMapping, character: Character) -> None:
         for side in SIDES:
             chain = [mapping.joints[side + part] for part in parts if side + part in mapping.joints]
             for above, below in zip(chain, chain[1:], strict=False):
+                # A joint that is not below the one before would not move with it.
                 if above not in ancestors(character.parents, below):
                     raise InputError(character.path, f"does not have {shown(character.names[below])} under "
                                      f"{shown(character.names[above])}", _ADVICE)

@@ -229,6 +229,7 @@ def label(name: str, noise: frozenset[str] = frozenset(), french: bool = False) 
         side, tokens = _glued_side(tokens)
     tip = any(word in _TIPS for word in tokens)
     aid = any(word in _AIDS for word in tokens)
+    # Unity and VRM name phalanges instead of numbering them.
     kind = next((_KINDS[word] for word in tokens if word in _KINDS), "")
     digits = [word for word in tokens if _is_number(word)]
     key = "".join(word for word in tokens if not _is_number(word) and word not in _TIPS | _AIDS and word not in _KINDS)
@@ -307,6 +308,7 @@ def _rigify_spine(character: Character, entries: list[Label]) -> dict[int, Label
                   if len(chains.get(prefix, ())) > _RIGIFY_TRUNK and 0 in chains[prefix]), None)
     if chain is None:
         return {}
+    # A bone named head on the spine, or one that moves the mesh, contradicts Rigify's layout.
     heads = [node for node, entry in enumerate(entries)
              if entry.parts[:1] == ("Head",) and not entry.tip and not entry.aid]
     if any(set(chain.values()) & set(ancestors(character.parents, node)) for node in heads) or (
@@ -344,6 +346,7 @@ def _without_controls(character: Character, entries: list[Label]) -> list[Label]
         return entries
     moves = np.zeros(len(character), dtype=bool)
     moves[np.unique(character.flesh_nodes)] = True
+    # The parts that some node of the mesh's skin already has.
     moving = {(entry.parts[0], entry.side, entry.number) for node, entry in enumerate(entries)
               if entry.parts and moves[node] and not entry.aid and not entry.tip}
     return [replace(entry, parts=()) if entry.parts and not moves[node] and not character.skinned[node]

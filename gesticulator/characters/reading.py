@@ -44,6 +44,7 @@ def choose(file: str | os.PathLike[str], mapping: str | os.PathLike[str] | None 
     """
     character = read_character(file)
     joints = find_joints(character) if mapping is None else load_mapping(mapping, character)
+    # Saved before it is checked: an unusable mapping is the one that the user wants to correct.
     if save is not None:
         Path(save).parent.mkdir(parents=True, exist_ok=True)
         save_mapping(save, joints, character)

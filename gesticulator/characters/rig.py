@@ -159,6 +159,7 @@ def decomposed(matrices: Array) -> tuple[Array, Array, Array]:
 def _turns(q: Array) -> Array:
     """[..., 3, 3] the matrices of unit quaternions [..., 4]."""
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    # Written out for any number of leading dimensions: scipy's Rotation takes [N, 4].
     turn = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
                      2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
                      2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)

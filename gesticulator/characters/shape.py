@@ -76,6 +76,7 @@ def limb_ends(character: Character, places: Array, up: Array, aids: Collection[i
         hands = [leaf for leaf in side_leaves if height[leaf] > floor + 0.2 * size and leaf not in low]
         if hands:
             farthest = max(sign * side[leaf] for leaf in hands)
+            # Several fingertips are about equally far: the deepest in the tree is a finger, not a prop.
             near = [leaf for leaf in hands if sign * side[leaf] > farthest - _EVEN * size]
             out[name + "Hand"] = max(near, key=lambda leaf: (len(ancestors(character.parents, leaf)),
                                                             sign * side[leaf]))
@@ -93,6 +94,7 @@ def _across(leaves: Array, up: Array) -> Array | None:
         if width < 1e-9:
             continue
         other = np.stack([leaves @ up, leaves @ np.cross(axis, up), along - np.median(along)], axis=-1)
+        # Mirror at the middle; a symmetric body then lies on itself.
         flipped = other * [1.0, 1.0, -1.0]
         gap = np.linalg.norm(other[:, None] - flipped[None], axis=-1).min(axis=1).mean() / width
         if gap < best:
@@ -156,6 +158,7 @@ def feet_ahead(character: Character, places: Array, up: Array, joints: Mapping[s
     if any(side + part not in joints for side in ("Left", "Right") for part in ("Arm", "Foot")):
         return None
     left = places[joints["LeftArm"]] - places[joints["RightArm"]]
+    # left x up = forward in right-handed axes.
     ahead = np.cross(left, up)
     ways: list[tuple[Array, float]] = []
     if all(side + "ToeBase" in joints for side in ("Left", "Right")):

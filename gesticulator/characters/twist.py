@@ -61,6 +61,7 @@ def forearms(body: Body) -> list[Forearm]:
         node, hand = joints[side + "ForeArm"], joints[side + "Hand"]
         way = turns[node].T @ (places[hand] - places[node])
         length = float(np.linalg.norm(way))
+        # The nodes strictly between forearm and hand.
         line = ancestors(character.parents, hand)
         line = line[:line.index(node)]
         twists = []

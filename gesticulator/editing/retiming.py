@@ -220,7 +220,7 @@ def drafted(plan: GesturePlan, speech: Speech, own: SpeechFeatures, words: Seque
     sections = moved_sections(plan, beats, words, drawn.edges[-1])
     moved = replace(plan, **sections.parts, drawn=drawn, blocks=blocks, source="plan",
                     sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
-                    fingerprint=fingerprint_text(sounds.other))
+                    fingerprint=fingerprint_text(sounds.new))
     return Retimed(moved, replace(_report(plan, cut.blocks), same_speech=round(sounds.speech, 4), moved=sections.items,
                                   words_lost=sections.words_lost))
 

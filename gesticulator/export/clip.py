@@ -60,6 +60,7 @@ class ClipLayout:
 
 def check_clip_outputs(clip: ClipLayout, suffixes: Sequence[str], together: bool) -> None:
     """`InputError` for a clip that none of the outputs can follow. together: several clips are written to one file."""
+    # A plan (.json) may accompany any clip: it holds no motion.
     other = [suffix for suffix in suffixes if suffix not in CLIPS]
     if clip.additive and [suffix for suffix in other if suffix != ".json"]:
         raise InputError("--layer additive", f"makes no sense in {other[0]}", f"write {', '.join(CLIPS)}")

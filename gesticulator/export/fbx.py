@@ -20,6 +20,7 @@ def write_fbx(path: Path, scene: Scene) -> Path:
         return write_animated(path, character, scene.clip, scene.face)
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"
+        # All frames: the keys are reduced once, by Blender's exporter, within the same bound.
         write_glb(source, replace(scene, layout=replace(scene.clip, keys=0.0)))
         job_in_blender(path, SCRIPT, str(source), str(target), repr(scene.fps), repr(scene.clip.keys), scene.clip.name)
         write_bytes(path, target.read_bytes())

@@ -201,6 +201,7 @@ def turned_by(angles: Any, others: Any) -> float:
     """
     import numpy as np
 
+    # Small differences: the rotation vector is linear in them.
     x, y, z = others - angles
     between = np.sin(np.radians(angles[1]))
     return float(np.sqrt(np.max(x * x + y * y + z * z - 2.0 * between * x * z)))
@@ -214,6 +215,7 @@ def needed(row: Any, bound: float) -> Any:
     has_key[[0, -1]] = True
     frames = np.arange(len(row))
     while True:
+        # Ramer, Douglas and Peucker, all segments of a curve in one step.
         at = np.flatnonzero(has_key)
         off = np.abs(np.interp(frames, at, row[at]) - row)
         worst = np.maximum.reduceat(off, at)

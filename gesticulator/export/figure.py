@@ -162,6 +162,7 @@ def legs(now: Mapping[str, Array] | None = None) -> list[BodyPart]:
 
 
 def _leg(now: Mapping[str, Array], side: str) -> BodyPart:
+    # The sole is drawn from a heel behind the ankle, as the skeleton has no heel.
     hip, knee, ankle, ball, tip = (now[side + name] for name in ("UpLeg", "Leg", "Foot", "ToeBase", "ToeBaseTip"))
     heel = ankle + 0.62 * (ball - ankle) * [0.0, 1.0, 0.0] + 0.35 * (ankle - ball) * [1.0, 0.0, 1.0]
     return BodyPart((Limb(hip, knee, 0.17, 0.115, TROUSERS), Limb(knee, ankle, 0.115, 0.09, TROUSERS),
@@ -208,6 +209,7 @@ def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
     centre = now["Head"] + 0.52 * up
     gaze = now["Nose"] - centre
     face = centre + 0.22 * gaze - 0.15 * up
+    # The face is hidden once the nose points clearly away from the viewer.
     ahead = look(now["Nose"])[2] - look(centre)[2] > -0.04
     hair = Limb(centre, centre, 0.216, 0.216, HAIR)
     front = (Limb(face, face, 0.2, 0.2, SKIN), Limb(now["Nose"], now["Nose"], 0.034, 0.034, NOSE))

@@ -106,6 +106,7 @@ class Camera:
         Depth grows towards the viewer; scale = zoom * side * distance / (distance - depth).
         """
         x, y, z = np.moveaxis(np.asarray(points, float) - self.middle, -1, 0)
+        # Turn about the vertical, then tilt: the usual order of a camera on a tripod.
         across = x * math.cos(self.yaw) - z * math.sin(self.yaw)
         ahead = x * math.sin(self.yaw) + z * math.cos(self.yaw)
         up = y * math.cos(self.pitch) - ahead * math.sin(self.pitch)
@@ -183,6 +184,7 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
             if shown is None or shown[frame]:
                 for corners, colour in flat[number]:
                     pen.polygon(corners[frame], fill=colour)
+        # Averages of 2 x 2 pixels: edges become smooth.
         rest.paste(picture.reduce(_OVER), (low[0], low[1]))
         yield rest.copy()
 
@@ -210,6 +212,7 @@ def encode_pictures(drawn: Iterator[Image], frames: int, speech: Speech, suffix:
         raise InputError("fps", f"must be 1 or more, not {fps}")
     if frames < 1:
         raise InputError("video", "would hold no frame", "give a longer stretch")
+    # Exactly as long as the picture, so that players do not stretch either.
     sound = _resampled(speech, frames, fps)
     with tempfile.TemporaryDirectory() as folder:
         # A file, not memory: moving the index to the front reads back the written data.

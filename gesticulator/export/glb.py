@@ -136,6 +136,7 @@ def skeleton_document(motion: NodeMotion) -> GltfDocument:
 
 def _dress(gltf: GltfDocument, motion: NodeMotion) -> None:
     """Attach the figure to the joints as a skin, which tools import as an armature."""
+    # Rigid skinning: each vertex follows one joint with weight 1.
     body, bind = figure(motion), motion.rest_matrices()
     inverse = np.linalg.inv(bind)
     inverse[:, 3] = [0, 0, 0, 1]  # exactly, as the format requires
@@ -184,6 +185,7 @@ def figure(motion: NodeMotion) -> FigureMesh:
     """The mesh of all bones of a skeleton at rest; [0, 3] if no bone has a length."""
     world = motion.rest_matrices()
     bones = [(parent, world[node, :3, 3]) for node, parent in enumerate(motion.parents) if parent >= 0]
+    # Nodes without a child end in a tip (a fingertip, the crown of the head).
     bones += [(node, world[node, :3, :3] @ tip + world[node, :3, 3]) for node, tip in motion.tips.items()]
     corners, joints = [], []
     for joint, end in bones:

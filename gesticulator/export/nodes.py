@@ -111,6 +111,7 @@ def of_character(moved: CharacterMotion) -> NodeMotion:
         rest, world = _UPRIGHT @ rest, _UPRIGHT @ world
     rest_turns, turns = (_turns(matrices[..., nodes, :, :]) for matrices in (rest, world))
     parents = [nodes.index(character.parents[node]) if node != moved.hips else -1 for node in nodes]
+    # From here on metres; node scales are contained in the places.
     places = rest[nodes, :3, 3] * moved.unit
     count = len(nodes)
     offsets, local_rest, local = np.zeros((count, 3)), np.zeros((count, 4)), np.zeros((len(moved), count, 4))

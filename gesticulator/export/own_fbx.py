@@ -97,6 +97,7 @@ def _with_face(poses: dict[str, Any], file: Path, moved: CharacterMotion, face: 
             shapes += [(entry["name"], key, column) for key, column, still in zip(
                 keys, values.reshape(-1, len(keys)).T, stills, strict=True) if np.abs(column - still).max() > _STILL]
         elif path == ROTATION and entry["name"] in moved.character.names and entry["name"] not in names:
+            # glTF's quaternions are w last, ours w first.
             rest = np.array(entry.get("rotation", [0.0, 0.0, 0.0, 1.0]))[[3, 0, 1, 2]]
             names.append(entry["name"])
             turns.append(rotation.multiply(rotation.conjugate(rest), values[:, [3, 0, 1, 2]].astype(float))[:, None])
@@ -114,6 +115,7 @@ def _animated_glb(file: Path, moved: CharacterMotion, clip: ClipLayout, face: Fa
 
     gltf, poses = open_gltf(file), pose(moved)
     nodes = gltf.document["nodes"]
+    # By name, as Blender may add and reorder nodes.
     bones = {nodes[node]["name"]: node for skin in gltf.document.get("skins", []) for node in skin["joints"]}
     names = [name for name in poses["names"].tolist() if name in bones]
     rows = [poses["names"].tolist().index(name) for name in names]

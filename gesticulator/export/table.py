@@ -24,6 +24,7 @@ def write_csv(path: Path, scene: Scene) -> Path:
     labels = [f"{_quoted(joint)},{_quoted(parent)}" for joint, parent in zip(joints, parents, strict=True)]
     body = io.StringIO()
     body.write(",".join(COLUMNS) + "\n")
+    # Adding 0.0 turns -0.0 into 0.0, so that equal motions give equal bytes.
     for time, frame in zip(times.tolist(), (numbers + 0.0).tolist(), strict=True):
         body.writelines(f"{time:.6f},{label},{x:.6f},{y:.6f},{z:.6f},{qw:.7f},{qx:.7f},{qy:.7f},{qz:.7f}\n"
                         for label, (x, y, z, qw, qx, qy, qz) in zip(labels, frame, strict=True))
@@ -43,6 +44,7 @@ def write_parquet(path: Path, scene: Scene) -> Path:
     times, joints, parents, numbers = _cells(motion)
     repeated: dict[str, Any] = {"time": np.repeat(times, len(joints))}
     for column, names in (("joint", joints), ("parent", parents)):
+        # Names as indices into a dictionary, expanded by Arrow: no Python string for each row.
         codes = pyarrow.array(np.tile(np.arange(len(names), dtype=np.int32), len(times)))
         repeated[column] = pyarrow.DictionaryArray.from_arrays(codes, pyarrow.array(names)).cast(pyarrow.string())
     flat = numbers.reshape(-1, numbers.shape[-1]).astype(np.float32)

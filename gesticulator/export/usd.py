@@ -32,6 +32,7 @@ def write_usd(path: Path, scene: Scene) -> Path:
 
     suffix = path.suffix.lower()
     with tempfile.TemporaryDirectory() as folder:
+        # OpenUSD writes to a path of its own: the result is moved at the end, atomically.
         target = Path(folder) / f"motion{suffix}"
         stage = Usd.Stage.CreateNew(str(target))
         animation, skeleton = _fill(stage, scene.nodes, scene.clip)

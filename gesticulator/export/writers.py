@@ -116,6 +116,7 @@ def suffix_of(path: str | os.PathLike[str]) -> str:
     """The suffix of a path that selects its format, in lower case: the last one, or the last two if they name a format
     (".g1.csv"); "" without one."""
     suffixes = [suffix.lower() for suffix in Path(path).suffixes]
+    # Two-part formats first: .csv alone would match .face.csv, too.
     both = "".join(suffixes[-2:])
     return both if both in WRITERS or both in ELSEWHERE else "".join(suffixes[-1:])
 
@@ -155,6 +156,7 @@ def write(path: str | os.PathLike[str], scene: Scene, *, unit: str = "cm") -> Pa
     `check_output`; OSError for disk errors."""
     check_output(path, unit)
     writer = writer_for(path)
+    # Only the BVH writer takes a unit; `check_output` has rejected others.
     return (writer if unit == "cm" else partial(writer, unit=unit))(Path(path), scene)
 
 

@@ -158,7 +158,7 @@ class Connection:
         """Whether late audio is processed at lower cost or skipped."""
 
     async def run(self) -> None:
-        """Serve the client; returns whatever the client does."""
+        """Serve the client; never raises, whatever the client sends."""
         try:
             request = await self._hello()
             self.place.admit(self, request)
@@ -278,6 +278,7 @@ class Connection:
         self._taken_back = max(self._taken_back, self._pace.ahead)
         self._pace.forget()
         async with self._changed:
+            # Commands and the other speaker's voice stay: they do not belong to the interrupted answer.
             remaining: deque[_Sound | _Command] = deque()
             for item in self._waiting:
                 if isinstance(item, _Sound) and not item.other_voice:
@@ -511,6 +512,7 @@ def _turn(work: Work) -> tuple[SessionAnswer, bool, float]:
     for part in work:
         answer.messages += part.messages
         answer.frames += part.frames
+        # Whole steps only: a step that has begun is finished.
         if time.perf_counter() - begin >= TURN_SECONDS:
             done = False
             break

@@ -54,6 +54,7 @@ class ServerMetrics:
     def text(self) -> bytes:
         """All metrics in Prometheus' text format."""
         registry = self.registry
+        # Any worker may answer the request, so each reads the files of all.
         if SHARED_FOLDER in os.environ:
             registry = CollectorRegistry()
             MultiProcessCollector(registry)

@@ -64,6 +64,7 @@ class Pace:
 
     def worked(self, seconds: float, elapsed: float) -> None:
         """Record that processing `seconds` of audio took `elapsed` seconds, including waiting for other streams."""
+        # Exponential average over audio time, whatever the size of the pieces.
         weight = math.exp(-seconds / _WINDOW_SECONDS)
         self._computing = weight * self._computing + elapsed
         self._computed = weight * self._computed + seconds

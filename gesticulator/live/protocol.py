@@ -63,6 +63,7 @@ class RefusedError(Exception):
 
 @functools.cache
 def published() -> dict[str, Any]:
+    """The published schema of the protocol. `InputError` if it is missing or of another version."""
     for place in _PLACES:
         if place.is_file():
             document: dict[str, Any] = read_object(place, "install gesticulator again")
@@ -105,6 +106,7 @@ class StreamRequest:
         samples = np.frombuffer(sound, "<f4").astype(np.float32)
         if not np.isfinite(samples).all():
             raise RefusedError(CloseCode.BAD_MESSAGE, "the sound holds samples that are not numbers (NaN or infinite)")
+        # Refused rather than clipped: such a stream is scaled wrongly throughout.
         if np.abs(samples, out=np.empty_like(samples)).max(initial=0.0) > _MOST_SAMPLE:
             raise RefusedError(CloseCode.BAD_MESSAGE, "the sound holds samples far beyond full scale, which is 1")
         return samples
@@ -131,7 +133,7 @@ def read_message(text: str) -> dict[str, Any]:
 
 @functools.cache
 def _validators() -> dict[str, Draft202012Validator]:
-    """Type of a client's message -> what checks it."""
+    """Type of a client's message -> the validator of its schema."""
     schema = published()
     kinds = [entry["$ref"].removeprefix("#/$defs/") for entry in schema["client"]["oneOf"]]
     return {kind: Draft202012Validator({"$ref": f"#/$defs/{kind}", "$defs": schema["$defs"]}) for kind in kinds}

@@ -280,6 +280,7 @@ class LiveServer:
         origin = request.headers.get("Origin")
         if origin is not None and not self.address.admits(origin):
             return self._refusal(http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect; see --origin\n")
+        # Cut off the oldest instead of refusing the new one: idle connections must not lock others out.
         if len(self._guests) >= MOST_GUESTS:
             oldest = next(iter(self._guests))
             del self._guests[oldest]

@@ -235,6 +235,7 @@ class VmcOutput:
         with self._lock:
             if not self._parts:
                 return None
+            # The frame whose time is now; skipped ones are never sent late.
             frame = int((now - self._zero) * self._parts[0].fps)
             place = max(bisect_right([part.first for part in self._parts], frame) - 1, 0)
             del self._parts[:place]
@@ -249,7 +250,7 @@ class VmcOutput:
         self._thread.start()
 
     def close(self) -> None:
-        """Let go of the socket, of an output that was not started."""
+        """Close the socket of an output that was not started."""
         self._socket.close()
 
     def stop(self) -> None:

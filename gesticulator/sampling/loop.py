@@ -312,7 +312,7 @@ def resting(bundle: Bundle, setup: Setup, state: State, request: Request, featur
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()
-    return Resting(rest.hear(request.speech.span, probability, still, activity), probability, gate, rest)
+    return Resting(rest.analyse(request.speech.span, probability, still, activity), probability, gate, rest)
 
 
 def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeatures) -> tuple[Scores, Any, Any]:

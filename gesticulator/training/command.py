@@ -84,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seed is not None:
         config = dataclasses.replace(config, seed=args.seed)
     out = Path(args.out)
+    # Beside the bundle by default, so that the same command resumes.
     work = Path(args.work) if args.work else out.with_name(out.name + ".work")
     store = Store.open(args.data)
     for line in () if args.quiet else doubts(store):

@@ -230,6 +230,7 @@ class BatchDraws(TorchDispatchMode):
         if func in _SIZED:
             place = _SIZED[func]
             size = list(args[place])
+            # Generate the numbers of all rows, then keep ours: a row's noise does not depend on the division.
             size[self._rows(size)] *= shares()
             return self._own(func(*args[:place], size, *args[place + 1:], **kwargs))
         if func in _ALIKE:

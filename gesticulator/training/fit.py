@@ -57,6 +57,7 @@ def generator_for(seed: int, step: int) -> np.random.Generator:
 def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.optim.Optimizer, float]]:
     offered: Callable[[], Iterable[tuple[Tensor, float]]] | None = getattr(model, "sparse_parameters", None)
     sparse = list(offered()) if offered is not None else []
+    # Tensors compare elementwise, so parameters are told apart by identity.
     apart = {id(parameter) for parameter, _ in sparse}
     dense = [p for p in model.parameters() if p.requires_grad and id(p) not in apart]
     # Without decay both are the same.
@@ -214,6 +215,7 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
         raise InputError(folder, "holds different checkpoints on different machines", "put --work on shared storage")
     distributed.spread(model)
     log = StepLog(folder / f"{stage}.jsonl", first)
+    # Validations are spread evenly over the run.
     every = max(1, settings.steps // settings.validations)
     figures: dict[str, float] = {}
     saved_at = time.monotonic()

@@ -39,7 +39,7 @@ from gesticulator.bundle.config import (
 __all__ = ["PRESETS", "preset"]
 
 LITERAL = EpisodeConfig(truth=1.0, sampled=0.0, statistical=0.0, perturbed=0.0, baseline=0)
-"""RACER's data set: only what the performers did."""
+"""RACER's data set: the performers' decisions alone."""
 
 
 def paper_trinity() -> Config:
@@ -117,10 +117,9 @@ def regression() -> Config:
         style=StyleConfig(audio_features=32, audio_bottleneck=48, width=128),  # no text: Table 3 shows little effect
         gate=GateConfig(audio_features=16, audio_bottleneck=32, width=64),
         # A horizon of ten blocks, slightly longer than the reward's window: in 800 steps values over a hundred blocks
-        # (gamma
-        # 0.99) would not converge. The first half of the run imitates the data before learning values. Of the alphas
-        # tried on
-        # the validation split (0.1 to 10), those below 1 left the data for lexemes that the judging reward rates low.
+        # (gamma 0.99) would not converge. The first half of the run imitates the data before learning values. Of the
+        # alphas tried on the validation split (0.1 to 10), those below 1 left the data for lexemes that the judging
+        # reward rates low.
         cql=QConfig(conservative=1.0, gamma=0.9, copy_every=25, warm_up=0.5),
     )
 
@@ -146,7 +145,7 @@ def paper() -> Config:
             interpreter_text=NOT_TRAINED,  # from scratch, with the words as an input of the LSTM (RG Eq. 18)
             reward=dataclasses.replace(s.reward, steps=500, batch=64),
             cql=dataclasses.replace(s.cql, steps=500), cql_literal=dataclasses.replace(s.cql, steps=500)),
-        encoder=EncoderConfig(width=64),  # windows of three blocks make 23 hours of sound, heard at every new weight
+        encoder=EncoderConfig(width=64),  # encoding 23 hours of three-block windows repeats at every new weight
         motion=MotionConfig(least_deviation=0.1),  # the arms count more than small rotations of the trunk
         # The best lexeme of RG holds one lexeme for 40 blocks, and that of RACER for whole recordings: at these
         # temperatures no lexeme has more than a tenth of the voiced blocks of five recordings.
@@ -164,11 +163,11 @@ def paper() -> Config:
 def paper_quick() -> Config:
     """`regression` made short, for four minutes of one core: the system of the tables of `gesticulator ablate`.
 
-    What is heard are mel bands: the speech encoder of `regression` carries less and costs more than all else together.
-    Sixteen joints, the paper's. Shorter and narrower: the generator (an LSTM of 1 x 128, 8 groups, 800 steps of 16
-    windows) and both interpreters (96 and 64 wide, stopped early). Over the last quarter of its steps the validation
-    of a generator still gains 1 to 2 %. There is no gate and nothing can be asked of the style: the paper's system has
-    neither.
+    The input is mel bands: the speech encoder of `regression` carries less information and costs more than all other
+    stages together. Sixteen joints, as in the paper. Shorter and narrower: the generator (an LSTM of 1 x 128, 8 groups,
+    800 steps of 16 windows) and both interpreters (96 and 64 wide, stopped early). Over the last quarter of its
+    steps the validation of a generator still gains 1 to 2 %. There is no gate and no style control: the paper's system
+    has neither.
     """
     base = regression()
     s = base.schedules
@@ -225,15 +224,15 @@ def default() -> Config:
         front_end=FrontEndConfig(name="mel", bands=40, robust=True),
         # One degree, so that the trunk counts; this smoothing does not reduce speed (0.05 did).
         motion=MotionConfig(joints=46, least_deviation=0.0175, smoothing=0.02),
-        # Large movements are rare: lexemes that are revived as soon as they are used less than average leave them, and
-        # tell a third less of the movement.
+        # Large movements are rare: lexemes that are revived as soon as they are used less than average abandon
+        # them, and explain a third less of the movement.
         lexicon=LexiconConfig(quantizer="vq-vae", size=200, code_width=128, commitment=0.5,
                               revive_below=0.1, warm_up=0.1),
         generator=GeneratorConfig(
             motion_features=32, audio_features=32, audio_bottleneck=48, style_width=4, position_width=8,
             hidden=128, groups=16, classes=32, lstm_layers=1, use_control=True, bend=4.0, dropout=0.1,
             history_dropout=0.2,
-            hears_through="code",  # beside it, the code would tell the head nothing that it needs
+            hears_through="code",  # with audio beside it, the head would ignore the code
             units=True, style_dropout=0.2,
             after_dropout=0.15,  # a live stream may generate a block before the next one is known
             # More noise teaches corrections that are not needed: held hands then drift.

@@ -88,6 +88,7 @@ __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUAL
 def wanted(config: Config) -> list[Stage[Any]]:
     """The stages required by these settings, in order: those of the system, then those of other packages."""
     stages = dict(STAGES)
+    # A stage that no system lists comes from another package and is always offered.
     listed = {name for system in SYSTEMS for name in SYSTEMS.load(system).STAGES}
     names = [*system_of(config).STAGES, *(name for name in stages if name not in listed)]
     return [stages[name] for name in names if stages[name].wanted(config)]

@@ -128,6 +128,7 @@ def gains(table: EnsembleReward | Centred, actions: Tensor, blocks: Tensor, at: 
     for begin in range(0, len(places), _TOGETHER):
         rows, columns, after = (torch.as_tensor(part) for part in np.array(places[begin:begin + _TOGETHER]).T)
         changed = torch.as_tensor(at)[rows]
+        # A reward depends on a window of lexemes, so a swap changes those of the next `window` - 1 blocks.
         end = changed + after
         index = end[:, None] + torch.arange(1 - window, 1)
         lexemes = actions[index.clamp_min(0)]

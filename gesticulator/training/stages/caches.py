@@ -57,6 +57,7 @@ def _encode_one(source: str, config: Config, encoder: SpeechEncoder | None, targ
         low, high = encode(arrays["sound"].astype(np.float32), arrays["reference"], np.diff(arrays["edges"]), config,
                            front_end_for(config, encoder))
     out = {"low": low.astype(np.float16)}
+    # One copy on disk for front ends with a single level.
     if high is not low and not np.array_equal(high, low):
         out["high"] = high.astype(np.float16)
     return _write(target, out, source)

@@ -70,6 +70,7 @@ def _movements(run: Run) -> MovementLexicon:
 
 def _build(run: Run) -> Generator | FlowGenerator:
     model = models.build("generator", model_sizes(run, training=not system_of(run.config).VARIES))
+    # The flow generates coefficients of the lexicon's basis, so it takes over basis and scale.
     if isinstance(model, FlowGenerator):
         lexicon, corpus = _movements(run), run.get(CORPUS)
         known = torch.as_tensor(corpus.some("train"))

@@ -37,7 +37,7 @@ _SMALL, _LARGE = 0.15, 0.3
 
 
 def block_units(corpus: Corpus, config: Config) -> NDArray[np.int64]:
-    """[N, 4] the decision of `interpreters.planner` that each block of a corpus shows."""
+    """[N, 4] the decision (of `interpreters.planner`) measured on each block of a corpus."""
     out = [units_of(hands_of(corpus, config, recording), edges_of(corpus, recording))
            for recording in range(len(corpus.names))]
     return np.concatenate(out) if out else np.zeros((0, 4), np.int64)
@@ -67,8 +67,8 @@ def hands_of_blocks(rows: Array, statistics: Statistics, speaker: int, config: C
 
 
 def units_of(hands: Array, edges: Array) -> NDArray[np.int64]:
-    """[M, 4] the decision that each of M blocks with edges [M + 1] seconds shows, from the places [T, 2, 3] of the left
-    and the right hand at `RATE`: the phase of the hand that moves more."""
+    """[M, 4] the decision measured on each of M blocks with edges [M + 1] seconds, from the places [T, 2, 3] of the
+    left and the right hand at `RATE`: the phase of the hand that moves more."""
     hand_phases = [phases_of(hands[:, side], RATE) for side in (0, 1)]
     # Only compared between hands, so the unit (metres per frame) does not matter.
     speeds = np.linalg.norm(np.gradient(hands, axis=0), axis=-1)
@@ -78,6 +78,7 @@ def units_of(hands: Array, edges: Array) -> NDArray[np.int64]:
         # A block shorter than a frame still shows one.
         last = max(last, first + 1)
         phases = [_phase(side.labels[first:last]) for side in hand_phases]
+        # A block gestures if either hand does; the faster acting hand gives phase and size.
         acting = [phase != Phase.REST for phase in phases]
         if not any(acting):
             continue
@@ -111,7 +112,7 @@ def _stroke(hand: HandPhases, phase: int, first: int, last: int) -> tuple[int, i
 
 UNITS: Node[NDArray[np.int64]] = Node(
     "units", settings=(), needs=lambda config: (BLOCKS,), make=lambda run: block_units(run.get(BLOCKS), run.config))
-"""[N, 4] the decisions that the blocks show."""
+"""[N, 4] the decisions measured on the blocks."""
 
 
 def _train(run: Run, model: UnitPlanner, folder: Path) -> Figures:
@@ -174,8 +175,9 @@ GATE: Stage[ActivityGate] = Stage(
 _LONGEST_UNIT = 14
 """Blocks of a unit, at most; a longer one is cut, since the style of a talk changes within seconds."""
 _LOG_FLOOR = 0.02
-"""m/s and m under the logarithms."""
+"""Added to speeds (m/s) and ranges (m) before the logarithm, which a still hand would send to minus infinity."""
 _LARGEST_CODE = 2.5
+"""Bound on a code, standard deviations: outliers of captured motion are clipped."""
 _FEWEST_UNITS = 20
 """Units from which on a speaker's own mean and deviation are used."""
 
@@ -196,6 +198,7 @@ def style_of(hands: Array) -> Array:
     """[4] speed, range, height and reach (`interpreters.planner.CODE`) of hands [T, 2, 3] over the hips at `RATE`,
     logarithms of m/s and m, and m."""
     speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1).mean() * RATE if len(hands) > 1 else 0.0
+    # The larger of the two hands: one-handed gestures must not count as half.
     spread = np.sqrt(hands.var(axis=0).sum(axis=-1)).max()
     reach = np.linalg.norm(hands[..., [0, 2]], axis=-1)
     height = hands[..., 1].max(axis=1).mean()

@@ -100,6 +100,7 @@ def teacher_logits(model: LstmInterpreter, corpus: Corpus, blocks: NDArray[np.in
     """[M - 1, S] scores of blocks [M] of a recording except the first, given lexemes [M] and the performer's motion.
     words: block numbers [M] whose words are read; default: the blocks themselves."""
     rows, previous = torch.as_tensor(blocks[1:]), torch.as_tensor(lexemes[:-1])[None]
+    # Other words than those of the blocks measure how much the words matter.
     text = corpus.text((blocks if words is None else words)[1:])[None] if model.config.reads else None
     pose = pose_of(*corpus.before(blocks[1:]))[None] if model.config.pose_features else None
     who = torch.tensor([int(corpus.speaker_of[corpus.recording[blocks[0]]])])
@@ -122,6 +123,7 @@ def _train_style(run: Run, model: StyleInterpreter | UnitStyleInterpreter, folde
     codes = generator.styles
     table = codes.table.weight.detach()
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers, text)
+    # A corpus of fewer than ten recordings validates on its training data.
     held = parts[::_HELD_OUT] if len(parts) >= _HELD_OUT else []
     windows = Windows(corpus, [p for i, p in enumerate(parts) if not held or i % _HELD_OUT], config.window, text=text)
     checks = list(islice(Windows(corpus, held or parts, config.window, text=text).tiled(AT_ONCE), VALIDATED))

@@ -284,6 +284,7 @@ def lexeme_speeds(corpus: Corpus, labels: NDArray[np.int64], size: int, config: 
 def _mean_speed(corpus: Corpus, blocks: NDArray[np.int64], representation: Representation, fps: float) -> float:
     """Mean speed over blocks [B]."""
     speakers = corpus.speaker_of[corpus.recording[blocks]]
+    # Speeds in metres need poses in radians, so the normalisation is undone.
     poses = np.stack([corpus.statistics.denormalise(corpus.motion[int(block)].double().numpy(), int(speaker))
                       for block, speaker in zip(blocks, speakers, strict=True)])
     places = positions_of(representation.motion(poses.reshape(-1, poses.shape[-1]), fps))
@@ -310,6 +311,7 @@ def label(config: Config, corpus: Corpus, tokens: Tokens) -> Labelled:
     train = corpus.select("train")
     silent = silent_lexemes(config, corpus, labels)
     nearest = inventories.nearest_silent(tokens.vectors.detach().double().numpy(), silent)
+    # The silent hint (RG 6.4.1): silent blocks get the silent lexeme nearest to their own.
     hinted = np.where(corpus.silent & (config.silence.hint and len(silent) > 0), nearest[labels], labels)
     numbers = np.zeros(len(labels), dtype=np.int64)
     # 0 is the zero style code, for inserted silence and for blocks outside the training split.

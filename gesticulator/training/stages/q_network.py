@@ -43,6 +43,7 @@ def features_of(corpus: Corpus) -> Callable[[int], BlockFeatures]:
     """A function from block number to an interpreter's inputs; past motion is always the performer's, since nothing is
     generated here."""
     def features(block: int) -> BlockFeatures:
+        # The interpreter may read the pose before the block, which in the data is the performer's.
         past, seconds = corpus.before(np.array([block]))
         return BlockFeatures(corpus.low[block].float(), corpus.high[block].float(), bool(corpus.silent[block]),
                              past=past[0], durations=(float(seconds[0, 0]), float(seconds[0, 1])))

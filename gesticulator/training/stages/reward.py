@@ -87,6 +87,7 @@ class MovementContext:
             if out:
                 before = (out[-1] + self.added[lexemes[:, i - 1]])[:, -frames.shape[1]:]
                 frames = torch.where(valid[:, i - 1].bool()[:, None, None], before, frames)
+            # Predicted from the motion shown so far, as in playback.
             base = self.basis.base(Pasts(frames, self.pasts.ratio[blocks[:, i]]))
             out.append(base if self.manner is None else base + self.manner[blocks[:, i]].float())
         return torch.stack(out, 1)
@@ -110,6 +111,7 @@ def reward_table(model: RewardModel | RewardEnsemble, tokens: Tokens, corpus: Co
     literal: the paper's cosine, averaged over members, without caution. context: a precomputed `context_of`.
     """
     audio, durations = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
+    # The three kinds of lexicon differ in how lexemes become motion.
     how: dict[str, Any] = {"centred": model.config.centred and not literal}
     context = context or context_of(tokens, corpus)
     if isinstance(tokens, RacerCodec):
@@ -191,6 +193,7 @@ class RewardWindows:
                 for at in range(-replaced, 0):
                     current, other = int(lexemes[row, rival, at]), int(rng.integers(size))
                     if likely and length > -at:
+                        # Inverse transform sampling from the transition probabilities.
                         row_of = cumulated[lexemes[row, rival, at - 1]]
                         other = int(np.searchsorted(row_of, rng.random() * row_of[-1]))
                     if at == -1 and other == current:  # the last lexeme must differ

@@ -26,7 +26,7 @@ class StoredRows:
     """An array [N, ...] in numpy's file format that is indexed like a tensor and returns tensors.
 
     Requested rows are read in the order of the file, each once, neighbours together; nothing is memory-mapped or cached
-    in the process. The operating system caches recently read rows for all processes of the machine.
+    in this process. The operating system caches recently read rows for all processes of the machine.
     """
 
     def __init__(self, path: Path, member: str | None = None) -> None:

@@ -72,6 +72,7 @@ class Crops:
         parts = []
         for sound in [store.load(name).speech for name in names] + [load_speech(file) for file in files]:
             samples = resample(sound, SAMPLE_RATE).samples
+            # A recording shorter than a crop is padded, so that it has one possible start.
             parts.append(np.pad(samples, (0, max(0, length - len(samples)))).astype(np.float16))
         sizes = np.array([len(part) for part in parts])
         return cls(np.concatenate(parts), np.cumsum(sizes) - sizes, sizes - length + 1, length)
@@ -177,6 +178,7 @@ class ContrastWindows:
 
 def _around(sound: NDArray[np.float16] | StoredRows, block: int) -> NDArray[np.float16]:
     """[3 L] the audio of a block of [N, L] with the blocks before and after; silence beyond the ends."""
+    # Beyond the recording there is silence.
     out = np.zeros((3, sound.shape[1]), np.float16)
     there = [k for k in (0, 1, 2) if 0 <= block + k - 1 < len(sound)]
     out[there] = np.asarray(sound[np.array(there) + block - 1])

@@ -130,6 +130,7 @@ class TimedRun(Run):
         head = f"stage {place + 1} of {len(self.plan)}: {stage.name}"
         if self.finished(stage):
             return f"{head}, finished before"
+        # Only stages that will run count for the estimate.
         rest = [later for later in self.plan[place + 1:] if not self.finished(later)]
         known = [self.schedule(later).steps * times[later.name] for later in rest if later.name in times]
         head += f", {self.schedule(stage).steps} steps"

@@ -140,6 +140,7 @@ class Windows:
             recordings.append(part.recording)
         stacked = {key: torch.as_tensor(np.stack(values)) for key, values in rows.items()}
         motion = corpus.motion[stacked["motion"]]
+        # Inserted silence holds the last pose of its block for all frames.
         held = stacked["held"][:, :, None, None]
         motion = torch.where(held, motion[:, :, -1:].expand_as(motion), motion)
         speaker = torch.as_tensor(corpus.speaker_of[recordings])
