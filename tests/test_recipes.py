@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 import soundfile
-from performances import perform, write
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -19,8 +18,7 @@ _RECIPE = re.compile(r"^### (?P<title>[^\n]+)\n(?P<body>.*?)(?=^### |\Z)", re.MU
 _PARTS = re.compile(r"`(?P<file>\w+\.py)`:\n\n```python\n(?P<code>.*?)```\n.*?```toml\n(?P<toml>.*?)```\n.*?"
                     r"Run:\n\n```\n(?P<run>[^\n]+)\n```", re.DOTALL)
 RECIPES = {found["title"]: _PARTS.search(found["body"]) for found in _RECIPE.finditer(TEXT)}
-KINDS = {"An interpreter": "interpreters", "A writer": "writers", "A data set": "corpora",
-         "A format of characters": "characters", "A metric": "metrics", "A training stage": "stages"}
+KINDS = {"An interpreter": "interpreters", "A writer": "writers", "A data set": "corpora"}
 
 
 def install(title: str, folder: Path) -> str:
@@ -82,28 +80,6 @@ def test_a_writer(packages: Path, tmp_path: Path) -> None:
     assert all(int(row[2]) >= 0 for row in rows)
 
 
-def test_a_data_set_and_a_training_stage(packages: Path, tmp_path: Path) -> None:
+def test_a_data_set(packages: Path, tmp_path: Path) -> None:
     assert "wave" in run(install("A data set", packages), packages, tmp_path)
     assert (tmp_path / "store" / "dataset" / "wave0.bvh").is_file()
-    run(install("A training stage", packages), packages, tmp_path)
-    figures = list((tmp_path / "bundle.work").glob("loudness-*/figures.json"))
-    assert len(figures) == 1 and 0.001 < float(figures[0].read_text().split(":")[1].strip(" }")) < 0.4
-
-
-def test_a_format_of_characters(packages: Path, tmp_path: Path) -> None:
-    from data_module.motion.skeletons import WHOLE_BODY
-
-    above = [WHOLE_BODY.names[parent] if parent >= 0 else "-" for parent in WHOLE_BODY.parents]
-    lines = [f"{name} {parent} " + " ".join(f"{axis:.4f}" for axis in offset)
-             for name, parent, offset in zip(WHOLE_BODY.names, above, WHOLE_BODY.offsets, strict=True)]
-    (tmp_path / "body.joints").write_text("\n".join(lines) + "\n")
-    assert "LeftForeArm" in run(install("A format of characters", packages), packages, tmp_path)
-
-
-def test_a_metric(packages: Path, tmp_path: Path) -> None:
-    for folder, seed in (("real", 1), ("generated", 2)):
-        (tmp_path / folder).mkdir()
-        for clip in range(3):
-            write(tmp_path / folder / f"clip{clip}.bvh", perform(4.0, 20.0, seed=seed + 10 * clip))
-    run(install("A metric", packages), packages, tmp_path)
-    assert "hands above the hips" in (tmp_path / "score.md").read_text()
