@@ -193,7 +193,7 @@ def _needs(config: Config) -> Sequence[Node[Any]]:
 
 COUNTERFACTUALS: Node[CounterfactualRewards] = Node(
     "counterfactuals", settings=("episodes.baseline", "reward", *(f"advantage.{name}" for name in (
-        "gamma", "states", "tried", "swaps"))), needs=_needs, make=_make)
+        "gamma", "states", "swaps"))), needs=_needs, make=_make)
 """The rewards of all lexemes on the training split, cached under the hash of their inputs."""
 
 
