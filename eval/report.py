@@ -30,7 +30,8 @@ def document(folder: Path, out: Path, title: str = TITLE) -> str:
     if not folder.is_dir():
         raise InputError(folder, "is not a folder", "name the one that the evaluation commands write to")
     names = [file.relative_to(folder).with_suffix("").as_posix() for file in sorted(folder.rglob("*.json"))]
-    sections, unreadable = {}, []
+    sections: dict[str, list[str]] = {}
+    unreadable = []
     for name in dict.fromkeys((*FIRST, *names)):
         try:
             parts = _figures(folder, name, out) if name.endswith("figures") else {name: _section(folder, name, out)}

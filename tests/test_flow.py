@@ -10,7 +10,7 @@ import torch
 
 from data_module.motion.movement import MovementBasis, pasts_of
 from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, FlowTime, _fade, circumstances
-from generator.model import GeneratorConfig, GeneratorWidths
+from generator.model import GROUP_WIDTH, GeneratorConfig, GeneratorWidths
 from gesticulator.sampling.noise import Keys
 
 FRAMES, WIDTH, AUDIO = 4, 3, 5
@@ -186,7 +186,7 @@ class Zero(torch.nn.Module):
     """Codes that tell nothing."""
 
     def best(self, hidden: torch.Tensor) -> torch.Tensor:
-        return hidden.new_zeros(*hidden.shape[:-1], CONFIG.groups * CONFIG.group_width)
+        return hidden.new_zeros(*hidden.shape[:-1], CONFIG.groups * GROUP_WIDTH)
 
 
 @pytest.mark.parametrize(("heard", "named"), [(True, False), (False, True)])

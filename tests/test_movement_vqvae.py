@@ -21,8 +21,7 @@ from lexicon.movement_vqvae import MovementLearner, fit
 from lexicon.settings import LexiconConfig
 
 SMALL = LexiconConfig(quantizer="vq-vae", size=4, levels=(8, 8), trunk_components=6, arm_components=6,
-                      finger_components=6, code_width=5, hidden=16, warm_up=0.2, revive_below=0.05, commitment=0.5,
-                      decay=0.9)
+                      finger_components=6, code_width=5, hidden=16, warm_up=0.2, revive_below=0.05, commitment=0.5)
 STEPS = 150
 
 

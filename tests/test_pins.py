@@ -251,5 +251,5 @@ def test_a_plan_with_pins_is_rendered_on_the_command_line(tmp_path: Path, capsys
         main(["infer", talk, "-o", str(tmp_path / "none.bvh"), "--plan", plan])
     assert ended.value.code == 2
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "plan.json, line" in said and "the arm reaches" in said
+    assert said.count("\n") == 1 and "plan.json: pins[0].position" in said and "the arm reaches" in said
     assert not (tmp_path / "none.bvh").exists()

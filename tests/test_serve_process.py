@@ -149,7 +149,8 @@ def test_workers_end_with_code_0_on_a_signal() -> None:
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="no list of processes")
 def test_no_worker_is_left_behind_when_its_parent_is_killed() -> None:
     with served("--workers", "2") as at:
-        at.await_line("worker . is ready")
+        for _ in range(2):
+            at.await_line("worker . is ready")
         workers = [child for child in _children(at.process.pid) if _serves(child)]
         assert len(workers) == 2
         at.process.kill()

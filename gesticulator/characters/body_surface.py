@@ -150,7 +150,7 @@ def _measured_trunk(body: Body) -> Outline | None:
     left = left / np.linalg.norm(left)
     share = (points - hips) @ up / length
     flat = np.stack([(points - hips) @ left, (points - hips) @ np.cross(left, up)])
-    outline = _sliced(share, flat, _STEPS, 1.0 / 12.0)
+    outline = _sliced(share, flat, np.asarray(_STEPS), 1.0 / 12.0)
     if outline is None:
         return None
     ahead = np.maximum(np.sin(ANGLES), 0.0) * (FLEXED * length if _stands(body) else 0.0)
@@ -248,4 +248,4 @@ def _measured_thigh(body: Body, side: str) -> Outline | None:
     left = left / np.linalg.norm(left)
     places = points @ body.bind_axes.T * body.unit - hip
     flat = np.stack([places @ left, places @ np.cross(along, left)])
-    return _sliced(places @ along / length, flat, _THIGH_STEPS, 1.0 / 8.0)
+    return _sliced(places @ along / length, flat, np.asarray(_THIGH_STEPS), 1.0 / 8.0)

@@ -3,21 +3,23 @@
 The lexicon has movements without meanings; no lexeme is a wave. So each gesture of the repertoire
 (`gesticulator.plan.gestures`) is a script of key poses (`gesticulator.directing.gesture_scripts`), which inverse
 kinematics turns into poses of arms and fingers. An envelope blends them in and out along the shortest rotation, so that
-there is no jump. The apex is at the cue's time. Hands are kept out of the body afterwards, as those of all poses
-(`gesticulator.contacts.default_body`).
+there is no jump, and hands that would pass through the trunk are led around it. The apex is at the cue's time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data_module.motion.skeletons import CHARACTERS, FINGERS
-from data_module.types import Array
+from data_module.motion import rotation
+from data_module.motion.skeletons import CHARACTERS, FINGERS, SIDES
+from data_module.types import Array, Motion
 from gesticulator.body.clips import exchanged_joints
-from gesticulator.directing.gesture_parts import Vector
+from gesticulator.contacts.columns import head_distances, kept_off_our_head, kept_out_of_us, our_distances
+from gesticulator.contacts.limbs import MARGIN, pose_of
+from gesticulator.directing.gesture_parts import GestureScript, Vector
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
 from gesticulator.directing.shaping import nearest_turn
 from gesticulator.plan.plan import GestureCue
@@ -26,6 +28,8 @@ _FLIP = np.array([1.0, -1.0, -1.0])
 """A reflection keeps the x component of an exponential map and negates y and z."""
 _ARM = ("Arm", "ForeArm", "Hand")
 _HEAD = ("Neck", "Neck1", "Head")
+_TOUCH = 0.012
+"""Metres from the trunk at which a hand that lies on it stays."""
 _WHOLE = 0.5
 """Intensity from which on a gesture is made whole; below, it is blended in by so much less, and not at all at 0."""
 
@@ -53,7 +57,7 @@ def laid_over(poses: Array, times: Array, cues: Sequence[tuple[GestureCue, float
 def _with_gesture(poses: Array, seconds: Array, cue: GestureCue, draw: GestureDraw) -> Array:
     """Poses [M, 3 J] with one gesture blended in; seconds: [M] relative to its apex."""
     weight = min(cue.intensity / _WHOLE, 1.0) * draw.phases.weight(seconds)
-    flipped = (draw.script.side == "Left") != cue.mirror
+    script, flipped = draw.script, (draw.script.side == "Left") != cue.mirror
     names = CHARACTERS[poses.shape[1] // 3].names
     vectors = poses.reshape(len(poses), -1, 3).copy()
     targets = _targets(draw, seconds)
@@ -66,7 +70,9 @@ def _with_gesture(poses: Array, seconds: Array, cue: GestureCue, draw: GestureDr
         joint, turns = _on_side(names, name, turns, flipped)
         if joint is not None and name not in targets:
             vectors[:, joint] += turns
-    return vectors.reshape(poses.shape)
+    moved = [side for side, part in (("Right", script.main), ("Left", script.other)) if part is not None]
+    moved = [SIDES[1 - SIDES.index(side)] if flipped else side for side in moved]
+    return _led_around(vectors.reshape(poses.shape), poses, weight, moved, script)
 
 
 def _on_side(names: tuple[str, ...], name: str, turns: Array, flipped: bool) -> tuple[int | None, Array]:
@@ -128,3 +134,38 @@ def _blended(now: Array, target: Array, share: Array) -> Array:
     begin = Rotation.from_rotvec(now)
     turn = (begin.inv() * Rotation.from_rotvec(target)).as_rotvec()
     return nearest_turn((begin * Rotation.from_rotvec(share[:, None] * turn)).as_rotvec(), now)
+
+
+# ---------------------------------------------------------------------------------------------------- contacts
+
+def _touching(script: GestureScript) -> bool:
+    return any(part is not None and part.touches for part in (script.main, script.other))
+
+
+def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str], script: GestureScript
+                ) -> Array:
+    """Poses [M, 3 J] with the hands of the sides `moved` kept as far from trunk and head as in the poses `before`, and
+    in a gesture at `MARGIN`, or on the body if it touches it. Where nothing has to move, nothing changes."""
+    on_trunk = _TOUCH if _touching(script) else MARGIN
+    on_head = 0.0 if script.faces else MARGIN
+    if not moved:
+        return poses
+    motion, first = _motion_of(poses), pose_of(_motion_of(before))
+    freed = motion
+    for distances, kept, gap in ((our_distances, kept_out_of_us, on_trunk),
+                                 (head_distances, kept_off_our_head, on_head)):
+        now = distances(first)
+        wanted: Mapping[str, Array] = {side: (1.0 - weight) * np.minimum(now[side], MARGIN) + weight * gap
+                                       if side in moved else np.full(len(poses), -np.inf) for side in SIDES}
+        freed = kept(freed, wanted)
+    changed = (freed.rotations != motion.rotations).any(axis=-1, keepdims=True)
+    reference = poses.reshape(len(poses), -1, 3)
+    turned = nearest_turn(rotation.to_exponential_map(freed.rotations), reference)
+    out: Array = np.where(changed, turned, reference).reshape(poses.shape)
+    return out
+
+
+def _motion_of(poses: Array) -> Motion:
+    skeleton = CHARACTERS[poses.shape[1] // 3]
+    rotations = rotation.from_exponential_map(poses.reshape(len(poses), -1, 3))
+    return Motion(skeleton, rotations, np.zeros((len(poses), 3)), 60.0)

@@ -261,7 +261,8 @@ def at_rest(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     lexeme = bundle.rest_lexeme(speaker)
     past = bundle.rest_feature(speaker).expand(1, bundle.frames, -1)
     interpreter = setup.interpreter.start(speaker, lexeme)
-    gate = bundle.gate.start(speaker) if bundle.gate is not None and setup.activity < 1 else None
+    # Reading `bundle.gate` opens its weights, which a run at full activity does not need.
+    gate = bundle.gate.start(speaker) if setup.activity < 1 and bundle.gate is not None else None
     rest = Rest(bundle.statistics, representation_of(config), speaker, setup.activity,
                 setup.seed) if bundle.rests_by_phrase else None
     return State(keys, text, lexeme, past, past, interpreter, interpreter, gate=gate, rest=rest)
@@ -306,7 +307,7 @@ def resting(bundle: Bundle, setup: Setup, state: State, request: Request, featur
     """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
     activity = setup.activity if request.activity is None else request.activity
     closed, probability, gate = activity == 0, math.nan, state.gate
-    if bundle.gate is not None and gate is not None:
+    if gate is not None and bundle.gate is not None:
         probability, gate = bundle.gate.step(gate, features)
         closed = not bundle.gate.opened(probability, activity)
     if state.rest is None:
