@@ -19,6 +19,7 @@ from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import elbow_behind, fastest_elbow
 from gesticulator import Gesticulator
 from gesticulator.body.clips import mirrored_motion
+from gesticulator.contacts.columns import trunk_distances
 from gesticulator.contacts.default_body import (
     HEAD_RADIUS,
     HEM,
@@ -30,7 +31,6 @@ from gesticulator.contacts.default_body import (
     trunk_front,
 )
 from gesticulator.contacts.limbs import OURS, pose_of
-from tests.columns import trunk_distances
 
 FPS = 60.0
 

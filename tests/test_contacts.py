@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion
+from gesticulator.contacts.columns import Trunk, plain_trunk
 from gesticulator.contacts.limbs import pose_of
-from tests.columns import Trunk, plain_trunk
 
 WIDTH, DEPTH, HEIGHT = 0.2, 0.1, 0.5
 COUNT = 2000

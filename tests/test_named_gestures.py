@@ -17,6 +17,7 @@ from data_module.motion.skeletons import CHARACTERS, FINGERED, FINGERS
 from data_module.types import Array, Motion
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.cli import main
+from gesticulator.contacts.columns import head_distances, trunk_distances
 from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_arms import arm_turns, hand_rotation
 from gesticulator.directing.gesture_phases import drawn_gesture, longest
@@ -25,7 +26,6 @@ from gesticulator.directing.hand_shapes import finger_turns
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE, mark_of, near_gestures
 from gesticulator.plan.plan import GestureCue
-from tests.columns import head_distances, trunk_distances
 
 FPS, AT = 60.0, 2.0
 NAMES = list(REPERTOIRE)

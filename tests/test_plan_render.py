@@ -20,6 +20,7 @@ from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
+from gesticulator.contacts.columns import trunk_distances
 from gesticulator.contacts.limbs import pose_of
 from gesticulator.directing.directions import cues_at
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
@@ -41,7 +42,6 @@ from gesticulator.performance import Performance
 from gesticulator.plan.plan import Block, GestureCue, GesturePlan
 from gesticulator.plan.plan_file import parse_plan
 from interpreters.base import BlockFeatures
-from tests.columns import trunk_distances
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEECH = ROOT / "examples" / "speech.flac"

@@ -13,12 +13,12 @@ from data_module.types import Array, Motion
 from gesticulator.characters.body_surface import outline_of
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import CharacterMotion, Retargeter
+from gesticulator.contacts.columns import trunk_distances
 from gesticulator.contacts.default_body import cleared
 from gesticulator.contacts.limbs import MARGIN, OURS, pose_of
 from gesticulator.contacts.other_bodies import HandLimit, HandPoint, Obstacle, displacement, spread
 from gesticulator.contacts.surfaces import Outline, TrunkAxes, ellipse
 from tests.awkward import figure, write
-from tests.columns import trunk_distances
 from tests.rig_errors import inside, places_of
 from tests.rigs import Rig, draw
 

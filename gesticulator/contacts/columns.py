@@ -74,7 +74,7 @@ _HAND = (*_PALM, *(f"Hand{finger}{joint}" for finger in ("Thumb", "Index", "Midd
 """Joints of a hand that are kept out of the trunk, and of the head."""
 
 
-def our_distances(ours: Pose) -> dict[str, Array]:
+def trunk_distances(ours: Pose) -> dict[str, Array]:
     """Side -> [T] metres from the default character's trunk to the nearer of wrist and knuckles; negative inside."""
     trunk = plain_trunk(*OURS)
     column = ours.places["Hips"], ours.places["Neck"], ours.turns["Spine3"]
