@@ -134,12 +134,12 @@ class OurLimbs:
 def kept_out_of_us(motion: Motion, near: Mapping[str, Array]) -> Motion:
     """A motion on the default skeleton, root at the origin, with hands kept at the distances `near` from the trunk.
 
-    near: side -> [T] metres, as from `our_distances`; beyond `MARGIN` a hand is free. Frames that need no correction
+    near: side -> [T] metres, as from `trunk_distances`; beyond `MARGIN` a hand is free. Frames that need no correction
     are unchanged bit for bit.
     """
     pose = pose_of(motion)
     column = plain_trunk(*OURS), pose.places["Hips"], pose.places["Neck"], pose.turns["Spine3"]
-    return _kept_out(motion, pose, {side: (our_distances(pose)[side], near[side]) for side in SIDES}, _PALM, column)
+    return _kept_out(motion, pose, {side: (trunk_distances(pose)[side], near[side]) for side in SIDES}, _PALM, column)
 
 
 def head_distances(ours: Pose) -> dict[str, Array]:
