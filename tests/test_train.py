@@ -65,7 +65,7 @@ def test_every_stage_learned(work: Path) -> None:
     for stage, term in (("speech", "predictive"), ("contrast", "contrast"), ("lexicon", "reconstruction"),
                         ("generator", "lexeme"), ("interpreter", "nll"),
                         ("interpreter_text", "nll"), ("style", "code"), ("style_text", "code"),
-                        ("gate", "activity"), ("planner", "phase"), ("reward", "contrast"),
+                        ("gate", "activity"), ("reward", "contrast"),
                         ("reward_judge", "contrast"), ("q_network", "conservative")):
         log = next(iter(work.glob(f"{stage}-*/{stage}.jsonl")))
         rows = [json.loads(line) for line in log.read_text().splitlines()]
