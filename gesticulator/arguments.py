@@ -7,6 +7,7 @@ import argparse
 import difflib
 import os
 import re
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import Field, dataclass, fields, replace
 from pathlib import Path
@@ -227,10 +228,19 @@ def check_choices(options: InferenceOptions, bundle: str | None) -> None:
 def check_options(gesticulator: Gesticulator, options: InferenceOptions) -> None:
     """`InputError` for a hand control that the bundle cannot follow, or a cue that names an unknown gesture, before any
     recording is processed."""
-    if any(hand is not None for hand in options.hands) and gesticulator.bundle.levels is None:
-        raise InputError("--hand-height, --hand-speed, --hand-radius", "are not supported by this bundle",
-                         "use a bundle trained with style editing, or leave them out")
-    gesticulator.controls(options)
+    levels = gesticulator.bundle.levels
+    if any(hand is not None for hand in options.hands):
+        if levels is None:
+            raise InputError("--hand-height, --hand-speed, --hand-radius", "are not supported by this bundle",
+                             "use a bundle trained with style editing, or leave them out")
+        from data_module.controls import ControlWarning, controls_from
+
+        # Read here as well as by the performance, so that an error names the option as it was typed. What lies far from
+        # the training data is reported once, by the performance.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ControlWarning)
+            height, speed, radius = (None if hand is None else str(hand) for hand in options.hands)
+            controls_from(height, speed, radius, levels)
     if options.cues:
         check_cues(gesticulator, options)
 
