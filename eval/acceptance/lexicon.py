@@ -134,7 +134,7 @@ def fit_of(held: HeldOut, decoded: Tensor) -> Fit:
 
 def stroke_blocks(places: Array, durations: Array) -> NDArray[np.bool_]:
     """[N] blocks of places [N, K, J, 3] in which a wrist is faster than a stroke's fastest moment must be."""
-    # A stroke is told by its fastest moment, not by its mean: most of a block may be preparation.
+    # A stroke is recognised by its fastest moment, not by its mean: most of a block may be preparation.
     wrists = places[:, :, [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]]
     step = np.linalg.norm(np.diff(wrists, axis=1), axis=-1) * (places.shape[1] / durations)[:, None, None]
     return np.asarray(step.max(axis=(1, 2)) > strokes.MOVES, dtype=bool)

@@ -97,7 +97,7 @@ def vrm_animation(motion: Motion, clip: ClipLayout, face: FaceMotion | None = No
 
 def humanoid(motion: Motion) -> NodeMotion:
     """The motion on the bones of the VRM humanoid, with the names of the extension."""
-    # A bone needs all of its joints; the others would take a pose that nobody generated.
+    # A bone needs all of its joints; the others would take a pose that was never generated.
     there = set(motion.skeleton.names) - set(motion.absent)
     bones = {bone: row for bone, row in BONES.items() if set(row[1]) <= there}
     local = copied_rotations(motion, {bone: row[1] for bone, row in bones.items()},
