@@ -1,6 +1,6 @@
 """Hands kept out of bodies: the default character's trunk, face and thighs, and the trunks and thighs of others.
 
-The two problems differ. A hand of the default character is only ever moved ahead (`default_body`, `lap`); a hand of
-for another character the default one shows on which side it belongs, and it may be moved sideways (`other_bodies`). They
-share `limbs`, arms that bend, and `surfaces`, bodies as slices.
+The two problems differ. A hand of the default character is only ever moved ahead (`default_body`, `lap`). For a hand of
+another character, the default one shows on which side of the body it belongs, and it may be moved sideways
+(`other_bodies`). They share `limbs`, arms that bend, and `surfaces`, bodies as slices.
 """
