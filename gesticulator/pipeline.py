@@ -38,7 +38,7 @@ from interpreters.base import as_interpreter
 if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
-    from gesticulator.directing.directions import Shaping
+    from gesticulator.directing.knobs import Shaping
     from gesticulator.directing.lexeme_names import LexemeName
     from gesticulator.directing.record import Origin
     from gesticulator.editing.render import Generation, PlanRenderer
@@ -410,11 +410,11 @@ class Gesticulator:
         """The changes of the generated poses in blocks with these edges [N + 1]; None for none."""
         if not options.shaped and not meanings:
             return None
-        from gesticulator.directing import directions as directing
+        from gesticulator.directing.knobs import Shaping
         from gesticulator.directing.meanings import played_meanings
 
         played = played_meanings(meanings)
-        return directing.Shaping(self.bundle, options, speaker, speech.words or (), edges, lambda until: played)
+        return Shaping(self.bundle, options, speaker, speech.words or (), edges, lambda until: played)
 
     def origin(self, speech: Speech, options: InferenceOptions, cast: Setup, meanings: tuple[PlanMeaning, ...]
                ) -> Origin:
@@ -436,7 +436,7 @@ class Gesticulator:
 
         cues: list[tuple[float, str]] = []
         if options.cues:
-            from gesticulator.directing.directions import expressions_at
+            from gesticulator.directing.cues import expressions_at
 
             cues = expressions_at(options.cues, speech.words or (), speech.duration)
         return face_of(FaceSettings.of(options), speech.samples, plan.blocks, motion, speech.words or (), cues)
@@ -487,7 +487,7 @@ class Gesticulator:
         # The words are in the speech from here on, and in the plan.
         options = replace(options, transcribe=None)
         if options.plan is None and (options.cues or options.hold_still):
-            from gesticulator.directing.mismatches import without_mismatches
+            from gesticulator.directing.cues import without_mismatches
 
             options = without_mismatches(options, recording.words or (), recording.duration)
         performance = self._perform(recording, options, encoded, on_block)
@@ -501,7 +501,7 @@ class Gesticulator:
     def _moved(self, options: InferenceOptions, speech: Speech, text: Text | None
                ) -> tuple[GesturePlan, RetimingReport]:
         """The plan of the options on this sound, with a warning for each thing that was lost."""
-        from gesticulator.directing.mismatches import warn_of_losses
+        from gesticulator.directing.cues import warn_of_losses
 
         assert options.plan is not None
         moved = self.retimed(options.plan, speech, text=text, before=options.retime_from)

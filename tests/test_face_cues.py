@@ -19,7 +19,7 @@ from data_module.speech.audio import load_speech
 from data_module.text.marks import marked_text
 from data_module.types import Array, Speech, Word
 from gesticulator.arguments import check_cues
-from gesticulator.directing.directions import stroke_of_word
+from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.marks import MarkWarning, expression_of_mark, gesture_of_mark, mark_cues, warn_of_unknown
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.phones import PhonesWarning

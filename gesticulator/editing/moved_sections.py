@@ -8,9 +8,9 @@ from itertools import pairwise
 from typing import Any
 
 from data_module.controls import FEATURES
-from gesticulator.directing.directions import plain_word
 from gesticulator.editing.moved_beats import BeatMap
 from gesticulator.editing.retiming_report import MovedItem
+from gesticulator.plan.checks import plain_word
 from gesticulator.plan.plan import (
     GestureCue,
     GesturePhase,
