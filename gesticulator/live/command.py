@@ -230,10 +230,10 @@ def _serve(config: Launch, listening: socket.socket, worker: int = 0, ready: Eve
     import gc
 
     from gesticulator.cli import limited_threads
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.live.server import LiveServer, live_pages
     from gesticulator.live.session import session_opener
     from gesticulator.live.vmc import VmcOutput
-    from gesticulator.pipeline import Gesticulator
 
     def tell_ready() -> None:
         LOG.info("worker %d is ready", worker)

@@ -30,9 +30,9 @@ from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.server import PageServer
     from gesticulator.performance import Performance
-    from gesticulator.pipeline import Gesticulator
 
 SHOWN = (".glb", ".gltf", ".vrm")
 """Suffixes of characters that the page can show."""
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
     settings = run_settings_of(args)
     if settings.listing:
-        from gesticulator.pipeline import Gesticulator
+        from gesticulator.gesticulator import Gesticulator
 
         with limited_threads(settings.threads):
             print_list(Gesticulator.from_pretrained(settings.bundle), settings.listing)
@@ -108,8 +108,8 @@ def _job(args: argparse.Namespace) -> Job:
 def _prepare(server: PageServer, job: Job, settings: RunSettings, request: PageRequest) -> None:
     """Generate one or two performances, and give the server its page and the renderer of edited plans."""
     from gesticulator.export import html
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.session import EditSession, directions_of, levels_of
-    from gesticulator.pipeline import Gesticulator
 
     chosen, stands = _character(job)
     system = Gesticulator.from_pretrained(settings.bundle)
@@ -148,7 +148,7 @@ def _figures(system: Gesticulator, takes: dict[str, Performance]) -> bytes:
     """The figures of the palette as JSON."""
     from gesticulator.page.palette import moving_figures
 
-    speaker = system.speaker_index(next(iter(takes.values())).decided.speaker)
+    speaker = system.resolver.speaker(next(iter(takes.values())).decided.speaker)
     return json.dumps(moving_figures(system.bundle, speaker)).encode()
 
 
