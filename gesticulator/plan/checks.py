@@ -83,10 +83,6 @@ def _check_sections(plan: GesturePlan) -> None:
             raise plan.error(("curves", at, "knob"), f"is {curve.knob} again", "give one curve per knob")
     if plan.fingerprint is not None and not _is_fingerprint(plan.fingerprint, plan.sound.duration):
         raise plan.error(("fingerprint",), "is not that of the sound", "leave it as it was written, or remove it")
-    if plan.alignment is not None:
-        times, there = plan.alignment.times, plan.alignment.there
-        check_points(("alignment",), ("times", "there"), (times, there), plan.error)
-        check_points(("alignment",), ("there", "times"), (there, times), plan.error)
 
 
 def _is_fingerprint(text: str, duration: float) -> bool:
