@@ -12,7 +12,7 @@ the mean pose, so a long performance does not drift. Everything is fitted in clo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,6 +78,11 @@ def pasts_of(motion: Tensor, durations: Tensor, first: Tensor) -> Pasts:
     Before the first block the body stands still in its first pose."""
     before = torch.cat([durations[:1], durations[:-1]])
     return Pasts(torch.cat([first.expand(1, PAST, -1), motion[:-1, -PAST:]]), (durations / before).to(motion.dtype))
+
+
+def joined(pasts: Iterable[Pasts]) -> Pasts:
+    each = list(pasts)
+    return Pasts(torch.cat([past.frames for past in each]), torch.cat([past.ratio for past in each]))
 
 
 class MovementBasis(nn.Module):
