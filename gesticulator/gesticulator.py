@@ -225,10 +225,10 @@ class Gesticulator:
         if options.retime:
             from gesticulator.directing.mismatches import warn_of_losses
 
-            moved = self.retimed(options.plan, speech, text=text, before=options.retime_from)
+            moved = self.retimed(options.plan, speech, text=text)
             report, notes = moved.report, moved.report.lines()[:1]
             warn_of_losses(report.losses)
-            options = replace(options, plan=moved.plan, retime=False, retime_from=None)
+            options = replace(options, plan=moved.plan, retime=False)
         options = directing.planned(options)
         assert options.plan is not None
         performance = self.render(directing.with_planned_words(_prepared(speech, options), options.plan), options,
@@ -267,27 +267,24 @@ class Gesticulator:
                             partial(self.encode_speech, speech), plan, generation)
 
     def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
-                text: Text | None = None, before: SpeechInput | None = None, on_block: OnBlock | None = None
-                ) -> Retimed:
+                text: Text | None = None, on_block: OnBlock | None = None) -> Retimed:
         """A plan on another export of its sound, and a report of what was kept, moved, decided anew and lost
         (`gesticulator.editing.retiming`).
 
-        speech, sample_rate: the new sound, as in `__call__`; text: its text or transcript, if its words are others;
-        before: the old sound, for a plan without a fingerprint. `InputError` for a sound that has too little of the old
-        speech, and for a plan of another bundle.
+        speech, sample_rate: the new sound, as in `__call__`; text: its text or transcript, if its words are others.
+        `InputError` for a sound that has too little of the old speech, and for a plan of another bundle.
         """
         from gesticulator.directing import directions as directing
         from gesticulator.directing.record import named, words_of
         from gesticulator.editing import retiming
 
         directing.check_bundle_of(self.bundle, plan)
-        gain = directing.planned(InferenceOptions(plan=plan))
-        recording = replace(_prepared(as_speech(speech, sample_rate), gain), words=None)
+        recording = _prepared(as_speech(speech, sample_rate), directing.planned(InferenceOptions(plan=plan)))
+        recording = replace(recording, words=None)
         words = None if text is None else words_of(self._with_words(recording, text, None)[0])
         if words is None and sound_hash(recording) == plan.sound.sha256:
             return retiming.unchanged(plan)
-        draft = retiming.drafted(plan, recording, self.encode_speech(recording), words,
-                                 None if before is None else _prepared(as_speech(before), gain))
+        draft = retiming.drafted(plan, recording, self.encode_speech(recording), words)
         if None not in draft.plan.drawn.lexemes:
             return draft
         renderer = self.plan_renderer(directing.with_planned_words(recording, draft.plan),

@@ -218,8 +218,7 @@ class EditSession:
 
         decided = replace(chosen, made_by={**plan.made_by, "settings": settings}, sound=plan.sound, knobs=plan.knobs,
                           blocks=tuple([as_edited(block) for block in chosen.blocks]), cues=plan.cues,
-                          meanings=plan.meanings, pins=plan.pins, curves=plan.curves, notes=plan.notes,
-                          alignment=plan.alignment)
+                          meanings=plan.meanings, pins=plan.pins, curves=plan.curves, notes=plan.notes)
         if performance.generation is not None:
             self._generations = [*self._generations, (_identity(decided), performance.generation)][-MOST_GENERATIONS:]
         return decided
