@@ -113,7 +113,7 @@ def test_a_cue_of_the_face_needs_one_on_the_command_line() -> None:
 
 @pytest.fixture(scope="module")
 def g() -> Any:
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
 
     return Gesticulator.from_pretrained()
 

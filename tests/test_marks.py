@@ -268,7 +268,7 @@ def test_the_page_shows_every_emoji() -> None:
 
 @pytest.fixture(scope="module")
 def g() -> Any:
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
 
     return Gesticulator.from_pretrained()
 

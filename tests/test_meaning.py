@@ -20,9 +20,9 @@ from gesticulator.directing.directions import stroke_of_word
 from gesticulator.directing.meaning_cues import CalledGesture, meaning_cues
 from gesticulator.directing.meanings import AGAIN, LEVELS, Called, Level, MeaningTrack, chosen
 from gesticulator.directing.named_gestures import span_of_gesture
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import MEANING_LEVELS, InferenceOptions
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE
 from gesticulator.plan.plan import GestureCue
 from gesticulator.plan.plan_file import parse_plan
