@@ -169,8 +169,6 @@ class InferenceOptions:
     retime: bool = _option(False)
     """With --plan: move the plan onto this new export of its sound first, and report what changed
     (`Gesticulator.retimed`)."""
-    retime_from: str | os.PathLike[str] | None = _option(None, "FILE")
-    """With --retime: the sound that the plan was made for, if the plan has no fingerprint of it."""
     legs: bool = _option(False)
     """Add legs (54 joints): the weight shifts, the feet stay planted."""
     seated: bool = _option(False)
@@ -207,9 +205,8 @@ class InferenceOptions:
             raise InputError(f"meaning {self.meaning}", "is unknown", f"choose among {', '.join(MEANING_LEVELS)}")
         if self.transcribe is not None and self.plan is not None:
             raise InputError("transcribe", "hears words, and those of a plan are in it", "leave it out")
-        if (self.retime and self.plan is None) or (self.retime_from is not None and not self.retime):
-            raise InputError(*(("retime", "moves a plan, and none is given", "give the plan, too") if self.retime else
-                               ("retime_from", "is for retime alone", "add retime, or leave it out")))
+        if self.retime and self.plan is None:
+            raise InputError("retime", "moves a plan, and none is given", "give the plan, too")
         for begin, stop in self.hold_still:
             if not 0 <= begin < stop < math.inf:
                 raise InputError(f"hold_still {begin:g}-{stop:g}", "is not a range of seconds", "write it as 3.2-5.0")

@@ -290,7 +290,7 @@ def measure(system: BundleSystem, store: Store | None, voices: Sequence[Acceptan
 
 def _obedience(system: BundleSystem, voices: Sequence[AcceptanceVoice], performed: Sequence[Rendering], on: str
                ) -> Results:
-    speakers = [system.gesticulator.speaker_index(system.speaker(voice)) for voice in voices]
+    speakers = [system.gesticulator.resolver.speaker(system.speaker(voice)) for voice in voices]
     ranks = [encode(system.bundle, rendering, speaker) for rendering, speaker in zip(performed, speakers, strict=True)]
     groups = [voice.group or voice.name for voice in voices]
     return obedience_figures(ranks, [rendering.lexemes for rendering in performed], groups, system.bundle.silent, on)
