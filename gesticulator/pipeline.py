@@ -428,14 +428,14 @@ class Gesticulator:
         """The face over the frames of the body; None where none is asked for."""
         if options.face == "off":
             return None
-        from gesticulator.face.track import FaceSettings, face_of
+        from gesticulator.face.track import face_of
 
         cues: list[tuple[float, str]] = []
         if options.cues:
             from gesticulator.directing.directions import expressions_at
 
             cues = expressions_at(options.cues, speech.words or (), speech.duration)
-        return face_of(FaceSettings.of(options), speech.samples, plan.blocks, motion, speech.words or (), cues)
+        return face_of(options, speech.samples, plan.blocks, motion, speech.words or (), cues)
 
     def _rest_pose(self, speaker: int) -> Motion:
         """The speaker's resting pose, a motion of one frame."""
