@@ -23,7 +23,7 @@ from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.plan.plan import GestureCue, GesturePlan
 
 FORMAT = "bvh"
@@ -253,7 +253,7 @@ def check_cues(gesticulator: Gesticulator, options: InferenceOptions) -> None:
 def print_list(gesticulator: Gesticulator, what: str) -> None:
     """Print the names of the "speakers" or "interpreters", with the default one marked."""
     names = gesticulator.speakers if what == "speakers" else gesticulator.interpreters
-    default = gesticulator.speakers[gesticulator.speaker_index(None)] if what == "speakers" else names[0]
+    default = gesticulator.speakers[gesticulator.resolver.speaker(None)] if what == "speakers" else names[0]
     for name in names:
         print(f"{name}  (default)" if name == default else name)
 

@@ -28,8 +28,8 @@ from gesticulator.options import InferenceOptions
 if TYPE_CHECKING:
     from data_module.types import Speech
     from gesticulator.characters.retarget import Retargeter
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.performance import Performance
-    from gesticulator.pipeline import Gesticulator
 
 STDIN = "-"
 """The name of standard input on the command line."""
@@ -284,7 +284,7 @@ def prepare_blender(jobs: Sequence[Job]) -> None:
             start_blender(jobs[0].targets[0])
     else:
         return
-    import gesticulator.pipeline  # noqa: F401 - torch takes as long to load as Blender
+    import gesticulator.gesticulator  # noqa: F401 - torch takes as long to load as Blender
 
 
 def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> Retargeter | None:

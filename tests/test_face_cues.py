@@ -19,7 +19,7 @@ from data_module.speech.audio import load_speech
 from data_module.text.marks import marked_text
 from data_module.types import Array, Speech, Word
 from gesticulator.arguments import check_cues
-from gesticulator.directing.directions import stroke_of_word
+from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.marks import MarkWarning, expression_of_mark, gesture_of_mark, mark_cues, warn_of_unknown
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.phones import PhonesWarning
@@ -113,7 +113,7 @@ def test_a_cue_of_the_face_needs_one_on_the_command_line() -> None:
 
 @pytest.fixture(scope="module")
 def g() -> Any:
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
 
     return Gesticulator.from_pretrained()
 

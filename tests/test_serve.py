@@ -175,8 +175,8 @@ async def test_smplx_poses_are_those_of_an_smplx_file() -> None:
 @pytest.mark.parametrize("output", ["joints", "smplx"])
 def test_a_stream_may_stand_on_legs(output: str) -> None:
     """Its frames are those of a stream with legs, and VMC sends them, too."""
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.live.session import session_opener
-    from gesticulator.pipeline import Gesticulator
 
     torch.set_num_threads(1)
     system = Gesticulator.from_pretrained()

@@ -14,7 +14,7 @@ from data_module.motion.skeletons import CHARACTERS
 from data_module.speech.audio import load_speech
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.features import LEAST_MOVEMENT, Normaliser, Statistics, control_rows
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.systems import movement
 from gesticulator.training.presets import preset
 from gesticulator.training.stages.measured import measured, resting

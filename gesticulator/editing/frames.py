@@ -19,7 +19,8 @@ from data_module.types import Array, Motion
 from gesticulator.body.motion_path import MotionPath
 from gesticulator.body.pins import pinned
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.directing.directions import MeantCue, Shaping
+from gesticulator.directing.cues import TimedCue
+from gesticulator.directing.knobs import Shaping
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.directing.shaping import CALM, LAG
 from gesticulator.directing.strokes import REMEMBERED
@@ -47,7 +48,7 @@ class EditedFrames:
 
     times: Array
     inputs: Array
-    gestures: tuple[MeantCue, ...]
+    gestures: tuple[TimedCue, ...]
     poses: Array
     unpinned: Motion
     motion: Motion
@@ -80,7 +81,7 @@ class FrameRenderer:
         poses = self._poses(times, features, inputs, gestures, shaping, None)
         return EditedFrames(times, inputs, gestures, poses, motion, motion)
 
-    def _poses(self, times: Array, features: NDArray[np.float32], inputs: Array, gestures: tuple[MeantCue, ...],
+    def _poses(self, times: Array, features: NDArray[np.float32], inputs: Array, gestures: tuple[TimedCue, ...],
                shaping: Shaping | None, before: EditedFrames | None) -> Array:
         """[M, D_m] poses with knobs and gestures."""
         def plain(first: int, last: int) -> Array:
@@ -179,7 +180,7 @@ def _signs(one: Array, other: Array) -> Array:
 
 
 def _inputs(times: Array, features: NDArray[np.float32], shaping: Shaping | None
-            ) -> tuple[Array, tuple[MeantCue, ...]]:
+            ) -> tuple[Array, tuple[TimedCue, ...]]:
     """[M, D_m + 6] what poses are made from, and the named gestures."""
     if shaping is None:
         return np.column_stack([features, np.tile(_UNSCALED, (len(times), 1))]), ()

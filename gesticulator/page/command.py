@@ -30,9 +30,9 @@ from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.server import PageServer
     from gesticulator.performance import Performance
-    from gesticulator.pipeline import Gesticulator
 
 SHOWN = (".glb", ".gltf", ".vrm")
 """Suffixes of characters that the page can show."""
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
     settings = run_settings_of(args)
     if settings.listing:
-        from gesticulator.pipeline import Gesticulator
+        from gesticulator.gesticulator import Gesticulator
 
         with limited_threads(settings.threads):
             print_list(Gesticulator.from_pretrained(settings.bundle), settings.listing)
@@ -96,8 +96,8 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | 
     for a page whose edits are not saved.
     """
     from gesticulator.export import html
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.session import EditSession, directions_of, levels_of
-    from gesticulator.pipeline import Gesticulator
 
     source = job.source
     assert source is not None
@@ -137,7 +137,7 @@ def _figures(gesticulator: Gesticulator, speaker: str | None) -> bytes:
     """The figures of the palette as JSON."""
     from gesticulator.page.palette import moving_figures
 
-    return json.dumps(moving_figures(gesticulator.bundle, gesticulator.speaker_index(speaker))).encode()
+    return json.dumps(moving_figures(gesticulator.bundle, gesticulator.resolver.speaker(speaker))).encode()
 
 
 def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]:
