@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 SLOPE = 0.2
 """Negative slope of every LeakyReLU."""
@@ -99,34 +102,9 @@ def convolutions(widths: Sequence[int], kernel: int = 3, *, norm: bool = True, l
         if last_linear and index == len(widths) - 2:
             break
         if norm:
-            layers.append(BatchNorm(b))
+            layers.append(nn.BatchNorm1d(b))
         layers.append(nn.LeakyReLU(SLOPE))
     return nn.Sequential(*layers)
-
-
-class BatchNorm(nn.BatchNorm1d):
-    """Batch normalisation over [B, D, T] or [B, D], in training with the moments of the whole batch over all processes.
-    """
-
-    def forward(self, input: Tensor) -> Tensor:
-        if not self.training:
-            return super().forward(input)
-        from data_module.parallel import batch_moments, shares  # only training needs them
-
-        if shares() == 1:
-            return super().forward(input)
-        rows = input.transpose(1, 2).flatten(0, 1) if input.dim() == 3 else input
-        mean, variance, count = batch_moments(rows)
-        with torch.no_grad():
-            assert self.running_mean is not None and self.running_var is not None and self.momentum is not None
-            assert self.num_batches_tracked is not None
-            self.num_batches_tracked += 1
-            self.running_mean.lerp_(mean, self.momentum)
-            # As in torch, the running variance is the unbiased one, though a batch is normalised with the biased.
-            self.running_var.lerp_(variance * (count / max(count - 1, 1)), self.momentum)
-        scale = self.weight * (variance + self.eps).rsqrt()
-        shift = self.bias - mean * scale
-        return input * scale[:, None] + shift[:, None] if input.dim() == 3 else input * scale + shift
 
 
 def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None = None
@@ -231,10 +209,27 @@ def freeze(module: nn.Module) -> nn.Module:
 
 
 def masked_mean(values: Tensor, mask: Tensor | None) -> Tensor:
-    """Mean of values [..., D] where `mask` (broadcastable, 0 or 1) is 1, over the whole batch."""
-    from data_module.parallel import batch_mean, batch_ratio  # only training needs them
-
+    """[] mean of values [..., D], weighted by a mask (broadcastable); 0 where the mask is 0 throughout."""
     if mask is None:
-        return batch_mean(values)
+        return values.mean()
     weights = mask.to(values.dtype).expand_as(values)
-    return batch_ratio((values * weights).sum(), weights.sum())
+    # At least 1: a batch may hold nothing but padding, and 0 / 0 would end the training.
+    return (values * weights).sum() / weights.sum().clamp_min(1.0)
+
+
+def full_precision(function: F) -> F:
+    """Compute a function of tensors in single precision under `torch.autocast` too, because nearest neighbours and
+    targets of losses must not be rounded to three digits."""
+
+    @functools.wraps(function)
+    def precise(*args: Any, **kwargs: Any) -> Any:
+        device = next((value.device.type for value in args if isinstance(value, Tensor)), "cpu")
+        if not torch.is_autocast_enabled(device):
+            return function(*args, **kwargs)
+        # Inputs computed under autocast are in half precision already: widening them keeps the further steps exact.
+        widened = [value.float() if isinstance(value, Tensor) and value.dtype in (torch.bfloat16, torch.float16)
+                   else value for value in args]
+        with torch.autocast(device, enabled=False):
+            return function(*widened, **kwargs)
+
+    return precise  # type: ignore[return-value]

@@ -33,7 +33,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.bundle.models import JUDGES
 from gesticulator.cli import PROGRAM
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import CORPUS, ENCODER, STAGES, Corpus, Run
 from gesticulator.training.stages.base import WEIGHTS, finished
 from gesticulator.training.stages.caches import weights_hash

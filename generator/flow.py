@@ -42,6 +42,8 @@ from data_module.layers import (
     Product,
     convolutions,
     few,
+    full_precision,
+    masked_mean,
     repeat_frames,
     run_lstm,
     version,
@@ -254,8 +256,6 @@ class FlowGenerator(nn.Module):
         block, and so its lexeme. left_out: probabilities of dropping audio, lexeme and previous motion of a window,
         and the previous coefficients of a block; those of the settings by default.
         """
-        from data_module.parallel import batch_ratio, draws_along, full_precision  # only training needs them
-
         c, motion = self.config, batch["motion"]
         no_audio, no_lexeme, no_history, no_added = left_out or (AUDIO_DROPOUT, LEXEME_DROPOUT, c.history_dropout,
                                                                  ADDED_DROPOUT)
@@ -274,10 +274,8 @@ class FlowGenerator(nn.Module):
         added = torch.where(share < no_added, torch.zeros_like(added), added)
         # Labels anew from the shifted blocks, so that a lexeme always names the movement that is to be made.
         lexeme = full_precision(nearest)(y.flatten(0, 1)).unflatten(0, y.shape[:2])
-        with draws_along(1):
-            # One number for each window and input: guidance runs whole performances without an input, not single
-            # blocks.
-            some = torch.rand(5, len(motion), device=u.device)
+        # One number for each window and input: guidance runs whole performances without an input, not single blocks.
+        some = torch.rand(5, len(motion), device=u.device)
         lexeme = torch.where((some[0] < no_lexeme)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)
         control = batch["control"][:, 1:] if self.control_width and "control" in batch else None
         audio, place = batch["audio"][:, 1:], batch["circumstances"][:, 1:]
@@ -299,7 +297,7 @@ class FlowGenerator(nn.Module):
         for _ in range(DRAWS):
             time, noise = torch.rand(*u.shape[:2], 1, device=u.device), torch.randn_like(u)
             v = self.head((1 - time) * noise + time * u, FlowTime.of(time), conditions)
-            total = total + batch_ratio(((v - (u - noise)).pow(2) * weight).sum(), weight.sum())
+            total = total + masked_mean((v - (u - noise)).pow(2), weight)
         return {"flow": total / DRAWS}
 
     def component_weights(self) -> Tensor:

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from data_module.layers import masked_mean
-from data_module.parallel import batch_mean, batch_moments, shares
 
 __all__ = ["lexeme", "perceptual", "reconstruction", "style_divergence"]
 
@@ -26,7 +25,7 @@ def perceptual(generated: Tensor, motion: Tensor, encoder: Encoder) -> Tensor:
     with torch.no_grad():
         # The truth is a constant here: a gradient through it has nothing to train, as E is frozen.
         target = encoder(motion)
-    return batch_mean((encoder(generated) - target).pow(2))
+    return (encoder(generated) - target).pow(2).mean()
 
 
 def lexeme(generated: Tensor, lexemes: Tensor, encoder: Encoder) -> Tensor:
@@ -39,11 +38,8 @@ def style_divergence(codes: Tensor, eps: float = 1e-6) -> Tensor:
     """L_z = KL(N(mu_z, sigma_z^2) || N(0, 1)) of the batch's style codes [B, 32], mean over dimensions (RG Eq. 14). mu
     and sigma are the moments of the mini-batch. Zero for exact N(0, 1) moments, finite for a batch of 1, zero without
     codes or for codes of width 0."""
-    if codes.numel() == 0 and shares() == 1:
+    if codes.numel() == 0:
         return codes.new_zeros(())
-    mean, variance, count = batch_moments(codes)
-    if count == 0 or codes.shape[1] == 0:
-        return codes.new_zeros(())
-    # Keeps the logarithm finite for a single code, whose variance is 0.
-    variance = variance + eps
-    return 0.5 * (variance + mean.pow(2) - 1.0 - variance.log()).mean()
+    # eps keeps the logarithm finite for a single code, whose variance is 0.
+    variance = codes.var(0, unbiased=False) + eps
+    return 0.5 * (variance + codes.mean(0).pow(2) - 1.0 - variance.log()).mean()

@@ -151,8 +151,7 @@ class StyleCodes(nn.Module):
 
     def __init__(self, blocks: int, width: int) -> None:
         super().__init__()
-        # Sparse: a step touches the codes of its windows only, out of one for every block of the corpus.
-        self.table = nn.Embedding(blocks + 1, width, padding_idx=0, sparse=True)
+        self.table = nn.Embedding(blocks + 1, width, padding_idx=0)
         with torch.no_grad():
             nn.init.normal_(self.table.weight, std=0.3)
             self.table.weight[0] = 0.0
@@ -345,21 +344,14 @@ class Generator(nn.Module):
                      encoder: Encoder, control: Tensor | None) -> Tensor:
         """RG Eq. 12 and 13 with N_J = 1: past, audio, style (and control) of random blocks j of the batch with lexemes
         of blocks i."""
-        from data_module.parallel import batch_rows, draws_along, own_rows, shares
         from generator.losses import lexeme as lexeme_loss
 
-        past, windows = batch_rows(motion[:, :-1].flatten(0, 1)), batch_rows(audio.flatten(0, 1))
-        wanted, styles = batch_rows(lexemes.flatten(0, 1)), batch_rows(style.flatten(0, 1))
-        control = None if control is None else batch_rows(control.flatten(0, 1))
+        past, windows, wanted, styles = (part.flatten(0, 1) for part in (motion[:, :-1], audio, lexemes, style))
+        control = None if control is None else control.flatten(0, 1)
         count = max(1, round(len(past) * self.config.swap_share))
-        # If the pairs cannot be divided evenly, every process takes them all, with the same noise.
-        divided = count % shares() == 0
-        rows = own_rows(count) if divided else slice(count)
-        i = torch.randperm(len(past), device=past.device)[:count][rows]
-        j = torch.randperm(len(past), device=past.device)[:count][rows]
+        i, j = (torch.randperm(len(past), device=past.device)[:count] for _ in range(2))
         # The decoder starts anew, because the pairs are single blocks out of their context.
         state = self.first_state(past[j, -1], wanted[i])
-        with draws_along(0 if divided else None):
-            block, _, _ = self.step(past[j], self.encode_audio(windows[j]), wanted[i], styles[j], state,
-                                    temperature, None if control is None else control[j])
+        block, _, _ = self.step(past[j], self.encode_audio(windows[j]), wanted[i], styles[j], state,
+                                temperature, None if control is None else control[j])
         return lexeme_loss(block, wanted[i], encoder)

@@ -28,7 +28,7 @@ from gesticulator.jobs import Job, check_job, perform, perform_together, prepare
 
 if TYPE_CHECKING:
     from gesticulator.batch import BatchRequest
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
 
 EXIT_PART_FAILED = 1
 
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _loaded(settings: RunSettings) -> Gesticulator:
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
 
     return Gesticulator.from_pretrained(settings.bundle)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import glob
 import hashlib
-import json
 import os
 import sys
 import time
@@ -21,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError, complain, printable
-from data_module.files import write_text
 from gesticulator.cli import PROGRAM
 from gesticulator.export.clip import NAME, ClipLayout
 from gesticulator.export.writers import suffix_of
@@ -30,8 +28,8 @@ from gesticulator.options import InferenceOptions
 if TYPE_CHECKING:
     from data_module.types import Speech
     from gesticulator.characters.retarget import Retargeter
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.performance import Performance
-    from gesticulator.pipeline import Gesticulator
 
 STDIN = "-"
 """The name of standard input on the command line."""
@@ -61,9 +59,8 @@ class Job:
 
     source: its file; None is standard input. targets: the output files. text: its transcript, if any. options: of the
     performance. clip: how files for animation tools are laid out; None: by default. character: None for the default
-    skeleton. unit: of length in BVH files. any_length: whether it may last longer than an hour. retime_report: where to
-    write what became of a plan that was moved onto this sound. fault: why it cannot be processed, if that is already
-    known.
+    skeleton. unit: of length in BVH files. any_length: whether it may last longer than an hour. fault: why it
+    cannot be processed, if that is already known.
     """
 
     source: Path | None
@@ -74,7 +71,6 @@ class Job:
     character: CharacterRequest | None = None
     unit: str = "cm"
     any_length: bool = False
-    retime_report: Path | None = None
     fault: InputError | None = None
 
     @property
@@ -87,7 +83,7 @@ class Job:
         """SHA-256 of what decides the bytes of the output, but for the recording itself and the names of the files. A
         file that a setting names counts by its content, so that a moved folder changes nothing."""
         parts = [(entry.name, _content(getattr(self, entry.name))) for entry in fields(self)
-                 if entry.name not in ("source", "targets", "any_length", "retime_report", "fault")]
+                 if entry.name not in ("source", "targets", "any_length", "fault")]
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -288,7 +284,7 @@ def prepare_blender(jobs: Sequence[Job]) -> None:
             start_blender(jobs[0].targets[0])
     else:
         return
-    import gesticulator.pipeline  # noqa: F401 - torch takes as long to load as Blender
+    import gesticulator.gesticulator  # noqa: F401 - torch takes as long to load as Blender
 
 
 def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> Retargeter | None:
@@ -326,8 +322,6 @@ def perform(job: Job, gesticulator: Gesticulator, retargeter: Retargeter | None 
     notes, retiming = performance.notes, performance.retiming
     if retiming is not None:
         notes += tuple(retiming.lines()[1:])
-        if job.retime_report is not None:
-            write_text(job.retime_report, json.dumps(retiming.to_dict(), indent=1) + "\n")
     lexemes = performance.lexemes.tolist()
     return Outcome(job.name, speech.duration, len(lexemes) - 1, len(set(lexemes)), len(gesticulator.bundle.vectors),
                    spent / speech.duration, written, notes)

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["FPS", "RANGES", "HandControl", "InferenceOptions", "Range"]
 
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
-MoodControl: TypeAlias = "float | str | os.PathLike[str] | Curve"
 
 MEANING_LEVELS = ("off", "few", "normal", "rich")
 """How many of the gestures that the words call for are shown."""
@@ -169,8 +168,6 @@ class InferenceOptions:
     retime: bool = _option(False)
     """With --plan: move the plan onto this new export of its sound first, and report what changed
     (`Gesticulator.retimed`)."""
-    retime_from: str | os.PathLike[str] | None = _option(None, "FILE")
-    """With --retime: the sound that the plan was made for, if the plan has no fingerprint of it."""
     legs: bool = _option(False)
     """Add legs (54 joints): the weight shifts, the feet stay planted."""
     seated: bool = _option(False)
@@ -179,16 +176,13 @@ class InferenceOptions:
     """Move the face, too: off, lips, or full, with blinks, brows, smile and gaze. The body is the same with each."""
     mouth: float = _option(1.0, "0..2")
     """With --face: how far the mouth opens, 0 (shut) to 2. 1 is as the network gives it."""
-    mood: MoodControl = _option(0.0, "VALUE")
-    """With --face full: from -1 (sad) to 1 (a smile), or a CSV file with the columns time and value. In Python a
-    `Curve` over time, too."""
+    mood: float = _option(0.0, "-1..1")
+    """With --face full: from -1 (sad) to 1 (a smile)."""
 
     def __post_init__(self) -> None:
         for name in ("seed", "variation", "temperature", "beta", "activity", "intensity", "fps", "gain", "mouth",
                      "mood"):
             value = getattr(self, name)
-            if name == "mood" and not isinstance(value, int | float):
-                continue  # a curve, whose values are checked where it is read
             if value is not None or name not in ("temperature", "beta", "activity"):
                 RANGES[name].check(name, value)
         if self.controls is not None and any(part is not None for part in self.hands):
@@ -207,9 +201,8 @@ class InferenceOptions:
             raise InputError(f"meaning {self.meaning}", "is unknown", f"choose among {', '.join(MEANING_LEVELS)}")
         if self.transcribe is not None and self.plan is not None:
             raise InputError("transcribe", "hears words, and those of a plan are in it", "leave it out")
-        if (self.retime and self.plan is None) or (self.retime_from is not None and not self.retime):
-            raise InputError(*(("retime", "moves a plan, and none is given", "give the plan, too") if self.retime else
-                               ("retime_from", "is for retime alone", "add retime, or leave it out")))
+        if self.retime and self.plan is None:
+            raise InputError("retime", "moves a plan, and none is given", "give the plan, too")
         for begin, stop in self.hold_still:
             if not 0 <= begin < stop < math.inf:
                 raise InputError(f"hold_still {begin:g}-{stop:g}", "is not a range of seconds", "write it as 3.2-5.0")

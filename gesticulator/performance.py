@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import Character, CharacterMotion
     from gesticulator.editing.render import Generation
-    from gesticulator.editing.retiming_report import RetimingReport
+    from gesticulator.editing.retiming import RetimingReport
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.writers import Scene
     from gesticulator.face.motion import FaceMotion

@@ -135,8 +135,6 @@ class Critics(nn.Module):
         [B, T, k] lexemes substituted for the action, and gained [B, T, k] the change in the rewards of the later
         blocks, NaN if not tried; heard [B, J] 1 if the critic learns from the recording.
         """
-        from data_module.parallel import batch_mean  # only training needs it
-
         values = self.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
         valid = batch["valid"].unsqueeze(-1) * batch["heard"].unsqueeze(1)  # [B, T, J]
         prior = batch["log_prior"].softmax(-1)
@@ -156,7 +154,7 @@ class Critics(nn.Module):
             now = masked_mean(spread.sum(-1), batch["valid"]).sqrt()
             # The first steps replace the initial spread at once; later ones follow slowly.
             self.spread.lerp_(now, _MOMENTUM if progress > _MOMENTUM else 1.0)
-        share = batch_mean(tried.float()).clamp_min(1e-3)
+        share = tried.float().mean().clamp_min(1e-3)
         return {"reward": masked_mean(error.sum(-1), valid),
                 "future": masked_mean(missed.sum(-1), valid) / share / tried.shape[-1],
                 "value": masked_mean(((values.value - batch["return"].unsqueeze(-1)) / self.value_scale).square(),

@@ -27,7 +27,6 @@ from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
-from data_module.parallel import own_rows
 from interpreters.base import BlockFeatures, LexemeInterpreter, Scores, select
 from interpreters.settings import BEHAVIOURS, EpisodeConfig
 
@@ -104,7 +103,7 @@ class Episodes:
         return len(self.episodes)
 
     def windows(self, rng: np.random.Generator, count: int, decisions: int) -> dict[str, Tensor]:
-        """This process's rows of a batch of `count` windows of T decisions and one more position to bootstrap from.
+        """A batch of `count` windows of T decisions and one more position to bootstrap from.
 
         block, previous, action, behaviour: [B, T + 1] int64; reward, valid, cloned: [B, T + 1] float32; terminal,
         silent: [B, T + 1] bool; speaker: [B] int64. previous[:, i] is the lexeme before block[:, i]; previous[:, 0] is
@@ -113,11 +112,7 @@ class Episodes:
         """
         if self.stretch not in (0, decisions):
             raise ValueError(f"these rewards are of stretches of {self.stretch} decisions, not of {decisions}")
-        # Every process samples all windows from the same numbers and takes its rows, so the batch does not depend on
-        # how many processes there are.
-        episode, start = draw_starts(rng, self.lengths, count, decisions, self.stretch)
-        rows = own_rows(count)
-        return self.cut(episode[rows], start[rows], decisions)
+        return self.cut(*draw_starts(rng, self.lengths, count, decisions, self.stretch), decisions)
 
     def cut(self, episode: Integers, start: Integers, decisions: int) -> dict[str, Tensor]:
         last = self.lengths[episode, None] - 1

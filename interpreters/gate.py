@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import BlockLinear, Linear, run_lstm
+from data_module.layers import BlockLinear, Linear, masked_mean, run_lstm
 from interpreters.base import BlockFeatures
 from interpreters.settings import GateConfig
 
@@ -63,12 +63,9 @@ class ActivityGate(nn.Module):
         """Binary cross-entropy of gesture or not, in nats per block. batch: audio_low [B, N + 1, 3K, d], active [B, N +
         1] 1 if the block has a gesture, speaker [B, speakers], valid [B, N + 1]. The seed block counts too, because it
         is not an input."""
-        from data_module.parallel import batch_ratio  # only training needs it
-
         logits, _ = self.logits(batch["audio_low"], batch["speaker"])
         each = functional.binary_cross_entropy_with_logits(logits, batch["active"].to(logits), reduction="none")
-        valid = batch["valid"].to(logits)
-        return {"activity": batch_ratio((each * valid).sum(), valid.sum())}
+        return {"activity": masked_mean(each, batch["valid"])}
 
     def start(self, speaker: int) -> GateState:
         number = torch.tensor([speaker], device=self.classify.weight.device)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import BlockLinear, Linear, repeat_frames, run_lstm, without_after
+from data_module.layers import BlockLinear, Linear, masked_mean, repeat_frames, run_lstm, without_after
 from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores, pose_of
 from interpreters.settings import LstmConfig, StyleConfig
 
@@ -207,8 +207,6 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         """NLL of the next lexeme, in nats per block. batch: lexeme [B, N + 1] (with the silent hint), audio_high [B, N
         + 1, 3K, d], speaker [B, speakers], valid [B, N + 1], and if used text [B, N + 1, 3K, d_t + 1], control [B, N +
         1, K, 2 F], motion [B, N + 1, K, D_m] and duration [B, N + 1] s. The first block is the seed."""
-        from data_module.parallel import batch_ratio  # only training needs it
-
         labels, audio = batch["lexeme"], batch["audio_high"][:, 1:]
         text = batch["text"][:, 1:] if self.config.reads else None
         control = batch["control"][:, 1:] if self.control_width else None
@@ -238,7 +236,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         logits, _ = self.scores(previous, audio, batch["speaker"], None, text, control, pose)
         each = functional.cross_entropy(logits.flatten(0, 1), labels[:, 1:].flatten(), reduction="none")
         valid = batch["valid"][:, 1:].flatten()
-        return {"nll": batch_ratio((each * valid).sum(), valid.sum())}
+        return {"nll": masked_mean(each, valid)}
 
     def poses(self, batch: dict[str, Tensor]) -> Tensor | None:
         """[B, N, 3 D_m] the pose before every block of a batch (see `losses`) except the seed; None if not used."""
@@ -347,8 +345,6 @@ class StyleInterpreter(nn.Module):
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """Mean squared error of the codes. batch: code [B, N + 1, d_z] (learned), lexeme [B, N + 1], audio_low [B, N +
         1, 3K, d], speaker, valid [B, N + 1], text [B, N + 1, 3K, d_t + 1] if used."""
-        from data_module.parallel import batch_ratio  # only training needs it
-
         # The codes are the generator's learned ones, so it must have been trained before.
         code = batch["code"]
         previous = code[:, :-1]
@@ -359,8 +355,7 @@ class StyleInterpreter(nn.Module):
         text = batch["text"][:, 1:] if self.encode_text is not None else None
         predicted, _ = self.codes(previous, batch["lexeme"][:, 1:], batch["audio_low"][:, 1:], batch["speaker"], None,
                                   text)
-        valid = batch["valid"][:, 1:, None].expand_as(predicted)
-        return {"code": batch_ratio(((predicted - code[:, 1:]).pow(2) * valid).sum(), valid.sum())}
+        return {"code": masked_mean((predicted - code[:, 1:]).pow(2), batch["valid"][:, 1:, None])}
 
     def start(self, speaker: int) -> StyleState:
         device = self.lexemes.device

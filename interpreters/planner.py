@@ -30,7 +30,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import BlockLinear, Linear
+from data_module.layers import BlockLinear, Linear, masked_mean
 from interpreters.base import BlockFeatures
 from interpreters.settings import PlannerConfig, StyleConfig
 
@@ -154,8 +154,6 @@ class UnitPlanner(nn.Module):
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """Cross-entropy of each decision in nats per block. batch: audio_low [B, N + 1, 3K, d], units [B, N + 1, 4],
         speaker [B, speakers], valid [B, N + 1]. The seed block is a past only."""
-        from data_module.parallel import batch_ratio  # only training needs it
-
         units, valid = batch["units"], batch["valid"][:, 1:].to(batch["audio_low"])
         before = units[:, :-1]
         if self.training and self.config.past_dropout > 0:
@@ -168,7 +166,7 @@ class UnitPlanner(nn.Module):
         for level, name in enumerate(self.weights):
             each = functional.cross_entropy(self.logits(state, level, units[:, 1:]).flatten(0, 1),
                                             units[:, 1:, level].flatten(), reduction="none")
-            out[name] = batch_ratio((each * valid.flatten()).sum(), valid.sum())
+            out[name] = masked_mean(each, valid.flatten())
         return out
 
     def start(self, speaker: int) -> PlannerState:
@@ -278,12 +276,10 @@ class UnitStyleInterpreter(nn.Module):
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """Mean squared error over the blocks of units. batch: code [B, N + 1, d_z], acting [B, N + 1] whether a block
         belongs to a unit, audio_low [B, N + 1, 3K, d], speaker [B, speakers], valid [B, N + 1]."""
-        from data_module.parallel import batch_ratio  # only training needs it
-
         predicted, _ = self.predict(batch["audio_low"], batch["speaker"])
         # At rest there is no unit to measure a code on.
-        weight = (batch["valid"] * batch["acting"])[..., None].expand_as(predicted)
-        return {"code": batch_ratio(((predicted - batch["code"]).pow(2) * weight).sum(), weight.sum())}
+        weight = (batch["valid"] * batch["acting"])[..., None]
+        return {"code": masked_mean((predicted - batch["code"]).pow(2), weight)}
 
     @torch.no_grad()
     def calibrate(self, predicted: Tensor, measured: Tensor) -> None:

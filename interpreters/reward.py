@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import masked_mean
+from data_module.layers import full_precision, masked_mean
 from interpreters.settings import LEAST_TEMPERATURE, RewardConfig
 
 SPEED_PARTS = 3
@@ -44,11 +44,6 @@ def contrast(motion: Tensor, audio: Tensor, temperature: Tensor | float, group: 
     each other (see `similarities`). The paper sums the two directions; their mean has the same minimum and makes
     chance log B.
     """
-    from data_module.parallel import batch_rows, full_precision  # only training needs them
-
-    # The negatives are the windows of the whole batch, over all processes.
-    motion, audio, group = batch_rows(motion), batch_rows(audio), batch_rows(group)
-    rivals = None if rivals is None else batch_rows(rivals)
     # Scaled before masking: the gradient of a temperature that divides -inf would be NaN.
     logits = full_precision(similarities)(motion / temperature, audio, group)
     pairs = torch.arange(len(logits), device=logits.device)

@@ -47,8 +47,6 @@ class MovementLearner(nn.Module):
         """Sums over the dimensions, means over the blocks. batch: coefficients [B, n], known [B, n] 1 for those of the
         parts that the source has. Before `warm_up` of the run (progress, 0 to 1) the decoder gets the latents
         unquantised."""
-        from data_module.parallel import batch_mean  # only training needs it
-
         lexicon, width = self.lexicon, self.lexicon.config.code_width
         latents = lexicon.latents(batch["coefficients"])
         codes, commitment, codebook = latents, latents.new_zeros(()), latents.new_zeros(())
@@ -58,7 +56,7 @@ class MovementLearner(nn.Module):
         # In the units of x = w y; the mask leaves out parts that the source does not have.
         error = (lexicon.decode(codes) - batch["coefficients"]) * lexicon.basis.weight * batch["known"]
         # The quantiser's terms are means over dimensions; times D_s they are sums, like the first one.
-        return {"reconstruction": batch_mean(error.pow(2).sum(-1)), "commitment": commitment * width,
+        return {"reconstruction": error.pow(2).sum(-1).mean(), "commitment": commitment * width,
                 "codebook": codebook * width}
 
     @torch.no_grad()

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from data_module.layers import full_precision
+
 __all__ = ["Quantised", "Quantizer"]
 
 
@@ -84,8 +86,6 @@ class Quantizer(nn.Module):
 
     def forward(self, latents: Tensor) -> Quantised:
         """Quantise latents [B, D]; in training mode an EMA codebook also follows them."""
-        from data_module.parallel import full_precision  # only training needs it
-
         # In half precision neighbouring codes tie, and their order would decide.
         labels = full_precision(self.labels)(latents)
         chosen = self.vectors[labels]
@@ -103,11 +103,14 @@ class Quantizer(nn.Module):
 
     @torch.no_grad()
     def _follow(self, latents: Tensor, labels: Tensor) -> None:
-        from data_module.parallel import batch_rows, batch_sum, draws_along
-
         one_hot = nn.functional.one_hot(labels, self.size).to(latents.dtype)
-        self.counts.mul_(self.decay).add_(batch_sum(one_hot.sum(0)), alpha=1 - self.decay)
-        self.sums.mul_(self.decay).add_(batch_sum(one_hot.t() @ latents), alpha=1 - self.decay)
+        counts, sums = one_hot.sum(0), one_hot.t() @ latents
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            # The codebook is not moved by gradients, so DistributedDataParallel does not add up the processes' rows.
+            for part in (counts, sums):
+                torch.distributed.all_reduce(part)
+        self.counts.mul_(self.decay).add_(counts, alpha=1 - self.decay)
+        self.sums.mul_(self.decay).add_(sums, alpha=1 - self.decay)
         # Laplace smoothing keeps a rarely used vector from dividing by nearly zero.
         total = self.counts.sum()
         smoothed = (self.counts + self.eps) / (total + self.size * self.eps) * total
@@ -115,9 +118,7 @@ class Quantizer(nn.Module):
         dead = torch.nonzero(self.counts < self.revive_below).flatten()
         if len(dead):
             # Counts scale with the batch: a vector is dead when it gets less than its `revive_below` per batch.
-            latents = batch_rows(latents)
-            with draws_along(None):
-                fresh = latents[torch.randint(len(latents), (len(dead),), device=latents.device)]
+            fresh = latents[torch.randint(len(latents), (len(dead),), device=latents.device)]
             self.vectors[dead] = fresh
             self.sums[dead] = fresh
             self.counts[dead] = 1.0

@@ -488,9 +488,8 @@ def _read_request(file: Path) -> object:
         return json.dumps(plan_from(request["plan"]).to_dict()).encode()
 
     server = SimpleNamespace(
-        hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0, figures=None, export=None,
-        rendering=threading.Lock(), render=render, falls_silent=lambda connection: None,
-        speaks=lambda connection: None, abandons=lambda page, number: lambda: False)
+        hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0,
+        rendering=threading.Lock(), answers={"render": render}, abandons=lambda page, number: lambda: False)
     client = _Client(file)
     _PageHandler(client, ("127.0.0.1", 1), server)  # type: ignore[arg-type]
     assert b" 500 " not in client.answer, client.answer[:1000]
@@ -636,12 +635,6 @@ def _read_edges(file: Path) -> object:
     return edges_of_plan(file)
 
 
-def _read_place(file: Path) -> object:
-    from gesticulator.page.page_place import place_in
-
-    return place_in(file)
-
-
 def _read_token(file: Path) -> object:
     from argparse import Namespace
 
@@ -743,7 +736,6 @@ READERS: dict[str, Case] = {
     "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
     "edges of a plan": Case(_written("a.json", '{"blocks": [{"start": 0, "end": 0.5}, {"start": 0.5, "end": 1}]}'),
                             _read_edges),
-    "place of a page": Case(_written("a.json", '{"port": 8123, "name": "0a1b2c3d"}'), _read_place),
     "token": Case(_written("a.txt", "secret\n"), _read_token)
 }
 

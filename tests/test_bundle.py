@@ -24,7 +24,7 @@ from gesticulator.bundle import models
 from gesticulator.bundle.features import Sizes
 from gesticulator.bundle.files import CARD, read_index
 from gesticulator.bundle.models import part_table
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 
 SMALL = ("interpreter.audio_bottleneck=0", "style.audio_bottleneck=0", "generator.audio_bottleneck=0")
 SPEECH = Speech(np.random.default_rng(0).normal(0, 0.1, 32000).astype(np.float32), 16000)

@@ -17,7 +17,7 @@ from eval.renderings import ListeningGesticulator
 from gesticulator.bundle.bundle import SHIPPED, Bundle, load
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.sampling.candidates import (
     FASTEST,
     WEIGHTS,

@@ -22,9 +22,9 @@ from eval.pictures import lexicon_map
 from eval.table import load
 from generator.flow import FlowGenerator
 from gesticulator.bundle import bundle as bundles
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
 from gesticulator.sampling import loop
 from gesticulator.sampling.loop import Request, Setup
 from gesticulator.training.stages.lexicon import token_labels
@@ -208,7 +208,7 @@ def test_the_motion_of_a_block_depends_on_its_lexeme(system: Gesticulator, recor
         config = dataclasses.replace(system.bundle.config, selection=dataclasses.replace(
             system.bundle.config.selection, lexeme_guidance=0.0, candidates=1))  # nothing to choose
         bundle = dataclasses.replace(system.bundle, config=config)
-        setup = Setup(system.interpreter("lstm"), 0, temperature=1.0, top=0, seed=0)
+        setup = Setup(system.bundle.interpreter_named("lstm"), 0, temperature=1.0, top=0, seed=0)
         requests = [Request(encoded.block(i), lexeme=lexeme) for i in range(len(encoded))]
         return loop.motion_of(bundle, setup, loop.run(bundle, setup, requests, encoded.text is not None))
 

@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from gesticulator.training.fit import Batch, Checkpoint, FitOptions, FitSettings, Task, fit, late_gain, rate_factor
+from gesticulator.training.fit import Batch, FitOptions, FitSettings, Task, fit, late_gain, rate_factor
 
 
 class Model(nn.Module):
@@ -28,7 +28,7 @@ class Model(nn.Module):
         super().__init__()
         torch.manual_seed(0)
         self.net = nn.Sequential(nn.Linear(3, 16), nn.BatchNorm1d(16), nn.ReLU(), nn.Dropout(0.3), nn.Linear(16, 1))
-        self.table = nn.Embedding(10, 1, sparse=True)
+        self.table = nn.Embedding(10, 1)
 
     def sparse_parameters(self) -> list[tuple[nn.Parameter, float]]:
         return [(self.table.weight, 0.05)]
@@ -38,9 +38,9 @@ class Model(nn.Module):
         return {"error": (made - batch["y"]).pow(2).mean(), "ignored": made.sum() * progress}
 
 
-def make_batch(rng: np.random.Generator) -> Batch:
-    x = torch.as_tensor(rng.normal(size=(16, 3)), dtype=torch.float32)
-    return {"x": x, "y": x[:, :1] * 2 + 1, "row": torch.as_tensor(rng.integers(10, size=16))}
+def make_batch(rng: np.random.Generator, size: int) -> Batch:
+    x = torch.as_tensor(rng.normal(size=(size, 3)), dtype=torch.float32)
+    return {"x": x, "y": x[:, :1] * 2 + 1, "row": torch.as_tensor(rng.integers(9, size=size))}
 
 
 SETTINGS = FitSettings(steps=30, batch=16, rate=1e-2, schedule="cosine")
@@ -74,18 +74,12 @@ def test_a_log_line_cut_short_by_a_kill_is_dropped(tmp_path: Path) -> None:
 
 
 def test_it_learns_and_unweighted_terms_are_logged_but_not_followed(tmp_path: Path) -> None:
-    run(tmp_path / "a")
+    model = run(tmp_path / "a")
+    moved = model.table.weight != Model().table.weight
+    assert moved[:9].all() and not moved[9], "a code of no batch stays"
     rows = [json.loads(line) for line in (tmp_path / "a/stage.jsonl").read_text().splitlines()]
     assert rows[-1]["loss"] < 0.5 * rows[0]["loss"]
     assert rows[5]["loss"] == pytest.approx(rows[5]["error"], rel=1e-4)
-
-
-def test_another_seed_is_another_run(tmp_path: Path) -> None:
-    one = run(tmp_path / "a")
-    two = Model()
-    (tmp_path / "b").mkdir()
-    fit("stage", two, Task(make_batch), SETTINGS, tmp_path / "b", FitOptions(seed=4, progress=False))
-    assert not torch.equal(one.net[0].weight, two.net[0].weight)
 
 
 def test_a_loss_that_is_no_number_stops_the_run_and_says_which(tmp_path: Path) -> None:
@@ -120,16 +114,6 @@ def test_a_damaged_checkpoint_begins_the_stage_anew(tmp_path: Path, damage: byte
     again = run(tmp_path / "b")
     for (name, a), b in zip(whole.state_dict().items(), again.state_dict().values(), strict=True):
         assert torch.equal(a, b), name
-
-
-def test_a_checkpoint_of_another_model_leaves_the_model_as_it_was(tmp_path: Path) -> None:
-    file, model = tmp_path / "stage.ckpt", Model()
-    optimiser = torch.optim.Adam(model.net.parameters())
-    Checkpoint(file).save(5, model, [])  # the model fits, the optimisers do not
-    with torch.no_grad():
-        model.net[0].bias.fill_(7.0)
-    assert Checkpoint(file).load(model, [optimiser]) == 0
-    assert (model.net[0].bias == 7.0).all()
 
 
 # ------------------------------------------------------------------------------------------------------ stopping early

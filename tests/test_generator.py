@@ -96,17 +96,11 @@ def test_the_gradient_of_a_gumbel_choice_follows_its_temperature(temperature: fl
     torch.testing.assert_close(gradient.mean(0), expected, rtol=0.05, atol=0)
 
 
-def test_style_row_zero_stays_zero_and_rows_outside_the_batch_do_not_move() -> None:
+def test_only_the_style_codes_of_a_batch_have_gradients_and_row_zero_has_none() -> None:
     styles = StyleCodes(6, 3)
-    optimiser = torch.optim.SparseAdam([styles.table.weight], lr=0.1)
-    before = styles.table.weight.detach().clone()
-    for _ in range(3):
-        optimiser.zero_grad()
-        styles(torch.tensor([0, 2, 2, 5])).pow(2).sum().backward()
-        optimiser.step()
-    moved = (styles.table.weight.detach() - before).abs().sum(1) > 0
-    assert moved.tolist() == [False, False, True, False, False, True, False]
-    assert styles.table.weight[0].abs().sum() == 0
+    (styles(torch.tensor([0, 2, 2, 5])) - 1).pow(2).sum().backward()
+    assert styles.table.weight.grad is not None and styles.table.weight[0].abs().sum() == 0
+    assert (styles.table.weight.grad.abs().sum(1) > 0).tolist() == [False, False, True, False, False, True, False]
 
 
 def test_style_divergence_known_values() -> None:

@@ -23,7 +23,7 @@ from data_module.speech import audio
 from data_module.types import Speech
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 
 RATE = 16000
 

@@ -18,7 +18,7 @@ from data_module.speech.beats import BeatSettings, find_beats, place_beats
 from data_module.types import Array, Speech
 from eval.clip.measure import measure
 from generator.model import BlockInputs, Generator, GeneratorConfig, GeneratorWidths, GumbelCodes, positional_block
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages.windows import Sequence, Windows, with_silence
 from interpreters.base import BlockFeatures
 from interpreters.statistical import StatisticalConfig, StatisticalInterpreter

@@ -11,8 +11,8 @@ from data_module.types import Array, Speech
 from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import longest, smoothed_speed
 from gesticulator.bundle.config import with_settings
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
 from gesticulator.training.presets import PRESETS, preset
 from tests.untrained import PLAIN, SILENT, untrained
 

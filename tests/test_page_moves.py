@@ -11,7 +11,6 @@ import pytest
 from browser import opened_page
 from test_story import PATIENCE, _is, _rendered, _rotations, first, served  # noqa: F401
 
-from gesticulator.page.page_place import page_place, served_again
 from gesticulator.page.server import PageServer
 from gesticulator.page.session import EditSession
 
@@ -206,27 +205,3 @@ def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
         assert _rotations(page).tobytes() == seen[1]
         _is(page, plans, opened.plan())
         opened.check_quiet(server.url)
-
-
-def test_a_page_is_served_at_its_place_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    sound = tmp_path / "talk.wav"
-    assert page_place(sound) is None
-    server, name = served_again(0, sound)
-    port, secrets = server.server_port, {server.secret, server.token}
-    kept = next((tmp_path / "gesticulator" / "pages").iterdir())
-    assert not any(secret in kept.read_text() for secret in secrets), "nothing secret is kept"
-    other, same = served_again(0, sound)
-    assert other.server_port != port and same == name, "where the port is taken, another one"
-    for one in (server, other):
-        one.server_close()
-    again, same = served_again(0, sound)
-    assert again.server_port == other.server_port and same == name
-    assert not secrets & {again.secret, again.token}
-    again.server_close()
-    anew, new = served_again(0, sound, anew=True)
-    assert new != name and page_place(sound).name == new  # type: ignore[union-attr]
-    anew.server_close()
-    for broken in ("", "{", "[]", '{"port": 99999, "name": "x"}', '{"port": 80, "name": "../x"}', '{"port": "x"}'):
-        kept.write_text(broken)
-        assert page_place(sound) is None

@@ -21,7 +21,8 @@ from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import Config, from_dict
 from gesticulator.bundle.files import CARD, INDEX, NAMED, BundleWarning, bundle_folder, read_index
-from gesticulator.pipeline import Gesticulator, InterpreterWarning
+from gesticulator.gesticulator import Gesticulator
+from gesticulator.setup import InterpreterWarning
 from gesticulator.training import command as train
 from gesticulator.training.presets import preset
 from gesticulator.training.stages import wanted

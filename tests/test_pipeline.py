@@ -16,8 +16,8 @@ from data_module.errors import InputError
 from data_module.types import Speech, Word
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import with_settings
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
 from gesticulator.systems.paper import approach_rest
 
 RATE = 16000
@@ -71,8 +71,8 @@ def test_a_rest_closes_half_of_the_way_with_every_block_and_never_swings() -> No
 
 def test_without_words_the_ear_alone_decides(system: Gesticulator) -> None:
     bundle = system.bundle
-    assert system.interpreter("lstm") is bundle.interpreter
-    assert system.interpreter("lstm", text=True) is bundle.interpreter_text
+    assert system.bundle.interpreter_named("lstm") is bundle.interpreter
+    assert system.bundle.interpreter_named("lstm", text=True) is bundle.interpreter_text
     heard = system(SPEECH)
     deaf_to_text = Gesticulator(without(bundle, "interpreter_text", "style_text", "text"))
     assert same(heard, deaf_to_text(SPEECH)), "the same as a bundle that cannot read"

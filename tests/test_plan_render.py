@@ -22,7 +22,7 @@ from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
 from gesticulator.contacts.columns import trunk_distances
 from gesticulator.contacts.limbs import pose_of
-from gesticulator.directing.directions import cues_at
+from gesticulator.directing.cues import cues_at
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.directing.shaping import (
     FADE,
@@ -36,7 +36,6 @@ from gesticulator.directing.shaping import (
 )
 from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
 from gesticulator.editing.render import BLEND
-from gesticulator.options import InferenceOptions
 from gesticulator.page.session import EditSession
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import Block, GestureCue, GesturePlan
@@ -191,7 +190,7 @@ def test_intensity_scales_the_hands_and_keeps_them_in_range_and_out_of_the_body(
     assert len(rests) and drawn.blocks.edges[1] > 0.2
     path = [float(hand_speeds(one)[120:].mean()) for one in (made, drawn)]
     assert path[0] < 0.95 * path[1] if intensity < 1 else path[0] > 1.05 * path[1]
-    speaker = system.speaker_index(None)
+    speaker = system.resolver.speaker(None)
     low, high = (system.bundle.statistics.denormalise(bound, speaker) for bound in system.bundle.statistics.bounds)
     arms = [j for j, name in enumerate(made.joints) if name.endswith(("Shoulder", "Arm", "ForeArm"))]
     angles = rotation.unroll(rotation.to_exponential_map(made.rotations[:, arms])).reshape(len(made.rotations), -1)
@@ -327,17 +326,15 @@ def test_energy_is_a_named_combination(system: Gesticulator, speech: Speech) -> 
 
 
 def test_a_stream_gets_the_frames_of_a_file_whatever_knobs_are_turned(system: Gesticulator, speech: Speech) -> None:
-    turned = InferenceOptions(seed=SEED, intensity=1.5, mirror=True, handedness="right", hold_still=((2.0, 3.0),),
-                              cues=(GestureCue("wave", time=1.5),))
-    names = ("seed", "intensity", "mirror", "handedness", "hold_still", "cues")
-    asked = {name: getattr(turned, name) for name in names}
+    asked = {"seed": SEED, "intensity": 1.5, "mirror": True, "handedness": "right", "hold_still": ((2.0, 3.0),),
+             "cues": (GestureCue("wave", time=1.5),)}
     short = replace(speech, samples=speech.samples[:round(4.0 * speech.sample_rate)])
     stream = system.stream(speech.sample_rate, **asked)
     parts = [stream.feed(short.samples[at:at + 1600]) for at in range(0, len(short.samples), 1600)] + [stream.finish()]
     got = np.concatenate([part.rotations for part in parts])
-    np.testing.assert_array_equal(got, system.perform(short, turned).rotations)
+    np.testing.assert_array_equal(got, system(short, **asked).rotations)
     with pytest.raises(InputError, match="whole recording"):
-        system.stream(plan=system.perform(short, turned).plan())
+        system.stream(plan=system(short, **asked).plan())
 
 
 # --------------------------------------------------------------------------------------------------------- cues

@@ -16,7 +16,7 @@ from eval.context import with_judges
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training import command as train
 from gesticulator.training import presets
 from gesticulator.training.stages.corpus import Corpus, prepare
@@ -165,10 +165,10 @@ def test_racers_own_form_decodes_its_codes_together(native: Path) -> None:
 
     speech = Speech(babble(4.0), 16000)
     made = system(speech, fps=20)
-    rest = system.bundle.rest_lexeme(system.speaker_index(None))
+    rest = system.bundle.rest_lexeme(system.resolver.speaker(None))
     codes = torch.as_tensor([[rest, *made.lexemes.tolist()]])
     frames = codec.decode(codec.vectors[codes])[0, 8:].numpy().astype(np.float64)
-    poses = system.bundle.statistics.denormalise(frames, system.speaker_index(None))
+    poses = system.bundle.statistics.denormalise(frames, system.resolver.speaker(None))
     # The frames of the motion at 20 fps are the decoded ones, but for the smoothing.
     from gesticulator.bundle.features import representation_of
 

@@ -23,10 +23,10 @@ from pipecat_gesticulator.realtime import RATE, RealtimeGestures
 from websockets.asyncio.server import ServerConnection, serve
 
 from data_module.speech.audio import load_speech, resample
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.server import LiveServer, ServerAddress
 from gesticulator.live.session import session_opener
-from gesticulator.pipeline import Gesticulator
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "integrations" / "pipecat-gesticulator" / "examples"

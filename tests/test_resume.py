@@ -25,10 +25,10 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.types import Motion
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.server import LiveServer, ServerAddress
 from gesticulator.live.session import session_opener
-from gesticulator.pipeline import Gesticulator
 
 LIMITS = ServerLimits(streams=8, drain_seconds=0.2)
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"

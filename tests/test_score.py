@@ -44,7 +44,7 @@ from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, Provenance, load, save
 from gesticulator.bundle import bundle as bundles
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.lexicon import token_labels
 

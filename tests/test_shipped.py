@@ -14,8 +14,8 @@ from eval.clip.measure import measure
 from eval.table import load_with_provenance, markdown
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import CARD, read_index
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "speech.flac"

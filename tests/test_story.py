@@ -24,7 +24,7 @@ from gesticulator import Gesticulator
 from gesticulator.arguments import run_settings_of
 from gesticulator.export import html
 from gesticulator.export.writers import check_output
-from gesticulator.page.command import COMMAND, PageRequest, _job, _prepare
+from gesticulator.page.command import COMMAND, _job, _prepare
 from gesticulator.page.palette import moving_figures
 from gesticulator.page.saved_edits import SavedEdits
 from gesticulator.page.server import PageServer
@@ -57,9 +57,9 @@ def served(first: tuple[Gesticulator, Performance], tmp_path: Path) -> Iterator[
     live = {"token": server.token, "renderings": [number], "levels": levels_of(system.bundle),
             "directions": directions_of(system)}
     server.page = html.page({"lstm": scene}, "talk", more={"live": live}).encode()
-    saved = server.saved = SavedEdits(tmp_path / "talk.edits.plan.json", after=0.1)
-    plans.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(lambda: plan)
-    server.render = plans.answer
+    saved = SavedEdits(tmp_path / "talk.edits.plan.json", after=0.1)
+    plans.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(plan)
+    server.answers["render"] = plans.answer
     server.figures = cache(lambda: json.dumps(moving_figures(system.bundle, 0)).encode())
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
@@ -92,16 +92,17 @@ def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, EditSession
     """What `gesticulator view SOUND` does from the command to Ctrl C, without a window of its own."""
     args = COMMAND.parser("gesticulator view").parse_args([str(sound), "--no-browser", *words])
     with PageServer() as server:
-        _prepare(server, _job(args), run_settings_of(args), PageRequest())
+        saved = _prepare(server, _job(args), run_settings_of(args), None, anew=False)
+        assert saved is not None
         gc.unfreeze()  # more is done in this process after it
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
         try:
-            yield server, server.render.__self__  # type: ignore[union-attr]
+            yield server, server.answers["render"].__self__  # type: ignore[attr-defined]
         finally:
             server.shutdown()
             thread.join(10)
-            server.saved.save()  # type: ignore[union-attr]
+            saved.save()
 
 
 def _look(page: Any) -> int:

@@ -28,11 +28,11 @@ from generator.flow import Guidance, SamplingHead
 from gesticulator import stream as stream_module
 from gesticulator.body.rest import Rest
 from gesticulator.bundle.features import representation_of
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.pace import Effort
 from gesticulator.live.protocol import StreamRequest, published
 from gesticulator.live.session import session_opener
-from gesticulator.pipeline import Gesticulator
 from gesticulator.sampling.candidates import CandidateChooser
 from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
@@ -197,7 +197,7 @@ def test_words_that_are_known_before_are_those_of_the_file_and_late_ones_do_no_h
 
 def test_a_block_hears_the_words_that_are_known_when_it_is_drawn() -> None:
     g, sound = system(), example()[:round(SHORT * SAMPLE_RATE)]
-    cutter = BlockCutter(g.bundle.config, words=g.word_encoder())
+    cutter = BlockCutter(g.bundle.config, words=g.word_encoder)
     before = cutter.feed(sound)
     cutter.add_words([Word("now", before[-1].start, 60.0)])
     after = cutter.finish()
@@ -477,7 +477,7 @@ def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
 def resting() -> Array:
     """[J, 3] metres of the joints of who rests."""
     bundle = system().bundle
-    pose = bundle.statistics.rest_pose[system().speaker_index(None)]
+    pose = bundle.statistics.rest_pose[system().resolver.speaker(None)]
     places: Array = positions_of(representation_of(bundle.config).motion(pose[None], FPS))[0]
     return places
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from data_module.motion.movement import PAST, Pasts
 from gesticulator.bundle.features import Normaliser, Statistics
 from gesticulator.training import presets
 from gesticulator.training.stages import Corpus
@@ -36,6 +37,7 @@ def random_corpus(seed: int = 0) -> tuple[Corpus, Lexemes]:
     return Corpus(
         names=tuple(f"r{i}" for i in range(14)), splits=("train",) * 8 + ("val",) * 2 + ("test",) * 4,
         speaker_of=np.zeros(14, np.int64), motion=torch.as_tensor(motion), low=heard, high=heard, silent=silent,
+        pasts=Pasts(torch.zeros(count, PAST, MOTION), torch.ones(count)),
         durations=np.full(count, 0.3), recording=recording, first=torch.zeros(14, MOTION),
         mask=torch.ones(14, MOTION), control=np.zeros((count, frames, 3), np.float32), statistics=statistics,
         has_text=np.zeros(14, bool)), labels

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import pickle
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -298,7 +296,7 @@ def test_bad_arguments_are_one_line_and_exit_code_2(tiny_store: Path, work: Path
 
 def test_text_without_words_is_refused_before_the_work(tiny_store: Path, work: Path, tmp_path: Path,
                                                        monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.training.stages.corpus.read_words", lambda *_, **__: {})
+    monkeypatch.setattr("gesticulator.training.stages.caches.word_file", lambda *_, **__: None)
     own = with_caches(work, tmp_path / "work")
     with pytest.raises(InputError, match=r"no recording with words.*text\.encoder"):
         training.train(short(), Store.open(tiny_store), tmp_path / "b", own, QUIET)
@@ -328,7 +326,7 @@ class Small(torch.nn.Module):
 def small_stage(times: list[int]) -> Stage[Small]:
     def train(run: Run, model: Small, folder: Path) -> dict[str, float]:
         times.append(1)
-        return run.fit(stage, model, fitting.Task(lambda rng: {}, validate=lambda: {"left": float(
+        return run.fit(stage, model, fitting.Task(lambda rng, size: {}, validate=lambda: {"left": float(
             (model.number - 3).abs())}), folder)
 
     stage: Stage[Small] = Stage("gate", (), schedule="gate", build=lambda run: Small(), train=train)
@@ -386,28 +384,6 @@ def test_bytes_that_turned_over_in_a_cache_are_one_line(tiny_store: Path, work: 
     file.write_bytes(bytes(data))
     with pytest.raises(InputError, match=rf"{file.name}: is damaged"):
         prepare(Store.open(tiny_store), presets.preset("tiny"), own, progress=False)
-
-
-def test_where_a_run_stands_is_said_and_what_is_not_measured_is_not_guessed(
-        tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    run = training.TimedRun(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
-    run.plan = [STAGES["lexicon"], STAGES["gate"], STAGES["style"]]
-    assert run.position(0) == "stage 1 of 3: lexicon, 200 steps; after it 2 stages not measured yet"
-    (tmp_path / "times.json").write_text(json.dumps({"lexicon": 3.0, "gate": 0.5, "style": "soon", "cql": -1}))
-    assert run.position(0) == "stage 1 of 3: lexicon, 200 steps, about 10 min; after it about 20 s, 1 stage not " \
-                              "measured yet"
-    assert run.position(2) == "stage 3 of 3: style, 160 steps"
-    # What is measured is the time that steps took, by a clock that is told.
-    clock = iter(range(0, 1000, 8))
-    monkeypatch.setattr(training, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
-    stage = small_stage([])
-    stage.train(run, Small(), tmp_path)  # type: ignore[misc]
-    assert run.times()["gate"] == pytest.approx(8 / 40) and run.times()["lexicon"] == 3.0
-    for text in ("", "[]", "{"):
-        (tmp_path / "times.json").write_text(text)
-        assert run.times() == {}
-    assert [training.about(s) for s in (0.2, 80, 91, 3600, 3 * 3600)] == ["about 1 s", "about 80 s", "about 2 min",
-                                                                         "about 60 min", "about 3.0 h"]
 
 
 def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, work: Path) -> None:
@@ -526,9 +502,3 @@ def test_ten_joints_in_space_are_trained_on_and_become_a_skeleton(tiny_store: Pa
     still = motion.rotations[:, motion.skeleton.index("LeftHand")]
     np.testing.assert_allclose(np.abs(still[:, 0]), 1.0, atol=1e-6)  # ten points tell nothing of a hand's turn
     assert np.ptp(motion.rotations[:, motion.skeleton.index("RightForeArm")], axis=0).max() > 1e-3
-
-
-def test_an_error_of_a_worker_reaches_the_user_as_it_was() -> None:
-    error = pickle.loads(pickle.dumps(InputError("file.flac", "is broken", "export it again")))
-    assert isinstance(error, InputError) and str(error) == "file.flac: is broken; export it again"
-    assert (error.subject, error.wrong, error.advice) == ("file.flac", "is broken", "export it again")

@@ -6,8 +6,10 @@ from __future__ import annotations
 import asyncio
 import socket
 import struct
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -162,40 +164,34 @@ def test_bones_have_unitys_names() -> None:
     assert len({vmc.unity_bone(bone) for bone in BONES}) == len(BONES)
 
 
-class Clock:
-    """A time that passes only where the output waits, a millisecond longer than asked; at its end, the output ends."""
-
-    def __init__(self, end: float) -> None:
-        self.now, self.end = 100.0, end
-
-    def monotonic(self) -> float:
-        return self.now
-
-    def is_set(self) -> bool:
-        return self.now >= self.end
-
-    def wait(self, seconds: float) -> None:
-        self.now += seconds + 0.001
-
-
 def test_frames_are_sent_when_they_are_due(motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What comes at once is played in its own time, each frame once, whatever else is computed: the thread waits for
-    nothing but the clock. Later frames replace earlier ones."""
-    clock = Clock(101.6)
-    monkeypatch.setattr(vmc, "time", clock)
+    """Frames that come at once are played in their time, each once, by a clock that passes only in the output's waits,
+    each a millisecond longer than it should be."""
+    clock = SimpleNamespace(now=100.0, end=100.01)
+
+    async def sleep(seconds: float) -> None:
+        clock.now += seconds + 0.001
+        if clock.now >= clock.end:
+            raise asyncio.CancelledError
+
+    def play_until(end: float) -> None:
+        clock.end = end
+        with suppress(asyncio.CancelledError):
+            asyncio.run(output.play())
+
+    monkeypatch.setattr(vmc, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(vmc, "asyncio", SimpleNamespace(sleep=sleep))
     output = vmc.VmcOutput("127.0.0.1:39539")
     sent: list[tuple[float, bytes]] = []
     output._socket.close()
-    output._socket = SimpleNamespace(sendto=lambda data, address: sent.append((clock.now, data)),
-                                     close=lambda: None)  # type: ignore[assignment]
-    output._ended = clock  # type: ignore[assignment]
-    clock.end = 100.01
-    output._run()
-    assert len(sent) == 1 and receive(sent[0][1]).loaded == 0, "before there are poses, a receiver is told so"
+    output._socket = MagicMock()
+    output._socket.sendto = lambda data, address: sent.append((clock.now, data))
+    play_until(100.01)
+    assert len(sent) == 1 and receive(sent[0][1]).loaded == 0, "no model before there are poses"
     output.take("a", frames_of(motion))
     output.take("another", frames_of(motion))  # the output is taken
-    begin, clock.end = clock.now, 101.6
-    output._run()
+    begin = clock.now
+    play_until(101.6)
     moments = sorted({at for at, _ in sent[1:]})
     played = [(at - begin, receive_all([data for when, data in sent[1:] if when == at])) for at in moments]
     truth = vmc.VmcFrames(motion)

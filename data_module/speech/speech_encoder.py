@@ -18,6 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from data_module.errors import InputError
+from data_module.layers import masked_mean
 from data_module.speech.front_ends import ACTIVATIONS, EncoderConfig
 
 SHAPES = ((10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1))
@@ -174,8 +175,6 @@ class TextContrast(nn.Module):
         """Eq. 1, averaged over anchors, the frames with a word. batch: "samples" [B, 3K * samples per frame], windows
         of three blocks; "text" [B, K, d_t] word vectors of the middle block; "word" [B, K] which word of the recording
         sounds, -1 for none."""
-        from data_module.parallel import batch_ratio  # only training asks for it
-
         logits = self.similarities(batch) / self.config.temperature
         word = batch["word"]
         frames = word.shape[1]
@@ -186,8 +185,7 @@ class TextContrast(nn.Module):
         positive = torch.arange(frames, device=word.device).expand_as(word)
         spread = torch.logsumexp(logits.flatten(2), dim=-1)
         terms = spread - logits[:, :, -1].gather(2, positive[..., None])[..., 0]
-        spoken = (word >= 0).to(terms.dtype)
-        return {"contrast": batch_ratio((terms * spoken).sum(), spoken.sum())}
+        return {"contrast": masked_mean(terms, word >= 0)}
 
     @torch.no_grad()
     def retrieval(self, batch: Mapping[str, Tensor]) -> Tensor:

@@ -26,7 +26,7 @@ from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import diversity, longest_run
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.features import SpeechFeatures
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import Corpus
 from gesticulator.training.stages.q_network import features_of, takes_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select

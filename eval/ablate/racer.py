@@ -324,8 +324,8 @@ def epsilon_at(step: int, steps: int) -> float:
 def offline(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
     episodes, _ = rewarded(racer, config)
-    return ConservativeQ(network), lambda rng: q_batch(racer.corpus, episodes.windows(
-        rng, config.schedules.cql.batch, config.cql.decisions), config.cql.lookahead)
+    return ConservativeQ(network), lambda rng, size: q_batch(racer.corpus, episodes.windows(
+        rng, size, config.cql.decisions), config.cql.lookahead)
 
 
 class Acting(ConservativeQ):
@@ -347,10 +347,9 @@ class Acting(ConservativeQ):
                     self.online, self._racer.corpus, epsilon, rng), rng, self._config.schedules.cql.batch,
                     self._config.cql.decisions))
 
-    def batch(self, rng: np.random.Generator) -> fitting.Batch:
+    def batch(self, rng: np.random.Generator, size: int) -> fitting.Batch:
         """Windows of what it remembers."""
-        return q_batch(self._racer.corpus, self._memory.windows(rng, self._config.schedules.cql.batch),
-                       self._config.cql.lookahead)
+        return q_batch(self._racer.corpus, self._memory.windows(rng, size), self._config.cql.lookahead)
 
 
 def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
@@ -366,15 +365,14 @@ def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int)
     assert isinstance(supervised, QNetwork)
     model.begin_as(supervised)
     simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
-    return model, lambda rng: q_batch(racer.corpus, collect(
-        simulator, sampled(model, racer.corpus, rng), rng, config.schedules.cql.batch, config.cql.decisions),
-        config.cql.lookahead)
+    return model, lambda rng, size: q_batch(racer.corpus, collect(
+        simulator, sampled(model, racer.corpus, rng), rng, size, config.cql.decisions), config.cql.lookahead)
 
 
 def scaled(make_batch: fitting.MakeBatch, factor: float) -> fitting.MakeBatch:
     """The same batches with rewards times a factor."""
-    def made(rng: np.random.Generator) -> fitting.Batch:
-        batch = make_batch(rng)
+    def made(rng: np.random.Generator, size: int) -> fitting.Batch:
+        batch = make_batch(rng, size)
         return {**batch, "reward": factor * batch["reward"]}
 
     return made

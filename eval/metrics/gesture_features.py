@@ -304,8 +304,8 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
     network.standardise(data)
     pool = torch.as_tensor(data, dtype=torch.float32)
 
-    def batch(rng: np.random.Generator) -> dict[str, Tensor]:
-        return {"windows": pool[torch.as_tensor(rng.integers(len(pool), size=schedule.batch))]}
+    def batch(rng: np.random.Generator, size: int) -> dict[str, Tensor]:
+        return {"windows": pool[torch.as_tensor(rng.integers(len(pool), size=size))]}
 
     def validate() -> dict[str, float]:
         if len(held) == 0:

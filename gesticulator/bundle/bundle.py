@@ -44,6 +44,7 @@ from interpreters.base import InterpreterParts, opened
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
+    from data_module.text.word_vectors import WordEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
     from interpreters.advantage import Critics
@@ -83,6 +84,16 @@ class TextSource:
     def of(cls, config: Config, width: int) -> TextSource | None:
         """From the settings; None without text."""
         return cls(config.text.encoder, width) if config.text.encoder and width else None
+
+    def open(self) -> WordEncoder:
+        """The encoder; `InputError` if what is installed gives vectors of another width."""
+        from data_module.text.word_vectors import WordEncoder
+
+        words = WordEncoder.open(self.encoder)
+        if words.width + 1 != self.width:
+            raise InputError(self.encoder, "is not the word encoder that the bundle was trained with",
+                             "install the same version")
+        return words
 
 
 @dataclass(frozen=True)
@@ -299,13 +310,13 @@ def required(config: Config) -> tuple[str, ...]:
     return "lexicon", *system.PARTS, *(("style",) if system.BLOCKS and config.generator.styled else ())
 
 
-def load(path: str | Path) -> Bundle:
+def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     """Open a bundle; InputError if it is broken, of another format, or does not match its hashes.
 
     The settings, the statistics and the codebook are read at once; each model when it is first used, which may raise
-    InputError as well.
+    InputError as well. device: where the models are put, such as "cuda".
     """
-    folder = Path(path)
+    folder, device = Path(path), _usable(device)
     index = read_index(folder)
     config = from_dict(Config, index["config"])
     system = system_of(config)
@@ -324,9 +335,21 @@ def load(path: str | Path) -> Bundle:
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
                          "copy the bundle again")
-    return Bundle(config, statistics, silent, tensors["frequencies"], tensors["transitions"], vectors,
+    return Bundle(config, statistics, silent, tensors["frequencies"], tensors["transitions"], vectors.to(device),
                   tensors["rest_distances"].astype(np.float32),
-                  StoredParts(weights, replace(sizes, vectors=vectors)), index["provenance"], index["figures"], text)
+                  StoredParts(weights, replace(sizes, vectors=vectors), device), index["provenance"], index["figures"],
+                  text)
+
+
+def _usable(device: str | torch.device) -> torch.device:
+    """The torch device; `InputError` if torch does not know it or cannot use it here."""
+    try:
+        usable = torch.device(device)
+        torch.empty(1, device=usable)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
+                         'choose "cpu", or "cuda" where torch finds a GPU') from None
+    return usable
 
 
 def _text_source(folder: Path, entry: dict[str, Any] | None) -> TextSource | None:

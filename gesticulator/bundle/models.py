@@ -156,8 +156,8 @@ class ChangedParts(Mapping[str, nn.Module]):
 class StoredParts(Mapping[str, nn.Module]):
     """The models of a bundle on disk, each loaded when it is first used."""
 
-    def __init__(self, weights: Weights, sizes: Sizes) -> None:
-        self._weights, self._sizes = weights, sizes
+    def __init__(self, weights: Weights, sizes: Sizes, device: torch.device) -> None:
+        self._weights, self._sizes, self._device = weights, sizes, device
         self._opened: dict[str, nn.Module] = {}
 
     def __getitem__(self, name: str) -> nn.Module:
@@ -169,7 +169,7 @@ class StoredParts(Mapping[str, nn.Module]):
             tensors = self._weights.read(part.file, shapes(name, self._sizes), tied)
             model = part.build(self._sizes)
             model.load_state_dict(tensors)
-            self._opened[name] = freeze(model)
+            self._opened[name] = freeze(model.to(self._device))
         return self._opened[name]
 
     def __contains__(self, name: object) -> bool:

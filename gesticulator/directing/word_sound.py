@@ -14,9 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from data_module.types import Array, Speech, Word
-from gesticulator.directing.directions import stroke_of_word
-
-__all__ = ["WordSounds"]
+from gesticulator.directing.cues import stroke_of_word
 
 _LEAD = 0.08
 """Seconds by which a stroke comes before the vowel: a beat of the hand leads the voice by .075 s in the median."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 from data_module.errors import InputError, complain
@@ -48,11 +47,11 @@ class SavedEdits:
 
     def __init__(self, place: Path, after: float = AFTER) -> None:
         self._place, self._after = place, after
-        self._plan: Callable[[], GesturePlan] | None = None
+        self._plan: GesturePlan | None = None
         self._timer: threading.Timer | None = None
         self._lock, self._writing = threading.Lock(), threading.Lock()
 
-    def keep(self, plan: Callable[[], GesturePlan]) -> None:
+    def keep(self, plan: GesturePlan) -> None:
         """Save a plan soon, unless another one comes before."""
         with self._lock:
             self._plan = plan
@@ -69,6 +68,6 @@ class SavedEdits:
             return
         with self._writing:
             try:
-                write_text(self._place, plan().to_json())
+                write_text(self._place, plan.to_json())
             except OSError as error:
                 complain(f"{self._place}: the edits are not saved ({error.strerror or error})")

@@ -4,22 +4,25 @@ A plan holds the sound's name and hash, the seed, the words, the possible choice
 of the first generation (`drawn`), and the blocks to play (`blocks`), which can be edited. Blocks that differ from
 `drawn` are generated again, all others are replayed (`gesticulator.directing.editing`).
 
-Plain data: nothing here imports numpy or a model. The types of the fields carry their ranges, by which
-`gesticulator.plan.plan_file` reads a file; `docs/schema/plan.schema.json` is generated from these classes.
+The types of the fields carry their ranges, by which `gesticulator.plan.plan_file` reads and checks a file;
+`docs/schema/plan.schema.json` is generated from these classes.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import hashlib
-from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast, get_args
 
+import numpy as np
 from msgspec import Meta
 
 from data_module.errors import InputError, shown
-from gesticulator.plan.plain import in_lines, to_plain
 
 if TYPE_CHECKING:
     from data_module.types import Speech
@@ -44,17 +47,14 @@ HANDS: tuple[Hand, ...] = get_args(Hand)
 """Values of handedness, and hands of a gesture unit."""
 
 Flag = Literal["boundary", "onset", "loud_pseudo", "even_pseudo", "edited"]
-FLAGS: tuple[Flag, ...] = get_args(Flag)
 """Kinds of beats at which a block ends: the names of `BeatFlag`, and a beat that a user moved or added."""
 
 SETTLES = 0.42
 """Seconds before a range of stillness in which the hands come to rest: the longest duration of a stop."""
 
 PhaseKind = Literal["preparation", "pre-stroke hold", "stroke", "post-stroke hold", "retraction"]
-PHASES: tuple[PhaseKind, ...] = get_args(PhaseKind)
 """Phases of a gesture unit (Kendon; Kita et al.), in their order."""
 CurveKnob = Literal["intensity", "activity", "energy", "height", "speed", "radius"]
-CURVES: tuple[CurveKnob, ...] = get_args(CurveKnob)
 """Knobs that a curve can vary: intensity, activity, energy (0 calm, 1 neutral, 2 lively), and the three hand controls
 (metres, metres per second, metres)."""
 
@@ -342,19 +342,10 @@ class KnobCurve:
     """[M] the knob's value at these times, in its unit."""
 
 
-def _linear(x: float, points: Sequence[float], values: Sequence[float]) -> float:
-    """The value at x: linear between the rising points, constant before and after them."""
-    after = bisect_right(points, x)
-    if after in (0, len(points)):
-        return values[max(after - 1, 0)]
-    u = (x - points[after - 1]) / (points[after] - points[after - 1])
-    return values[after - 1] + u * (values[after] - values[after - 1])
-
-
 def _share_at(curve: KnobCurve, time: float) -> float:
     """The factor on activity at a time, seconds, of a curve of activity or of energy."""
-    value = _linear(time, curve.times, curve.values)
-    return _linear(value, range(len(ENERGIES)), ENERGY_SHARES) if curve.knob == "energy" else value
+    value = np.interp(time, curve.times, curve.values)
+    return float(np.interp(value, range(len(ENERGIES)), ENERGY_SHARES) if curve.knob == "energy" else value)
 
 
 @dataclass(frozen=True)
@@ -372,20 +363,6 @@ class GenerationKnobs:
         for curve in self.curves:
             share *= _share_at(curve, time)
         return share
-
-
-@dataclass(frozen=True)
-class SoundAlignment:
-    """The map of the plan onto another export of its sound, with other pauses or another tempo."""
-
-    sha256: str
-    """SHA-256 of the samples of the other sound, as for `sound`."""
-    duration: Annotated[float, Meta(gt=0.0)]
-    """Seconds of the other sound."""
-    times: tuple[Seconds, ...]
-    """[M] seconds of this plan, rising."""
-    there: tuple[Seconds, ...]
-    """[M] the same moments in the other sound, seconds, rising; linear between them."""
 
 
 @dataclass(frozen=True)
@@ -435,9 +412,7 @@ class GesturePlan:
     """Fixed poses of joints at times."""
     curves: tuple[KnobCurve, ...] = ()
     """Knobs that change over time; at most one curve per knob."""
-    alignment: SoundAlignment | None = None
-    """The map of the plan onto another export of its sound."""
-    fingerprint: str | None = None
+    fingerprint: Annotated[str, Meta(pattern="^([A-Za-z0-9+/]{8})+$")] | None = None
     """The fingerprint of the sound, by which the plan is moved onto another export of it (`--retime`)."""
     source: str = field(default="plan", compare=False, repr=False)
     """The name of the file that the plan was read from, for error messages; not a member of the file."""
@@ -475,12 +450,45 @@ class GesturePlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""
-        plain: dict[str, Any] = to_plain(self)
+        plain: dict[str, Any] = _plain(self)
         return plain
 
     def to_json(self) -> str:
         """The text of the file: one line per block, word and lexeme; the same plan gives the same text."""
-        return in_lines(self.to_dict()) + "\n"
+        return _in_lines(self.to_dict()) + "\n"
+
+
+@functools.cache
+def members(kind: type) -> Mapping[str, bool]:
+    """Member of the file -> whether it is left out while it is null or empty: the fields of a dataclass, apart from
+    `source`, which is not compared."""
+    return {field.name: field.default in (None, ()) for field in dataclasses.fields(cast(Any, kind)) if field.compare}
+
+
+def _plain(record: Any) -> Any:
+    """Plain values for JSON."""
+    if isinstance(record, tuple | list):
+        return [_plain(entry) for entry in record]
+    if not dataclasses.is_dataclass(record):
+        return dict(record) if isinstance(record, Mapping) else record
+    values = ((name, getattr(record, name), optional) for name, optional in members(cast(type, type(record))).items())
+    return {name: _plain(value) for name, value, optional in values if not (optional and value in (None, ()))}
+
+
+def _in_lines(value: Any, depth: int = 0) -> str:
+    """JSON text with one line for each member of the first two levels; deeper values stay on one line, so that a
+    changed block is one changed line for tools that compare files."""
+    flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
+    is_object = isinstance(value, dict)
+    # Short values, lists of numbers, and everything from the rows of lists on stay on one line.
+    rows_below = value if is_object and depth < 2 else isinstance(value, list) and value and isinstance(value[0], dict)
+    if not rows_below or depth > 2 or len(flat) < 100:
+        return flat
+    indent = "\n" + " " * (depth + 1)
+    rows = [f"{json.dumps(key, ensure_ascii=False)}: {_in_lines(inner, depth + 1)}" for key, inner in value.items()] \
+        if is_object else [_in_lines(inner, depth + 1) for inner in value]
+    first, last = "{}" if is_object else "[]"
+    return first + indent + ("," + indent).join(rows) + "\n" + " " * depth + last
 
 
 def place_of(path: Place) -> str:
@@ -510,17 +518,14 @@ def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
     """`edited_blocks`, apart from knobs of the whole recording."""
     drawn, knobs = plan.drawn, plan.knobs
     numbers = drawn.numbers or range(len(drawn.lexemes))
-    places = {pair: at for at, pair in enumerate(zip(drawn.edges, drawn.edges[1:], strict=False))}
+    first = dict(zip(pairwise(drawn.edges), zip(drawn.lexemes, drawn.silent, numbers, strict=True), strict=True))
     as_still = knobs.hold_still == drawn.knobs.hold_still
     out = []
     for block in plan.blocks:
-        # This loop runs over all blocks at every edit, so it avoids function calls.
         place, draw = (block.start, block.end), block.draw
-        same = False
-        if place in places:
-            at = places[place]
-            same = block.lexeme == drawn.lexemes[at] and block.silent == drawn.silent[at] \
-                and (draw.seed, draw.variation, draw.block) == (plan.seed, plan.variation, numbers[at])
+        same = first.get(place) == (block.lexeme, block.silent, draw.block) \
+            and (draw.seed, draw.variation) == (plan.seed, plan.variation)
+        # Only here does a block depend on its place: ranges of stillness concern those that they overlap.
         if same and not block.locked and not as_still:
             same = knobs.still_at(*place) == drawn.knobs.still_at(*place)
         out.append(not same)

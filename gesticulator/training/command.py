@@ -14,7 +14,6 @@ from gesticulator.cli import PROGRAM, Command
 
 MOST_THREADS = 1024
 """Upper limit of --threads: catches typing errors, which torch would try to start."""
-LARGEST_SEED = 2**31 - 1
 
 
 class _List(argparse.Action):
@@ -22,9 +21,9 @@ class _List(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
         from gesticulator.training.presets import PRESETS
-        from gesticulator.training.stages import STAGES
+        from gesticulator.training.stages import every_stage
 
-        print("presets: " + ", ".join(PRESETS) + "\nstages: " + ", ".join(STAGES))
+        print("presets: " + ", ".join(PRESETS) + "\nstages: " + ", ".join(every_stage()))
         parser.exit()
 
 
@@ -42,8 +41,6 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--threads", type=int, help="torch threads per process (default: all cores)")
     p.add_argument("--precision", default="float32", choices=("float32", "bfloat16"),
                    help="bfloat16 is mixed precision, on a GPU (default float32)")
-    p.add_argument("--corpus-memory", type=float, default=4.0, metavar="GB",
-                   help="read the corpus from disk if it takes more memory than this (default 4)")
     p.add_argument("--stage", metavar="STAGE", help="train this stage and those it needs, then stop")
     p.add_argument("--redo", action="append", default=[], metavar="STAGE", help="train this stage again")
     p.add_argument("--seed", type=int, help="random seed")
@@ -56,9 +53,7 @@ def run(args: argparse.Namespace) -> int:
     """Train; InputError for invalid arguments."""
     machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # processes started here by torchrun
     threads = args.threads if args.threads is not None else max(1, (os.cpu_count() or 1) // machine)
-    for flag, value, least, most in (("--threads", threads, 1, MOST_THREADS),
-                                     ("--seed", args.seed or 0, 0, LARGEST_SEED),
-                                     ("--corpus-memory", args.corpus_memory, 0, 1e6)):
+    for flag, value, least, most in (("--threads", threads, 1, MOST_THREADS), ("--seed", args.seed or 0, 0, 2**31 - 1)):
         if not least <= value <= most:
             raise InputError(f"{flag} {value}", "is out of range", f"choose {least} to {most}")
     import torch
@@ -66,15 +61,15 @@ def run(args: argparse.Namespace) -> int:
     from data_module.build_report import doubts
     from data_module.store import Store
     from gesticulator.bundle.config import with_settings
-    from gesticulator.training.distributed import joined, leads
+    from gesticulator.training.distributed import joined, rank
     from gesticulator.training.presets import preset
-    from gesticulator.training.stages import STAGES
+    from gesticulator.training.stages import every_stage
     from gesticulator.training.stages.training import TrainOptions, train
 
     for flag, names in (("--stage", [args.stage] if args.stage else []), ("--redo", args.redo)):
         for name in names:
-            if name not in STAGES:
-                raise InputError(f"{flag} {name}", "is not a stage", f"choose among {', '.join(STAGES)}")
+            if name not in every_stage():
+                raise InputError(f"{flag} {name}", "is not a stage", f"choose among {', '.join(every_stage())}")
     if args.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda", "there is no CUDA device", "use --device cpu")
     if args.precision != "float32" and args.device == "cpu":
@@ -92,9 +87,9 @@ def run(args: argparse.Namespace) -> int:
     with joined(args.device) as device:
         bundle = train(config, store, out, work, TrainOptions(
             device, threads * machine, not args.quiet, tuple(map(Path, args.speech)), tuple(args.redo), args.stage,
-            args.precision, args.corpus_memory * 1e9))
-        speaks = leads()
-    if bundle is not None and speaks:
+            args.precision))
+        silent = rank() > 0
+    if bundle is not None and not silent:
         hours = float(bundle.provenance["hours"]["train"])
         print(f"{out}: trained on {hours * 60:.0f} minutes of motion; use it with --bundle {out}")
         for stage, figures in bundle.figures.items() if args.verbose else ():

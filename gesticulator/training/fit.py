@@ -1,27 +1,26 @@
 """The training loop: every stage uses `fit`.
 
 A model offers `losses(batch, progress) -> dict[str, Tensor]` and `weights`, keyed alike; it does not know the trainer.
-Every step is a function of (seed, step) alone: the batch, dropout and Gumbel noise come from generators seeded with
-both. So a run that was stopped and resumed gives the same weights as an uninterrupted one, and a run in several
-processes (`gesticulator.training.distributed`) the weights of a single one up to rounding.
+Every step is a function of (seed, step, process) alone: the batch, dropout and Gumbel noise come from generators seeded
+with them. So a run that was stopped and resumed gives the same weights as an uninterrupted one.
 """
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 import os
 import pickle
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
 from tqdm import tqdm
 
 from data_module.errors import InputError
@@ -32,26 +31,30 @@ from gesticulator.training import distributed
 __all__ = ["FitOptions", "Task", "fit"]
 
 Batch = dict[str, Tensor]
-MakeBatch = Callable[[np.random.Generator], Batch]
+MakeBatch = Callable[[np.random.Generator, int], Batch]
 Losses = Callable[[Batch, float], dict[str, Tensor]]
 Validate = Callable[[], dict[str, float]]
+
+LARGEST_GRADIENT = 1.0
+"""Largest gradient norm; longer gradients are clipped."""
+_WARM_UP, _LAST_RATE = 0.02, 0.01
+"""Of the cosine schedule: share of the steps in which the rate rises, and share of the rate that is left at the end."""
 
 
 def rate_factor(settings: FitSettings, step: int) -> float:
     """The learning rate at `step` as a share of `settings.rate`."""
     if settings.schedule == "constant":
         return 1.0
-    # Linear warm-up over 2 % of the steps, then a cosine down to 1 % of the rate.
-    warm = max(1, round(0.02 * settings.steps))
+    warm = max(1, round(_WARM_UP * settings.steps))
     if step < warm:
         return (step + 1) / warm
     share = (step - warm) / max(1, settings.steps - warm)
-    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * share))
+    return _LAST_RATE + (1 - _LAST_RATE) * 0.5 * (1 + math.cos(math.pi * share))
 
 
-def generator_for(seed: int, step: int) -> np.random.Generator:
+def generator_for(seed: int, step: int, process: int = 0) -> np.random.Generator:
     """The random generator of one step, independent of earlier steps."""
-    return np.random.default_rng([seed, step])
+    return np.random.default_rng([seed, step, process])
 
 
 def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.optim.Optimizer, float]]:
@@ -70,44 +73,28 @@ def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.opt
     return out
 
 
-class Checkpoint:
-    """The state of a run in one file, replaced atomically."""
+def save_checkpoint(path: Path, step: int, parts: Sequence[Any]) -> None:
+    """Save everything that the next step depends on in one file, replaced atomically."""
+    temporary = path.with_suffix(".tmp")
+    with temporary.open("wb") as stream:
+        torch.save({"step": step, "parts": [part.state_dict() for part in parts]}, stream)
+        stream.flush()
+        # Synced before it is renamed: a crash must not leave an empty file under the final name.
+        os.fsync(stream.fileno())
+    rename(temporary, path)
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
 
-    def save(self, step: int, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer],
-             best: BestWeights | None = None) -> None:
-        """Save everything that the next step depends on."""
-        temporary = self.path.with_suffix(".tmp")
-        with temporary.open("wb") as stream:
-            torch.save({"step": step, "model": model.state_dict(), "optimisers": [o.state_dict() for o in optimisers],
-                        "best": None if best is None else best.state_dict()}, stream)
-            stream.flush()
-            # Synced before it is renamed: a crash must not leave an empty file under the final name.
-            os.fsync(stream.fileno())
-        rename(temporary, self.path)
-
-    def load(self, model: nn.Module, optimisers: Iterable[torch.optim.Optimizer], best: BestWeights | None = None
-             ) -> int:
-        """Restore the saved state; returns the step to resume from. 0 without a valid checkpoint (missing, or damaged
-        by a crash or a full disk): model and optimisers are then unchanged."""
-        if not self.path.exists():
-            return 0
-        everything: list[Any] = [model, *optimisers, *([] if best is None else [best])]
-        # A file may be damaged in the middle: what was loaded before the error is undone.
-        before = [copy.deepcopy(part.state_dict()) for part in everything]
-        try:
-            state = torch.load(self.path, weights_only=True, map_location="cpu")
-            for part, saved in zip(everything, [
-                    state["model"], *state["optimisers"], *([] if best is None else [state["best"]])], strict=True):
-                part.load_state_dict(saved)
-            return int(state["step"])
-        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError, EOFError, OSError,
-                pickle.UnpicklingError):
-            for part, was in zip(everything, before, strict=True):
-                part.load_state_dict(was)
-            return 0
+def load_checkpoint(path: Path, parts: Sequence[Any]) -> int:
+    """Restore the saved state; returns the step to resume from. 0 without a valid checkpoint (missing, or damaged by a
+    crash or a full disk)."""
+    try:
+        state = torch.load(path, weights_only=True, map_location="cpu")
+        saved = list(zip(parts, state["parts"], strict=True))
+    except (RuntimeError, ValueError, KeyError, TypeError, EOFError, OSError, pickle.UnpicklingError):
+        return 0
+    for part, values in saved:
+        part.load_state_dict(values)
+    return int(state["step"])
 
 
 class BestWeights:
@@ -134,23 +121,15 @@ class BestWeights:
         self.figures, self.stale, self.weights = dict(state["figures"]), int(state["stale"]), dict(state["weights"])
 
 
-class StepLog:
-    """A log with one JSON line per step, written by the first process; lines after the resumed step are dropped."""
-
-    def __init__(self, path: Path, from_step: int) -> None:
-        if not distributed.leads():
-            path = Path(os.devnull)
-        lines = []
-        if path.is_file():
-            lines = [line for line in path.read_text().splitlines() if line and _step_of(line) < from_step]
-        path.write_text("".join(line + "\n" for line in lines))
-        self._stream = path.open("a", buffering=1)
-
-    def write(self, row: dict[str, Any]) -> None:
-        self._stream.write(json.dumps(row) + "\n")
-
-    def close(self) -> None:
-        self._stream.close()
+def open_log(path: Path, from_step: int) -> TextIO:
+    """The log with one JSON line per step, written by the first process; lines after the resumed step are dropped."""
+    if distributed.rank():
+        path = Path(os.devnull)
+    lines = []
+    if path.is_file():
+        lines = [line for line in path.read_text().splitlines() if line and _step_of(line) < from_step]
+    path.write_text("".join(line + "\n" for line in lines))
+    return path.open("a", buffering=1)
 
 
 def _step_of(line: str) -> int:
@@ -159,19 +138,15 @@ def _step_of(line: str) -> int:
     except (InputError, KeyError, TypeError, ValueError):
         return 2**62  # a line cut short by a kill
 
-LARGEST_GRADIENT = 1.0
-"""Largest gradient norm; longer gradients are clipped."""
-
 
 @dataclass(frozen=True)
 class Task:
     """The training task of a stage.
 
-    make_batch(rng): a batch from random numbers alone; with several processes this one's rows
-    (`data_module.parallel.own_rows`), consuming the same random numbers. losses(batch, progress): the terms, keyed like
-    the model's `weights`; None for the model's own. validate(): figures on the validation split. before_step(step): a
-    hook that must depend on the step alone. watch: the figure of `validate` to minimise for early stopping, if the
-    settings have patience; "" for none.
+    make_batch(rng, size): a batch from random numbers alone. losses(batch, progress): the terms, keyed like the model's
+    `weights`; None for the model's own. validate(): figures on the validation split. before_step(step): a hook that
+    must depend on the step alone. watch: the figure of `validate` to minimise for early stopping, if the settings have
+    patience; "" for none.
     """
 
     make_batch: MakeBatch
@@ -198,30 +173,26 @@ class FitOptions:
 def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder: Path, options: FitOptions
         ) -> dict[str, float]:
     """Train `model` for `settings.steps` steps and return the last validation figures. With patience, stop after that
-    many
-    validations without improvement, and restore the best weights and figures.
+    many validations without improvement, and restore the best weights and figures.
 
-    folder receives `STAGE.ckpt` (resumed from if valid) and `STAGE.jsonl` (one line per step). Of several processes the
-    first validates and writes files. FloatingPointError if the loss becomes NaN or infinite.
+    folder receives `STAGE.ckpt` (resumed from if valid) and `STAGE.jsonl` (one line per step), written by the first
+    process. FloatingPointError if the loss becomes NaN or infinite.
     """
     model.to(options.device).train()
     learner = _Learner(model, task, settings, options)
-    plain = [optimiser for optimiser, _ in learner.optimisers]
-    checkpoint = Checkpoint(folder / f"{stage}.ckpt")
     best = BestWeights(task.watch) if settings.patience and task.watch and task.validate is not None else None
-    first = checkpoint.load(model, plain, best)
+    parts = [model, *(optimiser for optimiser, _ in learner.optimisers), *([] if best is None else [best])]
+    checkpoint = folder / f"{stage}.ckpt"
+    first = load_checkpoint(checkpoint, parts)
     # All processes must resume from the same step, or their batches would differ.
-    if distributed.lead(lambda: first) != first:
+    if distributed.agreed(first) != first:
         raise InputError(folder, "holds different checkpoints on different machines", "put --work on shared storage")
-    distributed.spread(model)
-    log = StepLog(folder / f"{stage}.jsonl", first)
     # Validations are spread evenly over the run.
     every = max(1, settings.steps // settings.validations)
     figures: dict[str, float] = {}
     saved_at = time.monotonic()
-    bar = tqdm(total=settings.steps, initial=first, desc=stage, leave=True,
-               disable=not (options.progress and distributed.leads()), mininterval=1.0)
-    try:
+    with open_log(folder / f"{stage}.jsonl", first) as log, tqdm(
+            total=settings.steps, initial=first, desc=stage, disable=not options.progress, mininterval=1.0) as bar:
         for step in range(first, settings.steps):
             if options.stop_after is not None and step >= options.stop_after:
                 return figures
@@ -230,27 +201,25 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
             row, done = learner.step(step), step + 1
             if task.validate is not None and (done % every == 0 or done == settings.steps):
                 model.eval()
-                figures = distributed.lead(task.validate)
+                # Processes with other processors may differ in the last digit, but must stop at the same step.
+                figures = distributed.agreed(task.validate())
                 model.train()
                 if best is not None:
                     best.note(done, figures, model)
                 row.update({f"val_{key}": value for key, value in figures.items()})
                 bar.set_postfix({key: f"{value:.3g}" for key, value in list(figures.items())[:4]}, refresh=False)
-            log.write(row)
+            log.write(json.dumps(row) + "\n")
             bar.update()
-            if time.monotonic() - saved_at > options.checkpoint_seconds or done == settings.steps:
-                if distributed.leads():
-                    checkpoint.save(done, model, plain, best)
+            if not distributed.rank() and (
+                    time.monotonic() - saved_at > options.checkpoint_seconds or done == settings.steps):
+                save_checkpoint(checkpoint, done, parts)
                 saved_at = time.monotonic()
-    finally:
-        bar.close()
-        log.close()
     model.eval()
     if best is not None and best.weights:
         model.load_state_dict(best.weights)
         figures = best.figures
     if task.validate is not None and not figures:
-        figures = distributed.lead(task.validate)
+        figures = task.validate()
     return figures
 
 
@@ -274,55 +243,66 @@ def late_gain(log: Path) -> float:
     return (least - min(value for _, value in validations)) / abs(least) if least else 0.0
 
 
+class _Objective(nn.Module):
+    """The weighted sum of a model's losses as a forward pass, which DistributedDataParallel can wrap."""
+
+    def __init__(self, model: nn.Module, losses: Losses, narrow: bool) -> None:
+        super().__init__()
+        self.model, self.losses, self.narrow = model, losses, narrow
+        self.weights: dict[str, float] = model.weights  # type: ignore[assignment]
+
+    def forward(self, batch: Batch, progress: float) -> tuple[Tensor, dict[str, Tensor]]:
+        """The sum [] and, for the log, its terms."""
+        device = next(self.model.parameters()).device
+        with torch.autocast(device.type, torch.bfloat16, enabled=self.narrow):
+            terms = {key: term.float() for key, term in self.losses(batch, progress).items()}
+        total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
+                    start=torch.zeros((), device=device))
+        return total, {key: term.detach() for key, term in terms.items()}
+
+
 class _Learner:
     """A model with its optimisers; `step` makes one update."""
 
     def __init__(self, model: nn.Module, task: Task, settings: FitSettings, options: FitOptions) -> None:
         self.task, self.settings, self.options = task, settings, options
-        self.weights: dict[str, float] = model.weights  # type: ignore[assignment]
-        self.losses: Losses = task.losses or model.losses  # type: ignore[assignment]
+        self.objective: nn.Module = _Objective(model, task.losses or model.losses,  # type: ignore[arg-type]
+                                               options.precision == "bfloat16")
+        # Which parameters have a gradient changes during a run, as with the warm-up of a codebook.
+        if distributed.processes() > 1:
+            self.objective = DistributedDataParallel(self.objective, find_unused_parameters=True)
         self.optimisers = _optimisers(model, settings)
 
     def step(self, step: int) -> dict[str, Any]:
         """Make the update of a step, a function of (seed, step) alone; returns its row of the log."""
         if self.task.before_step is not None:
             self.task.before_step(step)
-        rng = generator_for(self.options.seed, step)
+        rng = generator_for(self.options.seed, step, distributed.rank())
         factor = rate_factor(self.settings, step)
         for optimiser, rate in self.optimisers:
             for group in optimiser.param_groups:
                 group["lr"] = rate * factor
             optimiser.zero_grad(set_to_none=True)
-        with distributed.dividing():
-            batch = {key: value.to(self.options.device) for key, value in self.task.make_batch(rng).items()}
-            # Dropout and Gumbel noise follow from (seed, step), so a resumed run repeats them.
-            torch.manual_seed(int(rng.integers(2**62)))
-            terms = self._terms(batch, step / max(1, self.settings.steps))
-            total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
-                        start=torch.zeros((), device=self.options.device))
-            distributed.backward(total, [p for optimiser, _ in self.optimisers for group in optimiser.param_groups
-                                         for p in group["params"]])
-        norm = self._clipped()
-        figures = distributed.mean({"loss": float(total.detach()),
-                                    **{key: float(term.detach()) for key, term in terms.items()}})
-        loss = figures.pop("loss")
+        # The batch of the settings is that of all processes together.
+        size = max(1, self.settings.batch // distributed.processes())
+        batch = {key: value.to(self.options.device) for key, value in self.task.make_batch(rng, size).items()}
+        # Dropout and Gumbel noise follow from (seed, step), so a resumed run repeats them.
+        torch.manual_seed(int(rng.integers(2**62)))
+        total, terms = self.objective(batch, step / max(1, self.settings.steps))
+        total.backward()
+        (plain, _), *others = self.optimisers
+        # Style codes, which are updated sparsely and have a rate of their own, are not clipped.
+        norm = float(nn.utils.clip_grad_norm_([p for group in plain.param_groups for p in group["params"]
+                                               if p.grad is not None], LARGEST_GRADIENT))
+        figures, loss = {key: float(term) for key, term in terms.items()}, float(total.detach())
         # Before the update, so that the weights of the last checkpoint stay finite.
         if not math.isfinite(loss) or not math.isfinite(norm):
             raise FloatingPointError(f"the loss is not finite at step {step}: {figures}")
+        for optimiser, _ in others:
+            for parameter in optimiser.param_groups[0]["params"]:
+                # A step touches the codes of its windows only, out of one for every block of the corpus.
+                parameter.grad = None if parameter.grad is None else parameter.grad.to_sparse(1)
         for optimiser, _ in self.optimisers:
             optimiser.step()
         return {"step": step, "loss": round(loss, 6), "rate": self.settings.rate * factor,
                 "gradient": round(norm, 5), **{key: round(value, 6) for key, value in figures.items()}}
-
-    def _terms(self, batch: Batch, progress: float) -> dict[str, Tensor]:
-        if self.options.precision == "float32":
-            with distributed.batch_draws():
-                return self.losses(batch, progress)
-        with distributed.batch_draws(), torch.autocast(torch.device(self.options.device).type, torch.bfloat16):
-            return {key: term.float() for key, term in self.losses(batch, progress).items()}
-
-    def _clipped(self) -> float:
-        """The gradient's norm before clipping."""
-        # The dense parameters alone, which the first optimiser has; sparse ones (style codes) have their own.
-        dense = [p for group in self.optimisers[0][0].param_groups for p in group["params"] if p.grad is not None]
-        return float(nn.utils.clip_grad_norm_(dense, LARGEST_GRADIENT))

@@ -1,6 +1,5 @@
 // The viewer: what is open, the stage, the timeline, the panel, and what binds them to keys and fingers.
 
-import { followAddress } from "./address.js";
 import { readCharacter } from "./character.js";
 import { Clock } from "./clock.js";
 import { bindCurves } from "./curve_knobs.js";
@@ -460,11 +459,10 @@ session.on("selected", refresh);
 session.on("takes", performers);
 session.on("refused", () => notice("A motion from a file has no plan to edit: choose the other take."));
 const live = new Live(session, data.live, status);
-if (data.live) followAddress(live, data.live.place ?? data.live.token);
 const kept = session.lanes.length === 1 && session.plan.sound?.sha256
-  ? new Kept(session, `${data.live?.place ?? data.live?.token ?? "file"} ${session.plan.sound.sha256.slice(0, 16)} ${session.plan.seed}`, notice, data.live?.since ?? 0) : null;
+  ? new Kept(session, `${data.live?.token ?? "file"} ${session.plan.sound.sha256.slice(0, 16)} ${session.plan.seed}`, notice) : null;
 const palette = data.live ? new Palette(session, clock, live, async () => {
-  const answer = await fetch(`${live.path}figures`);
+  const answer = await fetch("figures");
   if (!answer.ok) throw new Error(answer.statusText);
   return answer.json();
 }, timeline) : null;

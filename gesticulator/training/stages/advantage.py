@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from data_module.files import write_bytes
-from data_module.parallel import own_rows
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
 from gesticulator.training import fit as fitting
@@ -78,14 +77,12 @@ class CounterfactualRewards:
         return max(float(np.sqrt(self.every.var(1).mean())), 1e-6)
 
     def windows(self, rng: np.random.Generator, count: int, decisions: int) -> dict[str, Tensor]:
-        """`count` random windows of T decisions for `Critics.losses`, without audio; only this process's rows. episode:
-        [B]."""
+        """`count` random windows of T decisions for `Critics.losses`, without audio. episode: [B]."""
         ends = np.cumsum(self.lengths)
         places = np.searchsorted(ends, rng.integers(ends[-1], size=count), side="right")
         # Windows start anywhere in an episode that leaves room; a shorter episode is padded.
         room = np.maximum(self.lengths[places] - decisions, 0)
-        start = (ends[places] - self.lengths[places] + rng.integers(room + 1))[own_rows(count)]
-        places = places[own_rows(count)]
+        start = (ends[places] - self.lengths[places] + rng.integers(room + 1))
         at = start[:, None] + np.arange(decisions)
         valid = at < ends[places][:, None]
         at = np.minimum(at, ends[places][:, None] - 1)
@@ -230,8 +227,8 @@ def _train(run: Run, model: Critics, folder: Path) -> Figures:
         rows = [critic_figures(model, {key: value.to(run.device) for key, value in b.items()}) for b in checks]
         return {key: float(np.nanmean([row[key] for row in rows])) for key in rows[0]}
 
-    task = fitting.Task(lambda rng: critic_batch(corpus, data, data.windows(
-        rng, run.schedule(ADVANTAGE).batch, config.decisions), unit, trained_on), validate=validate)
+    task = fitting.Task(lambda rng, size: critic_batch(corpus, data, data.windows(rng, size, config.decisions), unit,
+                                                       trained_on), validate=validate)
     return run.fit(ADVANTAGE, model, task, folder)
 
 

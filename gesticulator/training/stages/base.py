@@ -103,8 +103,6 @@ class Run:
     """Processes that cut and encode recordings."""
     precision: str = "float32"
     """See `gesticulator.training.fit.FitOptions`."""
-    memory: float | None = None
-    """Memory limit of the corpus in bytes; a larger one stays on disk. None: no limit."""
     figures: dict[str, Figures] = field(default_factory=dict)
     """Stage -> its validation figures, once it has been trained or loaded."""
     _values: dict[str, Any] = field(default_factory=dict, repr=False)
@@ -124,11 +122,11 @@ class Run:
                 self._values[node.name] = node.finish(freeze(model))
             else:
                 assert node.make is not None
-                make = node.make
                 if distributed.processes() > 1:  # stages are trained by all processes together
                     for need in node.needs(self.config):
                         self.get(need)
-                self._values[node.name] = distributed.lead_first(lambda: make(self))
+                with distributed.first():
+                    self._values[node.name] = node.make(self)
         return cast(T, self._values[node.name])
 
     def provide(self, node: Node[Any], value: Any, key: str | None = None) -> None:
@@ -177,13 +175,14 @@ class Run:
     def train_stage(self, stage: Stage[Any], model: nn.Module) -> Figures:
         """Load a finished stage into `model`, or train it; returns its validation figures."""
         folder = self.folder(stage)
-        if not distributed.lead(lambda: finished(folder, model)):
+        if not distributed.agreed(finished(folder, model)):
             folder.mkdir(parents=True, exist_ok=True)
             assert stage.train is not None
             figures = stage.train(self, model, folder)
-            distributed.lead(lambda: keep(folder, model, figures))
-            if distributed.leads():
-                (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
+            with distributed.first():
+                if not distributed.rank():
+                    keep(folder, model, figures)
+                    (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
         # Read back also after training, so that a first run uses exactly what a resumed one would.
         model.cpu().load_state_dict(load_file(folder / WEIGHTS))
         return read_object(folder / FIGURES, "delete it, and train again", python=True)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +32,54 @@ if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
 
 
-def _cut_one(store_path: str, name: str, config: Config, target: str) -> str:
+@dataclass(frozen=True)
+class CachedBlocks:
+    """The blocks of a store on disk. names: [R] of the recordings; files: [R] of their blocks, each with the stretched
+    audio [N, L] beside it (.npy); features: [R] files of their audio features, None without a front end; words:
+    recording -> word vectors [W, d_t]; frames: K; name: a hash of everything here."""
+
+    names: tuple[str, ...]
+    files: tuple[Path, ...]
+    features: tuple[Path, ...] | None
+    words: Mapping[str, NDArray[np.float16]]
+    frames: int
+    name: str
+
+    def arrays(self, recording: int, only: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
+        """The blocks of a recording, by name of the array."""
+        return read_arrays(self.files[recording], only)
+
+    def features_of(self, recording: int) -> dict[str, NDArray[Any]]:
+        """Features of a recording, by level; one column of zeros without a front end."""
+        if self.features is None:
+            count = len(self.arrays(recording, only=("silent",))["silent"])
+            return {"low": np.zeros((count, 3 * self.frames, 1), np.float16)}
+        return read_arrays(self.features[recording])
+
+
+def cached_blocks(store: Store, config: Config, folder: Path, encoder: SpeechEncoder | None = None, *, workers: int = 1,
+                  progress: bool = True) -> CachedBlocks:
+    """Cut and encode a store, or use what is in `folder` under the same settings. Without the encoder that the front
+    end needs there are no features."""
+    # Only what changes the blocks: other settings reuse the folder.
+    key = digest(store.fingerprint, config.rhythm, config.motion.representation, config.motion.joints,
+                 config.control.window, config.text.bridge)
+    blocks = folder / f"blocks-{key}"
+    files = tuple(blocks / f"{name}.npz" for name in store.names)
+    _all(_cut_one, [(str(store.path), name, config, file) for name, file in zip(store.names, files, strict=True)],
+         workers, "blocks", progress)
+    features, encoded = None, ""
+    if encoder is not None or config.front_end.name != "vqwav2vec":
+        encoded = digest(blocks.name, config.front_end, weights_hash(encoder) if encoder else "")
+        features = tuple(folder / f"features-{encoded}" / file.name for file in files)
+        _all(_encode_one, [(file, config, encoder, target) for file, target in zip(files, features, strict=True)],
+             workers, "features", progress)
+    words = word_file(store, config, folder, progress=progress)
+    return CachedBlocks(store.names, files, features, {} if words is None else read_arrays(words),
+                        config.rhythm.frames, digest(key, encoded, words.name if words else ""))
+
+
+def _cut_one(store_path: str, name: str, config: Config, target: Path) -> None:
     torch.set_num_threads(1)
     recording = Store.open(store_path).load(name, config.motion.joints)
     speech, motion = recording.speech, recording.motion
@@ -41,32 +89,33 @@ def _cut_one(store_path: str, name: str, config: Config, target: str) -> str:
     arrays: dict[str, NDArray[Any]] = {
         "motion": normalise_motion(motion, blocks, representation).astype(np.float32),
         "first": first_pose(motion, representation).astype(np.float32),
-        "sound": block_module.stretch_speech(speech, blocks).astype(np.float16),
         "reference": reference_level(speech.samples, speech.sample_rate, blocks.edges),
         "silent": blocks.silent, "edges": blocks.edges, "mask": representation.present(motion.absent),
         "control": control.astype(np.float32),
     }
     if speech.words is not None and any(word.text for word in speech.words):
         arrays["word_at"] = word_frames(speech.words, blocks, config.text.bridge).astype(np.int32)
-    return _write(target, arrays, name)
+    # A file of its own, from which training maps single blocks; written before the one that marks both complete.
+    with new_file(target.with_suffix(".npy")) as stream:
+        np.save(stream, block_module.stretch_speech(speech, blocks).astype(np.float16))
+    _write(target, arrays)
 
 
-def _encode_one(source: str, config: Config, encoder: SpeechEncoder | None, target: str) -> str:
+def _encode_one(source: Path, config: Config, encoder: SpeechEncoder | None, target: Path) -> None:
     torch.set_num_threads(1)
-    with np.load(source, allow_pickle=False) as arrays:
-        low, high = encode(arrays["sound"].astype(np.float32), arrays["reference"], np.diff(arrays["edges"]), config,
-                           front_end_for(config, encoder))
+    arrays = read_arrays(source, only=("reference", "edges"))
+    low, high = encode(np.load(source.with_suffix(".npy")).astype(np.float32), arrays["reference"],
+                       np.diff(arrays["edges"]), config, front_end_for(config, encoder))
     out = {"low": low.astype(np.float16)}
     # One copy on disk for front ends with a single level.
     if high is not low and not np.array_equal(high, low):
         out["high"] = high.astype(np.float16)
-    return _write(target, out, source)
+    _write(target, out)
 
 
-def _write(target: str, arrays: dict[str, NDArray[Any]], name: str) -> str:
+def _write(target: Path, arrays: dict[str, NDArray[Any]]) -> None:
     with new_file(target) as stream:
         np.savez(stream, allow_pickle=False, **arrays)
-    return name
 
 
 def whole(file: Path) -> bool:
@@ -78,9 +127,10 @@ def whole(file: Path) -> bool:
         return False
 
 
-def _all(job: Callable[..., str], calls: list[tuple[Any, ...]], workers: int, title: str, progress: bool) -> None:
+def _all(job: Callable[..., None], calls: list[tuple[Any, ...]], workers: int, title: str, progress: bool) -> None:
     """Run the calls of a job whose last argument is a file that is not complete yet."""
-    todo = [call for call in calls if not whole(Path(call[-1]))]
+    calls[0][-1].parent.mkdir(parents=True, exist_ok=True)
+    todo = [call for call in calls if not whole(call[-1])]
     with tqdm(total=len(calls), initial=len(calls) - len(todo), desc=title, disable=not progress) as bar:
         if workers <= 1 or len(todo) <= 1:
             for call in todo:
@@ -93,47 +143,12 @@ def _all(job: Callable[..., str], calls: list[tuple[Any, ...]], workers: int, ti
                 bar.update()
 
 
-def blocks_folder(store: Store, config: Config, folder: Path) -> Path:
-    """The folder of the blocks of a store, one file per recording."""
-    # Only what changes the blocks: other settings reuse the folder.
-    key = digest(store.fingerprint, config.rhythm, config.motion.representation, config.motion.joints,
-                 config.control.window, config.text.bridge)
-    return folder / f"blocks-{key}"
-
-
-def features_folder(blocks: Path, config: Config, encoder: SpeechEncoder | None = None) -> Path:
-    """The folder of the audio features of the blocks in a folder."""
-    key = digest(blocks.name, config.front_end, weights_hash(encoder) if encoder else "")
-    return blocks.parent / f"features-{key}"
-
-
-def cut(store: Store, config: Config, folder: Path, *, workers: int = 1, progress: bool = True) -> tuple[Path, ...]:
-    """The blocks of every recording, one file each, in a folder named by the hash of their inputs."""
-    cache = blocks_folder(store, config, folder)
-    cache.mkdir(parents=True, exist_ok=True)
-    files = tuple(cache / f"{info.name}.npz" for info in store.recordings)
-    _all(_cut_one, [(str(store.path), info.name, config, str(file))
-                    for info, file in zip(store.recordings, files, strict=True)], workers, "blocks", progress)
-    return files
-
-
 def weights_hash(module: torch.nn.Module) -> str:
     """A short hash of a module's weights in half precision, as stored in a bundle."""
     sha = hashlib.sha256()
     for key, value in sorted(module.state_dict().items()):
         sha.update(key.encode() + value.detach().cpu().half().contiguous().numpy().tobytes())
     return sha.hexdigest()[:16]
-
-
-def encode_all(files: tuple[Path, ...], config: Config, encoder: SpeechEncoder | None = None, *, workers: int = 1,
-             progress: bool = True) -> tuple[Path, ...]:
-    """The audio features of blocks, one file per recording, in a folder named by the front end's hash."""
-    cache = features_folder(files[0].parent, config, encoder)
-    cache.mkdir(parents=True, exist_ok=True)
-    out = tuple(cache / file.name for file in files)
-    _all(_encode_one, [(str(file), config, encoder, str(target)) for file, target in zip(files, out, strict=True)],
-         workers, "features", progress)
-    return out
 
 
 def word_file(store: Store, config: Config, folder: Path, *, progress: bool = True) -> Path | None:
@@ -155,17 +170,10 @@ def word_file(store: Store, config: Config, folder: Path, *, progress: bool = Tr
     return cache
 
 
-def read_words(store: Store, config: Config, folder: Path, *, progress: bool = True) -> dict[str, NDArray[np.float16]]:
-    """Word vectors [W, d_t] of all recordings with words; empty without a word encoder."""
-    file = word_file(store, config, folder, progress=progress)
-    return {} if file is None else read_arrays(file)
-
-
-def read_arrays(file: Path, leave_out: tuple[str, ...] = (), only: tuple[str, ...] | None = None
-                ) -> dict[str, NDArray[Any]]:
-    """The arrays of a cached file, without `leave_out`, or only `only`; InputError if it is damaged."""
+def read_arrays(file: Path, only: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
+    """The arrays of a cached file, or only `only`; InputError if it is damaged."""
     try:
         with np.load(file, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in arrays.files if key not in leave_out and (only is None or key in only)}
+            return {key: arrays[key] for key in arrays.files if only is None or key in only}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(file, f"is damaged ({error})", "delete it and start again") from None

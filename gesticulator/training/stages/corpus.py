@@ -1,12 +1,12 @@
-"""The corpus: blocks of motion, audio and words of a whole store, cached under the hash of their inputs."""
+"""The corpus: blocks of motion, audio and words of a whole store, as arrays on disk under the hash of their inputs."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -14,40 +14,44 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.motion.movement import Pasts, joined, pasts_of
+from data_module.files import new_folder
+from data_module.motion.movement import Pasts, pasts_of
 from data_module.store import Store
 from data_module.types import Array
 from generator.flow import circumstances
 from gesticulator.bundle.config import Config, digest
-from gesticulator.bundle.features import Normaliser, Sizes, Statistics, three_blocks, word_table
+from gesticulator.bundle.features import Sizes, Statistics, three_blocks
 from gesticulator.training.stages.base import Node, Run
-from gesticulator.training.stages.caches import cut, encode_all, read_arrays, read_words, word_file
+from gesticulator.training.stages.caches import CachedBlocks, cached_blocks
 from gesticulator.training.stages.measured import measured
-from gesticulator.training.stages.rows import PastRows, StoredRows, evenly
-from gesticulator.training.stages.stored import CHECKED, MEASURED, CachedBlocks, bytes_of, measured_of, written
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
+
+MEASURED = 2**16
+"""Most blocks (about 7 hours) used for statistics, predictors and k-means, to bound their memory."""
+_STRETCH = 64
+"""Blocks of a stretch, where statistics leave some out: half a minute, so that silences stay whole."""
 
 
 @dataclass(frozen=True)
 class Corpus:
     """All blocks of a store, concatenated. N blocks, R recordings, W words, F style features.
 
-    motion: [N, K, D_m] normalised; low, high: [N, 3K, d] normalised audio windows in half precision (the same array if
-    the front end has one level); silent: [N]; durations: [N] seconds; recording: [N] index; first: [R, D_m] normalised
-    pose at time 0; mask: [R, D_m] dimensions present in the source; control: [N, K, F] style features in their units;
-    has_text: [R]; word_at: [N, 3K] rows of `words` [W + 1, d_t + 1] (None without a word encoder); files: cached blocks
-    of each recording.
+    motion: [N, K, D_m] normalised; pasts: [N] what each block is predicted from; low, high: [N, 3K, d] normalised audio
+    windows in half precision (the same array if the front end has one level); silent: [N]; durations: [N] seconds;
+    recording: [N] index; first: [R, D_m] normalised pose at time 0; mask: [R, D_m] dimensions present in the source;
+    control: [N, K, F] style features in their units; has_text: [R]; word_at: [N, 3K] rows of `words` [W + 1, d_t + 1]
+    (None without a word encoder); files: cached blocks of each recording.
 
-    If a corpus does not fit into memory, motion, low, high, control, word_at and words are `StoredRows`, whose rows are
-    read when indexed.
+    All arrays of rows are mapped from files, so a corpus may be larger than the memory.
     """
 
     names: tuple[str, ...]
     splits: tuple[str, ...]
     speaker_of: NDArray[np.int64]
     motion: Tensor
+    pasts: Pasts
     low: Tensor
     high: Tensor
     silent: NDArray[np.bool_]
@@ -77,35 +81,15 @@ class Corpus:
         """Block numbers of a split."""
         return np.flatnonzero(np.isin(self.recording, self.recordings(split)))
 
-    @property
-    def stored(self) -> bool:
-        """Whether it stays on disk."""
-        return isinstance(cast(Any, self.motion), StoredRows)
-
     def some(self, split: str) -> NDArray[np.int64]:
-        """Block numbers of a split for statistics or fitting: all, or evenly sampled ones if the corpus stays on
-        disk."""
-        every = self.select(split)
-        return evenly(every, MEASURED if split == "train" else CHECKED) if self.stored else every
+        """Block numbers of a split for statistics or fitting: all, or evenly sampled ones of a very large corpus."""
+        return evenly(self.select(split), MEASURED)
 
     def text(self, blocks: NDArray[np.int64] | Tensor) -> Tensor:
         """[..., 3K, d_t + 1] word vectors around blocks [...]."""
         if self.word_at is None or self.words is None:
             raise ValueError("this corpus was prepared without text")
         return self.words[self.word_at[torch.as_tensor(blocks)].long()].float()
-
-    @functools.cached_property
-    def pasts(self) -> Pasts:
-        """[N, 3, D_m] the past from which each block is predicted; read when indexed if the corpus stays on disk."""
-        rows_of = cast(Any, self.motion)
-        if isinstance(rows_of, StoredRows):
-            begins = np.diff(self.recording, prepend=-1) > 0
-            before = np.where(begins, self.durations, np.roll(self.durations, 1))
-            ratio = torch.as_tensor(self.durations / before).to(rows_of.dtype)
-            return cast(Pasts, PastRows(rows_of, begins, self.first, self.recording, ratio))
-        rows = [torch.as_tensor(self.blocks_of(recording)) for recording in range(len(self.names))]
-        return joined(pasts_of(self.motion[blocks], torch.as_tensor(self.durations)[blocks], first)
-                      for blocks, first in zip(rows, self.first, strict=True))
 
     @functools.cached_property
     def circumstances(self) -> Tensor:
@@ -129,101 +113,121 @@ class Corpus:
         """d_t + 1, 0 without text."""
         return 0 if self.words is None else self.words.shape[-1]
 
-    def sound(self, recording: int) -> NDArray[np.float16] | StoredRows:
-        """[N, L] the stretched audio of a recording's blocks; read when indexed if the corpus stays on disk."""
-        if self.stored:
-            return StoredRows(self.files[recording], "sound")
-        with np.load(self.files[recording], allow_pickle=False) as arrays:
-            return np.asarray(arrays["sound"])
-
 
 def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder | None = None, *, workers: int = 1,
-            progress: bool = True, memory: float | None = None) -> Corpus:
+            progress: bool = True) -> Corpus:
     """Cut, encode and normalise a store; results cached in `folder` under the same settings are reused.
 
     encoder: the trained speech encoder, for the front end "vqwav2vec"; without it audio is omitted (one column of
-    zeros), which suffices for the lexicon. memory: bytes; a larger corpus stays on disk.
+    zeros), which suffices for the lexicon.
     """
-    infos = store.recordings
-    speakers = tuple(sorted({info.speaker for info in infos if info.split == "train"}))
+    speakers = tuple(sorted({info.speaker for info in store.of_split("train")}))
     if not speakers:
         raise InputError(store.path, "has no recordings in its training split", "build the store again")
     # Speakers that occur in no training recording use the statistics of the first.
-    speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0 for info in infos])
-    files = cut(store, config, folder, workers=workers, progress=progress)
-    without_audio = encoder is None and config.front_end.name == "vqwav2vec"
-    feature_files = None if without_audio else encode_all(files, config, encoder, workers=workers, progress=progress)
-    if memory is not None:
-        blocks = CachedBlocks(files, feature_files, speaker_of, [info.split for info in infos], store.names,
-                              word_file(store, config, folder, progress=progress))
-        # Decided from counts and one file, before anything large is read.
-        counts = blocks.counts()
-        if bytes_of(blocks, counts, config.rhythm.frames) > memory:
-            return _on_disk(config, folder, speakers, blocks, counts)
-    loaded = [read_arrays(file, leave_out=("sound",)) for file in files]
-    encoded: list[dict[str, NDArray[Any]]]
-    if feature_files is None:
-        encoded = [{"low": np.zeros((len(arrays["silent"]), 3 * config.rhythm.frames, 1), np.float16)}
-                   for arrays in loaded]
-    else:
-        encoded = [read_arrays(file) for file in feature_files]
-    statistics = measured(config, speakers, speaker_of, [info.split for info in infos], loaded, encoded)
-    motion = [statistics.normalise(arrays["motion"], speaker)
-              for arrays, speaker in zip(loaded, speaker_of, strict=True)]
-    first = [statistics.normalise(arrays["first"], speaker) for arrays, speaker in zip(loaded, speaker_of, strict=True)]
-    low = _normalised(statistics.low, [arrays["low"] for arrays in encoded])
+    speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0
+                           for info in store.recordings])
+    cached = cached_blocks(store, config, folder, encoder, workers=workers, progress=progress)
+    counts = np.array([len(cached.arrays(r, only=("silent",))["silent"]) for r in range(len(speaker_of))])
+    splits = tuple(info.split for info in store.recordings)
+    statistics = _measured(config, speakers, cached, np.flatnonzero(np.array(splits) == "train"), speaker_of, counts)
+    rows = folder / f"corpus-{digest(cached.name, config.motion, MEASURED)}"
+    if not rows.exists():
+        with new_folder(rows) as unfinished:
+            _write(unfinished, cached, counts, speaker_of, statistics)
+    try:
+        # Copy on write: torch wants arrays that may be written to, and the files stay as they are.
+        fields: dict[str, Any] = {file.stem: np.asarray(np.load(file, mmap_mode="c")) for file in rows.glob("*.npy")}
+        if len(fields["motion"]) != counts.sum():
+            raise ValueError("other rows")
+    except (OSError, ValueError, KeyError):
+        raise InputError(rows, "is damaged", "delete it and start again") from None
+    tensors: dict[str, Any] = {name: torch.as_tensor(fields.pop(name)) for name in (
+        "motion", "frames", "ratio", "low", "high", "first", "mask", "word_at", "words") if name in fields}
     # The same tensor, so that one level takes its memory once and `is` tells the cases apart.
-    high = low if "high" not in encoded[0] else _normalised(statistics.high, [arrays["high"] for arrays in encoded])
-    word_at, words, has_text = _text(infos, loaded, read_words(store, config, folder, progress=progress))
-    return Corpus(
-        names=tuple(info.name for info in infos), splits=tuple(info.split for info in infos), speaker_of=speaker_of,
-        motion=torch.as_tensor(np.concatenate(motion).astype(np.float32)), low=low, high=high,
-        silent=np.concatenate([arrays["silent"] for arrays in loaded]),
-        durations=np.concatenate([np.diff(arrays["edges"]) for arrays in loaded]),
-        recording=np.repeat(np.arange(len(infos)), [len(arrays["silent"]) for arrays in loaded]),
-        first=torch.as_tensor(np.stack(first).astype(np.float32)),
-        mask=torch.as_tensor(np.stack([arrays["mask"] for arrays in loaded]).astype(np.float32)),
-        control=np.concatenate([arrays["control"] for arrays in loaded]), statistics=statistics, has_text=has_text,
-        word_at=word_at, words=words, files=files)
+    tensors.setdefault("high", tensors["low"])
+    pasts = Pasts(tensors.pop("frames"), tensors.pop("ratio"))
+    return Corpus(names=store.names, splits=splits, speaker_of=speaker_of, statistics=statistics, files=cached.files,
+                  recording=np.repeat(np.arange(len(counts)), counts), pasts=pasts, **tensors, **fields)
 
 
-def _on_disk(config: Config, folder: Path, speakers: tuple[str, ...], blocks: CachedBlocks,
-             counts: NDArray[np.int64]) -> Corpus:
-    # The names of the cache folders are hashes of their own inputs.
-    key = digest(blocks.files[0].parent.name, blocks.features[0].parent.name if blocks.features else "",
-                 blocks.words.name if blocks.words else "", config.motion, MEASURED)
-    statistics = measured_of(config, speakers, blocks, counts)
-    fields = written(folder / f"corpus-{key}", blocks, counts, statistics)
-    return Corpus(
-        names=tuple(blocks.names), splits=tuple(blocks.splits), speaker_of=blocks.speaker_of,
-        recording=np.repeat(np.arange(len(counts)), counts), statistics=statistics, files=tuple(blocks.files),
-        **{**fields, "first": torch.as_tensor(fields["first"]), "mask": torch.as_tensor(fields["mask"])})
+def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """About `most` of these numbers [n], evenly sampled: every second one, every third, ..."""
+    return numbers[::max(1, -(-len(numbers) // most))]
 
 
-def _normalised(normaliser: Normaliser, parts: list[NDArray[Any]]) -> Tensor:
-    return torch.as_tensor(np.concatenate([normaliser.apply(part.astype(np.float32)).astype(np.float16)
-                                           for part in parts]))
+def stretches(counts: Sequence[int] | NDArray[np.int64], most: int) -> list[list[slice]]:
+    """Stretches of recordings with `counts` blocks, about `most` blocks in all: every recording completely if there are
+    no more, else every second, third, ... stretch of `_STRETCH` blocks."""
+    every = max(1, -(-int(sum(counts)) // most))
+    if every == 1:
+        return [[slice(0, size)] for size in counts]
+    number, out = 0, []
+    for size in counts:
+        begins = range(0, size, _STRETCH)
+        out.append([slice(at, min(at + _STRETCH, size)) for k, at in enumerate(begins) if (number + k) % every == 0])
+        number += len(begins)
+    return out
 
 
-def _text(infos: Iterable[Any], loaded: list[dict[str, NDArray[Any]]], vectors: dict[str, NDArray[np.float16]]
-          ) -> tuple[Tensor | None, Tensor | None, NDArray[np.bool_]]:
-    """[N, 3K] rows, the table [W + 1, d_t + 1], and which recordings have words [R]."""
-    has = np.array([info.name in vectors and "word_at" in arrays for info, arrays in zip(infos, loaded, strict=True)])
-    if not has.any():
-        return None, None, has
-    # Row 0 of the table is the empty word, so the first word of all is row 1.
-    rows, tables, begin = [], [], 1
-    for info, arrays in zip(infos, loaded, strict=True):
-        frames = arrays.get("word_at")
-        if frames is None or info.name not in vectors:
-            rows.append(np.zeros((len(arrays["silent"]), 3 * arrays["motion"].shape[1]), np.int32))
-            continue
-        rows.append(three_blocks(np.where(frames >= 0, frames + begin, 0).astype(np.int32), np.zeros(())))
-        tables.append(vectors[info.name])
-        begin += len(vectors[info.name])
-    table = np.concatenate(tables)
-    return (torch.as_tensor(np.concatenate(rows)),
-            torch.as_tensor(word_table(table, table.shape[1]).astype(np.float16)), has)
+def _measured(config: Config, speakers: tuple[str, ...], cached: CachedBlocks, train: NDArray[np.int64],
+              speaker_of: NDArray[np.int64], counts: NDArray[np.int64]) -> Statistics:
+    """The statistics of about MEASURED blocks of the training split, read recording by recording."""
+    loaded, encoded, owners = [], [], []
+    for recording, parts in zip(train, stretches(counts[train], MEASURED), strict=True):
+        arrays = cached.arrays(recording, only=("motion", "silent", "mask", "control"))
+        features = cached.features_of(recording)
+        for part in parts:
+            # Copies: a view would keep the whole recording in memory.
+            loaded.append({"mask": arrays["mask"], **{key: arrays[key][part].copy()
+                                                      for key in ("motion", "silent", "control")}})
+            encoded.append({key: level[part].copy() for key, level in features.items()})
+            owners.append(int(speaker_of[recording]))
+    return measured(config, speakers, np.array(owners), loaded, encoded)
+
+
+def _write(folder: Path, cached: CachedBlocks, counts: NDArray[np.int64], speaker_of: NDArray[np.int64],
+           statistics: Statistics) -> None:
+    """Write the fields of a corpus as one file each, recording by recording."""
+    written: dict[str, NDArray[Any]] = {}
+
+    def put(name: str, length: int, at: int, rows: NDArray[Any], kind: type) -> None:
+        if name not in written:
+            written[name] = np.lib.format.open_memmap(folder / f"{name}.npy", "w+", kind, (length, *rows.shape[1:]))
+        written[name][at:at + len(rows)] = rows
+
+    total, begin, at = int(counts.sum()), 1, 0
+    for recording, size in enumerate(counts.tolist()):
+        arrays, speaker = cached.arrays(recording), int(speaker_of[recording])
+        motion = statistics.normalise(arrays["motion"], speaker).astype(np.float32)
+        first = statistics.normalise(arrays["first"], speaker).astype(np.float32)
+        durations = np.diff(arrays["edges"])
+        pasts = pasts_of(torch.as_tensor(motion), torch.as_tensor(durations), torch.as_tensor(first))
+        rows: dict[str, tuple[NDArray[Any], type]] = {
+            "motion": (motion, np.float32), "frames": (pasts.frames.numpy(), np.float32),
+            "ratio": (pasts.ratio.numpy(), np.float32), "silent": (arrays["silent"], np.bool_),
+            "durations": (durations, np.float64), "control": (arrays["control"], np.float32)}
+        for level, values in cached.features_of(recording).items():
+            rows[level] = getattr(statistics, level).apply(values.astype(np.float32)), np.float16
+        vectors = cached.words.get(cached.names[recording]) if "word_at" in arrays else None
+        if cached.words:
+            # Row 0 of the table is the empty word, zeros with the flag 1, so the first word of all is row 1.
+            frames = np.zeros((size, 3 * motion.shape[1]), np.int32)
+            if vectors is not None:
+                words = 1 + sum(map(len, cached.words.values()))
+                put("words", words, 0, np.eye(1, vectors.shape[1] + 1, vectors.shape[1]), np.float16)
+                put("words", words, begin, np.pad(vectors, ((0, 0), (0, 1))), np.float16)
+                frames = three_blocks(np.where(arrays["word_at"] >= 0, arrays["word_at"] + begin, 0), np.zeros(()))
+                begin += len(vectors)
+            rows["word_at"] = frames, np.int32
+        for name, (values, kind) in rows.items():
+            put(name, total, at, values, kind)
+        for name, value, kind in (("first", first, np.float32), ("mask", arrays["mask"], np.float32),
+                                  ("has_text", np.array(vectors is not None), np.bool_)):
+            put(name, len(counts), recording, value[None], kind)
+        at += size
+    for array in written.values():
+        array.flush()  # type: ignore[attr-defined]
 
 
 def sizes(config: Config, corpus: Corpus, **more: Any) -> Sizes:
@@ -234,7 +238,7 @@ def sizes(config: Config, corpus: Corpus, **more: Any) -> Sizes:
 
 
 def _blocks(run: Run) -> Corpus:
-    corpus = prepare(run.store, run.config, run.work, workers=run.workers, progress=run.progress, memory=run.memory)
+    corpus = prepare(run.store, run.config, run.work, workers=run.workers, progress=run.progress)
     if run.config.text.encoder and corpus.words is None:
         raise InputError(run.store.path, "has no recording with words",
                          "set text.encoder= (empty) to train without text")

@@ -58,7 +58,7 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
             figures[name] = float(sum(terms)) / len(terms)
         return figures
 
-    task = fitting.Task(lambda rng: with_units(windows.sample(rng, run.schedule(GENERATOR).batch)),
+    task = fitting.Task(lambda rng, size: with_units(windows.sample(rng, size)),
                         lambda batch, progress: model.losses(batch, progress, lexicon.nearest), validate, watch="flow")
     return run.fit(GENERATOR, model, task, folder)
 
@@ -107,7 +107,7 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
         return {"reconstruction": float(sum(t[0] for t in totals)) / len(totals),
                 "perceptual": float(sum(t[1] for t in totals)) / len(totals)}
 
-    task = fitting.Task(lambda rng: with_vectors(windows.sample(rng, run.schedule(GENERATOR).batch)),
+    task = fitting.Task(lambda rng, size: with_vectors(windows.sample(rng, size)),
                         lambda batch, progress: model.losses(batch, progress, lexicon.encode), validate)
     return run.fit(GENERATOR, model, task, folder)
 

@@ -134,8 +134,7 @@ def _train(run: Run, model: UnitPlanner, folder: Path) -> Figures:
         means = {name: sum(float(losses[name]) for losses in each) / len(each) for name in each[0]}
         return {"nll": sum(means.values()), **means}
 
-    task = fitting.Task(lambda rng: with_units(windows.sample(rng, run.schedule(PLANNER).batch)), validate=validate,
-                        watch="nll")
+    task = fitting.Task(lambda rng, size: with_units(windows.sample(rng, size)), validate=validate, watch="nll")
     return run.fit(PLANNER, model, task, folder)
 
 
@@ -161,8 +160,7 @@ def _train_gate(run: Run, model: ActivityGate, folder: Path) -> Figures:
         return {"nll": sum(float(model.losses(b)["activity"]) for b in batches) / len(batches),
                 "active": float(active[torch.as_tensor(corpus.select("train"))].mean())}
 
-    task = fitting.Task(lambda rng: with_activity(windows.sample(rng, run.schedule(GATE).batch)), validate=validate,
-                        watch="nll")
+    task = fitting.Task(lambda rng, size: with_activity(windows.sample(rng, size)), validate=validate, watch="nll")
     return run.fit(GATE, model, task, folder)
 
 
@@ -272,6 +270,6 @@ def train_interpreter(run: Run, model: UnitStyleInterpreter, folder: Path, stage
         return {"code_error": float((predicted - measured).pow(2).mean()),
                 **{f"explained_{name}": float(1 - share) for name, share in zip(CODE, left, strict=True)}}
 
-    task = fitting.Task(lambda rng: with_codes(windows.sample(rng, run.schedule(stage).batch)), validate=validate,
+    task = fitting.Task(lambda rng, size: with_codes(windows.sample(rng, size)), validate=validate,
                         watch="code_error")
     return run.fit(stage, model, task, folder)

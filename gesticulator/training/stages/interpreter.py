@@ -57,8 +57,7 @@ def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInte
             count += float(valid.sum())
         return {"accuracy": right / count, "nll": nll / count}
 
-    task = fitting.Task(lambda rng: as_labels(windows.sample(rng, run.schedule(stage).batch)), validate=validate,
-                        watch="nll")
+    task = fitting.Task(lambda rng, size: as_labels(windows.sample(rng, size)), validate=validate, watch="nll")
     return run.fit(stage, model, task, folder)
 
 
@@ -137,7 +136,7 @@ def _train_style(run: Run, model: StyleInterpreter | UnitStyleInterpreter, folde
         error = sum(float(model.losses(b)["code"]) for b in batches) / len(batches)
         return {"code_error": error, "code_variance": float(table[1:].var(0).mean())}
 
-    task = fitting.Task(lambda rng: with_codes(windows.sample(rng, run.schedule(stage).batch)), validate=validate,
+    task = fitting.Task(lambda rng, size: with_codes(windows.sample(rng, size)), validate=validate,
                         watch="code_error")
     return run.fit(stage, model, task, folder)
 

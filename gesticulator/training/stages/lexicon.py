@@ -16,18 +16,14 @@ from data_module.errors import InputError
 from data_module.motion.kinematics import positions_of
 from data_module.motion.movement import Pasts
 from data_module.motion.representation import Representation
-from data_module.parallel import own_rows
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import Sizes, representation_of
 from gesticulator.systems import system_of
-from gesticulator.training import distributed
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
-from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
-from gesticulator.training.stages.rows import evenly
+from gesticulator.training.stages.corpus import BLOCKS, MEASURED, Corpus, evenly, sizes
 from gesticulator.training.stages.speech import CORPUS
-from gesticulator.training.stages.stored import MEASURED
 from lexicon import inventory as inventories
 from lexicon.autoencoder import Lexicon
 from lexicon.movement import MovementLexicon, MovementVqVae
@@ -69,27 +65,26 @@ def _train_movements(run: Run, model: MovementVqVae, folder: Path) -> Figures:
     known = torch.as_tensor(corpus.some("train"))
     mask = corpus.mask[torch.as_tensor(corpus.recording)[known]]
     model.cpu()
-    distributed.lead_model(model, lambda: model.basis.fit(corpus.motion[known], corpus.pasts[known], mask))
+    model.basis.fit(corpus.motion[known], corpus.pasts[known], mask)
     present = model.basis.known(mask)
     coefficients = torch.cat([model.basis.coefficients(corpus.motion[part], corpus.pasts[part])
                               for part in known.split(_TOGETHER)]) * present
     learner = MovementLearner(model)
 
-    def make_batch(rng: np.random.Generator) -> fitting.Batch:
-        index = torch.as_tensor(rng.integers(len(known), size=settings.batch)[own_rows(settings.batch)])
+    def make_batch(rng: np.random.Generator, size: int) -> fitting.Batch:
+        index = torch.as_tensor(rng.integers(len(known), size=size))
         return {"coefficients": coefficients[index], "known": present[index]}
 
     begin = next((s for s in range(settings.steps) if s / settings.steps >= run.config.lexicon.warm_up), 0)
 
     def before_step(step: int) -> None:
         if step == begin:
-            distributed.lead_model(learner, lambda: learner.start_codebook(coefficients.to(run.device),
-                                                                           run.seed(LEXICON)))
+            learner.start_codebook(coefficients.to(run.device), run.seed(LEXICON))
 
     run.fit(LEXICON, learner, fitting.Task(make_batch, before_step=before_step), folder)
     learner.cpu()
-    distributed.lead_model(model, lambda: learner.finish(coefficients, corpus.pasts[known], run.seed(LEXICON)))
-    return distributed.lead(lambda: _held_figures(run, model))
+    learner.finish(coefficients, corpus.pasts[known], run.seed(LEXICON))
+    return _held_figures(run, model)
 
 
 @torch.no_grad()
@@ -117,21 +112,20 @@ def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
     if isinstance(model, MovementVqVae):
         return _train_movements(run, model, folder)
     if isinstance(model, MovementLexicon):
-        return distributed.lead(lambda: _fit_movements(run, model))
+        return _fit_movements(run, model)
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
     known, some, val = map(torch.as_tensor, (corpus.select("train"), corpus.some("train"), corpus.some("val")))
     recording = torch.as_tensor(corpus.recording)
 
-    def make_batch(rng: np.random.Generator) -> fitting.Batch:
-        index = known[torch.as_tensor(rng.integers(len(known), size=settings.batch)[own_rows(settings.batch)])]
+    def make_batch(rng: np.random.Generator, size: int) -> fitting.Batch:
+        index = known[torch.as_tensor(rng.integers(len(known), size=size))]
         return {"motion": corpus.motion[index], "mask": corpus.mask[recording[index]]}
 
     begin = next((s for s in range(settings.steps) if s / settings.steps >= run.config.lexicon.warm_up), 0)
 
     def before_step(step: int) -> None:
         if step == begin:
-            distributed.lead_model(model, lambda: model.start_codebook(corpus.motion[some].to(run.device),
-                                                                       run.seed(LEXICON)))
+            model.start_codebook(corpus.motion[some].to(run.device), run.seed(LEXICON))
 
     def validate() -> Figures:
         return lexicon_figures(model, corpus.motion[val if len(val) else some].to(run.device))
@@ -168,23 +162,21 @@ def _starts(corpus: Corpus, split: str, length: int) -> NDArray[np.int64]:
 
 def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
     """Train on windows of as many codes as a decision sees (120 frames in the paper)."""
-    corpus, length, settings = run.get(BLOCKS), run.config.cql.decisions, run.schedule(CODEC)
+    corpus, length = run.get(BLOCKS), run.config.cql.decisions
     known = _starts(corpus, "train", length)
     held = (_starts(corpus, "val", length) if corpus.recordings("val") else known)[::length]
-    begun = known[::length]
-    if corpus.stored:
-        held, begun = (evenly(starts, MEASURED // length) for starts in (held, begun))
+    held, begun = (evenly(starts, MEASURED // length) for starts in (held, known[::length]))
 
     def crops(starts: NDArray[np.int64]) -> Tensor:
         return corpus.motion[torch.as_tensor(starts)[:, None] + torch.arange(length)].flatten(1, 2)
 
-    def make_batch(rng: np.random.Generator) -> fitting.Batch:
-        chosen = rng.choice(known, settings.batch)[own_rows(settings.batch)]
+    def make_batch(rng: np.random.Generator, size: int) -> fitting.Batch:
+        chosen = rng.choice(known, size)
         return {"motion": crops(chosen), "mask": corpus.mask[torch.as_tensor(corpus.recording[chosen])]}
 
     def before_step(step: int) -> None:
         if step == 0:
-            distributed.lead_model(model, lambda: model.start_codebook(crops(begun).to(run.device), run.seed(CODEC)))
+            model.start_codebook(crops(begun).to(run.device), run.seed(CODEC))
 
     return run.fit(CODEC, model, fitting.Task(make_batch, before_step=before_step, validate=lambda: codec_figures(
         model, crops(held).to(run.device))), folder)
@@ -229,15 +221,11 @@ def decoded_blocks(tokens: Tokens, labels: NDArray[np.int64], corpus: Corpus) ->
 
 def token_labels(tokens: Tokens, corpus: Corpus) -> NDArray[np.int64]:
     """[N] the lexeme of every block."""
-    if corpus.stored and not isinstance(tokens, RacerCodec):
-        # A corpus on disk is labelled in parts, since all of its motion does not fit into memory.
+    if not isinstance(tokens, RacerCodec):
+        # In parts, since all motion of a large corpus does not fit into memory.
         parts = torch.arange(len(corpus.motion)).split(_TOGETHER)
         return torch.cat([tokens.label(corpus.motion[part]) if isinstance(tokens, Lexicon)
                           else tokens.label(corpus.motion[part], corpus.pasts[part]) for part in parts]).numpy()
-    if isinstance(tokens, Lexicon):
-        return tokens.label(corpus.motion).numpy()
-    if isinstance(tokens, MovementLexicon):
-        return tokens.label(corpus.motion, corpus.pasts).numpy()
     out = np.empty(len(corpus.motion), dtype=np.int64)
     for recording in range(len(corpus.names)):
         blocks = corpus.blocks_of(recording)

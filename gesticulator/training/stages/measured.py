@@ -18,18 +18,17 @@ BOUNDS = (0.1, 99.9)
 """Percentiles: omits one frame in a thousand at either end, because captured motion contains jumps."""
 
 
-def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.int64], splits: list[str],
-                loaded: list[dict[str, NDArray[Any]]], encoded: list[dict[str, NDArray[Any]]]) -> Statistics:
-    """The statistics of the training split, from the cached blocks and features of all recordings.
+def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.int64],
+             loaded: list[dict[str, NDArray[Any]]], encoded: list[dict[str, NDArray[Any]]]) -> Statistics:
+    """The statistics of training data, from the cached blocks and features of R recordings or parts of them.
 
-    speaker_of: [R]; splits, loaded, encoded: for each of R recordings.
+    speaker_of: [R]; loaded, encoded: [R].
     """
     width = loaded[0]["motion"].shape[-1]
-    train = [index for index, split in enumerate(splits) if split == "train"]
     mean, rest = np.zeros((len(speakers), width)), np.zeros((len(speakers), width))
     centred = []
     for speaker in range(len(speakers)):
-        recordings = [loaded[i] for i in train if speaker_of[i] == speaker]
+        recordings = [arrays for arrays, one in zip(loaded, speaker_of, strict=True) if one == speaker]
         poses = np.concatenate([arrays["motion"] for arrays in recordings]).astype(np.float64)
         silent = np.concatenate([arrays["silent"] for arrays in recordings])
         mean[speaker] = poses.mean(axis=(0, 1))
@@ -38,23 +37,23 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
         # One deviation for all speakers about their own means: larger gestures of a speaker stay larger.
         centred.append((poses - mean[speaker]).reshape(-1, width))
     deviation = np.concatenate(centred).std(axis=0)
-    present = np.stack([loaded[i]["mask"] for i in train]).any(axis=0)
+    present = np.stack([arrays["mask"] for arrays in loaded]).any(axis=0)
     # A joint that hardly moves would be blown up by division: its deviation has a least value.
     deviation = np.where(present, np.maximum(deviation, config.motion.least_deviation), 1.0)
     bounds = np.percentile(np.concatenate(centred) / deviation, BOUNDS, axis=0)
-    quiet = [settled(loaded[i]["silent"], 1) for i in train]
+    quiet = [settled(arrays["silent"], 1) for arrays in loaded]
     normalisers, silences = [], []
     for level in ("low", "high"):
-        rows = [encoded[i].get(level, encoded[i]["low"]) for i in train]
+        rows = [levels.get(level, levels["low"]) for levels in encoded]
         normaliser = Normaliser.fit(np.concatenate(rows).astype(np.float32))
         silence = np.concatenate([row[which] for row, which in zip(rows, quiet, strict=True)]).astype(np.float32)
         normalisers.append(normaliser)
         silences.append(normaliser.apply(silence).mean(axis=0, dtype=np.float64) if len(silence)
                         else np.zeros(rows[0].shape[1:]))
-    levels = controls.Levels.fit(np.concatenate([loaded[i]["control"] for i in train]).reshape(
+    control = controls.Levels.fit(np.concatenate([arrays["control"] for arrays in loaded]).reshape(
         -1, len(controls.FEATURES)).astype(np.float64))
     return Statistics(speakers, mean, rest, deviation, bounds, normalisers[0], normalisers[1], silences[0],
-                      silences[1], levels)
+                      silences[1], control)
 
 
 LOWEST = 0.3

@@ -143,8 +143,9 @@ def _train(run: Run, learner: ConservativeQ, folder: Path, stage: Stage[QNetwork
     def validate() -> Figures:
         return q_figures(learner, [{key: value.to(run.device) for key, value in b.items()} for b in checks])
 
-    task = fitting.Task(lambda rng: q_batch(corpus, episodes.windows(rng, run.schedule(stage).batch, config.decisions),
-                                            config.lookahead), validate=validate, before_step=learner.before_step)
+    task = fitting.Task(lambda rng, size: q_batch(corpus, episodes.windows(rng, size, config.decisions),
+                                                  config.lookahead), validate=validate,
+                        before_step=learner.before_step)
     return run.fit(stage, learner, task, folder)
 
 

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.motion.movement import Pasts
-from data_module.parallel import own_rows, shares
 from gesticulator.bundle import models
 from gesticulator.bundle.config import RewardConfig
 from gesticulator.bundle.features import Sizes
@@ -146,19 +145,15 @@ class RewardWindows:
     added: Tensor | None = None
 
     def sample(self, rng: np.random.Generator, count: int, decoded: float | None = None) -> fitting.Batch:
-        """A batch of `count` windows for `RewardModel.losses`, a share `decoded` of them decoded from lexemes; only
-        this process's rows."""
+        """A batch of `count` windows for `RewardModel.losses`, a share `decoded` of them decoded from lexemes."""
         config = self.config
         blocks, valid = drawn_windows(self.corpus, self.recordings, config, rng, count)
         share = config.decoded if decoded is None else decoded
-        mine = own_rows(count)
-        batch = self.batch(blocks[mine], valid[mine], (rng.random(count) < share)[mine])
-        if shares() > 1:  # groups are defined over the whole batch
-            batch["group"] = torch.as_tensor(groups(blocks, valid, self.corpus.silent[blocks])[mine])
+        batch = self.batch(blocks, valid, rng.random(count) < share)
         if self.lexemes is not None and config.rivals:
-            batch["rival"] = self.lexemes[torch.as_tensor(self.rivals(blocks, valid, rng)[mine])]
+            batch["rival"] = self.lexemes[torch.as_tensor(self.rivals(blocks, valid, rng))]
         if config.choice:
-            batch |= self.choice(blocks[mine], batch["motion"])
+            batch |= self.choice(blocks, batch["motion"])
         return batch
 
     def choice(self, blocks: NDArray[np.int64], motion: Tensor) -> fitting.Batch:
@@ -261,8 +256,7 @@ def _train(run: Run, model: RewardEnsemble, folder: Path, stage: Stage[RewardEns
         figures = [model.figures({key: value.to(run.device) for key, value in b.items()}) for b in checks]
         return {key: float(np.mean([f[key] for f in figures])) for key in figures[0]}
 
-    task = fitting.Task(lambda rng: windows.sample(rng, run.schedule(stage).batch), validate=validate,
-                        before_step=model.before_step)
+    task = fitting.Task(windows.sample, validate=validate, before_step=model.before_step)
     return run.fit(stage, model, task, folder)
 
 

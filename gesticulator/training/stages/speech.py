@@ -21,7 +21,6 @@ from torch import nn
 from data_module.blocks import samples_per_frame
 from data_module.errors import InputError
 from data_module.layers import freeze
-from data_module.parallel import own_rows
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder, TextContrast
 from data_module.store import Store
@@ -30,7 +29,6 @@ from gesticulator.bundle.config import Config
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import BLOCKS, Corpus, prepare, sizes
-from gesticulator.training.stages.rows import StoredRows
 
 SOUND_SUFFIXES = (".flac", ".wav", ".ogg", ".mp3")
 
@@ -78,10 +76,10 @@ class Crops:
         return cls(np.concatenate(parts), np.cumsum(sizes) - sizes, sizes - length + 1, length)
 
     def sample(self, rng: np.random.Generator, count: int) -> NDArray[np.float32]:
-        """[count, length] crops, every start equally likely; only this process's rows."""
+        """[count, length] crops, every start equally likely."""
         ends = np.cumsum(self.room)
         # Uniform over all possible starts, so long recordings are sampled more often.
-        place = rng.integers(ends[-1], size=count)[own_rows(count)]
+        place = rng.integers(ends[-1], size=count)
         recording = np.searchsorted(ends, place, side="right")
         starts = self.first[recording] + place - (ends - self.room)[recording]
         return np.stack([self.samples[start:start + self.length] for start in starts]).astype(np.float32)
@@ -111,7 +109,6 @@ def _train_predictive(run: Run, model: PredictiveCoding, folder: Path, stage: St
     crops = Crops.of_store(run.store, known, run.speech, length)
     check = Crops.of_store(run.store, held, (), length)
     checks = [torch.as_tensor(check.sample(fitting.generator_for(0, i), _CROPS)) for i in range(_CHECKS)]
-    batch = run.schedule(stage).batch
 
     @torch.no_grad()
     def validate() -> Figures:
@@ -120,7 +117,7 @@ def _train_predictive(run: Run, model: PredictiveCoding, folder: Path, stage: St
         return {"predictive": sum(float(model.losses({"samples": b.to(run.device)})["predictive"])
                                   for b in checks) / len(checks)}
 
-    task = fitting.Task(lambda rng: {"samples": torch.as_tensor(crops.sample(rng, batch))}, validate=validate)
+    task = fitting.Task(lambda rng, size: {"samples": torch.as_tensor(crops.sample(rng, size))}, validate=validate)
     return run.fit(stage, model, task, folder)
 
 
@@ -148,7 +145,7 @@ class ContrastWindows:
     corpus: Corpus
     frames: int
     blocks: NDArray[np.int64]
-    sounds: Mapping[int, NDArray[np.float16] | StoredRows]
+    sounds: Mapping[int, NDArray[np.float16]]
     begins: Mapping[int, int]
 
     @classmethod
@@ -159,7 +156,7 @@ class ContrastWindows:
         spoken = (corpus.word_at[:, frames:2 * frames] > 0).any(1).numpy()
         blocks = [corpus.blocks_of(r) for r in recordings]
         return cls(corpus, frames, np.concatenate([each[spoken[each]] for each in blocks]),
-                   {r: corpus.sound(r) for r in recordings},
+                   {r: np.load(corpus.files[r].with_suffix(".npy"), mmap_mode="r") for r in recordings},
                    {r: int(each[0]) for r, each in zip(recordings, blocks, strict=True)})
 
     def batch(self, chosen: NDArray[np.int64]) -> fitting.Batch:
@@ -172,11 +169,11 @@ class ContrastWindows:
                 "word": corpus.word_at[torch.as_tensor(chosen), middle].long() - 1}
 
     def sample(self, rng: np.random.Generator, size: int) -> fitting.Batch:
-        """Some of them; with several processes this one's rows."""
-        return self.batch(rng.choice(self.blocks, size)[own_rows(size)])
+        """Some of them."""
+        return self.batch(rng.choice(self.blocks, size))
 
 
-def _around(sound: NDArray[np.float16] | StoredRows, block: int) -> NDArray[np.float16]:
+def _around(sound: NDArray[np.float16], block: int) -> NDArray[np.float16]:
     """[3 L] the audio of a block of [N, L] with the blocks before and after; silence beyond the ends."""
     # Beyond the recording there is silence.
     out = np.zeros((3, sound.shape[1]), np.float16)
@@ -205,7 +202,7 @@ def _train_contrast(run: Run, model: TextContrast, folder: Path) -> Figures:
         return {"contrast": sum(float(model.losses(b)["contrast"]) for b in on) / len(on),
                 **{f"retrieval_{level + 1}": float(value) for level, value in enumerate(retrieval)}}
 
-    return run.fit(CONTRAST, model, fitting.Task(lambda rng: learn.sample(rng, size), validate=validate), folder)
+    return run.fit(CONTRAST, model, fitting.Task(learn.sample, validate=validate), folder)
 
 
 def _contrasted(config: Config) -> bool:
@@ -238,8 +235,7 @@ def _encoded_corpus(run: Run) -> Corpus:
     encoder = run.get(ENCODER)
     if encoder is None:
         return run.get(BLOCKS)
-    return prepare(run.store, run.config, run.work, encoder, workers=run.workers, progress=run.progress,
-                   memory=run.memory)
+    return prepare(run.store, run.config, run.work, encoder, workers=run.workers, progress=run.progress)
 
 
 CORPUS: Node[Corpus] = Node(

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from data_module import controls
 from data_module.errors import InputError
-from data_module.parallel import own_rows
 from gesticulator.bundle.config import ControlConfig
 from gesticulator.bundle.features import control_rows
 from gesticulator.training.fit import Batch
@@ -101,8 +100,7 @@ class Windows:
                                 np.concatenate([np.arange(room) for room in rooms])], axis=1)
 
     def sample(self, rng: np.random.Generator, count: int) -> Batch:
-        """A batch of `count` random windows; only this process's rows."""
-        # Random numbers for the whole batch first, then this process's rows of them.
+        """A batch of `count` random windows."""
         starts = self.starts[rng.integers(len(self.starts), size=count)]
         given = None
         if self.control is not None:
@@ -110,8 +108,7 @@ class Windows:
             # Some windows are left free of all controls, so that the model also learns without.
             given &= rng.random((count, 1)) >= self.control.free
             given &= np.isin(controls.FEATURES, self.control.features)
-        rows = own_rows(count)
-        return self.batch(starts[rows], None if given is None else given[rows])
+        return self.batch(starts, given)
 
     def tiled(self, size: int) -> Iterable[Batch]:
         """All blocks (except seeds), in batches; the last window of a recording may overlap the one before."""

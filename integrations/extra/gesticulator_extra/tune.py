@@ -109,11 +109,11 @@ class SettingSearch:
 def figure_of(config: Config, store: Store, work: Path, stage: str, figure: str, settings: Settings) -> float:
     """A validation figure of a stage trained under changed settings."""
     from gesticulator.bundle.config import with_settings
-    from gesticulator.training.stages import STAGES, Run
+    from gesticulator.training.stages import Run, every_stage
 
     run = Run(with_settings(config, [f"{path}={value}" for path, value in settings.items()]), store, work,
               progress=False, workers=os.cpu_count() or 1)
-    run.get(STAGES[stage])
+    run.get(every_stage()[stage])
     figures = run.figures[stage]
     if figure not in figures:
         raise InputError(f"--figure {figure}", f"is not a figure of {stage}", f"choose among {', '.join(figures)}")
@@ -145,11 +145,11 @@ def _run(args: argparse.Namespace) -> int:
     from data_module.store import Store
     from gesticulator.bundle.config import digest, with_settings
     from gesticulator.training.presets import preset
-    from gesticulator.training.stages import STAGES
+    from gesticulator.training.stages import every_stage
     from gesticulator.training.stages.training import claim
 
-    if args.stage not in STAGES:
-        raise InputError(f"--stage {args.stage}", "is not a stage", f"choose among {', '.join(STAGES)}")
+    if args.stage not in every_stage():
+        raise InputError(f"--stage {args.stage}", "is not a stage", f"choose among {', '.join(every_stage())}")
     config = with_settings(preset(args.preset), args.settings)
     store, work = Store.open(args.data), Path(args.work)
     work.mkdir(parents=True, exist_ok=True)
