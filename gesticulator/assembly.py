@@ -100,14 +100,14 @@ class Assembler:
         options, words = self.options, self.speech.words or ()
         if options.face == "off":
             return None
-        from gesticulator.face.track import FaceSettings, face_of
+        from gesticulator.face.track import face_of
 
         cues: list[tuple[float, str]] = []
         if options.cues:
             from gesticulator.directing.cues import expressions_at
 
             cues = expressions_at(options.cues, words, self.speech.duration)
-        return face_of(FaceSettings.of(options), self.speech.samples, plan.blocks, motion, words, cues)
+        return face_of(options, self.speech.samples, plan.blocks, motion, words, cues)
 
 
 def rest_pose(bundle: Bundle, speaker: int) -> Motion:

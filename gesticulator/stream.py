@@ -537,9 +537,9 @@ class Stream:
 def _face_of(options: InferenceOptions) -> FaceTrack | None:
     if options.face == "off":
         return None
-    from gesticulator.face.track import FaceSettings, FaceTrack
+    from gesticulator.face.track import FaceTrack
 
-    face = FaceTrack(FaceSettings.of(options), LONGEST_HISTORY)
+    face = FaceTrack(options, LONGEST_HISTORY)
     if options.cues:
         from gesticulator.directing.cues import expressions_at
 
