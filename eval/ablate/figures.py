@@ -30,9 +30,9 @@ from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
-from eval.pictures.edited import figure_10
 from eval.pictures.embedding import NEIGHBOURS, embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
+from eval.pictures.plots import style_editing as style_editing_figure
 from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_strip
 from eval.table import dumps, loads
 from gesticulator.bundle import config as configs
@@ -142,7 +142,7 @@ def edited(rg: RgRows, rows: Summaries) -> Drawn:
     numbers = {f"{feature}, asked {level}": row.mean for feature in style_editing.FEATURES
                for level in style_editing.LEVELS
                for row in [figures["rows"][style_editing.row_name(feature, level)][feature]]}
-    return figure_10(figures), (
+    return style_editing_figure(figures), (
         "Motion for the same speech when low, middle and high values of each feature are asked for."), numbers
 
 
