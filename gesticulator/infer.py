@@ -24,7 +24,7 @@ from gesticulator.arguments import (
     run_settings_of,
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import Job, check_job, perform, perform_together, prepare_blender, retargeter_for
+from gesticulator.jobs import Job, check_job, perform, perform_together, retargeter_for
 
 if TYPE_CHECKING:
     from gesticulator.batch import BatchRequest
@@ -44,7 +44,6 @@ def run(args: argparse.Namespace) -> int:
     check_choices(jobs[0].options, settings.bundle)
     if batch is not None:
         return _run_batch(jobs, settings, batch)
-    prepare_blender(jobs)
     retargeter = retargeter_for(jobs[0].character, settings.quiet)
     alone, done = len(jobs) == 1, 0
     with our_warnings():
@@ -93,7 +92,6 @@ def _run_batch(jobs: Sequence[Job], settings: RunSettings, request: BatchRequest
 
 def _worker(jobs: Sequence[Job], settings: RunSettings) -> Callable[[int], float]:
     """Load the models; returns a function that processes a job by its number and returns its duration in seconds."""
-    prepare_blender(jobs)
     retargeter = retargeter_for(jobs[0].character, settings.quiet)
     with limited_threads(settings.threads):
         gesticulator = _loaded(settings)

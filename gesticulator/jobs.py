@@ -13,7 +13,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -268,23 +268,6 @@ def check_job(job: Job) -> None:
     elif sys.stdin is None or sys.stdin.isatty():
         raise InputError("standard input", "is closed" if sys.stdin is None else "is a terminal",
                          f"pipe a recording into {PROGRAM}, or name a file")
-
-
-def prepare_blender(jobs: Sequence[Job]) -> None:
-    """If the jobs need Blender, start it, and let it read the character, while this process loads its libraries."""
-    character = jobs[0].character if jobs else None
-    if character is not None and character.file.lower().endswith(".fbx"):
-        from gesticulator.characters.fbx_rig import read_ahead
-
-        read_ahead(character.file)
-    elif any(target.suffix.lower() == ".fbx" for job in jobs for target in job.targets):
-        from gesticulator.characters.blender import start_blender
-
-        with suppress(InputError):  # reported when it is needed
-            start_blender(jobs[0].targets[0])
-    else:
-        return
-    import gesticulator.gesticulator  # noqa: F401 - torch takes as long to load as Blender
 
 
 def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> Retargeter | None:

@@ -20,7 +20,7 @@ from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
-from gesticulator.contacts.columns import trunk_distances
+from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.limbs import pose_of
 from gesticulator.directing.cues import cues_at
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
@@ -199,7 +199,7 @@ def test_intensity_scales_the_hands_and_keeps_them_in_range_and_out_of_the_body(
     beyond = np.maximum(angles - high[columns], low[columns] - angles).max()
     # Idle life and smoothing bring the drawing itself to the edge; pushing a hand out of the trunk may take a little.
     assert beyond <= max(np.maximum(before - high[columns], low[columns] - before).max(), 0.0) + 0.16
-    for gap in trunk_distances(pose_of(made.motion)).values():
+    for gap in TRUNK.distances(pose_of(made.motion)).values():
         assert gap.min() > -0.01, "no hand in the trunk, at no frame"
 
 
@@ -377,7 +377,7 @@ def test_named_gestures_are_poses_of_a_body(name: str, drawn: Performance) -> No
         # Of the wrist what is not turned about the forearm: a hand bends by 80 degrees at most.
         bend = np.linalg.norm(bends[:, names.index(side + "Hand"), 1:], axis=-1)
         assert np.degrees(bend).max() < 85
-    assert min(gap[at].min() for gap in trunk_distances(pose_of(motion)).values()) > 0.0, "outside the body"
+    assert min(gap[at].min() for gap in TRUNK.distances(pose_of(motion)).values()) > 0.0, "outside the body"
 
 
 def test_cues_find_their_words_and_say_what_is_said() -> None:

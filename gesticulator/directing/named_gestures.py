@@ -17,7 +17,7 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, FINGERS, SIDES
 from data_module.types import Array, Motion
 from gesticulator.body.clips import exchanged_joints
-from gesticulator.contacts.columns import head_distances, kept_off_our_head, kept_out_of_us, trunk_distances
+from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_parts import GestureScript, Vector
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
@@ -152,12 +152,11 @@ def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str]
         return poses
     motion, first = _motion_of(poses), pose_of(_motion_of(before))
     freed = motion
-    for distances, kept, gap in ((trunk_distances, kept_out_of_us, on_trunk),
-                                 (head_distances, kept_off_our_head, on_head)):
-        now = distances(first)
+    for part, gap in ((TRUNK, on_trunk), (HEAD, on_head)):
+        now = part.distances(first)
         wanted: Mapping[str, Array] = {side: (1.0 - weight) * np.minimum(now[side], MARGIN) + weight * gap
                                        if side in moved else np.full(len(poses), -np.inf) for side in SIDES}
-        freed = kept(freed, wanted)
+        freed = part.kept_out(freed, wanted)
     changed = (freed.rotations != motion.rotations).any(axis=-1, keepdims=True)
     reference = poses.reshape(len(poses), -1, 3)
     turned = nearest_turn(rotation.to_exponential_map(freed.rotations), reference)
