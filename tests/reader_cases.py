@@ -340,13 +340,6 @@ def _read_bundle(file: Path) -> object:
     return bundle.load(file.parent)
 
 
-def _read_silent(file: Path) -> object:
-    from gesticulator.bundle.files import read_index
-    from gesticulator.bundle.silent import silent_of
-
-    return silent_of(read_index(file.parent), file.parent)
-
-
 def _with_index(file: Path, data: bytes) -> None:
     """Weights that were damaged, and the list of hashes made to fit."""
     file.write_bytes(data)
@@ -502,21 +495,18 @@ def _manifest(name: str) -> Callable[[Path], Path]:
 
         rows = [ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, "cut short", 0.125, "1", "2", "3", "h"),
                 ManifestRow("b.wav", "13", 1.0, ("b.bvh",))]
-        write_manifest(folder / name.removesuffix(".journal"), rows)
-        if name.endswith(".journal"):
-            (folder / name.removesuffix(".journal")).rename(folder / name)
+        write_manifest(folder / name, rows)
         return folder / name
 
     return write
 
 
 def _read_manifest(file: Path) -> object:
-    """The rows, written back in both formats."""
+    """The rows, written back."""
     from gesticulator.manifest import read_manifest, table, write_manifest
 
-    rows = read_manifest(file.with_name(file.name.removesuffix(".journal")))
-    for suffix in (".jsonl", ".parquet"):
-        write_manifest(file.with_name(f"back{suffix}"), rows.values())
+    rows = read_manifest(file)
+    write_manifest(file.with_name("back.jsonl"), rows.values())
     return table(list(rows.values()))
 
 
@@ -597,7 +587,7 @@ def _read_words_of_a_command(file: Path) -> object:
     from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch import parse_shard
-    from gesticulator.bundle.silent import numbers
+    from gesticulator.bundle.command import lexemes
     from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES
     from interpreters.settings import LstmConfig
@@ -606,7 +596,7 @@ def _read_words_of_a_command(file: Path) -> object:
     readers: tuple[Callable[[str], object], ...] = (
         read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
-        _seconds, numbers, lambda text: _positive("--seconds", text))
+        _seconds, lambda text: lexemes(text, 24), lambda text: _positive("--seconds", text))
     refusals = []
     for read, line in zip(readers, lines, strict=False):
         try:
@@ -706,7 +696,6 @@ READERS: dict[str, Case] = {
     "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
     "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
     "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
-    "bundle, silent lexemes": Case(_bundle("bundle.json"), _read_silent),
     "glb character": Case(_glb("a.glb"), _read_character),
     "glb character, its JSON": Case(_glb("a.glb"), _read_character, _gltf_text, _with_gltf_text, 2.0),
     "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _gltf_text, _with_gltf_text),
@@ -719,8 +708,7 @@ READERS: dict[str, Case] = {
     "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
-    **{f"manifest {name}": Case(_manifest(name), _read_manifest)
-       for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},
+    "manifest": Case(_manifest("m.jsonl"), _read_manifest),
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
     "weights of the lips": Case(_lips, _read_lips),
     "character sent by a page": Case(_written("a.json", '{"name": "a.glb", "data": "Z2xURg=="}'), _read_sent_character),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -456,7 +455,7 @@ def test_a_lexicon_of_movements_is_told_the_past() -> None:
         past = Pasts(blocks[-1][None, -3:], torch.ones(1))
 
     class Played:
-        block_models = SimpleNamespace(lexicon=lexicon)
+        block_lexicon = lexicon
 
         def rest_feature(self, speaker: int) -> Tensor:
             return torch.zeros(one.motion.shape[-1])

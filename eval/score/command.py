@@ -478,7 +478,7 @@ def scored(arguments: argparse.Namespace) -> Scores:
         bundle = with_judges(bundles.load(bundle_folder(arguments.bundle)),
                              arguments.work)
         # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
-        _ = bundle.block_models
+        _ = bundle.block_lexicon
     folders, left_out = read_all(arguments)
     if arguments.units:
         folders[UNITS] = unit_selection_row(folders[TRUTH], Store.open(arguments.units), arguments.work, arguments.seed)
