@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["FPS", "RANGES", "HandControl", "InferenceOptions", "Range"]
 
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
-MoodControl: TypeAlias = "float | str | os.PathLike[str] | Curve"
 
 MEANING_LEVELS = ("off", "few", "normal", "rich")
 """How many of the gestures that the words call for are shown."""
@@ -175,18 +174,16 @@ class InferenceOptions:
     """Move the face, too: off, lips, or full, with blinks, brows, smile and gaze. The body is the same with each."""
     mouth: float = _option(1.0, "0..2")
     """With --face: how far the mouth opens, 0 (shut) to 2. 1 is as the network gives it."""
-    mood: MoodControl = _option(0.0, "VALUE")
-    """With --face full: from -1 (sad) to 1 (a smile), or a CSV file with the columns time and value. In Python a
-    `Curve` over time, too."""
+    mood: float = _option(0.0, "-1..1")
+    """With --face full: from -1 (sad) to 1 (a smile)."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
             value, choices = getattr(self, entry.name), getattr(entry.metadata.get("flag"), "choices", ())
             if choices and value not in (*choices, entry.default):
                 raise InputError(f"{entry.name} {value}", "is unknown", f"choose among {', '.join(choices)}")
-            # None is the bundle's default; the values of a curve of moods are checked where it is read.
-            if entry.name in RANGES and (value is not None or entry.default is not None) \
-                    and (entry.name != "mood" or isinstance(value, int | float)):
+            # None is the bundle's default, where the field's default is None.
+            if entry.name in RANGES and (value is not None or entry.default is not None):
                 RANGES[entry.name].check(entry.name, value)
         if self.controls is not None and any(part is not None for part in self.hands):
             raise InputError("controls", "cannot be combined with hand_height, hand_speed or hand_radius",

@@ -15,7 +15,7 @@ from untrained import untrained
 from data_module.errors import InputError
 from data_module.types import Speech, Word
 from gesticulator import cli
-from gesticulator.directing.mismatches import OptionWarning
+from gesticulator.directing.cues import OptionWarning
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.infer import COMMAND
 from gesticulator.plan.plan import GestureCue
@@ -127,17 +127,3 @@ def test_log_levels_and_colours(tmp_path: Path) -> None:
     assert plain.stderr.count("\n") == 1 and "\x1b" not in plain.stderr
     assert "Traceback" in debug.stderr and debug.stderr.splitlines()[-1] == plain.stderr.strip()
     assert "\x1b" not in python("-m", "gesticulator", "infer", "--help", NO_COLOR="1").stdout
-
-
-def test_a_shell_completes_verbs_and_options() -> None:
-    pytest.importorskip("argcomplete")
-    assert "gesticulator" in python("-m", "gesticulator", "--completion", "bash").stdout
-    refusal = python("-m", "gesticulator", "--completion", "tcl")
-    assert refusal.returncode == 2 and "bash, zsh, fish" in refusal.stderr
-    # argcomplete answers on file descriptor 8.
-    asked = ("import os, subprocess, sys; read, write = os.pipe(); os.dup2(write, 8); os.set_inheritable(8, True);"
-             "subprocess.run([sys.executable, '-m', 'gesticulator'], close_fds=False, stderr=subprocess.DEVNULL);"
-             "os.close(write); os.close(8); print(os.read(read, 65536).decode())")
-    line = "gesticulator infer --inten"
-    answer = python("-c", asked, _ARGCOMPLETE="1", COMP_LINE=line, COMP_POINT=str(len(line)), _ARGCOMPLETE_IFS="\n")
-    assert answer.stdout.split() == ["--intensity"]
