@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import os
 import re
 import warnings
 from collections.abc import Callable, Mapping
@@ -68,16 +67,7 @@ def _cue(text: str) -> GestureCue:
     return GestureCue(gesture, at)
 
 
-def _mood(text: str) -> object:
-    """A number, or the curve in a CSV file."""
-    if os.path.lexists(text.strip()):
-        from data_module.controls import MOOD, read_curve
-
-        return read_curve(text.strip(), MOOD)
-    return RANGES["mood"].parse("--mood", text)
-
-
-_PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue, "mood": _mood}
+_PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue}
 """Field -> parser of its value, for values that are neither numbers nor words."""
 _GROUPS = {
     "audio and transcript": "",

@@ -20,7 +20,7 @@ from gesticulator.sampling.loop import GeneratedMotion, Setup
 from gesticulator.setup import origin_of
 
 if TYPE_CHECKING:
-    from gesticulator.directing.directions import Shaping
+    from gesticulator.directing.knobs import Shaping
     from gesticulator.directing.lexeme_names import LexemeName
     from gesticulator.directing.record import Origin
     from gesticulator.face.motion import FaceMotion
@@ -70,7 +70,7 @@ class Assembler:
         """The changes of the generated poses in blocks with these edges [N + 1]; None for none."""
         if not self.options.shaped and not self.meanings:
             return None
-        from gesticulator.directing.directions import Shaping
+        from gesticulator.directing.knobs import Shaping
         from gesticulator.directing.meanings import played_meanings
 
         played = played_meanings(self.meanings)
@@ -100,14 +100,14 @@ class Assembler:
         options, words = self.options, self.speech.words or ()
         if options.face == "off":
             return None
-        from gesticulator.face.track import FaceSettings, face_of
+        from gesticulator.face.track import face_of
 
         cues: list[tuple[float, str]] = []
         if options.cues:
-            from gesticulator.directing.directions import expressions_at
+            from gesticulator.directing.cues import expressions_at
 
             cues = expressions_at(options.cues, words, self.speech.duration)
-        return face_of(FaceSettings.of(options), self.speech.samples, plan.blocks, motion, words, cues)
+        return face_of(options, self.speech.samples, plan.blocks, motion, words, cues)
 
 
 def rest_pose(bundle: Bundle, speaker: int) -> Motion:

@@ -120,7 +120,7 @@ class Gesticulator:
         # The words are in the speech from here on, and in the plan.
         checked = replace(checked, transcribe=None)
         if checked.cues or checked.hold_still:
-            from gesticulator.directing.mismatches import without_mismatches
+            from gesticulator.directing.cues import without_mismatches
 
             checked = without_mismatches(checked, recording.words or (), recording.duration)
         performance = self._generate(recording, checked, encoded, on_block)
@@ -223,7 +223,7 @@ class Gesticulator:
         assert options.plan is not None
         report, notes = None, tuple[str, ...]()
         if options.retime:
-            from gesticulator.directing.mismatches import warn_of_losses
+            from gesticulator.directing.cues import warn_of_losses
 
             moved = self.retimed(options.plan, speech, text=text)
             report, notes = moved.report, moved.report.lines()[:1]

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["FPS", "RANGES", "HandControl", "InferenceOptions", "Range"]
 
 HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
-MoodControl: TypeAlias = "float | str | os.PathLike[str] | Curve"
 
 MEANING_LEVELS = ("off", "few", "normal", "rich")
 """How many of the gestures that the words call for are shown."""
@@ -177,16 +176,13 @@ class InferenceOptions:
     """Move the face, too: off, lips, or full, with blinks, brows, smile and gaze. The body is the same with each."""
     mouth: float = _option(1.0, "0..2")
     """With --face: how far the mouth opens, 0 (shut) to 2. 1 is as the network gives it."""
-    mood: MoodControl = _option(0.0, "VALUE")
-    """With --face full: from -1 (sad) to 1 (a smile), or a CSV file with the columns time and value. In Python a
-    `Curve` over time, too."""
+    mood: float = _option(0.0, "-1..1")
+    """With --face full: from -1 (sad) to 1 (a smile)."""
 
     def __post_init__(self) -> None:
         for name in ("seed", "variation", "temperature", "beta", "activity", "intensity", "fps", "gain", "mouth",
                      "mood"):
             value = getattr(self, name)
-            if name == "mood" and not isinstance(value, int | float):
-                continue  # a curve, whose values are checked where it is read
             if value is not None or name not in ("temperature", "beta", "activity"):
                 RANGES[name].check(name, value)
         if self.controls is not None and any(part is not None for part in self.hands):

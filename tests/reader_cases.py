@@ -46,7 +46,7 @@ from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Speech, Word
 from eval.clip import foreign
 from eval.metrics.eye import ReferenceSpace
-from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encoder, reference_windows
+from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encoder
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
@@ -157,7 +157,6 @@ def _with_member(name: str) -> Callable[[Path, bytes], object]:
 
 _SPACE: dict[str, tuple[int, ...]] = {"mean": (40,), "sd": (40,), "axes": (10, 40), "own_mean": (10,),
                                       "own_root": (10, 10)}
-_WINDOWS: dict[str, tuple[int, ...]] = {"windows_a": (2, 34, 27), "windows_b": (2, 34, 27)}
 
 
 def _arrays(shapes: dict[str, tuple[int, ...]]) -> Callable[[Path], Path]:
@@ -171,7 +170,7 @@ def _arrays(shapes: dict[str, tuple[int, ...]]) -> Callable[[Path], Path]:
 
 
 def _published_network(damaged: str) -> Callable[[Path], Path]:
-    """A network in the shape of the published one, with features that it gives for windows of its own."""
+    """A network in the shape of the published one."""
     def write(folder: Path) -> Path:
         from safetensors.torch import save_file
 
@@ -181,23 +180,15 @@ def _published_network(damaged: str) -> Callable[[Path], Path]:
                    in network.state_dict().items() for part, _, rest in (key.partition("."),)},
                   folder / "h36m_gesture_encoder.safetensors")
         (folder / "h36m_gesture_encoder.json").write_text(json.dumps({"frames": 34, "fps": 15, "dim": 27}))
-        rng = np.random.default_rng(0)
-        windows = {f"windows_{name}": rng.normal(size=(2, 34, 27)) for name in "ab"}
-        np.savez(folder / "windows.npz", **windows)  # type: ignore[arg-type]
-        features = published_network(folder).features(np.concatenate(reference_windows(folder / "windows.npz")))
-        np.savez(folder / "h36m_reference.npz", **windows, features_a=features[:2],  # type: ignore[arg-type]
-                 features_b=features[2:])
         return folder / damaged
 
     return write
 
 
-def _our_network(damaged: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        save_network(Autoencoder(AutoencoderConfig(frames=34)), folder)
-        return folder / damaged
+def _our_network(folder: Path) -> Path:
+    save_network(Autoencoder(AutoencoderConfig(frames=34)), folder)
+    return folder / "gesture_features.safetensors"
 
-    return write
 
 
 def _positions(mutated: str) -> Callable[[Path], Path]:
@@ -670,15 +661,12 @@ READERS: dict[str, Case] = {
                               _member(f"{name}.npy"), _with_member(f"{name}.npy"))
        for name in _SMPLX},
     **{f"{kind}, {name}": Case(_arrays(shapes), read, _member(f"{name}.npy"), _with_member(f"{name}.npy"), 0.5)
-       for kind, shapes, read in (("eye's space", _SPACE, ReferenceSpace.load),
-                                  ("FGD windows", _WINDOWS, reference_windows))
-       for name in tuple(shapes)[:2]},
+       for kind, shapes, read in (("eye's space", _SPACE, ReferenceSpace.load),) for name in tuple(shapes)[:2]},
     "eye's space, the archive": Case(_arrays(_SPACE), ReferenceSpace.load, examples=0.5),
     **{f"published network, {name}": Case(_published_network(name), lambda file: published_network(file.parent),
                                           examples=0.5)
-       for name in ("h36m_gesture_encoder.json", "h36m_gesture_encoder.safetensors", "h36m_reference.npz")},
-    **{f"our network, {name}": Case(_our_network(name), lambda file: load_network(file.parent), examples=0.5)
-       for name in ("gesture_features.json", "gesture_features.safetensors")},
+       for name in ("h36m_gesture_encoder.json", "h36m_gesture_encoder.safetensors")},
+    "our network": Case(_our_network, lambda file: load_network(file.parent), examples=0.5),
     **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH))
        for suffix, text in TRANSCRIPTS.items()},
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),

@@ -64,7 +64,7 @@ def space() -> ReferenceSpace:
     """A space of noise, so that no outside data is needed."""
     rng = np.random.default_rng(0)
     axes = np.linalg.svd(rng.normal(size=(40, 40)))[2][:10]
-    return ReferenceSpace(rng.normal(size=40), rng.uniform(0.5, 2, 40), axes, Gaussian(np.zeros(10), np.eye(10), 0))
+    return ReferenceSpace(rng.normal(size=40), rng.uniform(0.5, 2, 40), axes, Gaussian(np.zeros(10), np.eye(10)))
 
 
 def moved(seconds: float, size: Array, seed: int = 0) -> Motion:

@@ -21,7 +21,7 @@ from data_module.errors import InputError
 from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator import Gesticulator
 from gesticulator.body.life import Shifts, ShiftStyle
-from gesticulator.directing.directions import LONGEST_GESTURE
+from gesticulator.directing.knobs import LONGEST_GESTURE
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.editing.recut import Recutter
 from gesticulator.export.html import describe

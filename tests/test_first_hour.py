@@ -17,7 +17,7 @@ from data_module.errors import InputError
 from data_module.text.transcript import TranscriptWarning, as_transcript, with_transcript
 from data_module.types import Speech, Word
 from gesticulator import cli
-from gesticulator.directing.mismatches import OptionWarning
+from gesticulator.directing.cues import OptionWarning
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.infer import COMMAND
 from gesticulator.options import InferenceOptions

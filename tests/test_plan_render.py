@@ -22,7 +22,7 @@ from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
 from gesticulator.contacts.columns import trunk_distances
 from gesticulator.contacts.limbs import pose_of
-from gesticulator.directing.directions import cues_at
+from gesticulator.directing.cues import cues_at
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.directing.shaping import (
     FADE,

@@ -34,7 +34,7 @@ from data_module.store import Store
 from data_module.types import Array, Motion
 from eval import stats
 from eval.acceptance.bounds import LACKING, Measured, Results
-from eval.metrics.eye import common_body, hands, strokes
+from eval.metrics.eye import common_body, hands
 from eval.metrics.eye.body import HZ
 from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
@@ -137,7 +137,7 @@ def stroke_blocks(places: Array, durations: Array) -> NDArray[np.bool_]:
     # A stroke is recognised by its fastest moment, not by its mean: most of a block may be preparation.
     wrists = places[:, :, [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]]
     step = np.linalg.norm(np.diff(wrists, axis=1), axis=-1) * (places.shape[1] / durations)[:, None, None]
-    return np.asarray(step.max(axis=(1, 2)) > strokes.MOVES, dtype=bool)
+    return np.asarray(step.max(axis=(1, 2)) > hands.MOVES, dtype=bool)
 
 
 def r_squared(sums: Array) -> Interval:

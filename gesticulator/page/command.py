@@ -99,11 +99,12 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | 
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.session import EditSession, directions_of, levels_of
 
-    assert job.source is not None
+    source = job.source
+    assert source is not None
     chosen, stands = _character(job)
     gesticulator = Gesticulator.from_pretrained(settings.bundle)
     gesticulator.keeps_generations = True
-    saved = None if beside is not None else SavedEdits(place_of(job.source))
+    saved = None if beside is not None else SavedEdits(place_of(source))
     if saved is not None and not anew and job.options.plan is None:
         job = _with_saved_edits(gesticulator, job)
     job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
@@ -116,7 +117,7 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | 
     character = {} if chosen is None else html.character_data(*chosen, next(iter(scenes.values())).face)
     notice = {} if first.retiming is None else {
         "notice": "The edits were moved onto the new sound. " + " ".join(first.retiming.lines())}
-    server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1,
+    server.page = html.page(scenes, html.title_of(source), together=len(takes) > 1,
                             more={"live": live, **notice, **character}).encode()
     if saved is not None:
         # What is only tried is not saved.

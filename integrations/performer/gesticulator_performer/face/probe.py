@@ -32,8 +32,7 @@ from data_module.text.alignment import alignment
 from data_module.types import Array, Samples, Speech, Word
 from eval.stats import mean_interval, paired
 from eval.table import Column, Table
-from gesticulator.face.lips import SHIPPED, Lips, load_weights, with_dominance
-from gesticulator.face.network import LOOK_AHEAD
+from gesticulator.face.lips import LOOK_AHEAD, SHIPPED, Lips, load_weights, with_dominance
 from gesticulator.face.visemes import CLOSED, SILENT, VISEMES, VOWELS, opening
 from gesticulator_performer.face.known_phones import PhonedSpeech, aligned, synthetic
 from gesticulator_performer.face.mouths import RATE, by_formants, by_volume, formants, loudness
