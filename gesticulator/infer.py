@@ -148,7 +148,7 @@ COMMAND = Command(
         "infer speech2.wav -o gesture.bvh --plan plan.json --retime --plan-out plan2.json",
         "infer speech.wav -o gesture.bvh --text speech.txt --cue bread=wave --hold-still 3.2-5.0",
         "infer recordings/ -o out/ --preview out/ --text texts/",
-        "infer recordings/ -o out/ --manifest out/manifest.parquet",
+        "infer recordings/ -o out/ --manifest out/manifest.jsonl",
         "infer recordings/ -o out/ --shard 2/8",
         "infer recordings/ -o out/ --ray local:4",
         "infer - -o gesture.bvh < speech.wav",

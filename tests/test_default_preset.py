@@ -144,10 +144,10 @@ def test_motion_is_read_as_the_training_read_it(context: EvalContext) -> None:
     blocks = cut(recording.speech, bundle.config.rhythm)
     own = encode_motion(bundle, recording.motion, blocks, recording.info.speaker)
     rows = corpus.blocks_of(number)
-    known = token_labels(bundle.block_models.lexicon, corpus)[rows]
+    known = token_labels(bundle.block_lexicon, corpus)[rows]
     # The corpus is kept in half precision, which decides a block between two lexemes now and then.
     assert (own.labels == known).mean() > 0.95
-    lexicon = bundle.block_models.lexicon
+    lexicon = bundle.block_lexicon
     assert isinstance(lexicon, MovementLexicon)
     _, past = normalised_blocks(bundle.config, bundle.statistics, recording.motion, blocks, recording.info.speaker)
     distances = torch.cdist(latents_of(lexicon, own.poses, past).double(), bundle.vectors.double())
@@ -172,7 +172,7 @@ def test_levels_and_lexemes_tell_more_than_the_past_alone(context: EvalContext, 
 def test_the_map_shows_movements_from_start_to_end(context: EvalContext, tiny_movement_bundle: Path, tmp_path: Path
                                                    ) -> None:
     motions = lexicon_map.decoded(context.bundle)
-    lexicon, frames = context.bundle.block_models.lexicon, context.bundle.config.rhythm.frames
+    lexicon, frames = context.bundle.block_lexicon, context.bundle.config.rhythm.frames
     assert isinstance(lexicon, MovementLexicon)
     assert [len(own) for own in motions] == [frames + 1] * len(context.bundle.vectors)
     # A lexeme that is silent begins and ends alike; some other does not.

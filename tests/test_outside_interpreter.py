@@ -17,9 +17,7 @@ from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.bundle.bundle import load
 from gesticulator.bundle.files import read_index
-from gesticulator.bundle.models import part_table
 from gesticulator.training.command import main as train
-from gesticulator.training.stages import every_stage
 from interpreters import INTERPRETERS
 
 MODEL = '''
@@ -142,11 +140,6 @@ def trained(package: None, tiny_store: Path, tiny_bundle: Path, tmp_path_factory
     new = {path.name.partition("-")[0] for path in work.iterdir() if path.name not in before}
     assert new == {"loud"}, "another stage was trained again"
     return out
-
-
-def test_it_is_known_everywhere(package: None) -> None:
-    assert part_table()["loud"].file == "loud" and part_table()["loud"].tied
-    assert every_stage()["loud"].part == "loud" and list(every_stage())[-1] == "loud"
 
 
 def test_its_weights_learn_and_stand_in_the_bundle_beside_the_others(trained: Path, tiny_bundle: Path) -> None:
