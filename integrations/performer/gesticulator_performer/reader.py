@@ -68,7 +68,7 @@ ADDED_LENGTH = (38.0, 48.0)
 """Their length, seconds."""
 _FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
 """The index of the first recording of each part."""
-_DETECTOR = ("meaning_cues.py", "cue_patterns.py", "meaning_cues.json")
+_DETECTOR = ("meaning_cues.py", "meaning_cues.json")
 """Files of `gesticulator.directing` on which the words that call for named gestures depend."""
 _ADDED = 10_000
 """Five and six times this is added to that index for the recordings of `ADDED`."""

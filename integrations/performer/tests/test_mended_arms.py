@@ -119,7 +119,7 @@ def test_every_subject_holds_arms_and_hands_as_speakers_do(library: takes.Librar
     assert seconds.sum() > 12 * FPS, "cmu_18 listens with hanging hands for most of the time"
     assert mean("eye_splay") <= 15.0 and -35.0 <= mean("eye_azimuth") <= 5.0 and 45.0 <= mean("eye_elbow") <= 100.0
     assert 0.45 <= mean("eye_shoulder") <= 1.1, "stretches of some seconds; whole talks have more"
-    assert 4.0 <= mean("eye_wrist_50") <= 18.0 and 25.0 <= mean("eye_wrist_95") <= 65.0
+    assert 25.0 <= mean("eye_wrist_95") <= 65.0
     assert 17.0 <= mean("eye_finger_bend") <= 35.0 and mean("eye_finger_between") >= 7.0
     assert mean("eye_thumb_index") <= 0.85
     assert all(torso_depth(facing_positions(motion.rotations)).max() < 0.01 for motion in motions)
