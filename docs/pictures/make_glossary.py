@@ -286,7 +286,8 @@ def control(s: Scene) -> Figure:
     assert s.system.bundle.levels is not None
     for level, colour in (("low", BLUE), ("mid", SOFT), ("high", RED)):
         asked = controls_from(level, None, None, s.system.bundle.levels)
-        axis.plot(*hand_height(s.system(s.sound, controls=asked).motion, "Right"), color=colour, linewidth=1.6, label=level)
+        motion = s.system(s.sound, controls=asked).motion
+        axis.plot(*hand_height(motion, "Right"), color=colour, linewidth=1.6, label=level)
     plain(axis)
     axis.set_xlim(START, 3 * STOP)
     axis.set_yticks([0.0, 0.2, 0.4], ["0", "0.2 m", "0.4 m"])
