@@ -94,26 +94,6 @@ def test_help_lists_the_verbs_on_one_screen_and_tells_of_broken_ones(verbs: Call
     assert "nowhere_to_be_found" in error
 
 
-def test_a_broken_verb_is_refused_in_a_line_and_harms_no_other(verbs: Callable[..., None],
-                                                               capfd: pytest.CaptureFixture[str]) -> None:
-    verbs(works="others_verbs:WORKS", infer="gesticulator.infer:COMMAND", raising="raising_verb:COMMAND")
-    assert "RuntimeError: no luck" in stopped(["raising"], capfd)
-    assert cli.main(["works"]) == 3
-
-
-def test_our_own_verb_wins_over_one_of_the_same_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Owner:
-        def __init__(self, name: str) -> None:
-            self.name = name
-
-    ours, theirs = (EntryPoint("infer", value, cli.VERBS.group) for value in ("gesticulator.infer:COMMAND", "x:Y"))
-    vars(ours)["dist"], vars(theirs)["dist"] = Owner("gesticulator"), Owner("another")
-    for order in ([ours, theirs], [theirs, ours]):
-        monkeypatch.setattr(registry, "entry_points", lambda group, order=order: order)
-        monkeypatch.setattr(cli.VERBS, "_points", None)
-        assert cli.VERBS["infer"].where == ours.value
-
-
 def test_an_unknown_verb_is_told_and_the_nearest_named(capfd: pytest.CaptureFixture[str]) -> None:
     assert "did you mean infer?" in stopped(["infre"], capfd)
     assert "is neither a verb nor a file" in stopped(["zzzz", "--help"], capfd)

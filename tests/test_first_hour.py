@@ -97,15 +97,6 @@ def test_a_cue_at_a_word_without_words_is_refused(g: Gesticulator) -> None:
         g(voice(), RATE, cues=(GestureCue("wave", "bread"),))
 
 
-def test_a_performance_is_one_line_and_a_figure_in_a_notebook(g: Gesticulator) -> None:
-    made = g(voice(), RATE)
-    line = repr(made)
-    assert "\n" not in line and len(line) < 200
-    assert "3.0 s" in line and f"{len(made.blocks)} blocks" in line
-    frame = made._repr_html_()
-    assert frame.startswith("<iframe srcdoc=") and "audio" in frame
-
-
 def test_what_data_sets_of_hugging_face_give_is_taken(g: Gesticulator) -> None:
     given = g({"array": voice(), "sampling_rate": RATE, "path": "x.wav"})
     assert np.array_equal(given.rotations, g(voice(), RATE).rotations)

@@ -35,7 +35,6 @@ PACKAGES = ("data_module", "gesticulator", "eval", "lexicon", "interpreters", "g
 NO_CASE = {
     "a table of the program itself": """
         gesticulator/plan/gestures.py:_read_table gesticulator/directing/meaning_cues.py:_table""",
-    "bytes of a user's file, which are hashed and not read": "gesticulator/jobs.py:_file_hash",
     "an option of the command line, tested with what is no number": "gesticulator/export/clip.py:parse_keys",
     "a build's own work folder, where a file that is cut counts as missing": """
         data_module/build*.py:* data_module/store.py:StoreWriter.*""",
@@ -50,7 +49,7 @@ NO_CASE = {
         eval/probes/stability.py:_words_changed""",
     "the bytes are hashed, copied or thrown away, not parsed": """
         data_module/text/word_vectors.py:_fingerprint
-        gesticulator/batch.py:file_hash gesticulator/export/html.py:character_data""",
+        gesticulator/jobs.py:file_hash gesticulator/export/html.py:character_data""",
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:lock
         gesticulator/characters/fbx_rig.py:read_fbx_character

@@ -111,13 +111,6 @@ def test_opening_is_monotone(p: float, more: float, activity: float, livelier: f
     assert opened(more, livelier) >= opened(p, activity)
 
 
-@pytest.mark.parametrize(("probability", "activity", "open_"), [
-    (0.5, 0.5, True), (0.49, 0.5, False), (0.26, 0.75, True), (0.24, 0.75, False), (0.8, 0.25, True), (1.0, 0.0, False),
-])
-def test_where_it_opens(probability: float, activity: float, open_: bool) -> None:
-    assert opened(probability, activity) is open_
-
-
 @pytest.mark.parametrize("wrong", [-0.1, 1.1, math.nan])
 def test_refuses_what_is_no_share(wrong: float) -> None:
     with pytest.raises(ValueError):

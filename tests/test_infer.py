@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from performances import write
 from untrained import PLAIN, untrained
 
 from data_module.motion.bvh import read_bvh
@@ -364,37 +363,6 @@ def test_a_bundle_says_what_it_cannot_do(arguments: list[str], said: str, record
     assert stop.value.code == 2 and out == "" and error.count("\n") == 1 and said in error
     assert not Path("o.bvh").exists()
     assert infer.main([str(recording), "-o", "o.bvh", "--bundle", str(plain_bundle), "--activity", "0"]) == 0
-
-
-def test_levels_numbers_and_curves_reach_the_hands(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
-    levels = bundles.load(tiny_bundle).levels
-    assert levels is not None
-    low, high = levels.value("height", "low"), levels.value("height", "high")
-    (tmp_path / "curve.csv").write_text(f"time,value\n0,{low}\n4,{high}\n")
-    asked = {"free": [], "low": ["--hand-height", "low"], "high": ["--hand-height", "high"],
-             "number": ["--hand-height", repr(high)], "curve": ["--hand-height", str(tmp_path / "curve.csv")],
-             "speed": ["--hand-speed", "low"], "radius": ["--hand-radius", "high"]}
-    made = {}
-    for name, arguments in asked.items():
-        target = tmp_path / f"{name}.bvh"
-        assert run([str(recording), "-o", str(target), "--quiet", "--fps", "20", *arguments], tiny_bundle) == 0
-        made[name] = target.read_bytes()
-    assert made["number"] == made["high"], "a level is the number it stands for"
-    del made["number"]
-    assert len(set(made.values())) == len(made)
-
-
-def test_no_activity_plays_silent_lexemes_alone(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
-    system = Gesticulator.from_pretrained(tiny_bundle)
-    silent = set(system.bundle.silent.tolist())
-    still, lively = (system(recording, activity=activity, temperature=1.0, seed=1) for activity in (0.0, 1.0))
-    assert set(still.lexemes.tolist()) <= silent and not set(lively.lexemes.tolist()) <= silent
-    for activity, made in (("0", still), ("1", lively)):
-        target = tmp_path / f"{activity}.bvh"
-        assert run([str(recording), "-o", str(target), "--quiet", "--activity", activity, "--temperature", "1",
-                    "--seed", "1"], tiny_bundle) == 0
-        write(tmp_path / "python.bvh", made)
-        assert target.read_bytes() == (tmp_path / "python.bvh").read_bytes(), "the flag is the argument"
 
 
 @pytest.mark.parametrize(("name", "score"), [("lstm", "log-probability"), ("statistical", "log-probability"),

@@ -172,16 +172,3 @@ def test_a_bundle_whose_interpreter_is_not_installed_says_so(trained: Path, monk
     install(monkeypatch)
     with pytest.raises(InputError, match=r"others\.loud"):
         load(trained)
-
-
-@pytest.mark.parametrize(("setting", "wrong"), [
-    ("others.loud.width=0", r"others\.loud\.width"), ("others.loud.depth=1", "depth"), ("others.quiet={}", "quiet"),
-    ("others.loud=3", "others"), ("schedules.others.loud.steps=-1", "steps"),
-    ("schedules.others.loud.stpes=1", "stpes"),
-])
-def test_settings_that_cannot_be_are_refused_by_name(package: None, tiny_store: Path, tmp_path: Path, setting: str,
-                                                     wrong: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        train(["--data", str(tiny_store), "--out", str(tmp_path / "b"), "--preset", "tiny", "--quiet", "--set",
-               "others.loud={}", "--set", setting])
-    assert wrong.replace("\\", "") in capsys.readouterr().err

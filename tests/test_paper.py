@@ -12,7 +12,6 @@ import pytest
 from data_module.motion.bvh import read_bvh
 from data_module.speech.audio import load_speech
 from data_module.types import Speech
-from eval.ablate.rows import PRESETS
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import Config, from_dict
@@ -73,13 +72,6 @@ def test_the_preset_is_both_papers_and_trains_every_stage(toy: Path) -> None:
     assert bundle.interpreters == CHOOSERS and set(bundle.parts) >= {"encoder", "style"}
     assert bundle.config.motion.joints == 16 and bundle.config.system == "paper"
     assert not np.allclose(bundle.statistics.low.mean, bundle.statistics.high.mean), "two levels of speech"
-
-
-def test_the_quick_preset_is_that_of_the_tables() -> None:
-    quick, table = preset("paper-quick"), PRESETS["ablation"]()
-    assert table.schedules == quick.schedules and table.generator == quick.generator
-    assert [stage.name for stage in wanted(quick)] == [stage.name for stage in wanted(table)]
-    assert "speech" not in {stage.name for stage in wanted(quick)} and table.cql == quick.cql
 
 
 @pytest.mark.parametrize("name", list(NAMED))

@@ -263,49 +263,6 @@ def test_a_sound_that_is_begun_anew_again_and_again_never_grows(kind: tuple[int,
         assert sent.start == begin and sent.seconds == pytest.approx(60.0 - begin)
 
 
-def test_poses_that_were_taken_back_do_not_number_the_stream_that_follows() -> None:
-    """Poses are on their way when the client interrupts; then the server is lost, and its state too. The next session
-    begins where the interruption was, with what was sent after it."""
-    async def test() -> None:
-        heard: list[Any] = []
-
-        async def first_and_second(socket: ServerConnection) -> None:
-            heard.append(json.loads(await socket.recv()))
-            await socket.send(json.dumps(GREETING))
-            if len(heard) > 1:
-                heard.append(json.loads(await socket.recv()))
-                heard.append(await socket.recv())
-                await socket.send(packet(0, 10))
-                await socket.wait_closed()
-                return
-            await socket.recv()
-            await socket.send(packet(0, 60))
-            while json.loads(await socket.recv())["type"] != "interrupt":
-                pass
-            await socket.send(packet(60, 30))
-            await socket.send(json.dumps({"type": "state", "state": "idle", "time": 1.0}))
-            socket.transport.abort()
-
-        async with serve(first_and_second, "127.0.0.1", 0) as server:
-            port = next(iter(server.sockets)).getsockname()[1]
-            async with connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE)) as stream:
-                await stream.send(pcm(2.0))
-                firsts = []
-                async for message in stream:
-                    if isinstance(message, Poses):
-                        firsts.append((message.first, message.source))
-                        if len(firsts) == 1:
-                            await stream.interrupt(0.75)
-                            await stream.send(pcm(0.5))
-                        if len(firsts) == 3:
-                            break
-                assert stream.time == pytest.approx(1.25)
-        assert firsts == [(0, 0), (60, 0), (45, 1)]
-        assert heard[2] == {"type": "interrupt", "time": 0.0} and heard[3] == pcm(0.5)
-
-    run(test)
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
     """Sound, waits and interruptions, while connections break: each frame follows the last one or is

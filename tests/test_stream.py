@@ -26,14 +26,12 @@ from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from generator.flow import Guidance, SamplingHead
 from gesticulator import stream as stream_module
-from gesticulator.body.rest import Rest
 from gesticulator.bundle.features import representation_of
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.pace import Effort
 from gesticulator.live.protocol import StreamRequest, published
 from gesticulator.live.session import session_opener
-from gesticulator.sampling.candidates import CandidateChooser
 from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
 
@@ -362,38 +360,6 @@ def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
     chosen = system().bundle.config.selection
     assert edges[0] == edges[1]
     assert calls[0] >= (chosen.flow_steps + 1) * chosen.candidates and calls[1] == 3
-
-
-def test_who_hurries_draws_again_what_throws_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    sound, counts = example()[:round(SHORT * SAMPLE_RATE)], []
-    chosen = system().bundle.config.selection
-    for thrown in (False, True):
-        monkeypatch.setattr(CandidateChooser, "too_fast", lambda *_, thrown=thrown: thrown)
-        stream = system().stream()
-        stream.hurried = True
-        with asked_of_the_head() as rows:
-            blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
-        counts.append(sum(rows) / len(blocks))
-    # As many as when there is time, but without guidance; and where all of them throw it, as many calmer ones.
-    assert counts == [3, 3 * (1 + 2 * chosen.candidates)]
-
-
-def test_what_nobody_sees_is_not_drawn_and_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Speech, a long pause, speech: the flow head is not asked in the pause, and every frame is as if it had been."""
-    sound = np.concatenate([example()[SAMPLE_RATE:round(2.5 * SAMPLE_RATE)], np.zeros(2 * SAMPLE_RATE, np.float32),
-                            example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]])
-    made, drawn, blocks = [], [], 0
-    for patch in (False, True):
-        if patch:
-            monkeypatch.setattr(Rest, "rests_wholly", False)
-        stream = system().stream()
-        with asked_of_the_head() as asked:
-            parts = [*fed(stream, sound, (4000,)), stream.finish()]
-        made.append(joined(parts))
-        blocks = sum(len(part.blocks) for part in parts)
-        drawn.append(len(asked) / (system().bundle.config.selection.flow_steps + 1))
-    assert np.array_equal(*made)
-    assert drawn[1] == blocks and 3 <= blocks - drawn[0] <= 6, "two seconds are three blocks and more"
 
 
 def test_who_listens_nods_in_the_pauses_of_the_other() -> None:

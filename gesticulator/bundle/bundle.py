@@ -186,11 +186,6 @@ class Bundle:
         return self.config.rests_by_phrase
 
     @property
-    def code_width(self) -> int:
-        """d_z; 0 if the generator takes no style codes."""
-        return self.config.generator.style_width if self.config.generator.styled else 0
-
-    @property
     def frames(self) -> int:
         """K, frames per block."""
         return self.config.rhythm.frames

@@ -123,11 +123,6 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file; InputError for anything else."""
-    return read_object(path, "copy the bundle again", _LARGEST_INDEX)
-
-
 _KINDS: dict[str, Any] = {"config": dict, "skeleton": dict, "speakers": list, "silent_lexemes": list, "files": dict,
                           "provenance": dict, "figures": dict, "audio_levels": int, "text": (dict, type(None))}
 """Required entries of `bundle.json` and their types."""
@@ -142,7 +137,7 @@ def read_index(path: str | Path) -> dict[str, Any]:
         raise InputError(folder, "does not exist", "give the folder of a bundle, default or paper")
     if not file.is_file():
         raise InputError(folder, f"is not a bundle (no {INDEX})", "give a folder that gesticulator train made")
-    index = read_json(file)
+    index = read_object(file, "copy the bundle again", _LARGEST_INDEX)
     version = index.get("format")
     if version != FORMAT or isinstance(version, bool):
         raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}",

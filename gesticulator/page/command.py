@@ -23,7 +23,7 @@ from gesticulator.arguments import (
     settings_of,
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import STDIN, Job, load, performed
+from gesticulator.jobs import STDIN, Job, Worker, load
 from gesticulator.page.saved_edits import SavedEdits, place_of, put_aside, read_saved
 from interpreters import INTERPRETERS
 
@@ -182,8 +182,9 @@ def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
 def _takes(gesticulator: Gesticulator, job: Job, beside: str | None, quiet: bool) -> dict[str, Performance]:
     """Name -> performance of each take. beside: the interpreter of the second one."""
     speech = load(job)
+    worker = Worker(gesticulator, quiet=quiet)
     # The takes share the sound; only the interpreter differs.
-    first = performed(job, speech, gesticulator, quiet=quiet)
+    first = worker.performed(job, speech)
     if first.retiming is not None:
         print("\n".join(f"  {line}" for line in first.retiming.lines()), flush=True)
     name = first.decided.interpreter
@@ -192,7 +193,7 @@ def _takes(gesticulator: Gesticulator, job: Job, beside: str | None, quiet: bool
     # Word times are aligned once and reused.
     speech, job = replace(speech, words=first.speech.words), replace(job, text=None)
     job = replace(job, options=replace(job.options, interpreter=beside))
-    second = performed(job, speech, gesticulator, quiet=quiet).labelled(job.name, first.notes)
+    second = worker.performed(job, speech).labelled(job.name, first.notes)
     return {name: first, beside if beside != name else f"{name} again": second}
 
 
