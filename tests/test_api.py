@@ -101,12 +101,6 @@ def test_whole_numbers_are_divided_by_full_scale(kind: str, full: int) -> None:
     assert as_speech(np.full(RATE, np.iinfo(kind).min, kind), RATE).samples.min() == -1.0
 
 
-def test_channels_are_averaged_and_loud_samples_clipped() -> None:
-    stereo = np.stack([np.full(RATE, 0.5), np.full(RATE, -0.1)], axis=1)
-    np.testing.assert_allclose(as_speech(stereo, RATE).samples, 0.2, atol=1e-7)
-    assert as_speech(np.full(RATE, 1.5, np.float32), RATE).samples.max() == 1.0
-
-
 @pytest.mark.parametrize(("samples", "rate", "said"), [
     (np.zeros(RATE, np.float32), None, "sample_rate: is missing"), (np.zeros(RATE, np.float32), 0, "sample_rate 0"),
     (np.zeros(RATE, np.float32), float("nan"), "sample_rate nan"), (np.zeros(100, np.float32), RATE, "too short"),
@@ -230,13 +224,6 @@ def test_positions_are_those_of_the_file(tmp_path: Path) -> None:
     where = dict(zip(still.joints, still.positions()[0], strict=True))
     assert where["LeftHand"][0] > 0.6 and where["RightHand"][0] < -0.6
     assert where["Head"][1] - where["Hips"][1] == pytest.approx(0.615)
-
-
-def test_saving_picks_the_format_and_makes_no_folder_for_an_unknown_one(tmp_path: Path) -> None:
-    assert json.loads(perform().save(tmp_path / "g.JSON").read_text())["score_is"] == "log-probability"
-    with pytest.raises(InputError, match="fbx"):
-        perform().save(tmp_path / "new" / "g.fbx")
-    assert not (tmp_path / "new").exists()
 
 
 def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:

@@ -161,7 +161,7 @@ def walk(policy: Policy, decisions: Decisions, take: Demonstration, teacher: boo
 
 def accuracy(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstration, teacher: bool) -> float:
     """Percent of a take's blocks, but the first, on which the best score is the performer's lexeme (RG Table 6)."""
-    return lexeme_accuracy(walk(Policy(interpreter), decisions, take, teacher)[0][1:], take.lexemes[1:]).percent
+    return lexeme_accuracy(walk(Policy(interpreter), decisions, take, teacher)[0][1:], take.lexemes[1:])
 
 
 def every_reward(rewards: Rewards, take: Demonstration, lexemes: Lexemes) -> Array:

@@ -181,7 +181,7 @@ def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
 @torch.no_grad()
 def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
     """[N] ranks of the requested lexemes: how many are nearer to each sampled block than the one that was requested."""
-    lexicon = bundle.block_models.lexicon
+    lexicon = bundle.block_lexicon
     blocks, requested = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
     if isinstance(lexicon, Lexicon):
         return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)
@@ -273,7 +273,7 @@ def measure(system: BundleSystem, store: Store | None, voices: Sequence[Acceptan
     """The group `lexicon`; one missing figure without a store."""
     if store is None:
         return {("within_r2", f"{ALL}, open loop"): Measured(missing=LACKING["corpus"])}
-    recordings, codes = held_out(system.bundle, store), codes_of(system.bundle.block_models.lexicon)
+    recordings, codes = held_out(system.bundle, store), codes_of(system.bundle.block_lexicon)
     results = lexicon_figures(recordings, codes)
     results["absent", ""] = absent_figure([open_loop(codes[ALL], held) for held in recordings],
                                           system.bundle.statistics.present)
