@@ -200,14 +200,14 @@ def runs(mask: ArrayLike) -> NDArray[np.int64]:
     return ends.reshape(-1, 2)
 
 
-def jackknife(of: Callable[[list[int]], float], count: int) -> Array:
+def jackknife(of: Callable[[Indices], float], count: int) -> Array:
     """[n] pseudo-values n f(all) - (n - 1) f(all but k): what clip k adds to a figure of a set (Tukey 1958).
 
     of: the figure of the clips with these numbers. Their mean is the figure less the greater part of its bias, and
     their spread is the figure's, as if it were a mean.
     """
-    every = list(range(count))
+    every = np.arange(count)
     whole = of(every)
     if count < 2:
         return np.full(count, whole)
-    return np.array([count * whole - (count - 1) * of([k for k in every if k != left]) for left in every])
+    return np.array([count * whole - (count - 1) * of(np.delete(every, left)) for left in every])
