@@ -91,7 +91,7 @@ def test_each_kind_learns_from_its_own(context: RacerRows) -> None:
         model, make_batch = training.TRAININGS[row.train](context, config, context.untrained(f"racer-{name}", 1), 1)
         assert isinstance(model, ActorCritic if row.train == "actor-critic" else ConservativeQ)
         model.before_step(0)
-        got, again = (make_batch(np.random.default_rng(5)) for _ in range(2))
+        got, again = (make_batch(np.random.default_rng(5), 4) for _ in range(2))
         assert all(torch.equal(value, again[key]) for key, value in got.items())
         return got
 
@@ -101,8 +101,8 @@ def test_each_kind_learns_from_its_own(context: RacerRows) -> None:
         assert (batch[name]["behaviour"] == BEHAVIOURS.index("sampled")).all() and (batch[name]["cloned"] == 0).all()
     assert torch.equal(batch["cql"]["action"], batch["distance"]["action"]), "the same was done, it is paid otherwise"
     assert not torch.equal(batch["cql"]["reward"], batch["distance"]["reward"])
-    rewards = [np.concatenate([e.reward[1:] for e in training.rewarded(context, context.config(f"racer-{name}"))
-                               .episodes]) for name in ("cql", "distance")]
+    of = {name: training.rewarded(context, context.config(f"racer-{name}")) for name in ("cql", "distance")}
+    rewards = [np.concatenate([episode.reward[1:] for episode in episodes.episodes]) for episodes in of.values()]
     assert rewards[0].mean() == pytest.approx(rewards[1].mean(), abs=1e-4)
     assert rewards[0].std() == pytest.approx(rewards[1].std(), abs=1e-4)
 

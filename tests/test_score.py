@@ -37,9 +37,8 @@ from eval.metrics.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.metrics.evaluate import OnsetTrack
 from eval.metrics.gesture_features import RawFeatures
 from eval.score import command as score
-from eval.score import groups
 from eval.score.command import flags, mean_of
-from eval.score.played_rows import PlayedBundle
+from eval.score.played_rows import PlayedBundle, sounds_of, synchrony_means
 from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, Provenance, load, save
@@ -251,9 +250,9 @@ def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path) -
     few = {name: truth[name] for name in ("clip0", "clip1")}
     real, ours = write_clips(tmp_path / "real", truth), write_clips(tmp_path / "ours", few, sound=False)
     out = tmp_path / "results" / "score.json"
-    assert door(["--truth", str(real), "--system", f"ours={ours}", "--no-controls", "--out", str(out)]) == 0
+    assert door(["--truth", str(real), "--system", f"ours={ours}", "--out", str(out)]) == 0
     about, joints, *_ = load(out)
-    assert about.facts["clips"] == ["clip0", "clip1"] and about.facts["controls"] == []
+    assert about.facts["clips"] == ["clip0", "clip1"]
     assert joints.rows["ours"]["maje"].value.mean < 0.01  # type: ignore[union-attr]
     assert "truth: clip2, clip3, clip4 are not compared, because ours has none of these names" in about.facts["notes"]
     assert out.with_suffix(".md").is_file()
@@ -291,8 +290,7 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
     shutil.copy(file.with_suffix(".wav"), real / f"{file.stem}.wav")
     result = score.scored(Namespace(
         truth=real, system=[f"itself={real}", f"shaken={shaken}"], speech=None, fgd=None, work=None, bundle=None,
-        piece="8", rate=None, fps=[], no_controls=False, seed=0, units=None,
-        split="test"))
+        piece="8", fps=[], seed=0, units=None, split="test"))
     itself, off = ({name: mean_of(result.figures, row, name) for name in METRICS} for row in ("itself", "shaken"))
     assert len(result.clips) == 3 and result.fps == 15.0
     assert itself["maje"] == itself["mad"] == itself["speed_distance"] == 0.0
@@ -359,8 +357,8 @@ def test_the_format_of_a_motion_does_not_change_its_figures(outside_data: Path, 
 # ----------------------------------------------------------------------------------------- what a user runs into
 
 def asked(truth: Path, systems: list[str], **others: Any) -> Namespace:
-    told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "piece": None, "rate": None,
-                            "fps": [], "no_controls": False, "seed": 0, "units": None, "split": "test"}
+    told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "piece": None, "fps": [],
+                            "seed": 0, "units": None, "split": "test"}
     return Namespace(truth=truth, system=systems, **{**told, **others})
 
 
@@ -532,7 +530,7 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     figures = score.score(EvalContext(models=bundle), common).figures
     assert mean_of(figures, TRUTH, "lexeme_accuracy") == 100.0 > mean_of(figures, "shuffled", "lexeme_accuracy")
     assert -1.0 <= mean_of(figures, TRUTH, "reward") == mean_of(figures, "same", "reward") <= 1.0
-    deaf = score.score(EvalContext(models=bundle.with_parts(reward_judge=None)), common, with_controls=False).figures
+    deaf = score.score(EvalContext(models=bundle.with_parts(reward_judge=None)), common).figures
     assert "no judging reward model of the bundle's training was found" in deaf["same"]["reward"].reason
     assert mean_of(deaf, "same", "lexeme_accuracy") == 100.0
     # By another way: the corpus as the stages train on it.
@@ -578,8 +576,8 @@ def test_motion_that_beats_to_its_own_sound_is_above_its_group_exchanged() -> No
     still = mean_pose([Motion(CHARACTER, rotation.from_exponential_map(np.zeros((720, len(CHARACTER), 3))),
                               np.zeros((720, 3)), 60.0)])[0]
     motions = bobbing([still] * 5, [track.onsets for track in tracks])
-    right = groups.synchrony_means(motions, tracks, 0)["above_A"]
-    wrong = groups.synchrony_means(motions, [*tracks[1:], tracks[0]], 0)["above_A"]
+    right = synchrony_means(motions, tracks, 0)["above_A"]
+    wrong = synchrony_means(motions, [*tracks[1:], tracks[0]], 0)["above_A"]
     assert isinstance(right, Interval) and isinstance(wrong, Interval)
     assert right.low > wrong.high and abs(wrong.mean) < 40.0 < right.mean
 
@@ -587,7 +585,7 @@ def test_motion_that_beats_to_its_own_sound_is_above_its_group_exchanged() -> No
 def test_groups_are_named_by_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("de_anna", "de_ben", "en_cay", "en_dan"):
         soundfile.write(tmp_path / f"{name}.flac", clicking(3.0, 2.0, 1).samples, 16000)
-    found = groups.sounds_of(tmp_path)
+    found = sounds_of(tmp_path)
     assert {group: list(sounds) for group, sounds in found.items()} == {
         "de": ["de_anna", "de_ben"], "en": ["en_cay", "en_dan"]}
     (tmp_path / "en_dan.flac").unlink()
