@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -65,7 +64,7 @@ def space() -> ReferenceSpace:
     """A space of noise, so that no outside data is needed."""
     rng = np.random.default_rng(0)
     axes = np.linalg.svd(rng.normal(size=(40, 40)))[2][:10]
-    return ReferenceSpace(rng.normal(size=40), rng.uniform(0.5, 2, 40), axes, Gaussian(np.zeros(10), np.eye(10), 0))
+    return ReferenceSpace(rng.normal(size=40), rng.uniform(0.5, 2, 40), axes, Gaussian(np.zeros(10), np.eye(10)))
 
 
 def moved(seconds: float, size: Array, seed: int = 0) -> Motion:
@@ -405,7 +404,7 @@ def test_a_lexicon_of_movements_decodes_from_the_past() -> None:
         past = Pasts(blocks[-1][None, -3:], torch.ones(1))
 
     class Played:
-        block_models = SimpleNamespace(lexicon=lexicon)
+        block_lexicon = lexicon
 
         def rest_feature(self, speaker: int) -> Tensor:
             return torch.zeros(one.motion.shape[-1])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import cProfile
 import json
-import pstats
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +20,7 @@ from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
 from gesticulator.contacts.columns import trunk_distances
 from gesticulator.contacts.limbs import pose_of
-from gesticulator.directing.directions import cues_at
+from gesticulator.directing.cues import cues_at
 from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.directing.shaping import (
     FADE,
@@ -36,11 +34,9 @@ from gesticulator.directing.shaping import (
 )
 from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
 from gesticulator.editing.render import BLEND
-from gesticulator.options import InferenceOptions
 from gesticulator.page.session import EditSession
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import Block, GestureCue, GesturePlan
-from gesticulator.plan.plan_file import parse_plan
 from interpreters.base import BlockFeatures
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -152,18 +148,6 @@ def test_edits_do_not_know_of_each_other(plans: EditSession, plan: GesturePlan) 
     np.testing.assert_array_equal(late.rotations[after:], two.rotations[after:])
 
 
-def calls_of(run: Callable[[], object]) -> tuple[int, int]:
-    """How many calls of functions of this project, and of the json module, `run` makes."""
-    profile = cProfile.Profile()
-    profile.runcall(run)
-    project = in_json = 0
-    for (file, _, name), (_, count, *_) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
-        # A virtual environment may lie in the checkout; what is installed in it is not ours.
-        project += count * (file.startswith(str(ROOT)) and "site-packages" not in file)
-        in_json += count * ("/json/" in file or "_json" in name)
-    return project, in_json
-
-
 def test_locked_blocks_stay_whatever_knob_is_turned(system: Gesticulator, speech: Speech, drawn: Performance,
                                                     plan: GesturePlan) -> None:
     locked = replace(plan, blocks=tuple(replace(block, locked=block.end <= 4.0) for block in plan.blocks))
@@ -191,7 +175,7 @@ def test_intensity_scales_the_hands_and_keeps_them_in_range_and_out_of_the_body(
     assert len(rests) and drawn.blocks.edges[1] > 0.2
     path = [float(hand_speeds(one)[120:].mean()) for one in (made, drawn)]
     assert path[0] < 0.95 * path[1] if intensity < 1 else path[0] > 1.05 * path[1]
-    speaker = system.speaker_index(None)
+    speaker = system.resolver.speaker(None)
     low, high = (system.bundle.statistics.denormalise(bound, speaker) for bound in system.bundle.statistics.bounds)
     arms = [j for j, name in enumerate(made.joints) if name.endswith(("Shoulder", "Arm", "ForeArm"))]
     angles = rotation.unroll(rotation.to_exponential_map(made.rotations[:, arms])).reshape(len(made.rotations), -1)
@@ -276,16 +260,6 @@ def test_both_hands_take_part_and_are_no_mirror(new_shaper: Callable[[], Shaper]
     assert int(np.argmax(shifted)) in (2, 3) and max(shifted) > 0.95, "mirrored, a tenth of a second later"
 
 
-def test_levels_are_the_blocks_own_and_change_without_a_jump() -> None:
-    edges, levels = np.array([0.0, 0.4, 0.7, 1.2, 1.3]), np.array([1.0, 1.0, 0.2, 0.7])
-    times = np.linspace(0.0005, 1.3, 2600)
-    got = levels_at(edges, levels, times, 0.15)
-    assert (got[times < 0.55] == 1.0).all() and (got[(times > 0.85) & (times < 1.1)] == 0.2).all()
-    assert np.abs(np.diff(got)).max() < 0.02 and got[-1] == 0.7
-    kept = levels_at(edges, levels, times, 0.15, np.array([True, True, False, False]))
-    assert (kept[times <= 0.7] == 1.0).all()
-
-
 def test_a_short_run_of_levels_asks_for_no_more_than_can_be_reached() -> None:
     edges, levels, free = np.array([0.0, 3.0, 3.3, 6.0, 9.0]), np.array([1.0, 0.0, 1.0, 0.2]), np.zeros(4, bool)
     eased = eased_levels(edges, levels, 0.6, free)
@@ -321,23 +295,16 @@ def test_handedness_moves_the_work_to_a_hand(system: Gesticulator, speech: Speec
     assert shares["right"] > shares["left"] + 0.1
 
 
-def test_energy_is_a_named_combination(system: Gesticulator, speech: Speech) -> None:
-    named = system(speech, seed=SEED, energy="calm")
-    np.testing.assert_array_equal(named.rotations, system(speech, seed=SEED, intensity=0.6, activity=0.6).rotations)
-
-
 def test_a_stream_gets_the_frames_of_a_file_whatever_knobs_are_turned(system: Gesticulator, speech: Speech) -> None:
-    turned = InferenceOptions(seed=SEED, intensity=1.5, mirror=True, handedness="right", hold_still=((2.0, 3.0),),
-                              cues=(GestureCue("wave", time=1.5),))
-    names = ("seed", "intensity", "mirror", "handedness", "hold_still", "cues")
-    asked = {name: getattr(turned, name) for name in names}
+    asked = {"seed": SEED, "intensity": 1.5, "mirror": True, "handedness": "right", "hold_still": ((2.0, 3.0),),
+             "cues": (GestureCue("wave", time=1.5),)}
     short = replace(speech, samples=speech.samples[:round(4.0 * speech.sample_rate)])
     stream = system.stream(speech.sample_rate, **asked)
     parts = [stream.feed(short.samples[at:at + 1600]) for at in range(0, len(short.samples), 1600)] + [stream.finish()]
     got = np.concatenate([part.rotations for part in parts])
-    np.testing.assert_array_equal(got, system.perform(short, turned).rotations)
+    np.testing.assert_array_equal(got, system(short, **asked).rotations)
     with pytest.raises(InputError, match="whole recording"):
-        system.stream(plan=system.perform(short, turned).plan())
+        system.stream(plan=system(short, **asked).plan())
 
 
 # --------------------------------------------------------------------------------------------------------- cues
@@ -451,21 +418,6 @@ class Steady:
 
 class Named(Steady):
     name = "their own"
-
-
-def test_the_plan_of_somebody_elses_interpreter_is_rendered_again(system: Gesticulator, speech: Speech) -> None:
-    size = len(system.bundle.vectors)
-    theirs = Steady(size)
-    made = system(speech, interpreter=theirs, temperature=0, activity=1)
-    plan = made.plan()
-    assert plan.interpreter == "Steady" and len(set(made.lexemes.tolist())) > 5
-    again = parse_plan(plan.to_json())
-    for played in (system(speech, plan=again), system(speech, plan=again, interpreter=theirs),
-                   Gesticulator(system.bundle)(speech, plan=again, interpreter=theirs)):
-        np.testing.assert_array_equal(played.rotations, made.rotations)
-        assert played.plan() == plan
-    free = with_block(again, 9, lexeme=None)
-    assert EditSession(system, made).perform(free).lexemes[9] == made.lexemes[9], "its object chooses"
 
 
 def test_an_interpreter_object_that_is_not_at_hand_is_asked_for(system: Gesticulator, speech: Speech) -> None:

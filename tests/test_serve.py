@@ -19,7 +19,6 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from live_double import LOOK_AHEAD, TURN, TellingStream, figure, opener
@@ -29,16 +28,11 @@ from websockets.asyncio.client import connect as open_socket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from data_module.motion import rotation
-from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
-from data_module.speech.audio import load_speech
-from data_module.types import Motion
-from gesticulator.live import server as server_module
 from gesticulator.live.limits import ServerLimits
-from gesticulator.live.protocol import CloseCode, StreamRequest, published, read_hello
+from gesticulator.live.protocol import CloseCode, StreamRequest, published
 from gesticulator.live.server import LiveServer, ServerAddress
-from gesticulator.live.vmc import VmcFrames
 
 RATE = 16000
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
@@ -170,38 +164,6 @@ async def test_smplx_poses_are_those_of_an_smplx_file() -> None:
         assert got.shape == (60, 55, 3)
         np.testing.assert_allclose(got.reshape(60, -1), truth["poses"], atol=1e-6)
         np.testing.assert_allclose(np.concatenate([one.root_positions for one in poses]), truth["trans"], atol=1e-6)
-
-
-@pytest.mark.parametrize("output", ["joints", "smplx"])
-def test_a_stream_may_stand_on_legs(output: str) -> None:
-    """Its frames are those of a stream with legs, and VMC sends them, too."""
-    from gesticulator.live.session import session_opener
-    from gesticulator.pipeline import Gesticulator
-
-    torch.set_num_threads(1)
-    system = Gesticulator.from_pretrained()
-    hello = Hello(RATE, output=output, options={"legs": True, "latency": "low"})
-    session = session_opener(system, LIMITS)("a", read_hello(hello.text()))
-    sound = load_speech(EXAMPLE).samples[:4 * RATE]
-    answers = [*session.feed(sound), *session.obey({"type": "finish"})]
-    poses = [Poses.unpack(one) for answer in answers for one in answer.messages if isinstance(one, bytes)]
-    stream = system.stream(RATE, legs=True, latency="low")
-    parts = [part for part in (stream.feed(sound), stream.finish()) if len(part)]
-    motion = Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
-                    np.concatenate([part.root_positions for part in parts]), 60.0)
-    got = np.concatenate([one.rotations for one in poses])
-    if output == "smplx":
-        truth = smplx_arrays(motion)["poses"].reshape(len(got), 55, 3)
-        assert np.abs(truth[:, 1:9]).max() > 0.01, "knees and ankles bend"
-    else:
-        truth = motion.rotations
-        told = [joint["name"] for joint in session.welcome()["joints"]]
-        assert told == list(motion.skeleton.names) and "LeftFoot" in told
-        feet = positions_of(motion)[:, [told.index("LeftFoot"), told.index("RightFoot")]]
-        assert np.abs(feet - feet[0]).max() < 0.005, "they stay where they are"
-        bones = b"".join(VmcFrames(motion).bundles(100, 0.0))
-        assert b"LeftUpperLeg" in bones and b"RightFoot" in bones
-    np.testing.assert_allclose(got, truth, atol=2e-6)
 
 
 @in_loop
@@ -491,25 +453,6 @@ async def test_a_minute_of_idle_time_comes_a_block_at_a_time_and_ends_where_it_i
             spoken = [one for one in messages if isinstance(one, dict) and one.get("state") == "speaking"]
             # The sound follows whatever was idled before it came.
             assert 60 <= length < 60 * 51 and spoken[0]["time"] * 60 == pytest.approx(length - 60, abs=0.1)
-
-
-@in_loop
-async def test_connections_that_say_nothing_take_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forty WebSockets without a hello beside a server of two streams: the oldest are cut off."""
-    monkeypatch.setattr(server_module, "MOST_GUESTS", 16)
-    async with running(replace(LIMITS, streams=2, hello_seconds=20.0)) as at:
-        silent = []
-        for _ in range(40):
-            reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
-            silent.append((reader, writer))
-            await _raw_handshake(writer, reader)
-        assert not at.server.connections
-        assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
-        for reader, _ in silent[:24]:
-            with suppress(ConnectionError):
-                assert not await reader.read(), "cut off"
-        for _, writer in silent:
-            writer.transport.abort()
 
 
 @in_loop

@@ -1,4 +1,4 @@
-"""The preview page in a real browser: it loads, plays, edits, saves, swaps the character, and fits a phone."""
+"""The preview page in a real browser: it loads, plays, edits, saves, and swaps the character."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -192,35 +191,6 @@ def test_a_beat_is_added_anywhere_or_the_page_says_why_not(opened: OpenedPage) -
         assert one["added"] == (one["long"] > 0.202) or 0.2 <= one["long"] <= 0.202, one
         assert ("too short" in one["told"]) == (one["added"] == 0), one
         assert one["least"] >= 0.1 - 1e-9 or one["long"] < 0.1 + 1e-9, one
-
-
-def test_every_word_is_written_at_the_first_zoom_and_none_over_another(opened: OpenedPage) -> None:
-    # Fast speech, 200 words a minute, in which some words last 60 ms.
-    text = "and so I said to him that it is as good as a thing like this can ever be to all of us in a way"
-    said = text.split()
-    lasts = [0.06 + 0.045 * len(word) for word in said]
-    starts = [round(0.2 + sum(lasts[:at]) + 0.02 * at, 3) for at in range(len(said))]
-    assert len(said) / starts[-1] * 60 > 200
-    words = [{"text": word, "start": start, "end": start + last}
-             for word, start, last in zip(said, starts, lasts, strict=True)]
-    written = opened.page.evaluate("""(words) => {
-        const { timeline } = preview, real = timeline.canvas.getContext("2d"), out = [];
-        const rows = { ...timeline.rows, words: { top: 0, tall: 28 } };
-        const there = Object.create(timeline);
-        Object.assign(there, { rows, left: 0, scale: 95, session: { plan: { words } } });
-        Object.defineProperty(there, "span", { value: 60 });
-        there.drawWords({
-            measureText: (text) => real.measureText(text),
-            fillText: (text, x, y) => out.push({ text, x, y, wide: real.measureText(text).width }),
-        }, -1);
-        return out;
-    }""", words)
-    assert [one["text"] for one in written] == said
-    for line in {one["y"] for one in written}:
-        row = [one for one in written if one["y"] == line]
-        assert all(one["x"] + one["wide"] <= after["x"] for one, after in pairwise(row))
-    late = [one["x"] - 95 * start for one, start in zip(written, starts, strict=True)]
-    assert max(late) <= 30.0, "pixels, beside the sound"
 
 
 def test_a_plan_is_edited_saved_and_opened(opened: OpenedPage, tmp_path: Path) -> None:
@@ -452,82 +422,3 @@ def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> 
     places = opened.page.evaluate(PLACES, list(BONES.items()))
     at = dict(zip(motion.skeleton.names, truth, strict=True))
     assert max(np.abs(places[name] - at[name]).max() for name in BONES) < 5e-3
-
-
-def test_a_motion_from_a_file_stands_beside_ours(browser: Any, tmp_path: Path) -> None:
-    other = standing(perform(seconds=SECONDS, seed=9).motion)
-    (tmp_path / "<i>.vrma").write_bytes(vrm_animation(other, EVERY_FRAME))
-    page = OpenedPage(browser, write(tmp_path / "talk.html", perform(seconds=SECONDS)).as_uri())
-    page.page.set_input_files("#pick-motion", str(tmp_path / "<i>.vrma"))
-    page.page.wait_for_function("() => preview.stage.performers.length === 2")
-    assert page.page.locator("#labels span").all_text_contents() == ["take", "<i>.vrma"]
-    page.go_to(1.2)
-    turned = page.page.evaluate("""() => {
-        const { figure } = preview.stage.performers[1];
-        figure.group.updateWorldMatrix(true, true);
-        return figure.bones.map((bone) => bone.getWorldQuaternion(bone.quaternion.clone()).toArray());
-    }""")
-    world = kinematics.global_rotations(other.skeleton, other.rotations)[30]
-    for joint in ("Hips", "Spine3", "Head", "LeftArm", "RightForeArm", "RightHand"):
-        row = other.skeleton.index(joint)
-        away = Rotation.from_quat(turned[row]).inv() * Rotation.from_quat(world[row], scalar_first=True)
-        assert away.magnitude() < 0.02, joint
-    before = page.plan()
-    page.page.keyboard.press("a")
-    page.page.keyboard.press("2")
-    assert "no plan" in page.page.inner_text("#notice") and page.plan() == before
-    (tmp_path / "no.vrma").write_bytes(b"none")
-    page.page.set_input_files("#pick-motion", str(tmp_path / "no.vrma"))
-    page.page.wait_for_function("() => document.getElementById('notice').textContent.includes('cannot be played')")
-    page.check_quiet()
-    page.page.close()
-
-
-def test_a_long_recordings_page_plays_on_a_phone(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(html, "LONG", 2.0)
-    path = write(tmp_path / "a name that is much too long for the width of a phone.html", perform(seconds=20.0))
-    shown = OpenedPage(browser, path.as_uri(), 360, 640, has_touch=True, is_mobile=True, device_scale_factor=2)
-    page = shown.page
-    assert page.evaluate("document.documentElement.scrollWidth") <= 360
-    outside = page.evaluate("""() => [...document.querySelectorAll('button, select, canvas')].filter((node) => {
-        const box = node.getBoundingClientRect();
-        const out = box.left < 0 || box.right > innerWidth + .5 || box.bottom > innerHeight + .5;
-        return box.width && !node.closest('#inspector, details > div') && out;
-    }).map((node) => node.id || node.textContent)""")
-    assert outside == []
-    assert page.evaluate("document.getElementById('figure').clientHeight") > 140
-    page.tap("#play")
-    page.wait_for_function("() => preview.clock.time > 0.3")
-    page.tap("#play")
-    # A finger on a block selects it; two fingers on the timeline zoom it.
-    row = page.evaluate("preview.timeline.rows.blocks.top + 10")
-    box = page.locator("#timeline").bounding_box()
-    page.touchscreen.tap(box["x"] + 100, box["y"] + row)
-    page.wait_for_function("() => preview.session.selection !== null")
-    before = page.evaluate("preview.timeline.scale")
-    page.evaluate("""() => {
-        const canvas = document.getElementById('timeline'), { left, top } = canvas.getBoundingClientRect();
-        canvas.setPointerCapture = () => {};
-        const touch = (type, pointerId, x) => canvas.dispatchEvent(new PointerEvent(type, {
-            pointerId, pointerType: 'touch', clientX: left + x, clientY: top + 70, bubbles: true }));
-        touch('pointerdown', 1, 100); touch('pointerdown', 2, 150); touch('pointermove', 2, 200);
-        touch('pointerup', 1, 100); touch('pointerup', 2, 200);
-    }""")
-    assert page.evaluate("preview.timeline.scale") == pytest.approx(2 * before, rel=0.01)
-    shown.check_quiet()
-    page.close()
-
-
-def test_letters_grow_with_a_large_screen_and_nothing_runs_out_of_it(shown: OpenedPage) -> None:
-    page = shown.page
-    page.set_viewport_size({"width": 3840, "height": 2160})
-    try:
-        page.wait_for_function("() => innerWidth === 3840")
-        least = page.evaluate("""() => Math.min(...[...document.querySelectorAll('button, label, output, li')].filter(
-            (node) => node.getClientRects().length && node.textContent.trim()).map(
-            (node) => parseFloat(getComputedStyle(node).fontSize)))""")
-        assert least >= 18.0, "pixels; 12 where a screen has 1920 of them"
-        assert page.evaluate("document.documentElement.scrollWidth") <= 3840
-        assert page.evaluate("document.documentElement.scrollHeight") <= 2160
-    finally:
-        page.set_viewport_size({"width": 800, "height": 560})

@@ -157,13 +157,6 @@ def test_another_implementation_of_osc_reads_the_bundle(motion: Motion) -> None:
         np.testing.assert_array_equal(theirs[("/VMC/Ext/Bone/Pos", name)][1:], numbers)
 
 
-def test_bones_have_unitys_names() -> None:
-    assert vmc.unity_bone("leftThumbMetacarpal") == "LeftThumbProximal"
-    assert vmc.unity_bone("rightThumbProximal") == "RightThumbIntermediate"
-    assert vmc.unity_bone("leftLittleIntermediate") == "LeftLittleIntermediate"
-    assert len({vmc.unity_bone(bone) for bone in BONES}) == len(BONES)
-
-
 def test_frames_are_sent_when_they_are_due(motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames that come at once are played in their time, each once, by a clock that passes only in the output's waits,
     each a millisecond longer than it should be."""

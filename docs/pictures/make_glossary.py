@@ -138,7 +138,7 @@ def figure_of(axis: Axes, pose: Motion, frame: int, at: float, colour: str = INK
 def lexeme_motion(system: Gesticulator, lexeme: int, fps: float) -> Motion:
     """The block of motion that a lexeme looks like, as the default performer moves."""
     bundle = system.bundle
-    shows = bundle.block_models.lexicon.shown()[[lexeme]].numpy().astype(np.float64)
+    shows = bundle.block_lexicon.shown()[[lexeme]].numpy().astype(np.float64)
     who = system.speaker_index(None)
     return representation_of(bundle.config).motion(bundle.statistics.denormalise(shows, who)[0], fps)
 

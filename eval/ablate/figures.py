@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -35,13 +35,11 @@ from eval.pictures.embedding import NEIGHBOURS, embed, embedding_panels, joint_e
 from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
 from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_strip
 from eval.table import dumps
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
-
-    from gesticulator.training.stages.lexicon import BlockLexicon
 
 DRAWN = "figures.json"
 """The file of the captions of all figures."""
@@ -90,7 +88,7 @@ def onset_intervals(rg: RgRows, rows: Summaries) -> Drawn:
 
 def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 6 and 8b."""
-    judge, labelled, corpus = cast("BlockLexicon", rg.judge.lexicon), rg.first.get(LABELS), rg.context.corpus
+    judge, labelled, corpus = rg.judge.block_lexicon, rg.first.get(LABELS), rg.context.corpus
     few = np.sort(np.random.default_rng(0).permutation(corpus.select("train"))[:POINTS])
     at = torch.as_tensor(few)
     latents = latents_of(judge, corpus.motion[at], corpus.pasts[at]).double().numpy()

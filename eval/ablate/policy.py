@@ -108,7 +108,7 @@ def walk(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstrati
 
 def accuracy(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstration, teacher: bool) -> float:
     """Percent of a take's blocks, but the first, on which the best score is the performer's lexeme (RG Table 6)."""
-    return lexeme_accuracy(walk(interpreter, decisions, take, teacher)[1:], take.lexemes[1:]).percent
+    return lexeme_accuracy(walk(interpreter, decisions, take, teacher)[1:], take.lexemes[1:])
 
 
 # --------------------------------------------------------------------------------------------- figures of one take

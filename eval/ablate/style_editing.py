@@ -21,7 +21,7 @@ from data_module.errors import InputError
 from data_module.store import Recording, RecordingInfo, Store
 from data_module.types import Array, Motion
 from eval.clip.excerpts import excerpt
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 
 CLIPS = 4
 SECONDS = 40.0

@@ -33,7 +33,7 @@ from data_module.store import Store
 from data_module.types import Array, Motion
 from eval import stats
 from eval.acceptance.bounds import LACKING, Measured, Results
-from eval.metrics.eye import common_body, hands, strokes
+from eval.metrics.eye import common_body, hands
 from eval.metrics.eye.body import HZ
 from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
@@ -108,7 +108,7 @@ def stroke_blocks(places: Array, durations: Array) -> NDArray[np.bool_]:
     # A stroke is recognised by its fastest moment, not by its mean: most of a block may be preparation.
     wrists = places[:, :, [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]]
     step = np.linalg.norm(np.diff(wrists, axis=1), axis=-1) * (places.shape[1] / durations)[:, None, None]
-    return np.asarray(step.max(axis=(1, 2)) > strokes.MOVES, dtype=bool)
+    return np.asarray(step.max(axis=(1, 2)) > hands.MOVES, dtype=bool)
 
 
 def r_squared(sums: Array) -> Interval:
@@ -146,7 +146,7 @@ def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
 @torch.no_grad()
 def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
     """[N] ranks of the requested lexemes: how many are nearer to each sampled block than the one that was requested."""
-    lexicon = bundle.block_models.lexicon
+    lexicon = bundle.block_lexicon
     blocks, requested = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
     if isinstance(lexicon, Lexicon):
         return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)
@@ -229,10 +229,10 @@ def measure(system: BundleSystem, store: Store | None, voices: Sequence[Acceptan
     if store is None:
         return {("within_r2", OPEN): Measured(missing=LACKING["corpus"])}
     bundle, groups = system.bundle, [voice.group or voice.name for voice in voices]
-    recordings, decode = held_out(bundle, store), decoder(bundle.block_models.lexicon)
+    recordings, decode = held_out(bundle, store), decoder(bundle.block_lexicon)
     decoded = [decode(held.motion, held.pasts()) for held in recordings]
     played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
-    speakers = [system.gesticulator.speaker_index(system.speaker(voice)) for voice in voices]
+    speakers = [system.gesticulator.resolver.speaker(system.speaker(voice)) for voice in voices]
     ranks = [encode(bundle, rendering, speaker) for rendering, speaker in zip(played, speakers, strict=True)]
     return {**lexicon_figures(recordings, decoded),
             ("absent", ""): absent_figure(decoded, bundle.statistics.present),

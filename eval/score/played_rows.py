@@ -29,7 +29,7 @@ from eval.metrics.evaluate import MotionBeats, OnsetTrack, clip_values
 from eval.table import Cell, Column, Table
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import INDEX, bundle_folder
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from interpreters import INTERPRETERS
 
 SHOWN = ("above_A", "above_B", "consistency_above", "beats_per_second", "speed_hands")

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from data_module.controls import FEATURES
-from gesticulator.directing.directions import plain_word
 from gesticulator.editing.moved_beats import BeatMap
+from gesticulator.plan.checks import plain_word
 from gesticulator.plan.plan import (
     GestureCue,
     GesturePhase,

@@ -89,14 +89,16 @@ class PlanRenderer:
         edits are ignored here. generation: the first one; it is sampled again where it is missing."""
         self._bundle, self._setup, self._samples, self._encode = bundle, setup, samples, encode
         self._original, self._manner, self._seed = plan.drawn, plan.drawn_manner, (plan.seed, plan.variation)
-        self._bias = cache(partial(bias_of, bundle))
-        # By the number of a block in `draw`; another number is a time of its own.
-        self._noise_times = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
-                                     plan.drawn.keyed_at or plan.drawn.edges, strict=False))
+        self.bias = cache(partial(bias_of, bundle))
+        """Handedness -> [S] its addition to the scores of lexemes; None for none."""
+        self.noise_times = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
+                                    plan.drawn.keyed_at or plan.drawn.edges, strict=False))
+        """Number of a block in `draw` -> seconds that key its random numbers."""
         self._cut = self._blocks_of(plan.drawn.edges, plan.drawn.flags, plan.drawn.silent)
         self._times = self._cut.knot_times.reshape(len(self._cut), -1)
-        self._durations = self._cut.durations.tolist()
-        self._index = {edge: at for at, edge in enumerate(plan.drawn.edges)}
+        self.durations: list[float] = self._cut.durations.tolist()
+        """[N] seconds of the blocks of the first generation."""
+        self.index = {edge: at for at, edge in enumerate(plan.drawn.edges)}
         """Beat of the first generation, seconds -> number of the block that begins there."""
         self._windows: dict[Hashable, int] = {window(plan.drawn.edges, at): at for at in range(len(self._cut))}
         self._cutters: Sequence[BlockCutter] = ()
@@ -180,8 +182,8 @@ class PlanRenderer:
         """The request for a block of the first generation, whose lexeme is chosen."""
         number = self._original.numbers[at] if self._original.numbers else at
         still = still_frames(self._original.knobs, self._times[at], float(self._cut.edges[at]))
-        return Request(replace(self._speech.block(at), number=number, key=self._noise_times[number]),
-                       self.control(self._times[at]), still=still, bias=self._bias(hand))
+        return Request(replace(self._speech.block(at), number=number, key=self.noise_times[number]),
+                       self.control(self._times[at]), still=still, bias=self.bias(hand))
 
     def control(self, times: Array) -> loop.ControlRows | None:
         """[K, 2 F] rows of the hand controls at `times` [K] seconds, or None."""
@@ -238,22 +240,6 @@ class PlanRenderer:
         rhythm = self._bundle.config.rhythm
         return Blocks(np.array(edges), np.array(flag_numbers(flags), np.int8), np.array(silent), rhythm.frames,
                       rhythm.fps)
-
-    def noise_time(self, number: int) -> float:
-        """Seconds that key the random numbers of the block with this number in its `draw`."""
-        return self._noise_times.get(number, float(number))
-
-    def number_at(self, time: float) -> int | None:
-        """The block of the first generation that begins at a beat, seconds; None at a beat of the plan alone."""
-        return self._index.get(time)
-
-    def duration(self, at: int) -> float:
-        """Seconds of a block of the first generation."""
-        return float(self._durations[at])
-
-    def bias(self, hand: str | None) -> NDArray[np.float64] | None:
-        """[S] what a handedness adds to the scores of lexemes; None without one."""
-        return self._bias(hand)
 
 
 @dataclass(frozen=True)
@@ -322,18 +308,17 @@ class _PlanRun:
 
     def _number(self, block: Block) -> int:
         """The number in the first generation of the block that begins with this one."""
-        number = self._renderer.number_at(block.start)
-        assert number is not None, "a block at a moved beat goes on with the run before it"
-        return number
+        # A block at a moved beat is not asked for: it goes on with the run before it.
+        return self._renderer.index[block.start]
 
     def _replayed(self, block: Block, before: _Source | None) -> tuple[_Source, _Fade | None]:
         """The source of an unedited block, and the difference to the block before that fades out."""
         steps, at = self._steps(block), self._number(block)
-        source = _Source(steps[at + 1], self._renderer.duration(at))
+        source = _Source(steps[at + 1], self._renderer.durations[at])
         if before is None or before.sampled is steps[at]:
             return source, None
         pose, velocity = _difference(before.sampled.motion, before.duration, steps[at].motion,
-                                     self._renderer.duration(at - 1))
+                                     self._renderer.durations[at - 1])
         return source, _Fade(block.start, pose, velocity)
 
     def _run(self, at: int, before: _Source | None, times: Array) -> _Source:
@@ -355,7 +340,7 @@ class _PlanRun:
         if at == 0 or not self._edited[at - 1]:
             return False
         alike = self._anew(blocks[at]) == self._anew(blocks[at - 1])
-        return alike or self._renderer.number_at(blocks[at].start) is None
+        return alike or blocks[at].start not in self._renderer.index
 
     def _request(self, at: int, times: Array) -> tuple[Hashable, Callable[[], Request]]:
         """What is asked for in an edited block, and everything it depends on."""
@@ -382,9 +367,10 @@ class _PlanRun:
 
         def request() -> Request:
             quiet, ahead = spoken.quiet & (not removed[0]), spoken.ahead
-            speech = replace(spoken, number=draw.block, key=self._renderer.noise_time(draw.block),
-                             flag=self._flags[at], silent=silence, quiet=quiet,
-                             ahead=None if ahead is None else ahead & (not removed[1]))
+            # The number of no block of the first generation is a time of its own.
+            noise_time = self._renderer.noise_times.get(draw.block, float(draw.block))
+            speech = replace(spoken, number=draw.block, key=noise_time, flag=self._flags[at], silent=silence,
+                             quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
             return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still,
                            self._renderer.bias(hand), activity)
 

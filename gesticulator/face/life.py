@@ -62,7 +62,7 @@ class FaceLife:
         self._quiet, self._spoken = 10.0, 0.0
         self._away_until, self._target = -1.0, np.zeros(2)
         self._from, self._to, self._moved = np.zeros(2), np.zeros(2), -1.0
-        self._accents: deque[tuple[float, float]] = deque()
+        self._accents: deque[float] = deque()
         self._was = ""
 
     @property
@@ -70,10 +70,10 @@ class FaceLife:
         """Media time of the next step, seconds."""
         return self._step / RATE
 
-    def accent(self, time: float, strength: float) -> None:
+    def accent(self, time: float) -> None:
         """A beat on which the hands gesture, at media time `time`; some of them raise the brows."""
         if self._random(_BROW, round(time * 1000)) < _RAISED:
-            self._accents.append((time + _AFTER, min(strength, 1.0)))
+            self._accents.append(time + _AFTER)
 
     def step(self, state: str, silent: float) -> tuple[float, float, float, float]:
         """Blink (0 to 1), brows (-1 to 1), and gaze (to the left and up, radians, relative to the other's face). state:
@@ -119,15 +119,15 @@ class FaceLife:
         return shut
 
     def _brows(self, now: float) -> float:
-        while self._accents and self._accents[0][0] + _RISES + _FALLS < now:
+        while self._accents and self._accents[0] + _RISES + _FALLS < now:
             self._accents.popleft()
         raised = 0.0
-        for start, strength in self._accents:
+        for start in self._accents:
             if start > now:
                 break
             shape = eased(np.array([(now - start) / _RISES]))[0]
             shape -= eased(np.array([(now - start - _RISES) / _FALLS]))[0]
-            raised = max(raised, strength * float(shape))
+            raised = max(raised, float(shape))
         return raised
 
     def _look(self, now: float, state: str, ended: bool) -> None:

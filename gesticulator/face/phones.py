@@ -8,9 +8,6 @@ times, give or take `SLACK`. A word that the sound contradicts is left to the so
 from __future__ import annotations
 
 import itertools
-import re
-import shutil
-import subprocess
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,8 +20,7 @@ from numpy.typing import NDArray
 from data_module.text.alignment import aligner_installed, can_follow, dictionary_phones, spoken_words
 from data_module.text.language import language_of
 from data_module.types import Array, Word
-from gesticulator.face.network import RATE
-from gesticulator.face.visemes import CLOSED, SILENT, VISEMES, of_arpabet, of_ipa
+from gesticulator.face.visemes import CLOSED, RATE, SILENT, VISEMES, of_arpabet
 
 SLACK = 0.1
 """Seconds by which the times of a word may be wrong: recognisers round and miss by so much."""
@@ -104,8 +100,7 @@ def spoken_weights(weights: Array, words: Sequence[Word]) -> Array:
         PhonedWord(word.start, word.end, way) for word, way in zip(words, ways, strict=True)])
     if followed is None:
         reason = ("the words are not heard at their times" if ways is not None else
-                  "no pronunciations for these words (English needs pocketsphinx or espeak-ng, German and Spanish "
-                  "espeak-ng; other languages have none)")
+                  "no pronunciations for these words (English needs pocketsphinx, other languages have none)")
         warnings.warn(PhonesWarning(f"{reason}; the lips follow the sound alone"), stacklevel=1)
     return weights if followed is None else followed
 
@@ -209,32 +204,12 @@ def _best(states: Sequence[_State], scores: Array, begin: int) -> NDArray[np.int
     return path
 
 
-_VOICES = {"en": "en-us", "de": "de", "es": "es"}
-"""Language -> voice of espeak-ng."""
-_LISTED = re.compile(r"[^\w'’ ]+|_+")
-_ONCE = 200
-"""Words of one call of the program."""
-
-
 def pronunciations(words: Sequence[str]) -> list[tuple[Pronunciation, ...]] | None:
-    """For each word its pronunciations, () for a word without any; None if no source knows the language.
-
-    words: as they are written, in one language, which is recognised by its commonest words.
-    """
-    language, text = language_of(words), " ".join(words)
-    if language == "en" and not can_follow(text):
+    """For each English word its pronunciations, () for a word without any; None for other languages, and without
+    pocketsphinx, whose dictionary is used. words: as they are written."""
+    if language_of(words) != "en" or not can_follow(" ".join(words)) or not aligner_installed():
         return None
-    if language == "en" and aligner_installed():
-        return [_in_dictionary(word) for word in words]
-    if shutil.which("espeak-ng") is None:
-        return None
-    known = dict(_by_espeak(tuple(dict.fromkeys(words)), _VOICES[language]))
-    return [known[word] for word in words]
-
-
-def _merged(visemes: Sequence[int]) -> Pronunciation:
-    """The visemes with neighbours that are equal merged."""
-    return tuple(viseme for viseme, _ in itertools.groupby(visemes))
+    return [_in_dictionary(word) for word in words]
 
 
 @lru_cache(maxsize=20000)
@@ -244,28 +219,6 @@ def _in_dictionary(word: str) -> tuple[Pronunciation, ...]:
     if not parts:
         return ()
     ways = parts[0] if len(parts) == 1 else [[phone for part in parts for phone in part[0]]]
-    said = (_merged([viseme for phone in way for viseme in of_arpabet(phone)]) for way in ways)
-    return tuple(dict.fromkeys(way for way in said if way))
-
-
-def _by_espeak(words: Sequence[str], voice: str) -> Iterator[tuple[str, tuple[Pronunciation, ...]]]:
-    """Each word with its pronunciation by espeak-ng."""
-    for first in range(0, len(words), _ONCE):
-        batch = words[first:first + _ONCE]
-        plain = [" ".join(_LISTED.sub(" ", word).split()) for word in batch]
-        spoken = [word for word in plain if word]
-        lines = _printed(spoken, voice)
-        if len(lines) != len(spoken):  # the program took a word for several clauses
-            lines = [" ".join(_printed([word], voice)) for word in spoken]
-        phones = iter(lines)
-        for word, letters in zip(batch, plain, strict=True):
-            line = next(phones) if letters else ""
-            way = _merged([viseme for phone in line.split() for viseme in of_ipa(phone)])
-            yield word, (way,) if way else ()
-
-
-def _printed(words: Sequence[str], voice: str) -> list[str]:
-    """The IPA of each word, its phones separated by spaces."""
-    result = subprocess.run(["espeak-ng", "-q", "--ipa", "--sep= ", "-v", voice, "--stdin"], capture_output=True,
-                            input="\n\n".join(words) + "\n\n", text=True, timeout=120, encoding="utf-8")
-    return [line.strip() for line in result.stdout.split("\n") if line.strip()] if result.returncode == 0 else []
+    chains = (tuple(viseme for viseme, _ in itertools.groupby(viseme for phone in way for viseme in of_arpabet(phone)))
+              for way in ways)
+    return tuple(dict.fromkeys(chain for chain in chains if chain))

@@ -7,7 +7,7 @@ shapes of a character stand for them, and `jaw_angles` is for a character with a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -185,13 +185,6 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
 def is_lips(curve: str) -> bool:
     """True if a curve moves the mouth for speech; the others need the whole face."""
     return curve.startswith(_LIPS) and curve.partition("_")[2] not in VRM[5:]
-
-
-def summed(face: FaceMotion, shapes: Mapping[str, tuple[str, float]]) -> dict[str, Array]:
-    """Shape -> [T] its weights; without those of the eyes and brows where the lips alone move."""
-    all_curves = curves(face)
-    return {name: share * all_curves[curve] for name, (curve, share) in shapes.items()
-            if curve in all_curves and (is_lips(curve) or not face.lips_only)}
 
 
 def jaw_angles(face: FaceMotion) -> Array:

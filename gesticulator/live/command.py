@@ -127,11 +127,11 @@ def serve(args: argparse.Namespace, address: ServerAddress, limits: ServerLimits
     page: serve the page of `gesticulator live`, too, and open it.
     """
     from gesticulator.bundle.files import bundle_folder
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.live.server import LiveServer, live_pages
     from gesticulator.live.session import session_opener
     from gesticulator.live.vmc import VmcOutput
     from gesticulator.options import RANGES
-    from gesticulator.pipeline import Gesticulator
 
     RANGES["threads"].check("--threads", args.threads)
     # Errors come before the models are loaded, which takes seconds.

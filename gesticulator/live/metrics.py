@@ -18,8 +18,9 @@ class ServerMetrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        gauge, counter, histogram = (partial(kind, namespace="gesticulator", registry=self.registry)
-                                     for kind in (Gauge, Counter, Histogram))
+        gauge = partial(Gauge, namespace="gesticulator", registry=self.registry)
+        counter = partial(Counter, namespace="gesticulator", registry=self.registry)
+        histogram = partial(Histogram, namespace="gesticulator", registry=self.registry, buckets=BUCKETS)
         self.streams = gauge("streams", "Open streams.")
         self.waiting_seconds = gauge("waiting_seconds", "Seconds of audio waiting to be processed.")
         self.unread_bytes = gauge("unread_bytes", "Bytes of poses waiting to be read by clients.")
@@ -27,6 +28,5 @@ class ServerMetrics:
         self.frames = counter("frames", "Frames of motion generated.")
         self.sent_bytes = counter("sent_bytes", "Bytes of poses and events sent.")
         self.closed = counter("closed", "Closed connections, by code.", ["code"])
-        self.compute_seconds = histogram("compute_seconds", "Time of a turn of a stream.", buckets=BUCKETS)
-        self.answer_seconds = histogram("answer_seconds", "Time from the arrival of audio to its last pose.",
-                                        buckets=BUCKETS)
+        self.compute_seconds = histogram("compute_seconds", "Time of a turn of a stream.")
+        self.answer_seconds = histogram("answer_seconds", "Time from the arrival of audio to its last pose.")

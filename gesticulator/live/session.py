@@ -18,8 +18,8 @@ from gesticulator.live.protocol import VERSION, CloseCode, RefusedError, StreamR
 
 if TYPE_CHECKING:
     from data_module.types import Samples
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.live.limits import ServerLimits
-    from gesticulator.pipeline import Gesticulator
     from gesticulator.stream import Stream, StreamFrames
 
 

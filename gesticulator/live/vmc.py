@@ -199,10 +199,11 @@ class VmcOutput:
         self._zero = 0.0
         """time.monotonic() of frame 0."""
         try:
-            family, _, _, _, self._address = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)[0]
+            family, _, _, _, address = socket.getaddrinfo(self.host, self.port, type=socket.SOCK_DGRAM)[0]
         except OSError as error:
             raise InputError(f"--vmc {target}", f"cannot be resolved ({error.strerror})",
                              "name an address") from None
+        self._address = address
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 

@@ -23,16 +23,16 @@ from gesticulator.arguments import (
     settings_of,
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import STDIN, Job, load, performed, retargeter_for
+from gesticulator.jobs import STDIN, Job, Worker, load, retargeter_for
 from gesticulator.page.export import exported, formats
 from gesticulator.page.saved_edits import SavedEdits, place_of, put_aside, read_saved
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.server import PageServer
     from gesticulator.performance import Performance
-    from gesticulator.pipeline import Gesticulator
 
 SHOWN = (".glb", ".gltf", ".vrm")
 """Suffixes of characters that the page can show."""
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
     settings = run_settings_of(args)
     if settings.listing:
-        from gesticulator.pipeline import Gesticulator
+        from gesticulator.gesticulator import Gesticulator
 
         with limited_threads(settings.threads):
             print_list(Gesticulator.from_pretrained(settings.bundle), settings.listing)
@@ -96,14 +96,15 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | 
     for a page whose edits are not saved.
     """
     from gesticulator.export import html
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.session import EditSession, directions_of, levels_of
-    from gesticulator.pipeline import Gesticulator
 
-    assert job.source is not None
+    source = job.source
+    assert source is not None
     chosen, stands = _character(job)
     gesticulator = Gesticulator.from_pretrained(settings.bundle)
     gesticulator.keeps_generations = True
-    saved = None if beside is not None else SavedEdits(place_of(job.source))
+    saved = None if beside is not None else SavedEdits(place_of(source))
     if saved is not None and not anew and job.options.plan is None:
         job = _with_saved_edits(gesticulator, job)
     job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
@@ -116,7 +117,7 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | 
     character = {} if chosen is None else html.character_data(*chosen, next(iter(scenes.values())).face)
     notice = {} if first.retiming is None else {
         "notice": "The edits were moved onto the new sound. " + " ".join(first.retiming.lines())}
-    server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1,
+    server.page = html.page(scenes, html.title_of(source), together=len(takes) > 1,
                             more={"live": live, **notice, **character}).encode()
     if saved is not None:
         # What is only tried is not saved.
@@ -136,7 +137,7 @@ def _figures(gesticulator: Gesticulator, speaker: str | None) -> bytes:
     """The figures of the palette as JSON."""
     from gesticulator.page.palette import moving_figures
 
-    return json.dumps(moving_figures(gesticulator.bundle, gesticulator.speaker_index(speaker))).encode()
+    return json.dumps(moving_figures(gesticulator.bundle, gesticulator.resolver.speaker(speaker))).encode()
 
 
 def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]:
@@ -180,7 +181,8 @@ def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
 def _takes(gesticulator: Gesticulator, job: Job, beside: str | None, quiet: bool) -> dict[str, Performance]:
     """Name -> performance of each take. beside: the interpreter of the second one."""
     speech = load(job)
-    first = performed(job, speech, gesticulator, quiet=quiet)
+    worker = Worker(gesticulator, quiet=quiet)
+    first = worker.performed(job, speech)
     if first.retiming is not None:
         print("\n".join(f"  {line}" for line in first.retiming.lines()), flush=True)
     name = first.decided.interpreter
@@ -189,7 +191,7 @@ def _takes(gesticulator: Gesticulator, job: Job, beside: str | None, quiet: bool
     # Word times are aligned once and reused.
     speech, job = replace(speech, words=first.speech.words), replace(job, text=None)
     job = replace(job, options=replace(job.options, interpreter=beside))
-    second = performed(job, speech, gesticulator, quiet=quiet).labelled(job.name, first.notes)
+    second = worker.performed(job, speech).labelled(job.name, first.notes)
     return {name: first, beside if beside != name else f"{name} again": second}
 
 

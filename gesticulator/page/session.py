@@ -20,7 +20,7 @@ from data_module.motion import kinematics
 from data_module.motion.skeletons import standing
 from gesticulator.bundle.features import representation_of
 from gesticulator.directing.directions import check_plan_of, planned
-from gesticulator.directing.record import fingerprinted, named, rendered_plan
+from gesticulator.directing.record import fingerprinted, named
 from gesticulator.editing.frames import EditedFrames, FrameRenderer
 from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps, root_path
 from gesticulator.options import InferenceOptions
@@ -32,9 +32,9 @@ from gesticulator.plan.plan_file import plan_from
 if TYPE_CHECKING:
     from data_module.types import Motion
     from gesticulator.bundle.bundle import Bundle
-    from gesticulator.directing.directions import Shaping
+    from gesticulator.directing.knobs import Shaping
     from gesticulator.editing.render import Generation, PlanRenderer
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.sampling.loop import GeneratedMotion
 
 MOST_GENERATIONS = 4
@@ -157,16 +157,14 @@ class EditSession:
         return bundle.system.BLOCKS and representation_of(bundle.config).name == "rotations"
 
     def _frame_renderer(self, options: InferenceOptions) -> FrameRenderer:
-        return FrameRenderer(self._gesticulator.bundle, self._gesticulator.speaker_index(options.speaker), options)
+        return FrameRenderer(self._gesticulator.bundle, self._gesticulator.resolver.speaker(options.speaker), options)
 
     def _framing(self, options: InferenceOptions) -> Hashable:
         """The options on which frames depend, apart from their poses (`MotionPath`)."""
         return options.speaker, options.fps, options.legs, options.seated, options.mirrored, options.seed
 
     def _shaping(self, options: InferenceOptions, generated: GeneratedMotion) -> Shaping | None:
-        assert options.plan is not None
-        return self._gesticulator.shaping(self._speech, options, self._gesticulator.speaker_index(options.speaker),
-                                          generated.cut.edges, options.plan.meanings)
+        return self._gesticulator.assembler(self._speech, options).shaping(generated.cut.edges)
 
     def _share(self, rendering: Rendering, options: InferenceOptions, frames: EditedFrames) -> None:
         """Let the next renderings share the frames of one."""
@@ -194,9 +192,7 @@ class EditSession:
         """The plan of the options with what was decided in its blocks."""
         plan, gesticulator = options.plan, self._gesticulator
         assert plan is not None
-        cast = gesticulator.cast(options, gesticulator.reads_words_of(self._speech))
-        origin = gesticulator.origin(self._speech, options, cast, plan.meanings)
-        rendered = rendered_plan(plan, self._speech, generated.blocks, origin)
+        rendered = gesticulator.assembler(self._speech, options).plan(generated)
         rendered = replace(rendered, notes=plan.notes, sound=replace(rendered.sound, name=self._name))
         return named(fingerprinted(rendered, self._speech), gesticulator.lexeme_names())
 
@@ -204,9 +200,9 @@ class EditSession:
                                   on_block: Callable[[int, int], None] | None) -> GesturePlan:
         """The plan with the lexemes that its interpreter chooses. Locked blocks, and the size and side of the others,
         stay where the beats are those that were detected."""
-        performance = self._gesticulator.perform(self._speech, replace(
-            options, plan=None, cues=(), interpreter=plan.interpreter, variation=plan.variation, temperature=None,
-            beta=None, gain=0.0, legs=False, seated=False), on_block=on_block)
+        anew = replace(options, plan=None, cues=(), interpreter=plan.interpreter, variation=plan.variation,
+                       temperature=None, beta=None, gain=0.0, legs=False, seated=False)
+        performance = self._gesticulator(self._speech, on_block=on_block, **vars(anew))
         chosen = performance.plan()
         settings = {**plan.made_by["settings"], **{
             name: value for name, value in chosen.made_by["settings"].items() if name in ("temperature", "beta")}}
