@@ -473,7 +473,7 @@ def _read_request(file: Path) -> object:
 
     server = SimpleNamespace(
         hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0,
-        rendering=threading.Lock(), answers={"render": render}, abandons=lambda page, number: lambda: False)
+        rendering=threading.Lock(), render=render, abandons=lambda page, number: lambda: False)
     client = _Client(file)
     _PageHandler(client, ("127.0.0.1", 1), server)  # type: ignore[arg-type]
     assert b" 500 " not in client.answer, client.answer[:1000]
@@ -536,13 +536,6 @@ def _read_lips(file: Path) -> object:
     from gesticulator.face.lips import load_weights
 
     return load_weights(file.parent)
-
-
-def _read_sent_character(file: Path) -> object:
-    from data_module.files import read_json
-    from gesticulator.page.export import _character
-
-    return _character(read_json(file, "send it again"), file.parent)
 
 
 def _read_tables(file: Path) -> object:
@@ -698,7 +691,6 @@ READERS: dict[str, Case] = {
     "manifest": Case(_manifest("m.jsonl"), _read_manifest),
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
     "weights of the lips": Case(_lips, _read_lips),
-    "character sent by a page": Case(_written("a.json", '{"name": "a.glb", "data": "Z2xURg=="}'), _read_sent_character),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (
         "claims.json", "ablation/figures.json")},

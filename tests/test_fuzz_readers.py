@@ -45,8 +45,7 @@ NO_CASE = {
     "calls a reader that has a case": """
         data_module/corpora/base.py:load
         data_module/corpora/ted.py:Ted.read gesticulator/page/session.py:* gesticulator/live/*:*
-        gesticulator/page/export.py:exported gesticulator/bundle/models.py:_opened
-        gesticulator/serve/connection.py:* gesticulator/serve/session.py:Session._add_words interpreters/base.py:opened
+        gesticulator/bundle/models.py:_opened interpreters/base.py:opened
         eval/probes/stability.py:_words_changed""",
     "the bytes are hashed, copied or thrown away, not parsed": """
         data_module/text/word_vectors.py:_fingerprint

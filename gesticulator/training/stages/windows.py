@@ -107,7 +107,6 @@ class Windows:
             given = rng.random((count, len(controls.FEATURES))) < self.control.asked
             # Some windows are left free of all controls, so that the model also learns without.
             given &= rng.random((count, 1)) >= self.control.free
-            given &= np.isin(controls.FEATURES, self.control.features)
         return self.batch(starts, given)
 
     def tiled(self, size: int) -> Iterable[Batch]:
