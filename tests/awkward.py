@@ -40,6 +40,17 @@ class Figure:
         """A bone at a place, metres."""
         self.places[key], self.parents[key], self.widths[key] = np.array(place, dtype=float), parent, width
 
+    def without(self, *ends: str) -> Figure:
+        """The figure without the bones whose keys end so."""
+        for key in [key for key in self.places if key.endswith(ends)]:
+            del self.places[key], self.parents[key]
+        return self
+
+    def turned(self, turn: Rotation) -> Figure:
+        """The figure, turned in its space."""
+        self.places = {key: turn.apply(place) for key, place in self.places.items()}
+        return self
+
     def beside(self, key: str, parent: str, offset: Sequence[float], width: float = 0.04) -> None:
         """A bone beside its parent, which is no part of the body."""
         self.add(key, parent, self.places[parent] + offset, width)
