@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +13,7 @@ import torch
 from data_module.layers import freeze
 from eval.ablate import policy
 from eval.ablate.policy import Decisions, Policy, PolicyJudge
-from eval.baselines.interpreters import Random, ReplayInterpreter
+from eval.baselines.interpreters import ReplayInterpreter
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import RewardTable
@@ -30,12 +29,6 @@ def test_the_return_is_the_mean_over_all_windows() -> None:
     assert policy.episode_return(rewards, 4) == 10.0
     assert math.isnan(policy.episode_return(rewards, 5))
     assert policy.episode_return(np.full(40, 0.5)) == 7.5, "15 steps"
-
-
-def test_what_is_allowed_is_never_nothing() -> None:
-    silent = np.array([False, True])
-    assert policy.allowed_lexemes(silent, np.array([1, 3]), SIZE).tolist() == [[True] * 4, [False, True, False, True]]
-    assert policy.allowed_lexemes(silent, np.array([], dtype=np.int64), SIZE).all()
 
 
 # --------------------------------------------------------------------------------------------------------- policies
@@ -72,24 +65,6 @@ def test_a_policy_lives_on_its_own_past_or_on_the_performers() -> None:
     assert own.takes[0].lexemes.tolist() == [0, 0, 3, 1, 1]
 
 
-def test_silence_leaves_silent_lexemes() -> None:
-    own = decisions([0, 0, 3, 1, 1], silent=[1, 4])
-    free, _ = policy.walk(Policy(Next()), own, own.takes[0])
-    assert free.tolist() == [0, 2, 3, 0, 2]
-    unmasked = dataclasses.replace(own, masked=False)
-    assert policy.walk(Policy(Next()), unmasked, own.takes[0])[0].tolist() == [0, 1, 2, 3, 0]
-
-
-def test_draws_repeat_and_differ_between_recordings() -> None:
-    own = decisions([0] * 60, silent=list(range(30, 60)))
-    chooser = Policy(Random(SIZE), 1.0)
-    first, again = (policy.walk(chooser, own, own.takes[0])[0] for _ in range(2))
-    np.testing.assert_array_equal(first, again)
-    assert set(first[:30]) == {0, 1, 2, 3} and set(first[30:]) == {2, 3}
-    other = dataclasses.replace(own.takes[0], recording=6)
-    assert not np.array_equal(first, policy.walk(chooser, own, other)[0])
-
-
 def test_what_is_told_is_played_in_turn() -> None:
     told = ReplayInterpreter([np.array([3, 1]), np.array([2])], SIZE)
     state = told.start(0, 0)
@@ -104,8 +79,8 @@ def test_what_is_told_is_played_in_turn() -> None:
 def reward_of(own: Decisions, window: int = 3) -> RewardTable:
     torch.manual_seed(0)
     count = len(own.takes[0].blocks)
-    model = RewardModel(RewardConfig(width=8, projection=4, window=window, dropout=0.0), 2, 3, 2)
-    return RewardTable(freeze(model), torch.randn(count, 2, 2), torch.zeros(count), torch.randn(SIZE, 2, 3))  # type: ignore[arg-type]
+    model = RewardModel(RewardConfig(width=8, projection=4, window=window), 2, 3, 2)
+    return RewardTable(freeze(model), torch.randn(count, 2, 2), torch.randn(SIZE, 2, 3))  # type: ignore[arg-type]
 
 
 def test_values_of_a_take_by_hand() -> None:

@@ -56,17 +56,6 @@ def weights(module: torch.nn.Module) -> Tensor:
     return torch.cat([parameter.detach().flatten() for parameter in module.parameters()])
 
 
-def test_exploration_falls_to_its_least_by_half_of_the_steps() -> None:
-    shares = [training.epsilon_at(step, 100) for step in range(100)]
-    assert shares[0] == 1.0 and shares[50:] == [training.LEAST_EPSILON] * 50 and shares == sorted(shares, reverse=True)
-
-
-def test_all_rows_of_a_seed_begin_alike(context: RacerRows) -> None:
-    first = [weights(context.untrained(f"racer-{name}", 1)) for name in ("cql", "dqn", "literal")]
-    assert torch.equal(first[0], first[1]) and torch.equal(first[0], first[2])
-    assert not torch.equal(first[0], weights(context.untrained("racer-cql", 2)))
-
-
 def test_what_acts_keeps_to_the_silent_mask(context: RacerRows) -> None:
     network = context.untrained("racer-cql", 1).eval()
     actor = ActorCritic(context.untrained("racer-cql", 1))
@@ -139,18 +128,6 @@ def test_a_key_tells_what_shapes_a_row(context: RacerRows) -> None:
     assert len({context.cell_key(name, 1) for name in rows}) == len(rows) - len(twins)
     longer = with_settings(context.settings, ["schedules.cql.steps=5"])
     assert dataclasses.replace(context, settings=longer).key("racer-cql", 1) not in keys
-
-
-def test_scaled_rewards_are_learned() -> None:
-    batch = training.scaled(lambda rng: {"reward": torch.ones(2), "action": torch.ones(2)}, 20.0)(
-        np.random.default_rng(0))
-    assert batch["reward"].tolist() == [20.0, 20.0] and batch["action"].tolist() == [1.0, 1.0]
-
-
-def test_a_matched_row_is_the_same_network_sampled(context: RacerRows) -> None:
-    policy, _ = training.trained(context, "racer-cql-matched", 1)
-    assert torch.equal(weights(policy), weights(training.trained(context, "racer-cql", 1)[0]))
-    assert context.temperature("racer-cql", policy) == 0.0 < context.temperature("racer-cql-matched", policy)
 
 
 def test_a_bundle_without_a_judge_is_refused(context: RacerRows, tiny_store: Path, tmp_path: Path) -> None:

@@ -29,12 +29,6 @@ from interpreters.reward import RewardConfig, RewardModel
 # ------------------------------------------------------------------------------------------------------- quantities
 
 
-def test_windows_of_takes() -> None:
-    own, owner = rewards.windows([take([0] * 4, silent=[]), take([0] * 3, silent=[], recording=1)], 3)
-    assert own.tolist() == [[0, 1, 2], [1, 2, 3], [100, 101, 102]] and owner.tolist() == [0, 0, 1]
-    assert rewards.windows([take([0] * 7, silent=[])], 3, 3)[0].tolist() == [[0, 1, 2], [3, 4, 5]], "one window apart"
-
-
 def test_retrieval_both_ways_against_chance() -> None:
     # Three windows of one recording, one of another, which has no rival of its own recording.
     owner = np.array([0, 0, 0, 1])
@@ -118,73 +112,33 @@ def test_a_probe_gives_the_reward_of_the_model(bundle: bundles.Bundle, corpus: C
     true = own.lexemes[1:][spoken]
     np.testing.assert_allclose(probe.every(own)[np.arange(len(true)), true], along[1:][spoken], atol=1e-5)
     for kind in ("captured", "decoded"):
-        for retimed in (False, True):
-            np.testing.assert_allclose(np.diagonal(probe.pairs(kind, at[:5], retimed)),
-                                       probe.score(kind, at[:5], at[:5]), atol=1e-5)
-    moved = probe.pairs("captured", at[:5], retimed=True)
+        np.testing.assert_allclose(np.diagonal(probe.pairs(kind, at[:5])), probe.score(kind, at[:5], at[:5]), atol=1e-5)
+    moved = probe.pairs("captured", at[:5])
     np.testing.assert_allclose(moved[3, 1:2], probe.score("captured", at[3:4], at[1:2]), atol=1e-5)
-    no_pose = probe.pairs("durations alone", at[:5], retimed=True)
-    np.testing.assert_allclose(no_pose, np.broadcast_to(no_pose[:1], (5, 5)), atol=1e-5)  # nothing left to match
     with torch.no_grad():
         as_trained, heard = bundle.reward.embed({
             "motion": corpus.motion[torch.as_tensor(at)],
             "audio": corpus.low[torch.as_tensor(at), bundle.reward.frames:2 * bundle.reward.frames].float(),
-            "log_duration": torch.as_tensor(np.log(corpus.durations[at])).float(), "valid": torch.ones(at.shape)})
+            "valid": torch.ones(at.shape)})
     np.testing.assert_allclose((as_trained * heard).sum(-1).numpy(), probe.score("captured", at, at), atol=1e-5)
-
-
-def test_a_model_that_reads_speeds_is_asked_in_the_durations_of_the_sound(bundle: bundles.Bundle, corpus: Corpus
-                                                                        ) -> None:
-    labels = token_labels(bundle.lexicon, corpus)
-    torch.manual_seed(3)
-    frames = bundle.config.rhythm.frames
-    model = RewardModel(RewardConfig(width=16, projection=8, window=4, shortest=2, longest=6, speeds=True), frames,
-                        corpus.motion.shape[2], corpus.low.shape[2])
-    freeze(model)
-    probe = RewardProbe.of(model, bundle, corpus, labels)
-    own, _ = rewards.windows(takes_of(corpus, labels, "test"), 4)
-    motion, audio = own[:6], own[5:11]
-    with torch.no_grad():
-        wanted = model.window_rewards(
-            corpus.motion[torch.as_tensor(motion)], torch.as_tensor(np.log(corpus.durations[audio])).float(),
-            corpus.low[torch.as_tensor(audio), frames:2 * frames].float(), torch.ones(audio.shape))
-    np.testing.assert_allclose(probe.score("captured", motion, audio), wanted.numpy(), atol=1e-5)
-    pairs = probe.pairs("captured", own[:12], retimed=True)
-    np.testing.assert_allclose(pairs[np.arange(6), np.arange(5, 11)], wanted.numpy(), atol=1e-5)
-    assert abs(pairs - probe.pairs("captured", own[:12], retimed=False)).max() > 1e-4, "durations are heard in speeds"
 
 
 class Knows:
     """A reward that knows the moment: what is less far away has more; nothing but the pose tells it."""
 
-    model = type("Model", (), {"config": RewardConfig(window=2, shortest=1, longest=2)})()
+    model = type("Model", (), {"config": RewardConfig(window=2, longest=2)})()
     table = type("Table", (), {"size": 7})()
 
     def score(self, kind: str, motion: np.ndarray, audio: np.ndarray) -> np.ndarray:
         assert kind in ("captured", "decoded")
         return -np.abs(motion - audio).mean(axis=1) / 1000
 
-    def pairs(self, kind: str, own: np.ndarray, retimed: bool) -> np.ndarray:
-        if kind == "durations alone":
-            return np.zeros((len(own), len(own)))
+    def pairs(self, kind: str, own: np.ndarray) -> np.ndarray:
         return np.asarray(-np.abs(own[:, None, 0] - own[None, :, 0]) / 1000)
 
     def played(self, lexemes: np.ndarray, audio: np.ndarray) -> np.ndarray:
         assert lexemes.max() < 7
         return np.full(len(audio), -1.0)
-
-
-def test_random_motion_repeats_and_differs_between_recordings(bundle: bundles.Bundle, corpus: Corpus) -> None:
-    labels = token_labels(bundle.lexicon, corpus)
-    assert bundle.reward is not None
-    probe, takes = RewardProbe.of(bundle.reward, bundle, corpus, labels), takes_of(corpus, labels, "test")
-    for kind in ("captured", "decoded"):
-        first, again = (rewards.by_shift(probe, kind, takes) for _ in range(2))
-        for name, own in first.items():
-            np.testing.assert_array_equal(own, again[name])
-        alone = rewards.by_shift(probe, kind, takes[:1])
-        assert np.isnan(alone["another recording"]).all(), "there is none"
-        np.testing.assert_allclose(alone["4"], first["4"][:len(alone["4"])], atol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -198,16 +152,10 @@ def test_a_reward_that_knows_the_moment_finds_it() -> None:
     silent[[0, 1, 2, 100, 101, 102, 200, 201, 202]] = True
     found: Any = rewards.retrieved(Knows(), takes, silent)  # type: ignore[arg-type]
     assert found["decoded"]["motion_r1"].mean == found["decoded"]["audio_r1"].mean == 100.0
-    assert found["durations alone"]["motion_r1"].mean == 0.0, "ties are lost"
     assert found["decoded"]["chance_r1"].mean == pytest.approx(100 / 19), "the first of twenty is silent"
     moved: Any = rewards.shifts(Knows(), takes, silent)["decoded"]  # type: ignore[arg-type]
     assert moved["matched - 8"].mean == pytest.approx(0.008) and moved["another recording"].mean < -0.1
     assert moved["matched - random"].mean == pytest.approx(1.0)
-
-
-def test_the_rank_of_the_true_action() -> None:
-    each = np.array([[0.1, 0.4, 0.2, 0.3], [0.5, 0.5, 0.1, 0.9], [0.2, 0.2, 0.2, 0.2]])
-    assert rewards.true_rank(each, np.array([1, 0, 3])).tolist() == [1.0, 2.5, 2.5], "ties share, a constant has chance"
 
 
 def test_the_tables_of_random_models(context: EvalContext) -> None:

@@ -208,17 +208,6 @@ def test_cells_come_back_and_a_broken_one_is_named(tmp_path: Path) -> None:
             store.read()
 
 
-def test_rows_that_stand_on_different_things_are_not_compared(tmp_path: Path) -> None:
-    store = CellStore(tmp_path)
-    store.add(cell("ours", 1, 1.0, shared="a"))
-    store.add(cell("racer-cql", 1, 1.0, shared="a bundle"))
-    assert set(store.read()) == {"ours", "racer-cql"}
-    store.add(cell("ours", 2, 1.0, shared="b"))
-    with pytest.raises(InputError, match="different presets"):
-        store.read()
-    assert set(store.read({False: "b"})["ours"]) == {2} and "racer-cql" in store.read({False: "b"})
-
-
 def test_figures_are_means_over_seeds_and_clips_by_their_weights() -> None:
     rows = summaries({**cells_of(ours=[1.0, 2.0, 3.0]), "racer-cql": {1: cell("racer-cql", 1, 1.0)}})
     assert rows["ours"]["figures"]["maje"].mean == 2.5 and rows["ours"]["decided"]
@@ -265,16 +254,6 @@ def test_tables_of_stored_cells_give_the_same_values() -> None:
 
 
 # ------------------------------------------------------------------------------------------------------------- tables
-
-def test_tables_show_ours_beside_the_papers_and_mark_what_is_undecided() -> None:
-    rows = summaries(cells_of(ours=[1.0] * 3, no_style=[2.0]))
-    table = tables.paper_table("RG Table 1", rows)
-    one_seed = table.rows["Ours (w/o ZC) (undecided: 1 of 3 seeds)"]["maje"]
-    assert isinstance(one_seed, Interval) and one_seed.mean == 2.5 and one_seed.n == 2
-    assert table.rows["Ours (w/o ZC) (undecided: 1 of 3 seeds)"]["maje, paper"] == "52.85 / 21.33"
-    assert table.rows["Ours (w/o SC) (not run)"]["maje"] is None
-    assert table.rows["SG (no motion given)"]["maje, paper"] == "97.29 / -"
-
 
 def test_racers_table_pairs_seeds_and_compares_matched_rows_with_matched_ones() -> None:
     cells = {"racer-supervised": {s: cell("racer-supervised", s, s) for s in (1, 2)},

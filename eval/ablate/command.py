@@ -130,8 +130,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--limit", type=int, metavar="N", help="use only the first N recordings of a split")
     add("--workers", type=int, default=os.cpu_count() or 1, metavar="N",
         help="processes for cutting and encoding the recordings")
-    add("--speech", action="append", default=[], metavar="DIR",
-        help="folder of additional audio, if the speech encoder was trained with it")
     add("--bundle", metavar="NAME|DIR",
         help="bundle for RACER's rows: default, paper, or a folder (default: trained here)")
     add("--system", action="append", default=[], metavar="NAME=DIR", dest="systems",
@@ -202,8 +200,7 @@ def ablation_of(given: argparse.Namespace) -> Ablation:
 
     store, work = opened(given.data, given.work)
     base = configs.with_settings(PRESETS[given.preset](), given.settings)
-    first = Run(base, store, work, progress=not given.quiet, workers=given.workers,
-                speech=tuple(Path(folder) for folder in given.speech))
+    first = Run(base, store, work, progress=not given.quiet, workers=given.workers)
     # For a first look raw directions are enough: networks take minutes to train.
     by = ([gesture_features.RawFeatures(34, count=1)] if given.preset == "tiny"
           else gesture_features.networks(store, work, first.progress))

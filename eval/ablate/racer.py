@@ -222,8 +222,7 @@ def forced_values(policy: QNetwork | ActorCritic, corpus: Corpus, take: Demonstr
     """[M - 1, S] a policy's scores on a recording of M blocks, on the performer's past."""
     observed = {"block": torch.as_tensor(take.blocks[1:])[None], "previous": torch.as_tensor(take.lexemes[:-1])[None],
             "silent": torch.as_tensor(take.silent[1:])[None], "speaker": torch.tensor([take.speaker])}
-    config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
-    batch = q_batch(corpus, observed, config.lookahead)
+    batch = q_batch(corpus, observed)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[0]
 
 
@@ -264,13 +263,13 @@ def rewarded(racer: RacerRows, config: Config) -> tuple[Episodes, Rewards]:
     table = rescaled(distance_rewards(lexicon.shown(), racer.corpus.motion), episodes)
     with_distance = [replace(e, reward=table.numpy()[e.blocks, e.actions].astype(np.float32))
                      for e in episodes.episodes]
-    return Episodes(with_distance, cloned=episodes.cloned, stretch=episodes.stretch), TabledReward(table)
+    return Episodes(with_distance), TabledReward(table)
 
 
 def _episodes(racer: RacerRows, config: Config) -> Episodes:
     """The offline data set with the contrastive reward, kept in the work folder; every seed learns from the same."""
     plain = replace(config.episodes, reward="contrastive")
-    file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.statistical, config.seed)}.npz"
+    file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.seed)}.npz"
     with lock(file, "a row that makes its data", beside=True, wait=True):
         if not file.exists():
             interpreters: dict[str, LexemeInterpreter] = {
@@ -289,8 +288,7 @@ Learner = tuple[ConservativeQ | ActorCritic, fitting.MakeBatch]
 
 def latest(policy: QNetwork | ActorCritic, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
     """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `eval.ablate.simulator.Choose`)."""
-    config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
-    batch = q_batch(corpus, observed, config.lookahead)
+    batch = q_batch(corpus, observed)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[:, -1]
 
 
@@ -325,7 +323,7 @@ def offline(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> L
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
     episodes, _ = rewarded(racer, config)
     return ConservativeQ(network), lambda rng, size: q_batch(racer.corpus, episodes.windows(
-        rng, size, config.cql.decisions), config.cql.lookahead)
+        rng, size, config.cql.decisions))
 
 
 class Acting(ConservativeQ):
@@ -349,7 +347,7 @@ class Acting(ConservativeQ):
 
     def batch(self, rng: np.random.Generator, size: int) -> fitting.Batch:
         """Windows of what it remembers."""
-        return q_batch(self._racer.corpus, self._memory.windows(rng, size), self._config.cql.lookahead)
+        return q_batch(self._racer.corpus, self._memory.windows(rng, size))
 
 
 def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
@@ -366,7 +364,7 @@ def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int)
     model.begin_as(supervised)
     simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
     return model, lambda rng, size: q_batch(racer.corpus, collect(
-        simulator, sampled(model, racer.corpus, rng), rng, size, config.cql.decisions), config.cql.lookahead)
+        simulator, sampled(model, racer.corpus, rng), rng, size, config.cql.decisions))
 
 
 def scaled(make_batch: fitting.MakeBatch, factor: float) -> fitting.MakeBatch:

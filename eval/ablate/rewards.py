@@ -5,9 +5,7 @@ Motion is `captured` or `decoded`, the latter as the lexicon shows the performer
 95 % over recordings; windows that are silent throughout are left out.
 
 - Retrieval: what share of windows finds its counterpart first. Rivals are of the same recording, so neither voice nor
-  performer tells them apart. What fools it: a model that is given the duration of every block on both sides can match
-  durations and never look at the pose. `durations alone` shows how far that goes (the motion is the mean pose
-  throughout); `decoded` motion is played in the durations of each audio, so it leaves none to match.
+  performer tells them apart.
 - Shifts: the reward of motion moved by so many blocks against its audio, of another recording's and of random motion.
 - Single actions: the rank of the performer's own lexeme among all, in blocks that are not silent. What fools it: a
   reward may prefer some lexemes for no reason. Where two models that were trained on different recordings do not
@@ -47,9 +45,7 @@ Score = Callable[[Integers, Integers], Array]
 
 SHIFTS = (0, 1, 2, 4, 8, 16)
 """Blocks by which motion is moved against audio, 0 the matched pair."""
-DURATIONS = "durations alone"
-RETRIEVED = {"captured": False, DURATIONS: False, "decoded": True}
-"""Kinds of motion in retrieval, and whether it is played in the durations of the audio's blocks."""
+KINDS = ("captured", "decoded")
 MODELS = ("reward", "judge")
 SEED = 0
 MOST = 24
@@ -64,28 +60,26 @@ _AT_ONCE = 2048
 class RewardProbe:
     """A reward model or an ensemble over a corpus; rewards are the members' mean.
 
-    blocks: [N, K, D_m] by the kind of motion; audio: [N, C] tokens for each member; times: [N] log durations.
+    blocks: [N, K, D_m] by the kind of motion; audio: [N, C] tokens for each member.
     """
 
     model: RewardModel | RewardEnsemble
     table: EnsembleReward
     blocks: dict[str, Tensor]
     audio: list[Tensor]
-    times: Tensor
 
     @classmethod
     @torch.no_grad()
     def of(cls, model: RewardModel | RewardEnsemble, bundle: Bundle, corpus: Corpus, labels: Integers) -> RewardProbe:
         """labels: [N] the lexeme of every block."""
-        blocks = {"captured": corpus.motion, DURATIONS: torch.zeros_like(corpus.motion),
-                  "decoded": decoded_blocks(bundle.lexicon, labels, corpus)}
-        audio, times = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
+        blocks = {"captured": corpus.motion, "decoded": decoded_blocks(bundle.lexicon, labels, corpus)}
+        audio = block_audio(corpus).float()
         return cls(model, reward_table(model, bundle.lexicon, corpus, literal=True), blocks,
-                   [member.block_audio(audio) for member in model.models], times)
+                   [member.block_audio(audio) for member in model.models])
 
     @torch.no_grad()
     def score(self, kind: str, motion: Integers, audio: Integers) -> Array:
-        """[B] the reward of motion blocks [B, W] that are played on audio blocks [B, W], in their durations."""
+        """[B] the reward of motion blocks [B, W] that are played on audio blocks [B, W]."""
         return np.concatenate([self._score(kind, torch.as_tensor(motion[first:first + _AT_ONCE]),
                                            torch.as_tensor(audio[first:first + _AT_ONCE]))
                                for first in range(0, len(motion), _AT_ONCE)] or [np.zeros(0)])
@@ -93,26 +87,16 @@ class RewardProbe:
     def _score(self, kind: str, at: Tensor, audio: Tensor) -> Array:
         blocks = self.blocks[kind][at].float()
         return _numbers(torch.stack([
-            (_motion_embedding(member, blocks, self.times[audio]) * _audio_embedding(member, sound[audio])).sum(-1)
+            (_motion_embedding(member, blocks) * _audio_embedding(member, sound[audio])).sum(-1)
             for member, sound in self._members()]).mean(0))
 
     @torch.no_grad()
-    def pairs(self, kind: str, windows: Integers, retimed: bool) -> Array:
-        """[n, n] rewards of the motion of each window (rows) of [n, W] with the audio of each.
-
-        retimed: in the durations of that audio; else in its own, which tell the true pair by themselves.
-        """
-        at, out = torch.as_tensor(windows), []
+    def pairs(self, kind: str, windows: Integers) -> Array:
+        """[n, n] rewards of the motion of each window (rows) of [n, W] with the audio of each."""
+        at = torch.as_tensor(windows)
         blocks = self.blocks[kind][at].float()
-        for member, sound in self._members():
-            audio = _audio_embedding(member, sound[at])
-            if not retimed or (member.read_tempo is None and member.read_speeds is None):  # the same in any durations
-                out.append(_numbers(_motion_embedding(member, blocks, self.times[at]) @ audio.T))
-            else:
-                out.append(np.stack([_numbers(_motion_embedding(
-                    member, blocks, self.times[there].expand(len(at), -1)) @ vector)
-                    for there, vector in zip(at, audio, strict=True)], axis=1))
-        return np.mean(out, axis=0)
+        return np.mean([_numbers(_motion_embedding(member, blocks) @ _audio_embedding(member, sound[at]).T)
+                        for member, sound in self._members()], axis=0)
 
     def played(self, lexemes: Integers, audio: Integers) -> Array:
         """[B] the reward of lexemes [B, W] on audio blocks [B, W]."""
@@ -129,9 +113,9 @@ class RewardProbe:
         return zip(self.model.models, self.audio, strict=True)
 
 
-def _motion_embedding(model: RewardModel, motion: Tensor, times: Tensor) -> Tensor:
-    """[B, P] of windows [B, W, K, D_m] whose blocks last exp(times [B, W]) seconds."""
-    return model.embed_motion(model.block_motion(motion, times), torch.ones(times.shape))
+def _motion_embedding(model: RewardModel, motion: Tensor) -> Tensor:
+    """[B, P] of windows [B, W, K, D_m]."""
+    return model.embed_motion(model.block_motion(motion), torch.ones(motion.shape[:2]))
 
 
 def _audio_embedding(model: RewardModel, tokens: Tensor) -> Tensor:
@@ -227,7 +211,7 @@ def retrieved(probe: RewardProbe, takes: Sequence[Demonstration], silent: Mask) 
     audible = ~silent[each].all(axis=1)
     each, owner = each[audible], owner[audible]
     return {kind: {key: mean_interval(hits, groups=owner) for key, hits in retrieval(
-        probe.pairs(kind, each, retimed), owner[:, None] == owner).items()} for kind, retimed in RETRIEVED.items()}
+        probe.pairs(kind, each), owner[:, None] == owner).items()} for kind in KINDS}
 
 
 def shifts(probe: RewardProbe, takes: Sequence[Demonstration], silent: Mask) -> dict[str, dict[str, Cell]]:
@@ -235,7 +219,7 @@ def shifts(probe: RewardProbe, takes: Sequence[Demonstration], silent: Mask) -> 
     each, owner = windows(takes, probe.model.config.window)
     audible = ~silent[each].all(axis=1)
     out = {}
-    for kind in ("captured", "decoded"):
+    for kind in KINDS:
         values = {name: rewards[audible] for name, rewards in by_shift(probe, kind, takes).items()}
         groups = owner[audible]
         cells: dict[str, Cell] = {name: mean_interval(rewards, groups=groups) for name, rewards in values.items()}
