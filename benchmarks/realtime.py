@@ -21,7 +21,7 @@ import torch
 
 from data_module.speech.audio import load_speech
 from gesticulator.export.writers import write
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 
 
 def processor() -> str:

@@ -38,7 +38,7 @@ from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.types import Motion, Speech
 from eval.clip.measure import measure
 from eval.crossed import crossed
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.stream import StreamFrames
 
 PIECE = 320

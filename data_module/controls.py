@@ -29,8 +29,6 @@ __all__ = ["Controls", "Curve", "Levels", "controls_from", "measure", "read_curv
 FEATURES = ("height", "speed", "radius")
 """Right hand over the hips (m), mean speed of both hands (m/s), mean horizontal distance of both hands from the
 vertical axis through the root (m)."""
-MOOD = "mood"
-"""A curve that is not of the hands: -1 (sad) to 1 (a smile)."""
 UNITS = {"height": "m", "speed": "m/s", "radius": "m"}
 LEVELS = ("low", "mid", "high")
 QUANTILES = (0.15, 0.5, 0.85)
@@ -293,10 +291,6 @@ def _number(text: str) -> float | None:
 
 
 def _check_limits(what: str, value: float, feature: str) -> None:
-    if feature == MOOD:
-        if not -1.0 <= value <= 1.0:  # also NaN
-            raise InputError(what, "is out of range", "give -1 (sad) to 1 (a smile)")
-        return
     low, high = LIMITS[feature]
     if not low <= value <= high:  # also NaN
         raise InputError(what, f"is not a possible {feature} of a hand",

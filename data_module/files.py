@@ -1,9 +1,4 @@
-"""Atomic writing of files, reading of text and JSON files within limits, and locks on folders.
-
-Python's JSON parser accepts NaN and Infinity, turns 1e999 into infinity, raises RecursionError for deep nesting and
-ValueError for integers of thousands of digits. Here each of these is an `InputError` that names the file and the line
-(RFC 8259).
-"""
+"""Atomic writing of files, reading of text and JSON files within limits, and locks on folders."""
 
 from __future__ import annotations
 
@@ -12,18 +7,19 @@ import contextlib
 import csv
 import errno
 import json
-import math
 import os
 import re
 import secrets
 import shutil
 import socket
-import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from data_module.errors import InputError, shown
+import msgspec
+from filelock import FileLock, Timeout
+
+from data_module.errors import InputError
 
 LARGEST_TEXT = 1 << 24
 """Largest text file, bytes (16 MiB): the words of an hour, phone by phone and in UTF-16, take half of it."""
@@ -39,10 +35,8 @@ MOST_DIGITS = 300
 MOST_VALUES = 1 << 22
 """Most values of a document (4,194,304), about 80 bytes each: a listing of 100,000 recordings has 2 million."""
 
-_SUSPECT = re.compile(rf"(?<!\d)\d{{{MOST_DIGITS}}}|\d[eE]\+?\d{{3}}", re.ASCII)
-"""A possibly too large number (or similar text)."""
-_HALF = re.compile(r"\\u[dD][89a-fA-F]")
-"""An escaped surrogate, half of a pair."""
+_LONG_NUMBER = re.compile(rf"(?<![\d.])\d{{{MOST_DIGITS + 1},}}", re.ASCII)
+"""A whole number of too many digits (or similar text)."""
 _STRINGS = re.compile(r'"(?:[^"\\]+|\\.)*"?', re.DOTALL)
 """Strings. The closing quote is optional so that a match that has begun cannot fail: failing on a string that is never
 closed takes exponential time, since each way of dividing its characters is tried."""
@@ -54,8 +48,6 @@ _PREFIX, _TOKEN = 40, 12
 exceed the limit of the file system."""
 _UNFINISHED = re.compile(rf"\..{{1,{_PREFIX}}}\.[0-9a-f]{{{_TOKEN}}}")
 """Names of the temporary files of `write_bytes`."""
-_NO_LOCKS = frozenset({errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL})
-"""Errors of a file system without locks (some network drives)."""
 
 
 # ---------------------------------------------------------------------------------------------------- writing
@@ -143,17 +135,13 @@ def new_folder(target: Path) -> Iterator[Path]:
 
 
 def rename(source: Path, target: Path) -> None:
-    """Rename a finished file or folder, replacing a file of that name, and sync the parent folder."""
+    """Rename a finished file or folder, replacing a file of that name, and sync the parent folder (Windows has no need
+    of that)."""
     source.replace(target)
-    sync_folder(target.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Sync the names in a folder to the disk (not needed on Windows)."""
     if os.name != "posix":
         return
     with contextlib.suppress(OSError):  # some file systems refuse it; the content is synced all the same
-        handle = os.open(folder, os.O_RDONLY)
+        handle = os.open(target.parent, os.O_RDONLY)
         try:
             os.fsync(handle)
         finally:
@@ -226,108 +214,40 @@ def read_table(path: str | os.PathLike[str], advice: str) -> list[tuple[int, dic
 # ---------------------------------------------------------------------------------------------------- locks
 
 @contextlib.contextmanager
-def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False, shared: bool = False,
-         wait: bool = False) -> Iterator[None]:
+def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False, wait: bool = False) -> Iterator[None]:
     """Lock a folder, which is created if it is missing, against all other processes and threads.
 
     what: the work, for the message ("a training"). beside: put the lock file next to the folder instead of into it, for
-    a folder that is renamed while locked. shared: share the lock with others who do the same (on Windows it is always
-    exclusive). wait: until the lock is free. The system releases the lock when a process dies, so it is never stale.
-    InputError if another process has the lock. On a file system without locks the work goes on without one.
+    a folder that is renamed while locked. wait: until the lock is free. The system releases the lock when a process
+    dies, so it is never stale. InputError if another process has the lock.
     """
     place = Path(folder)
-    if beside:
-        file = place.with_name(f".{place.name}{LOCK}")
-        file.parent.mkdir(parents=True, exist_ok=True)
-    else:
-        file = place / LOCK
-        place.mkdir(parents=True, exist_ok=True)
-    handle = _locked(file, place, what, shared, wait)
+    file = place.with_name(f".{place.name}{LOCK}") if beside else place / LOCK
+    file.parent.mkdir(parents=True, exist_ok=True)
+    held = FileLock(file, timeout=-1 if wait else 0, poll_interval=WAIT)
     try:
+        held.acquire()
+    except Timeout:
+        holder = "another process"
+        with contextlib.suppress(OSError):  # locked files cannot be read on Windows
+            holder = file.read_text(encoding="utf-8") or holder
+        raise InputError(place, f"is in use by {holder}", "wait until it has ended, or choose another folder") from None
+    try:
+        with contextlib.suppress(OSError):
+            file.write_text(f"{what} (process {os.getpid()} on {socket.gethostname()})", encoding="utf-8")
         yield
     finally:
-        if os.name == "posix":  # removed while it is locked, so that no process loses its lock; see `_locked`
-            if not shared or _take(handle):  # the last one to share it
-                file.unlink(missing_ok=True)
-            os.close(handle)
-        else:
-            _release(handle)
-            os.close(handle)
-            with contextlib.suppress(OSError):  # another process may have it open already
-                file.unlink(missing_ok=True)
-
-
-def _locked(file: Path, folder: Path, what: str, shared: bool, wait: bool) -> int:
-    """A descriptor that holds the lock on `file`."""
-    while True:
-        handle, pause = os.open(file, os.O_RDWR | os.O_CREAT, 0o666), 0.01
-        try:
-            if not _take(handle, shared):
-                if not wait:
-                    raise InputError(folder, f"is in use by {_holder(handle)}",
-                                     "wait until it has ended, or choose another folder")
-                pause = WAIT
-            # The previous owner removes the file, and a lock on a removed file is void.
-            elif _is_at(handle, file):
-                os.ftruncate(handle, 0)
-                os.write(handle, f"{what}\n{os.getpid()}\n{socket.gethostname()}\n".encode())
-                return handle
-        except BaseException:
-            os.close(handle)
-            raise
-        os.close(handle)
-        time.sleep(pause)
-
-
-def _is_at(handle: int, file: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(handle), file.stat())
-    except FileNotFoundError:
-        return False
-
-
-def _holder(handle: int) -> str:
-    """The owner of the lock file: "a training (process 123 on HOST)"."""
-    try:
-        lines = os.read(handle, 4096).decode("utf-8", "replace").split("\n")
-    except OSError:  # locked files cannot be read on Windows
-        lines = []
-    if len(lines) < 3 or not lines[0]:
-        return "another process"
-    return f"{lines[0]} (process {lines[1]} on {lines[2]})"
-
-
-def _take(handle: int, shared: bool = False) -> bool:
-    try:
-        if os.name == "nt":
-            import msvcrt
-
-            # A byte far behind the text, so that the text stays readable.
-            os.lseek(handle, 1 << 20, os.SEEK_SET)
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined, unused-ignore]
-            os.lseek(handle, 0, os.SEEK_SET)
-        else:
-            import fcntl
-
-            fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except OSError as error:
-        return error.errno in _NO_LOCKS
-    return True
-
-
-def _release(handle: int) -> None:
-    if os.name == "nt":
-        import msvcrt
-
-        os.lseek(handle, 1 << 20, os.SEEK_SET)
-        msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)  # type: ignore[attr-defined, unused-ignore]
+        # Removed while it is locked: whoever opened it before the removal sees that its name is gone, and tries again.
+        with contextlib.suppress(OSError):  # Windows removes no open file, and filelock leaves none there
+            file.unlink()
+        held.release()
 
 
 # ---------------------------------------------------------------------------------------------------- JSON
 
 def read_json(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT, *, python: bool = False) -> Any:
-    """The value in a JSON file. `InputError`, with `advice`, as of `files.read_text` (missing, larger than `largest`
-    bytes, not text) and of `parse_json`."""
+    """The value in a JSON file. `InputError`, with `advice`, as of `read_text` (missing, larger than `largest` bytes,
+    not text) and of `parse_json`."""
     return parse_json(read_text(path, advice, largest), path, advice, python=python)
 
 
@@ -341,73 +261,47 @@ def read_object(path: str | os.PathLike[str], advice: str, largest: int = LARGES
 
 
 def parse_json(data: str | bytes, source: object, advice: str, *, python: bool = False) -> Any:
-    """The value of a JSON text; of duplicate keys the last counts.
+    """The value of a JSON text (RFC 8259); of duplicate keys the last counts.
 
     source: name in messages. python: accept Python's extensions: NaN, Infinity, and unpaired surrogates (invalid bytes
     in file names). `InputError` for invalid JSON, nesting deeper than `DEEPEST`, more than `MOST_VALUES` values, a
     number that does not fit a float, NaN or Infinity, or an unpaired surrogate.
     """
     text = decoded(data, source, advice) if isinstance(data, bytes) else data
+    # Before the parser runs: values take memory, and the conversion of digits takes quadratic time.
     if text.count(",") + text.count("[") + text.count("{") > MOST_VALUES:
         plain = _STRINGS.sub("", text)
         if plain.count(",") + plain.count("[") + plain.count("{") > MOST_VALUES:
             raise InputError(source, f"holds more than {MOST_VALUES:,} values", advice)
-    hooks: dict[str, Any] = {"parse_int": _whole, "parse_float": _float} if _SUSPECT.search(text) else {}
-    if not python:
-        hooks["parse_constant"] = _constant
+    if _LONG_NUMBER.search(text) and (long := _LONG_NUMBER.search(_STRINGS.sub("", text))):
+        raise InputError(source, f"is not valid JSON (a number of {len(long[0])} digits)", advice)
     try:
-        value = json.loads(text, **hooks)
-    except json.JSONDecodeError as error:
-        raise InputError(source, f"line {error.lineno}, column {error.colno}: is not valid JSON ({error.msg})",
-                         advice) from None
+        value = json.loads(text) if python else msgspec.json.decode(text)
     except RecursionError:
         raise InputError(source, _TOO_DEEP, advice) from None
-    except ValueError as error:
-        raise InputError(source, f"is not valid JSON ({error})", advice) from None
+    except (msgspec.MsgspecError, ValueError) as error:
+        raise InputError(source, _invalid(text, str(error)), advice) from None
     _check_depth(value, source, advice)
-    if not python and _HALF.search(text):
-        _check_characters(value, source, advice)
     return value
 
 
 _TOO_DEEP = f"is not valid JSON (nested more than {DEEPEST} deep)"
 
 
-def _whole(digits: str) -> int:
-    if len(digits.lstrip("-")) > MOST_DIGITS:
-        raise ValueError(f"a number of {len(digits.lstrip('-'))} digits")
-    return int(digits)
-
-
-def _float(digits: str) -> float:
-    value = float(digits)
-    if math.isinf(value):
-        raise ValueError(f"the number {shown(digits, 20)} is too large")
-    return value
-
-
-def _constant(name: str) -> float:
-    raise ValueError(f"{name} is not a number")
+def _invalid(text: str, reason: str) -> str:
+    """The parser's message, with the line of its "(byte 12)" or, without one, the last line."""
+    place = re.search(r" \(byte (\d+)\)$", reason)
+    line = text.encode("utf-8", "replace")[:int(place[1]) if place else None].count(b"\n") + 1
+    reason = reason.removesuffix(place[0] if place else "").removeprefix("JSON is malformed: ")
+    return f"line {line}: is not valid JSON ({reason[:100]})"
 
 
 def _check_depth(value: Any, source: object, advice: str) -> None:
+    """`InputError` for nesting deeper than `DEEPEST`: whatever walks the value later does so by recursion."""
     level = [value] if isinstance(value, list | dict) else []
     for _ in range(DEEPEST):
-        if not level:
-            return
         level = [inner for outer in level for inner in (outer.values() if isinstance(outer, dict) else outer)
                  if isinstance(inner, list | dict)]
-    if level:
-        raise InputError(source, _TOO_DEEP, advice)
-
-
-def _check_characters(value: Any, source: object, advice: str) -> None:
-    waiting = [value]
-    while waiting:
-        item = waiting.pop()
-        if isinstance(item, dict):
-            waiting += [*item, *item.values()]
-        elif isinstance(item, list):
-            waiting += item
-        elif isinstance(item, str) and any("\ud800" <= character <= "\udfff" for character in item):
-            raise InputError(source, f"is not valid JSON (half a character in {shown(item)})", advice)
+        if not level:
+            return
+    raise InputError(source, _TOO_DEEP, advice)

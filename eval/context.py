@@ -33,7 +33,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.bundle.models import JUDGES
 from gesticulator.cli import PROGRAM
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import CORPUS, ENCODER, STAGES, Corpus, Run
 from gesticulator.training.stages.base import WEIGHTS, finished
 from gesticulator.training.stages.caches import weights_hash
@@ -130,7 +130,7 @@ class EvalContext:
         """[N] lexemes of all blocks by the bundle, silent blocks with the silent lexeme nearest to their own (RG
         6.4.1)."""
         bundle = self.bundle
-        labels = token_labels(bundle.block_models.lexicon, self.corpus)
+        labels = token_labels(bundle.block_lexicon, self.corpus)
         nearest = nearest_silent(bundle.vectors.double().numpy(), bundle.silent)
         return np.where(self.corpus.silent, nearest[labels], labels) if bundle.config.silence.hint else labels
 

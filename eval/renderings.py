@@ -38,12 +38,14 @@ from eval.clip.foreign import edges_of_plan, find_motions, read_motion
 from eval.metrics.eye import VoiceActivity, hear
 from eval.metrics.eye.body import HZ
 from eval.metrics.eye.pitch import pitch_track
+from gesticulator.assembly import Assembler
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.bundle.files import INDEX, bundle_folder
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
+from gesticulator.sampling.loop import GeneratedMotion
 
 T = TypeVar("T")
 
@@ -179,13 +181,14 @@ class KeptRenderings:
 
 
 class ListeningGesticulator(Gesticulator):
-    """The pipeline, with an ear on the blocks that were drawn."""
+    """Keeps the normalised motion of the last blocks that were sampled."""
 
     drawn: NDArray[np.float32]
 
-    def to_motion(self, features: NDArray[np.float32], *rest: Any, **named: Any) -> Motion:
-        self.drawn = features
-        return super().to_motion(features, *rest, **named)
+    def assemble(self, assembler: Assembler, generated: GeneratedMotion) -> Performance:
+        """The performance of generated blocks."""
+        self.drawn = generated.motion
+        return super().assemble(assembler, generated)
 
 
 class RenderedSystem(Protocol):

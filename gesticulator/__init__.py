@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from data_module.errors import InputError
     from data_module.speech.audio import load_speech
     from data_module.types import Motion, Speech, Word
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.options import InferenceOptions
     from gesticulator.performance import Performance
-    from gesticulator.pipeline import Gesticulator
 
 check()
 
@@ -28,7 +28,7 @@ __all__ = ["Controls", "Curve", "Gesticulator", "InferenceOptions", "InputError"
 _HOMES = {"Controls": "data_module.controls", "Curve": "data_module.controls", "InputError": "data_module.errors",
           "Motion": "data_module.types", "Speech": "data_module.types", "Word": "data_module.types",
           "InferenceOptions": "gesticulator.options", "Performance": "gesticulator.performance",
-          "Gesticulator": "gesticulator.pipeline", "load_speech": "data_module.speech.audio"}
+          "Gesticulator": "gesticulator.gesticulator", "load_speech": "data_module.speech.audio"}
 """Name -> the module that has it, imported when the name is first used: torch takes seconds."""
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import os
 import re
 import warnings
 from collections.abc import Callable, Mapping
@@ -24,7 +23,7 @@ from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.plan.plan import GestureCue, GesturePlan
 
 FORMAT = "bvh"
@@ -68,16 +67,7 @@ def _cue(text: str) -> GestureCue:
     return GestureCue(gesture, at)
 
 
-def _mood(text: str) -> object:
-    """A number, or the curve in a CSV file."""
-    if os.path.lexists(text.strip()):
-        from data_module.controls import MOOD, read_curve
-
-        return read_curve(text.strip(), MOOD)
-    return RANGES["mood"].parse("--mood", text)
-
-
-_PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue, "mood": _mood}
+_PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue}
 """Field -> parser of its value, for values that are neither numbers nor words."""
 _GROUPS = {
     "audio and transcript": "",
@@ -169,14 +159,12 @@ def infer_arguments(p: argparse.ArgumentParser) -> None:
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays the motion in a browser")
     out.add_argument("--plan-out", "--explain", metavar="FILE.json",
                      help="the gesture plan: every decision, to read, edit and render again with --plan")
-    out.add_argument("--retime-report", metavar="FILE.json", help="with --retime: what was kept, moved, decided anew "
-                     "and lost")
     _clip_arguments(p)
     many = p.add_argument_group("many recordings", "A manifest records what was done; a second run processes only "
                                                    "what is missing or changed.")
-    many.add_argument("--manifest", metavar="FILE",
-                      help="the manifest (.parquet or .jsonl); default with --shard and --ray: manifest.parquet in "
-                      "the folder of -o")
+    many.add_argument("--manifest", metavar="FILE.jsonl",
+                      help="the manifest, JSON lines; default with --shard and --ray: manifest.jsonl in the folder of "
+                      "-o")
     many.add_argument("--shard", metavar="I/N",
                       help="process shard I of N, of equal duration; gesticulator manifest joins their manifests")
     many.add_argument("--ray", metavar="WHERE",
@@ -265,7 +253,7 @@ def check_cues(gesticulator: Gesticulator, options: InferenceOptions) -> None:
 def print_list(gesticulator: Gesticulator, what: str) -> None:
     """Print the names of the "speakers" or "interpreters", with the default one marked."""
     names = gesticulator.speakers if what == "speakers" else gesticulator.interpreters
-    default = gesticulator.speakers[gesticulator.speaker_index(None)] if what == "speakers" else names[0]
+    default = gesticulator.speakers[gesticulator.resolver.speaker(None)] if what == "speakers" else names[0]
     for name in names:
         print(f"{name}  (default)" if name == default else name)
 
@@ -336,10 +324,6 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
                 raise InputError("--one-file", f"does not go with --{name.replace('_', '-')}",
                                  "leave one of them out; clips are named after their recordings")
     jobs = jobs_for(args.speech, outputs, args.text, together=args.one_file)
-    if args.retime_report is not None:
-        if not args.retime:
-            raise InputError("--retime-report", "is for --retime alone", "add --retime, or leave it out")
-        check_output(args.retime_report)
     faces = [target for job in jobs for target in job.targets if suffix_of(target).startswith(".face.")]
     if faces and args.face == "off":
         raise InputError(faces[0], "needs a face", "add --face lips or --face full")
@@ -349,9 +333,8 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
         if args.text is not None and not args.retime:
             raise InputError("--text", "is already in the plan", "leave it out")
     like = settings_of(args, clip is not None and clip.bare)
-    report = None if args.retime_report is None else Path(args.retime_report)
     return [replace(job, options=like.options, clip=clip, character=like.character, unit=args.unit,
-                    any_length=like.any_length, retime_report=report) for job in jobs]
+                    any_length=like.any_length) for job in jobs]
 
 
 def _clip_of(args: argparse.Namespace) -> ClipLayout | None:

@@ -37,9 +37,10 @@ from gesticulator.sampling.cutter import LATENCIES, TICK, BlockCutter
 from gesticulator.sampling.loop import Request, Setup, controls_at
 
 if TYPE_CHECKING:
-    from gesticulator.directing.directions import Director, MeantCue
+    from gesticulator.directing.cues import TimedCue
+    from gesticulator.directing.directions import Director
+    from gesticulator.directing.marks import StreamMarks
     from gesticulator.directing.meanings import MeaningTrack
-    from gesticulator.directing.stream_marks import StreamMarks
     from gesticulator.face.motion import FaceMotion
     from gesticulator.face.track import FaceTrack
 
@@ -125,13 +126,14 @@ class Stream:
         self._meanings = self._meaning_track(options)
         shaping: Callable[[Array, Array], Array] | None = None
         if options.shaped or options.directed or self._meanings is not None:
-            from gesticulator.directing import directions as directing
+            from gesticulator.directing.directions import Director
+            from gesticulator.directing.knobs import Shaping
 
-            self._director = directing.Director(bundle, options, (), math.inf)
-            shaping = directing.Shaping(bundle, options, setup.speaker, (), np.array([0.0, math.inf]), self._meant)
+            self._director = Director(bundle, options, (), math.inf)
+            shaping = Shaping(bundle, options, setup.speaker, (), np.array([0.0, math.inf]), self._meant)
         if self._text:
-            from gesticulator.directing.directions import gestures_over
-            from gesticulator.directing.stream_marks import StreamMarks
+            from gesticulator.directing.knobs import gestures_over
+            from gesticulator.directing.marks import StreamMarks
 
             self._marks = StreamMarks(representation_of(bundle.config).name == "rotations")
             shaping = shaping or gestures_over(self._meant, options.seed or 0)
@@ -318,7 +320,7 @@ class Stream:
 
         return track_of(options)
 
-    def _meant(self, until: float) -> list[MeantCue]:
+    def _meant(self, until: float) -> list[TimedCue]:
         """The gestures of words and of marks that begin up to a time."""
         return [*(() if self._meanings is None else self._meanings.cues(until)),
                 *(() if self._marks is None else self._marks.cues())]
@@ -351,7 +353,7 @@ class Stream:
     def _express(self, words: Sequence[Word]) -> None:
         """Let the face show the marks of words that are for it; those that come late begin with the next frame."""
         if self._face is not None:
-            from gesticulator.directing.directions import stroke_of_word
+            from gesticulator.directing.cues import stroke_of_word
             from gesticulator.directing.marks import expressions_of
 
             for word in words:
@@ -535,11 +537,11 @@ class Stream:
 def _face_of(options: InferenceOptions) -> FaceTrack | None:
     if options.face == "off":
         return None
-    from gesticulator.face.track import FaceSettings, FaceTrack
+    from gesticulator.face.track import FaceTrack
 
-    face = FaceTrack(FaceSettings.of(options), LONGEST_HISTORY)
+    face = FaceTrack(options, LONGEST_HISTORY)
     if options.cues:
-        from gesticulator.directing.directions import expressions_at
+        from gesticulator.directing.cues import expressions_at
 
         for time, name in expressions_at(options.cues, (), math.inf):
             face.express(time, name, lasting=True)

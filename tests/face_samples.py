@@ -13,8 +13,9 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.speech.audio import load_speech
 from data_module.types import Motion, Samples, Speech
 from gesticulator.face.motion import FaceMotion, at_rest
-from gesticulator.face.track import FaceSettings, face_of
+from gesticulator.face.track import face_of
 from gesticulator.face.visemes import VISEMES, VisemeSpan, of_ipa, spans
+from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 
 FPS, RATE = 30.0, 16000
@@ -54,7 +55,7 @@ def _performed(pieces: list[Samples], fps: float) -> Performance:
     sound = np.concatenate([*pieces, np.zeros(round(PAUSE * RATE), np.float32)])
     sound = (0.5 * sound / np.abs(sound).max()).astype(np.float32)
     motion = still(len(sound) / RATE, fps)
-    face = face_of(FaceSettings("lips"), sound, (), motion)
+    face = face_of(InferenceOptions(face="lips"), sound, (), motion)
     return replace(perform(len(sound) / RATE), motion=motion, speech=Speech(sound, RATE), face=face)
 
 

@@ -22,7 +22,7 @@ from gesticulator.face.visemes import VISEMES
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.protocol import StreamRequest
 from gesticulator.live.server import LiveServer, Page, ServerAddress
-from gesticulator.live.session import Session, SessionFacts
+from gesticulator.live.session import Session
 from gesticulator.live.vmc import VmcOutput
 from gesticulator.plan.plan import Block, BlockDraw
 from gesticulator.stream import StreamFrames, StreamState
@@ -128,7 +128,7 @@ def figure(server: LiveServer, name: str, **labels: str) -> float:
 def opener(limits: ServerLimits, seconds: float = 0.0, share: Share = 0.0) -> Callable[[str, StreamRequest], Session]:
     """Opens sessions of telling streams; seconds: of work for each piece of sound; share: for each second of it."""
     def open_session(name: str, request: StreamRequest) -> Session:
-        return Session(name, request, TellingStream(request, seconds, share), SessionFacts(LOOK_AHEAD, limits))
+        return Session(name, request, TellingStream(request, seconds, share), limits)
 
     return open_session
 
@@ -140,18 +140,9 @@ def served(limits: ServerLimits, pages: Mapping[str, Page], vmc: str | None = No
     address: who may connect, at any free port unless it names one."""
     address = address or ServerAddress(port=0)
     listening = address.listen()
-    output = None if vmc is None else VmcOutput(vmc)
-    server = LiveServer(address, limits, opener(limits, 0.0, share), output, pages)
+    server = LiveServer(address, limits, opener(limits, 0.0, share), None if vmc is None else VmcOutput(vmc), pages)
     loop = asyncio.new_event_loop()
-
-    async def serve() -> None:
-        if output is not None:
-            output.start()
-        await server.run(listening)
-        if output is not None:
-            output.stop()
-
-    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()))
+    thread = threading.Thread(target=lambda: loop.run_until_complete(server.run(listening)))
     thread.start()
     try:
         yield server, listening.getsockname()[1]

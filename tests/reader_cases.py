@@ -46,7 +46,7 @@ from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Speech, Word
 from eval.clip import foreign
 from eval.metrics.eye import ReferenceSpace
-from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encoder, reference_windows
+from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encoder
 from eval.metrics.gesture_features import load as load_network
 from eval.metrics.gesture_features import published as published_network
 from eval.metrics.gesture_features import save as save_network
@@ -157,7 +157,6 @@ def _with_member(name: str) -> Callable[[Path, bytes], object]:
 
 _SPACE: dict[str, tuple[int, ...]] = {"mean": (40,), "sd": (40,), "axes": (10, 40), "own_mean": (10,),
                                       "own_root": (10, 10)}
-_WINDOWS: dict[str, tuple[int, ...]] = {"windows_a": (2, 34, 27), "windows_b": (2, 34, 27)}
 
 
 def _arrays(shapes: dict[str, tuple[int, ...]]) -> Callable[[Path], Path]:
@@ -171,7 +170,7 @@ def _arrays(shapes: dict[str, tuple[int, ...]]) -> Callable[[Path], Path]:
 
 
 def _published_network(damaged: str) -> Callable[[Path], Path]:
-    """A network in the shape of the published one, with features that it gives for windows of its own."""
+    """A network in the shape of the published one."""
     def write(folder: Path) -> Path:
         from safetensors.torch import save_file
 
@@ -181,23 +180,15 @@ def _published_network(damaged: str) -> Callable[[Path], Path]:
                    in network.state_dict().items() for part, _, rest in (key.partition("."),)},
                   folder / "h36m_gesture_encoder.safetensors")
         (folder / "h36m_gesture_encoder.json").write_text(json.dumps({"frames": 34, "fps": 15, "dim": 27}))
-        rng = np.random.default_rng(0)
-        windows = {f"windows_{name}": rng.normal(size=(2, 34, 27)) for name in "ab"}
-        np.savez(folder / "windows.npz", **windows)  # type: ignore[arg-type]
-        features = published_network(folder).features(np.concatenate(reference_windows(folder / "windows.npz")))
-        np.savez(folder / "h36m_reference.npz", **windows, features_a=features[:2],  # type: ignore[arg-type]
-                 features_b=features[2:])
         return folder / damaged
 
     return write
 
 
-def _our_network(damaged: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        save_network(Autoencoder(AutoencoderConfig(frames=34)), folder)
-        return folder / damaged
+def _our_network(folder: Path) -> Path:
+    save_network(Autoencoder(AutoencoderConfig(frames=34)), folder)
+    return folder / "gesture_features.safetensors"
 
-    return write
 
 
 def _positions(mutated: str) -> Callable[[Path], Path]:
@@ -338,13 +329,6 @@ def _read_bundle(file: Path) -> object:
     from gesticulator.bundle import bundle
 
     return bundle.load(file.parent)
-
-
-def _read_silent(file: Path) -> object:
-    from gesticulator.bundle.files import read_index
-    from gesticulator.bundle.silent import silent_of
-
-    return silent_of(read_index(file.parent), file.parent)
 
 
 def _with_index(file: Path, data: bytes) -> None:
@@ -488,9 +472,8 @@ def _read_request(file: Path) -> object:
         return json.dumps(plan_from(request["plan"]).to_dict()).encode()
 
     server = SimpleNamespace(
-        hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0, figures=None, export=None,
-        rendering=threading.Lock(), render=render, falls_silent=lambda connection: None,
-        speaks=lambda connection: None, abandons=lambda page, number: lambda: False)
+        hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0,
+        rendering=threading.Lock(), render=render, abandons=lambda page, number: lambda: False)
     client = _Client(file)
     _PageHandler(client, ("127.0.0.1", 1), server)  # type: ignore[arg-type]
     assert b" 500 " not in client.answer, client.answer[:1000]
@@ -503,21 +486,18 @@ def _manifest(name: str) -> Callable[[Path], Path]:
 
         rows = [ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, "cut short", 0.125, "1", "2", "3", "h"),
                 ManifestRow("b.wav", "13", 1.0, ("b.bvh",))]
-        write_manifest(folder / name.removesuffix(".journal"), rows)
-        if name.endswith(".journal"):
-            (folder / name.removesuffix(".journal")).rename(folder / name)
+        write_manifest(folder / name, rows)
         return folder / name
 
     return write
 
 
 def _read_manifest(file: Path) -> object:
-    """The rows, written back in both formats."""
+    """The rows, written back."""
     from gesticulator.manifest import read_manifest, table, write_manifest
 
-    rows = read_manifest(file.with_name(file.name.removesuffix(".journal")))
-    for suffix in (".jsonl", ".parquet"):
-        write_manifest(file.with_name(f"back{suffix}"), rows.values())
+    rows = read_manifest(file)
+    write_manifest(file.with_name("back.jsonl"), rows.values())
     return table(list(rows.values()))
 
 
@@ -558,13 +538,6 @@ def _read_lips(file: Path) -> object:
     return load_weights(file.parent)
 
 
-def _read_sent_character(file: Path) -> object:
-    from data_module.files import read_json
-    from gesticulator.page.export import _character
-
-    return _character(read_json(file, "send it again"), file.parent)
-
-
 def _read_tables(file: Path) -> object:
     from eval import table
 
@@ -598,7 +571,7 @@ def _read_words_of_a_command(file: Path) -> object:
     from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch import parse_shard
-    from gesticulator.bundle.silent import numbers
+    from gesticulator.bundle.command import lexemes
     from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES
     from interpreters.settings import LstmConfig
@@ -607,7 +580,7 @@ def _read_words_of_a_command(file: Path) -> object:
     readers: tuple[Callable[[str], object], ...] = (
         read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
-        _seconds, numbers, lambda text: _positive("--seconds", text))
+        _seconds, lambda text: lexemes(text, 24), lambda text: _positive("--seconds", text))
     refusals = []
     for read, line in zip(readers, lines, strict=False):
         try:
@@ -634,12 +607,6 @@ def _read_edges(file: Path) -> object:
     from eval.clip.foreign import edges_of_plan
 
     return edges_of_plan(file)
-
-
-def _read_place(file: Path) -> object:
-    from gesticulator.page.page_place import place_in
-
-    return place_in(file)
 
 
 def _read_token(file: Path) -> object:
@@ -674,15 +641,12 @@ READERS: dict[str, Case] = {
                               _member(f"{name}.npy"), _with_member(f"{name}.npy"))
        for name in _SMPLX},
     **{f"{kind}, {name}": Case(_arrays(shapes), read, _member(f"{name}.npy"), _with_member(f"{name}.npy"), 0.5)
-       for kind, shapes, read in (("eye's space", _SPACE, ReferenceSpace.load),
-                                  ("FGD windows", _WINDOWS, reference_windows))
-       for name in tuple(shapes)[:2]},
+       for kind, shapes, read in (("eye's space", _SPACE, ReferenceSpace.load),) for name in tuple(shapes)[:2]},
     "eye's space, the archive": Case(_arrays(_SPACE), ReferenceSpace.load, examples=0.5),
     **{f"published network, {name}": Case(_published_network(name), lambda file: published_network(file.parent),
                                           examples=0.5)
-       for name in ("h36m_gesture_encoder.json", "h36m_gesture_encoder.safetensors", "h36m_reference.npz")},
-    **{f"our network, {name}": Case(_our_network(name), lambda file: load_network(file.parent), examples=0.5)
-       for name in ("gesture_features.json", "gesture_features.safetensors")},
+       for name in ("h36m_gesture_encoder.json", "h36m_gesture_encoder.safetensors")},
+    "our network": Case(_our_network, lambda file: load_network(file.parent), examples=0.5),
     **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH))
        for suffix, text in TRANSCRIPTS.items()},
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
@@ -710,7 +674,6 @@ READERS: dict[str, Case] = {
     "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
     "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
     "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
-    "bundle, silent lexemes": Case(_bundle("bundle.json"), _read_silent),
     "glb character": Case(_glb("a.glb"), _read_character),
     "glb character, its JSON": Case(_glb("a.glb"), _read_character, _gltf_text, _with_gltf_text, 2.0),
     "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _gltf_text, _with_gltf_text),
@@ -723,11 +686,9 @@ READERS: dict[str, Case] = {
     "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
-    **{f"manifest {name}": Case(_manifest(name), _read_manifest)
-       for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},
+    "manifest": Case(_manifest("m.jsonl"), _read_manifest),
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
     "weights of the lips": Case(_lips, _read_lips),
-    "character sent by a page": Case(_written("a.json", '{"name": "a.glb", "data": "Z2xURg=="}'), _read_sent_character),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (
         "claims.json", "ablation/figures.json", "limits.md")},
@@ -740,7 +701,6 @@ READERS: dict[str, Case] = {
     "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
     "edges of a plan": Case(_written("a.json", '{"blocks": [{"start": 0, "end": 0.5}, {"start": 0.5, "end": 1}]}'),
                             _read_edges),
-    "place of a page": Case(_written("a.json", '{"port": 8123, "name": "0a1b2c3d"}'), _read_place),
     "token": Case(_written("a.txt", "secret\n"), _read_token)
 }
 

@@ -28,7 +28,7 @@ from eval.stats import Interval
 from eval.table import load, loads
 from generator import losses
 from gesticulator.bundle import config as configs
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS, Run
 
 SHORT = ("schedules.speech.steps=1", "schedules.contrast.steps=1", "schedules.lexicon.steps=20",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,7 +63,7 @@ def space() -> ReferenceSpace:
     """A space of noise, so that no outside data is needed."""
     rng = np.random.default_rng(0)
     axes = np.linalg.svd(rng.normal(size=(40, 40)))[2][:10]
-    return ReferenceSpace(rng.normal(size=40), rng.uniform(0.5, 2, 40), axes, Gaussian(np.zeros(10), np.eye(10), 0))
+    return ReferenceSpace(rng.normal(size=40), rng.uniform(0.5, 2, 40), axes, Gaussian(np.zeros(10), np.eye(10)))
 
 
 def moved(seconds: float, size: Array, seed: int = 0) -> Motion:
@@ -456,7 +455,7 @@ def test_a_lexicon_of_movements_is_told_the_past() -> None:
         past = Pasts(blocks[-1][None, -3:], torch.ones(1))
 
     class Played:
-        block_models = SimpleNamespace(lexicon=lexicon)
+        block_lexicon = lexicon
 
         def rest_feature(self, speaker: int) -> Tensor:
             return torch.zeros(one.motion.shape[-1])

@@ -16,7 +16,7 @@ import pytest
 import soundfile
 import torch
 from performances import perform
-from untrained import PLAIN, untrained
+from untrained import untrained
 
 import gesticulator
 from data_module.controls import Controls, Curve
@@ -28,9 +28,9 @@ from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.speech.audio import amplified, as_speech
 from data_module.types import Speech, Word
 from gesticulator.arguments import infer_arguments
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
 
 RATE = 16000
 
@@ -101,12 +101,6 @@ def test_whole_numbers_are_divided_by_full_scale(kind: str, full: int) -> None:
     assert as_speech(np.full(RATE, np.iinfo(kind).min, kind), RATE).samples.min() == -1.0
 
 
-def test_channels_are_averaged_and_loud_samples_clipped() -> None:
-    stereo = np.stack([np.full(RATE, 0.5), np.full(RATE, -0.1)], axis=1)
-    np.testing.assert_allclose(as_speech(stereo, RATE).samples, 0.2, atol=1e-7)
-    assert as_speech(np.full(RATE, 1.5, np.float32), RATE).samples.max() == 1.0
-
-
 @pytest.mark.parametrize(("samples", "rate", "said"), [
     (np.zeros(RATE, np.float32), None, "sample_rate: is missing"), (np.zeros(RATE, np.float32), 0, "sample_rate 0"),
     (np.zeros(RATE, np.float32), float("nan"), "sample_rate nan"), (np.zeros(100, np.float32), RATE, "too short"),
@@ -125,19 +119,6 @@ def test_a_rate_beside_a_file_is_refused(g: Gesticulator, tmp_path: Path) -> Non
     for given in (tmp_path / "speech.wav", Speech(voice(), RATE)):
         with pytest.raises(InputError, match="has a rate"):
             g(given, RATE)
-
-
-def test_a_list_gives_a_list(g: Gesticulator) -> None:
-    one, two = voice(1.0), voice(1.5)
-    made = g([one, two], RATE, seed=2)
-    assert [type(each) for each in made] == [Performance, Performance]
-    assert same(made[0], g(one, RATE, seed=2)) and same(made[1], g(two, RATE, seed=2))
-    assert g([]) == []
-    texts = g((Speech(one, RATE), Speech(two, RATE)), text=["heavy bread", None])
-    assert texts[0].speech.words and not texts[1].speech.words
-    for wrong, said in ((["a"], "1 entries for 2"), ("a text", "single text for 2 recordings")):
-        with pytest.raises(InputError, match=said):
-            g([one, two], RATE, text=wrong)  # type: ignore[call-overload]
 
 
 def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: Path) -> None:
@@ -192,14 +173,6 @@ def test_hands_are_arguments_in_every_form(g: Gesticulator, tmp_path: Path) -> N
     assert not same(two, base) and same(two, g(voice(), RATE, controls=Controls(height=high, speed=0.8)))
 
 
-def test_perform_takes_the_options_as_one_object(g: Gesticulator) -> None:
-    options = InferenceOptions(seed=4, temperature=1.5, fps=25, hand_speed="low")
-    assert same(g.perform(Speech(voice(), RATE), options),
-                g(voice(), RATE, seed=4, temperature=1.5, fps=25, hand_speed="low"))
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        options.seed = 5  # type: ignore[misc]
-
-
 def test_gain_is_decibels() -> None:
     speech = Speech(np.linspace(-0.2, 0.2, RATE, dtype=np.float32), RATE, (Word("a", 0, 1),))
     np.testing.assert_allclose(amplified(speech, 6.0206).samples, 2 * speech.samples, rtol=1e-5)
@@ -212,7 +185,7 @@ def test_gain_is_decibels() -> None:
 @pytest.mark.parametrize("device", ["nonsense", "cuda:99", *([] if torch.cuda.is_available() else ["cuda"])])
 def test_a_device_that_is_not_there_is_one_line(device: str) -> None:
     with pytest.raises(InputError, match=f"device {device}") as refused:
-        Gesticulator(untrained(*PLAIN), device)
+        Gesticulator.from_pretrained(device=device)
     assert "\n" not in str(refused.value)
 
 
@@ -228,7 +201,8 @@ def test_every_tensor_is_made_on_the_models_device(g: Gesticulator, interpreter:
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
 def test_a_gpu_plays_the_same_lexemes() -> None:
-    near, far = (Gesticulator(untrained(), device)(voice(), RATE, hand_height=0.2) for device in ("cpu", "cuda"))
+    near, far = (Gesticulator.from_pretrained(device=device)(voice(), RATE, hand_height=0.2)
+                 for device in ("cpu", "cuda"))
     assert np.array_equal(near.lexemes, far.lexemes)
     assert rotation.angle_between(near.rotations, far.rotations).max() < 1e-2
 
@@ -250,13 +224,6 @@ def test_positions_are_those_of_the_file(tmp_path: Path) -> None:
     where = dict(zip(still.joints, still.positions()[0], strict=True))
     assert where["LeftHand"][0] > 0.6 and where["RightHand"][0] < -0.6
     assert where["Head"][1] - where["Hips"][1] == pytest.approx(0.615)
-
-
-def test_saving_picks_the_format_and_makes_no_folder_for_an_unknown_one(tmp_path: Path) -> None:
-    assert json.loads(perform().save(tmp_path / "g.JSON").read_text())["score_is"] == "log-probability"
-    with pytest.raises(InputError, match="fbx"):
-        perform().save(tmp_path / "new" / "g.fbx")
-    assert not (tmp_path / "new").exists()
 
 
 def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:

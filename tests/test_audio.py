@@ -147,10 +147,6 @@ def open_ended(kind: str) -> bytes:
         data = bytearray(encoded(tone(16000), 16000, "FLAC"))
         data[21] &= 0xF0
         data[22:26] = bytes(4)
-    elif kind == "ogg":
-        noise = (0.1 * np.random.default_rng(0).standard_normal(96000)).astype(np.float32)
-        whole = encoded(noise, 16000, "OGG", "VORBIS")
-        data = bytearray(whole[:len(whole) * 2 // 3])
     else:
         data = bytearray(encoded(tone(16000), 16000))
         place = data.find(b"data") + 4
@@ -158,26 +154,13 @@ def open_ended(kind: str) -> bytes:
     return bytes(data)
 
 
-@pytest.mark.parametrize("kind", ["zero", "ones", "sox", "flac", "ogg"])
+@pytest.mark.parametrize("kind", ["zero", "ones", "sox", "flac"])
 def test_a_length_left_open_is_one_warning(tmp_path: Path, kind: str) -> None:
-    path = put(tmp_path, f"a.{kind if kind in ('flac', 'ogg') else 'wav'}", open_ended(kind))
+    path = put(tmp_path, f"a.{'flac' if kind == 'flac' else 'wav'}", open_ended(kind))
     with pytest.warns(AudioWarning) as caught:
         speech = load_speech(path)
     assert len(caught) == 1
-    if kind != "ogg":
-        assert np.allclose(speech.samples, tone(16000), atol=1e-4)
-
-
-def test_the_decoders_keep_quiet(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    noise = (0.1 * np.random.default_rng(0).standard_normal(48000)).astype(np.float32)
-    whole = encoded(noise, 16000, "MP3", None)
-    for data in (whole, whole[:len(whole) // 2], b"\xff\xfb" + np.random.default_rng(1).bytes(90000)):
-        path = put(tmp_path, "a.mp3", data)
-        if data is whole:
-            load_speech(path)
-        else:
-            refused(path)
-    assert capfd.readouterr() == ("", "")
+    assert np.allclose(speech.samples, tone(16000), atol=1e-4)
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
@@ -213,33 +196,9 @@ def test_importing_the_reader_imports_no_decoder() -> None:
 
 # ---------------------------------------------------------------------------------------------------- the terminal
 
-_THREADS = """
-import os, sys, threading
-from data_module.speech.audio import load_speech
-def work():
-    for path in sys.argv[1:] * 3:
-        load_speech(path)
-threads = [threading.Thread(target=work) for _ in range(4)]
-[thread.start() for thread in threads]
-lines = 0
-while any(thread.is_alive() for thread in threads):
-    os.write(2, b"line\\n")
-    lines += 1
-[thread.join() for thread in threads]
-os.write(2, b"end\\n")
-print(lines)
-"""
-
-
 def sounds(folder: Path) -> list[Path]:
     noise = (0.1 * np.random.default_rng(0).standard_normal(48000)).astype(np.float32)
     return [put(folder, f"a.{suffix}", encoded(noise, 16000, kind, subtype)) for suffix, kind, subtype in FORMATS]
-
-
-def test_threads_that_load_sound_keep_what_others_write(tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", _THREADS, *map(str, sounds(tmp_path))], capture_output=True, text=True,
-                          check=True)
-    assert done.stderr == "line\n" * int(done.stdout) + "end\n"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell's way to close a stream")

@@ -14,13 +14,7 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Motion
 from eval.baselines.controls import jittered
-from eval.metrics.beat_consistency import (
-    consistency,
-    joint_beats,
-    mean_score,
-    motion_joint_beats,
-    onset_score,
-)
+from eval.metrics.beat_consistency import consistency, joint_beats, mean_score, motion_joint_beats, onset_score
 
 TIMES = st.lists(st.floats(0.0, 20.0), min_size=1, max_size=30, unique=True).map(lambda v: np.sort(np.array(v)))
 
@@ -33,8 +27,6 @@ def test_by_hand() -> None:
     assert np.isnan(onset_score(np.array([1.0]), np.zeros(0)))
     assert mean_score([onsets, np.zeros(0)], onsets) == 0.5
     assert np.isnan(mean_score([], onsets))
-    with pytest.raises(ValueError):
-        onset_score(onsets, onsets, 0.0)
 
 
 @given(TIMES, TIMES, st.sampled_from([0.05, 0.1, 0.3]))
@@ -83,7 +75,7 @@ def test_perfect_input_and_its_chance() -> None:
 def test_undefined_with_a_reason() -> None:
     assert consistency([], np.array([1.0]), 5.0).reason == "no joint moves"
     silent = consistency([np.array([1.0])], np.zeros(0), 5.0)
-    assert np.isnan(silent.score) and silent.reason == "the sound has no onset" and silent.beats_per_second == 0.2
+    assert np.isnan(silent.score) and silent.reason == "the sound has no onset"
 
 
 def test_jitter_beats_the_motion_itself_with_any_sound() -> None:

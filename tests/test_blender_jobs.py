@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
-from gesticulator.characters.blender import VARIABLE, check_blender, job_in_blender, run_in_blender, start_job
-from gesticulator.characters.fbx_rig import kept_scene, read_ahead, read_fbx_character
+from gesticulator.characters.blender import VARIABLE, check_blender, job_in_blender, run_in_blender
+from gesticulator.characters.fbx_rig import kept_scene, read_fbx_character
 from gesticulator.export.fbx_child import needed, played, reduce_keys, turned_by
 from gesticulator.export.own_fbx import SCRIPT as WRITE
 from tests.rigs import as_glb, draw
@@ -77,24 +77,6 @@ def test_a_blender_that_is_not_there_is_one_line(script: Path, monkeypatch: pyte
         done(script, "first")
 
 
-def test_jobs_that_are_not_awaited_yet_are_done_in_their_order(script: Path) -> None:
-    targets = [script.with_name(f"{name}.json") for name in "abc"]
-    jobs = [start_job(Path("rig.fbx"), script, str(target), argument)
-            for target, argument in zip(targets, ("one", "fails", "three"), strict=True)]
-    jobs[2].wait()
-    assert json.loads(targets[0].read_text())[1] == ["one"] and json.loads(targets[2].read_text())[1] == ["three"]
-    jobs[0].wait()
-    with pytest.raises(InputError, match=r"rig\.fbx.*no armature here"):
-        jobs[1].wait()
-
-
-def test_a_file_that_is_read_ahead_is_wrong_when_it_is_asked_for(tmp_path: Path) -> None:
-    """Nothing is said before: the command may find another mistake first."""
-    read_ahead(tmp_path / "none.fbx")
-    with pytest.raises(InputError, match="does not exist"):
-        read_fbx_character(tmp_path / "none.fbx")
-
-
 def test_the_scene_that_blender_keeps_gives_the_file_that_the_character_gives(tmp_path: Path) -> None:
     """And it is taken only while the file is the same."""
     try:
@@ -106,7 +88,6 @@ def test_the_scene_that_blender_keeps_gives_the_file_that_the_character_gives(tm
         glb = tmp_path / "rig.glb"
         glb.write_bytes(as_glb(draw(seed, "mixamo", "A")))
         run_in_blender(glb, WRITE, str(glb), str(target), "30")
-    read_ahead(rig)
     character, kept = read_fbx_character(rig), kept_scene(rig)
     np.savez(tmp_path / "motion.npz", names=np.array([character.names[4]]), shifts=np.zeros((0, 3)),
              hips=np.array([""]), turns=np.array([[[1.0, 0.0, 0.0, 0.0]], [[0.6, 0.8, 0.0, 0.0]]]))

@@ -7,8 +7,9 @@ import warnings
 import pytest
 
 from gesticulator.bundle import bundle as bundles
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import InferenceOptions
-from gesticulator.pipeline import Gesticulator, InterpreterWarning
+from gesticulator.setup import InterpreterWarning
 from gesticulator.training.presets import preset
 
 
@@ -18,10 +19,10 @@ def shipped() -> bundles.Bundle:
 
 
 def temperature(system: Gesticulator, **asked: object) -> float:
-    options = InferenceOptions.of(dict(asked))  # type: ignore[arg-type]
+    options = InferenceOptions(**asked)  # type: ignore[arg-type]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InterpreterWarning)
-        return system.cast(options, text=False).temperature
+        return system.resolver.setup(options, text=False).temperature
 
 
 def test_the_shipped_q_network_is_sampled_and_temperature_0_is_arg_max(shipped: bundles.Bundle) -> None:
@@ -39,14 +40,14 @@ def test_the_published_presets_keep_the_greedy_choice() -> None:
 
 def test_a_policy_that_is_no_better_is_remarked_upon_once(shipped: bundles.Bundle) -> None:
     system = Gesticulator(shipped)
-    options = InferenceOptions.of({"interpreter": "cql"})
+    options = InferenceOptions(interpreter="cql")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for name in ("lstm", "statistical", "advantage"):
-            system.cast(InferenceOptions.of({"interpreter": name}), text=False)
+            system.resolver.setup(InferenceOptions(interpreter=name), text=False)
         assert not caught
         for _ in range(3):
-            system.cast(options, text=False)
+            system.resolver.setup(options, text=False)
     assert [type(one.message) for one in caught] == [InterpreterWarning]
     assert "lstm" in str(caught[0].message) and "\n" not in str(caught[0].message)
 

@@ -21,9 +21,9 @@ from eval.metrics.encode import encode_motion, latents_of, normalised_blocks
 from eval.table import load
 from generator.flow import FlowGenerator
 from gesticulator.bundle import bundle as bundles
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
 from gesticulator.sampling import loop
 from gesticulator.sampling.loop import Request, Setup
 from gesticulator.training.stages.lexicon import token_labels
@@ -115,10 +115,10 @@ def test_motion_is_read_as_the_training_read_it(context: EvalContext) -> None:
     blocks = cut(recording.speech, bundle.config.rhythm)
     own = encode_motion(bundle, recording.motion, blocks, recording.info.speaker)
     rows = corpus.blocks_of(number)
-    known = token_labels(bundle.block_models.lexicon, corpus)[rows]
+    known = token_labels(bundle.block_lexicon, corpus)[rows]
     # The corpus is kept in half precision, which decides a block between two lexemes now and then.
     assert (own.labels == known).mean() > 0.95
-    lexicon = bundle.block_models.lexicon
+    lexicon = bundle.block_lexicon
     assert isinstance(lexicon, MovementLexicon)
     _, past = normalised_blocks(bundle.config, bundle.statistics, recording.motion, blocks, recording.info.speaker)
     distances = torch.cdist(latents_of(lexicon, own.poses, past).double(), bundle.vectors.double())
@@ -147,7 +147,7 @@ def test_the_motion_of_a_block_depends_on_its_lexeme(system: Gesticulator, recor
         config = dataclasses.replace(system.bundle.config, selection=dataclasses.replace(
             system.bundle.config.selection, lexeme_guidance=0.0, candidates=1))  # nothing to choose
         bundle = dataclasses.replace(system.bundle, config=config)
-        setup = Setup(system.interpreter("lstm"), 0, temperature=1.0, top=0, seed=0)
+        setup = Setup(system.bundle.interpreter_named("lstm"), 0, temperature=1.0, top=0, seed=0)
         requests = [Request(encoded.block(i), lexeme=lexeme) for i in range(len(encoded))]
         return loop.motion_of(bundle, setup, loop.run(bundle, setup, requests, encoded.text is not None))
 

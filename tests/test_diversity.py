@@ -13,7 +13,7 @@ from scipy import ndimage
 from scipy.spatial.distance import cdist
 from scipy.stats import entropy
 
-from eval.metrics.diversity import diversity, longest_run, motion_variance, runs
+from eval.metrics.diversity import diversity, longest_run, motion_variance
 
 LABELS = st.lists(st.integers(0, 7), min_size=1, max_size=60)
 
@@ -90,14 +90,8 @@ def test_runs_agree_with_plain_loops(labels: list[int]) -> None:
 
 def test_the_longest_run_stays_within_a_recording() -> None:
     assert longest_run([[1, 1], [1, 1, 1], [2]]) == 3
-    assert longest_run([[0, 1, 0]]) == 1
+    assert longest_run([[0, 1, 0]]) == 1 and longest_run([[0, 0, 0, 3, 3, 3, 3, 1, 1, 0]]) == 4
     assert math.isnan(longest_run([])) and math.isnan(longest_run([[]]))
-
-
-def test_runs_by_hand() -> None:
-    labels = [0, 0, 0, 3, 3, 3, 3, 1, 1, 0]
-    assert runs(labels) == [(0, 3), (3, 4), (1, 2), (0, 1)]
-    assert longest_run([labels]) == 4
 
 
 @given(labels=LABELS, seed=st.integers(0, 99))

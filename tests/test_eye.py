@@ -15,7 +15,7 @@ import pytest
 from data_module.errors import InputError
 from data_module.motion import bvh, rotation
 from data_module.motion.kinematics import resample
-from data_module.motion.skeletons import CHARACTER, to_character
+from data_module.motion.skeletons import CHARACTER
 from data_module.speech.audio import load_speech
 from data_module.types import Array, Motion, Speech
 from eval.baselines import controls as baselines
@@ -25,7 +25,6 @@ from eval.metrics.eye.body import HZ, common_body
 
 RATE = 16000
 SIGNS = {"Left": -1.0, "Right": 1.0}
-CONTROLS = ("mirrored", "still", "reversed", "jitter", "bobbing")
 KNOWN = {  # EVALUATION's known answers: figure -> the BEAT take at 15 fps, CMU 137_28
     "eye_hand_speed_correlation": (0.657, 0.108), "eye_hand_height_correlation": (0.581, 0.366),
     "eye_one_handed": (20.5, 51.3), "eye_one_hanging": (24.3, 21.2), "eye_head": (9.04, 31.1),
@@ -36,9 +35,7 @@ JUDGE = {  # our figure -> the name that the definition's own program gives it
     "eye_one_handed": "one_handed", "eye_one_hanging": "one_hanging",
     "eye_both_hanging": "both_hanging", "eye_head": "head", "eye_chest": "chest",
     **{f"eye_speed_{k}": f"v{k}" for k in hands.PERCENTILES}, "eye_stroke_amplitude": "stroke_cm",
-    "eye_stroke_amplitude_90": "stroke_cm90", "eye_stroke_duration": "stroke_s", "eye_stroke_duration_90": "stroke_s90",
-    "eye_attack": "attack", "eye_rising": "rising", "eye_repetition": "repeat", "eye_freeze": "freeze",
-    "eye_freeze_hands": "freeze_hands", "eye_seam": "seam",
+    "eye_stroke_amplitude_90": "stroke_cm90", "eye_attack": "attack", "eye_repetition": "repeat", "eye_seam": "seam",
     "eye_fingers": "fingers"}
 JUDGE_SOUND = {"eye_speech_speed": "v_speech", "eye_silence_speed": "v_silence", "eye_speech_over_silence": "v_ratio",
                "eye_above_1": "above1_0.1", "eye_above_2": "above2_0.1"}
@@ -118,12 +115,6 @@ def test_known_answers_of_real_takes(name: str, take: tuple[Motion, Speech], spa
         assert eye.figures(motion, space=space)[name] == pytest.approx(told, abs=0.51 * 10.0 ** -digits)
 
 
-def test_a_real_take_lies_in_the_range_of_real_people(take: tuple[Motion, Speech], space: frechet.ReferenceSpace
-                                                      ) -> None:
-    found = eye.figures(take[0], eye.hear(take[1]), None, space)
-    assert [name for name in eye.FIGURES if eye.within(name, found[name]) is False] == []
-
-
 def test_the_program_that_defines_them_agrees_on_files_of_ours(judge: ModuleType, space: frechet.ReferenceSpace,
                                                                outside_data: Path, tmp_path: Path) -> None:
     for seed, motion in enumerate((wandering(), wandering(12.5, 1), resample(wandering(9.0, 2), 25.0))):
@@ -178,9 +169,9 @@ def test_one_hand_alone_is_one_handed_and_the_other_hangs() -> None:
 def test_a_frozen_pose_is_dead_by_every_figure_of_life(space: frechet.ReferenceSpace) -> None:
     found = eye.figures(posed(20.0, lambda time: {}), space=space)
     assert found["eye_head"] == pytest.approx(0.0, abs=1e-6) and found["eye_chest"] == pytest.approx(0.0, abs=1e-6)
-    assert found["eye_freeze"] == found["eye_freeze_hands"] == pytest.approx(20.0)
+    assert found["eye_freeze_head"] == pytest.approx(20.0)
     assert found["eye_speed_99"] == pytest.approx(0.0, abs=1e-9)
-    for name in ("eye_stroke_amplitude", "eye_stroke_duration", "eye_repetition", "eye_one_handed"):
+    for name in ("eye_stroke_amplitude", "eye_attack", "eye_repetition", "eye_one_handed"):
         assert math.isnan(found[name])
     assert found["eye_frechet"] > 200.0
 
@@ -192,7 +183,8 @@ def test_sinusoidal_strokes_have_the_amplitude_they_were_given(degrees: float, p
     found = eye.figures(motion)
     # The wrist swings on a circle of the forearm's length; the chord is smoothed over 50 ms where speed is taken only.
     assert found["eye_stroke_amplitude"] == pytest.approx(2 * 25.0 * math.sin(half), rel=0.02)
-    assert found["eye_stroke_duration"] == pytest.approx(period / 2, abs=0.02)
+    wrist = common_body(motion).hands[:, 0]
+    assert np.median(strokes.strokes(wrist)[:, 0]) == pytest.approx(period / 2, abs=0.02)
     # What comes again after each period has an equal elsewhere, where the period fits the 10 Hz grid.
     assert found["eye_repetition"] == pytest.approx(0.0, abs=0.02)
 
@@ -234,8 +226,8 @@ def test_hands_through_the_belly_are_seen() -> None:
     found = eye.of_body(sunk)
     assert found["eye_hand_in_torso"] == pytest.approx(50.0)
     assert found["eye_elbow_in_torso"] == pytest.approx(10.0)
-    line = np.zeros((5, 3)), np.tile([0.0, 0.4, 0.0], (5, 1))
-    assert trunk.inside(np.tile([0.0, 0.6, 0.0], (5, 1)), *line, 0.19) == 0.0  # above the chest it is outside
+    above, line = np.array([[0.0, 0.6, 0.0]]), np.array([[0.0, 0.4, 0.0]])
+    assert trunk.off_line(above, 0.0 * line, line) == pytest.approx(0.2), "above the chest it is outside"
 
 
 def test_an_elbow_behind_the_trunk_is_seen_while_the_hand_gestures(take: tuple[Motion, Speech]) -> None:
@@ -250,7 +242,6 @@ def test_an_elbow_behind_the_trunk_is_seen_while_the_hand_gestures(take: tuple[M
         drawn.points["Left" + name][:count] = away
     found = eye.of_body(drawn)
     assert found["eye_elbow_behind"] == pytest.approx(100.0 / 3, abs=1.0)
-    assert eye.within("eye_elbow_behind", found["eye_elbow_behind"]) is False
     assert found["eye_elbow_in_torso"] < 1.0, "which no other figure sees"
     drawn.points["LeftForeArm"][:count] += rotation.rotate(turns, np.array([0.1, 0.0, 0.0]))
     assert eye.of_body(drawn)["eye_elbow_behind"] < 0.5, "an elbow beside the trunk"
@@ -269,7 +260,6 @@ def test_an_elbow_that_jumps_while_its_hand_goes_on_is_seen(take: tuple[Motion, 
     elbow[frame] -= 2.0 * beside[frame]
     found = eye.of_body(body)
     assert found["eye_elbow_fastest"] == pytest.approx(HZ * 2.0 * np.linalg.norm(beside[frame]), rel=0.1)
-    assert eye.within("eye_elbow_fastest", found["eye_elbow_fastest"]) is False
     assert [found[name] for name in ("eye_speed_95", "eye_hand_in_torso")] == speeds, "which no other figure sees"
 
 
@@ -312,7 +302,7 @@ def test_frame_rate_size_and_heading_do_not_count() -> None:
     turned[:, 0] = rotation.multiply(turn, turned[:, 0])
     other = eye.figures(Motion(small, turned, motion.root_positions + 2.0, 60.0))
     slow = eye.figures(resample(motion, 30.0))
-    for name in eye.FIGURES:
+    for name in EYE_METRICS:
         assert other[name] == pytest.approx(found[name], rel=1e-6, abs=1e-6, nan_ok=True), name
         if not math.isnan(found[name]) and "torso" not in name:
             assert slow[name] == pytest.approx(found[name], rel=0.05, abs=0.05), name
@@ -349,31 +339,6 @@ def test_a_wrong_reference_is_refused_by_name(spoil: str, tmp_path: Path) -> Non
 
 # --------------------------------------------------------------------------------------------------- what fools them
 
-def test_every_figure_has_its_entry_and_every_range_a_figure() -> None:
-    assert tuple(EYE_METRICS) == eye.FIGURES
-    assert set(eye.RANGES) - set(eye.FIGURES) == {"eye_frechet_pooled"}
-    assert all(low < high for low, high in eye.RANGES.values())
-
-
-def test_no_control_passes_unnamed(take: tuple[Motion, Speech], space: frechet.ReferenceSpace) -> None:
-    """Made of the real take, each control that lies in the range of real people by a figure is named there, and each
-    that is named does."""
-    motion = resample(to_character(take[0]), HZ)
-    heard = eye.hear(take[1])
-    made = {"mirrored": baselines.mirrored([motion]), "still": baselines.mean_pose([motion]),
-            "reversed": baselines.reversed_in_time([motion]), "jitter": baselines.jittered([motion], 0),
-            "bobbing": baselines.bobbing([motion], [heard.onsets[0]])}
-    assert tuple(made) == CONTROLS
-    found = {name: eye.figures(clips[0], heard, None, space) for name, clips in made.items()}
-    for name, metric in EYE_METRICS.items():
-        if name in ("eye_seam", "eye_fingers"):  # neither is defined on this body without a system's blocks
-            continue
-        passed = tuple(control for control in CONTROLS if eye.within(name, found[control][name]))
-        assert passed == tuple(sorted(metric.fooled_by, key=CONTROLS.index)), name
-    for control in CONTROLS:
-        assert any(eye.within(name, found[control][name]) is False for name in EYE_METRICS), control
-
-
 def test_backwards_is_seen_by_the_arrow_of_time_alone() -> None:
     def sawtooth(time: Array) -> dict[str, Array]:
         # Strokes that start fast and end slowly, there and back.
@@ -383,11 +348,10 @@ def test_backwards_is_seen_by_the_arrow_of_time_alone() -> None:
 
     forward = posed(24.0, sawtooth)
     ahead, back = (eye.figures(motion) for motion in (forward, baselines.reversed_in_time([forward])[0]))
-    assert ahead["eye_attack"] < 30.0 and ahead["eye_rising"] < 30.0
+    assert ahead["eye_attack"] < 30.0
     # The frames between which the speed is told move by one, so the sum is 100 but for that.
     assert ahead["eye_attack"] + back["eye_attack"] == pytest.approx(100.0, abs=2.0)
-    assert ahead["eye_rising"] + back["eye_rising"] == pytest.approx(100.0, abs=2.0)
-    for name in ("eye_stroke_amplitude", "eye_stroke_duration", "eye_speed_95", "eye_repetition"):
+    for name in ("eye_stroke_amplitude", "eye_speed_95", "eye_repetition"):
         assert back[name] == pytest.approx(ahead[name], rel=0.03, abs=0.01)
 
 

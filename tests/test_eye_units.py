@@ -24,16 +24,12 @@ from tests.test_eye import elbow, posed, wandering
 
 JUDGE = {  # our figure -> the name that the definition's own program gives it
     "eye_splay": "splay", "eye_splay_both": "splay_both", "eye_azimuth": "azimuth", "eye_elbow": "elbow",
-    "eye_folded": "folded", "eye_hands_apart": "hands_apart", "eye_shoulder": "shoulder", "eye_wrist_50": "wrist50",
-    "eye_wrist_95": "wrist95", "eye_finger_bend": "finger_bend", "eye_finger_over_time": "finger_sd",
-    "eye_finger_between": "finger_apart", "eye_thumb_index": "thumb_index", "eye_head_with_hands": "head_hand",
-    "eye_chest_with_hands": "chest_hand", "eye_chest_side": "chest_side", "eye_head_travel": "head_travel",
-    "eye_chest_travel": "chest_travel", "eye_fast": "band3_6", "eye_variation": "cv4_all", "eye_units": "units",
-    "eye_unit_length": "unit_s", "eye_unit_length_90": "unit_s90", "eye_unit_time": "unit_time",
-    "eye_unit_strokes": "unit_strokes", "eye_unit_single": "unit_single", "eye_held": "held", "eye_holds": "held_min",
-    "eye_pause_moving": "pause_moving", "eye_pause_speed": "pause_slow", "eye_lead": "lead",
-    "eye_lead_before": "lead_before", "eye_lead_chance": "lead_chance", "eye_loud": "loud",
-    "eye_loud_speech": "loud_speech", "eye_variation_speech": "cv4"}
+    "eye_hands_apart": "hands_apart", "eye_shoulder": "shoulder", "eye_wrist_95": "wrist95",
+    "eye_finger_bend": "finger_bend", "eye_finger_between": "finger_apart", "eye_thumb_index": "thumb_index",
+    "eye_head_with_hands": "head_hand", "eye_head_travel": "head_travel", "eye_chest_travel": "chest_travel",
+    "eye_fast": "band3_6", "eye_variation": "cv4_all", "eye_units": "units", "eye_unit_length": "unit_s",
+    "eye_held": "held", "eye_pause_moving": "pause_moving", "eye_pause_speed": "pause_slow", "eye_loud": "loud",
+    "eye_variation_speech": "cv4"}
 
 
 def every_figure(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
@@ -56,10 +52,13 @@ def test_the_program_that_defines_them_agrees(judge: ModuleType, take: tuple[Pat
     theirs = judge.load(str(file) + ":15")
     told = {**judge.together_measures(theirs), **judge.together_sound(theirs, judge.read_sound(str(sound)))}
     found = every_figure(common_body(motion), hear(load_speech(sound)))
-    assert set(found) == {*JUDGE, "eye_face"}
+    first = units.leads(common_body(motion), hear(load_speech(sound)), 50)
+    assert [float(np.median(first.seconds)), first.before, first.chance] == pytest.approx(
+        [told["lead"], told["lead_before"], told["lead_chance"]])
+    assert {*found} | {"eye_pause_speed"} == {*JUDGE, "eye_face"}, "the take has too few pauses for their speed"
     for name, key in JUDGE.items():
         value = math.nan if told[key] is None else told[key]
-        assert found[name] == pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True), name
+        assert found.get(name, math.nan) == pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True), name
 
 
 def test_two_takes_differ_as_that_program_says(judge: ModuleType, take: tuple[Path, Motion, Path],
@@ -103,7 +102,7 @@ def arms_ahead(outward: float = 0.0, seconds: float = 4.0) -> Motion:
 def test_the_azimuth_of_a_level_forearm_is_its_angle(degrees: float) -> None:
     found = posture.figures(common_body(arms_ahead(degrees)))
     assert found["eye_azimuth"] == pytest.approx(degrees, abs=0.5)
-    assert found["eye_elbow"] == pytest.approx(90.0, abs=0.5) and found["eye_folded"] == 0.0
+    assert found["eye_elbow"] == pytest.approx(90.0, abs=0.5)
     # A forearm is 25 cm long, so the wrist is 8 cm outside from asin(8 / 25) = 18.7 degrees on.
     assert found["eye_splay"] == found["eye_splay_both"] == (100.0 if degrees > 18.7 else 0.0)
 
@@ -161,7 +160,6 @@ def test_units_are_counted_from_rest_to_rest() -> None:
     found = units.figures(common_body(posed(12.0, move)))
     assert found["eye_units"] == pytest.approx(2 / 2 / (12 / 60))
     assert found["eye_unit_length"] == pytest.approx(2.0, abs=0.3)
-    assert found["eye_unit_strokes"] == 4.0 and found["eye_unit_single"] == 0.0
 
 
 def voice_of(silent: NDArray[np.bool_]) -> VoiceActivity:
@@ -189,11 +187,10 @@ def talk(early: float, seconds: float = 90.0) -> tuple[Motion, VoiceActivity]:
 @pytest.mark.parametrize(("early", "before"), [(0.5, 100.0), (-0.3, 0.0)])
 def test_a_hand_that_starts_before_the_voice_is_early_and_one_that_follows_is_not(early: float, before: float) -> None:
     motion, voice = talk(early)
-    found = units.sound_figures(common_body(motion), voice)
-    first = units.leads(common_body(motion), voice)
-    assert found["eye_lead_before"] == first.before == before
+    first = units.leads(common_body(motion), voice, 50)
+    assert first.before == before
     # The swing passes 0.3 m/s a little after it begins.
-    assert found["eye_lead"] == pytest.approx(-early + 0.08, abs=0.06)
+    assert np.median(first.seconds) == pytest.approx(-early + 0.08, abs=0.06)
     # A small shift keeps the hand early, so one recording alone cannot reach a lower p.
     assert (first.p < 0.1) == (before > 50)
     pooled = units.Leads.pooled([first, first])

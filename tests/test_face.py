@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import shutil
@@ -10,21 +9,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_module.controls import Curve
 from data_module.errors import InputError
 from data_module.motion import rotation, skeletons
 from data_module.types import Motion
-from gesticulator.arguments import performance_arguments
 from gesticulator.face.life import RATE, FaceLife
-from gesticulator.face.lips import REACH, SHIPPED, Lips, load_weights, with_dominance, with_strength
+from gesticulator.face.lips import (
+    LOOK_AHEAD,
+    REACH,
+    SHIPPED,
+    LipFeatures,
+    Lips,
+    load_weights,
+    with_dominance,
+    with_strength,
+)
 from gesticulator.face.motion import FaceMotion, at_rest
-from gesticulator.face.network import LOOK_AHEAD, STACKED, LipFeatures, VisemeNet, VisemeStepper, rows_of, stacked
-from gesticulator.face.shapes import ARKIT, arkit, curves, find_shapes, is_lips, oculus, summed, vrm
-from gesticulator.face.track import FaceSettings, FaceTrack, in_head
+from gesticulator.face.shapes import ARKIT, arkit, find_shapes, oculus, vrm
+from gesticulator.face.track import FaceTrack, in_head
 from gesticulator.face.visemes import (
     CLOSED,
     OPENINGS,
@@ -59,10 +63,6 @@ def _mouth(name: str, frames: int = 1) -> FaceMotion:
     ("s", "S", ("SS",)), ("ɡ", "g", ("kk",)), ("ɹ", "R", ("RR",))])
 def test_both_alphabets_name_the_same_shapes(ipa: str, arpabet: str, names: tuple[str, ...]) -> None:
     assert of_ipa(ipa) == of_arpabet(arpabet) == _named(*names)
-
-
-def test_marks_without_sound_have_no_shape() -> None:
-    assert of_ipa("") == of_ipa("ː") == of_ipa("(en)")[:0] == of_arpabet("pau") == of_arpabet("SIL") == ()
 
 
 @given(st.lists(st.sampled_from(range(1, 15)), min_size=1, max_size=3), st.floats(0, 5), st.floats(0.02, 1))
@@ -117,27 +117,6 @@ def test_the_network_waits_for_80_ms_of_sound_and_no_more() -> None:
     changed = np.flatnonzero((frames != other).any(axis=1))
     assert (changed[0] + 0.5) / 50 > 0.5 - LOOK_AHEAD - 0.02
     assert len(frames) / 50 >= len(sound) / 16000 - LOOK_AHEAD - 0.02
-
-
-def test_streamed_features_are_those_of_the_training() -> None:
-    sound = _sound()
-    streamed, whole = np.array(LipFeatures().feed(sound)), stacked(rows_of(sound))
-    np.testing.assert_allclose(streamed[5:60], whole[5:60], atol=2e-3)
-    assert streamed.shape[1] == STACKED
-
-
-def test_the_stepper_computes_what_the_network_was_trained_as() -> None:
-    torch.manual_seed(0)
-    net = VisemeNet().eval()
-    net.mean.copy_(torch.randn(STACKED))
-    net.deviation.copy_(torch.rand(STACKED) + 0.5)
-    frames = torch.randn(12, STACKED)
-    with torch.inference_mode():
-        expected = torch.softmax(net(frames[None])[0], -1).numpy()
-    step = VisemeStepper({name: value.numpy() for name, value in net.state_dict().items()})
-    np.testing.assert_allclose(np.array([step(frame) for frame in frames.numpy()]), expected, atol=2e-5)
-    step.reset()
-    np.testing.assert_allclose(step(frames[0].numpy()), expected[0], atol=2e-5)
 
 
 def test_dominance_shuts_lips_that_might_be_open() -> None:
@@ -223,7 +202,7 @@ def test_brows_rise_on_some_beats_and_only_after_them() -> None:
     raised = 0
     for beat in range(60):
         life = FaceLife(beat)
-        life.accent(0.5, 1.0)
+        life.accent(0.5)
         brows = np.array([life.step("speaking", 0.0)[1] for _ in range(80)])
         assert not brows[:26].any()
         raised += brows.max() > 0.9
@@ -246,16 +225,12 @@ def test_eyes_hold_their_target_while_the_head_turns() -> None:
 
 
 def test_lips_alone_leave_the_rest_of_the_face() -> None:
-    face = FaceTrack(FaceSettings("lips"))
+    face = FaceTrack(InferenceOptions(face="lips"))
     shown = face.frames(0, _head(20.0))
     assert shown.lips_only and not shown.blink.any() and not shown.gaze.any()
 
 
 # ------------------------------------------------------------------------------------------------------------- shapes
-
-def test_arkit_has_its_52_names() -> None:
-    assert len(ARKIT) == len(set(ARKIT)) == 52 and set(arkit(at_rest(2, 30.0))) == set(ARKIT)
-
 
 def test_mouths_in_the_names_of_the_formats() -> None:
     wide, shut = arkit(_mouth("aa")), arkit(_mouth("PP"))
@@ -295,50 +270,8 @@ def test_nothing_is_found_among_other_shapes() -> None:
     assert find_shapes(["Muscular", "hat", "Fat_01", ""]) == {}
 
 
-def test_every_curve_that_is_found_exists() -> None:
-    known = curves(at_rest(1, 60.0))
-    for names in (ARKIT, ("V_Open", "Eye_Blink_L"), ("viseme_aa", "viseme_E", "viseme_I", "viseme_O", "viseme_U")):
-        assert {curve for curve, _ in find_shapes(names).values()} <= set(known)
-    assert is_lips("jawOpen") and is_lips("vrm_aa") and not is_lips("vrm_blink") and not is_lips("browInnerUp")
-
-
-def test_lips_only_drives_no_lids() -> None:
-    face = _mouth("aa")
-    lips = FaceMotion(face.visemes, face.blink, face.brows, face.smile, face.gaze, 60.0, True)
-    shapes = find_shapes(ARKIT)
-    assert "eyeBlinkLeft" in summed(face, shapes) and "eyeBlinkLeft" not in summed(lips, shapes)
-
-
-# --------------------------------------------------------------------------------------------------------------- mood
-
-def test_a_mood_follows_its_curve_in_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "mood.csv"
-    path.write_text("time,mood\n0,-1\n1,0\n2,1\n")
-    settings_ = FaceSettings.of(InferenceOptions(face="full", mood=path))
-    motion = _head(0.0, 180)
-    smile = FaceTrack(settings_).frames(0, motion).smile  # in silence
-    np.testing.assert_allclose(smile[::30], np.interp(np.arange(6) / 2, [0, 1, 2], [-1, 0, 1]), atol=1e-9)
-    plain = FaceTrack(FaceSettings.of(InferenceOptions(face="full", mood=0.5))).frames(0, motion)
-    assert np.array_equal(plain.smile, np.full(180, 0.5))
-    assert FaceTrack(settings_).frames(0, motion).brows[0] == pytest.approx(-0.25)
-
-
-@pytest.mark.parametrize(("rows", "told"), [("0,2\n", "out of range"), ("1,0\n0,1\n", "goes back"), ("", "empty")])
-def test_a_broken_mood_is_refused_with_its_line(rows: str, told: str, tmp_path: Path) -> None:
-    path = tmp_path / "mood.csv"
-    path.write_text(rows)
-    with pytest.raises(InputError, match=told):
-        FaceSettings.of(InferenceOptions(face="full", mood=path))
-
-
-def test_the_command_line_takes_a_mood_as_a_number_or_a_file(tmp_path: Path) -> None:
-    parser = argparse.ArgumentParser()
-    performance_arguments(parser)
-    path = tmp_path / "mood.csv"
-    path.write_text("0,0.2\n3,0.8\n")
-    assert parser.parse_args(["--face", "full", "--mood", str(path)]).mood == Curve((0.0, 3.0), (0.2, 0.8))
-    assert parser.parse_args(["--face", "full", "--mood", "-0.5"]).mood == -0.5
-    with pytest.raises(InputError, match="mood"):
-        parser.parse_args(["--mood", "happy"])
+def test_a_mood_is_a_smile_in_silence() -> None:
+    face = FaceTrack(InferenceOptions(face="full", mood=-1.0)).frames(0, _head(0.0, 180))
+    assert np.array_equal(face.smile, np.full(180, -1.0)) and face.brows[0] == pytest.approx(-0.25)
     with pytest.raises(InputError, match="is for a face"):
-        InferenceOptions(mood=Curve((0.0,), (0.5,)))
+        InferenceOptions(mood=0.5)

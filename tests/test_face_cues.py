@@ -19,11 +19,11 @@ from data_module.speech.audio import load_speech
 from data_module.text.marks import marked_text
 from data_module.types import Array, Speech, Word
 from gesticulator.arguments import check_cues
-from gesticulator.directing.directions import stroke_of_word
+from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.marks import MarkWarning, expression_of_mark, gesture_of_mark, mark_cues, warn_of_unknown
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.phones import PhonesWarning
-from gesticulator.face.track import FaceCues, FaceSettings, FaceTrack
+from gesticulator.face.track import FaceCues, FaceTrack
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.gestures import EXPRESSIONS, GESTURES
 from gesticulator.plan.plan import GestureCue
@@ -40,7 +40,7 @@ def _shown(*cues: tuple[float, str], mood: float = 0.0) -> tuple[Array, Array]:
     cued = FaceCues()
     for time, name in cues:
         cued.add(time, name)
-    return cued.at(TIMES, np.full(len(TIMES), mood))
+    return cued.at(TIMES, mood)
 
 
 def test_a_smile_comes_and_goes() -> None:
@@ -71,14 +71,14 @@ def test_what_is_forgotten_no_longer_shows(cues: list[tuple[float, str]], base: 
         short.add(time, name)
     short.forget(now)
     times = now + np.arange(0, 5, 0.05)
-    mood, brows = whole.at(times, np.full(len(times), base))
-    np.testing.assert_allclose(short.at(times, np.full(len(times), base)), (mood, brows), atol=1e-12)
+    mood, brows = whole.at(times, base)
+    np.testing.assert_allclose(short.at(times, base), (mood, brows), atol=1e-12)
     assert np.abs(mood).max() <= 1.0
 
 
 def test_an_interruption_takes_back_marks_and_not_cues_of_the_user() -> None:
     for lasting, smiles in ((False, 0.0), (True, 0.9)):
-        face = FaceTrack(FaceSettings("full"))
+        face = FaceTrack(InferenceOptions(face="full"))
         face.express(2.0, "smile", lasting)
         face.interrupt(1.0)
         assert face.frames(0, still(3.0)).smile.max() == pytest.approx(smiles, abs=1e-6)
@@ -113,7 +113,7 @@ def test_a_cue_of_the_face_needs_one_on_the_command_line() -> None:
 
 @pytest.fixture(scope="module")
 def g() -> Any:
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
 
     return Gesticulator.from_pretrained()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import warnings
 
 import numpy as np
@@ -13,13 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_module.types import Word
-from gesticulator.face import phones as sources
 from gesticulator.face.lips import Lips
 from gesticulator.face.phones import SLACK, PhonedWord, PhonesWarning, pronunciations, spoken_weights, with_phones
-from gesticulator.face.track import FaceSettings, face_of
-from gesticulator.face.visemes import CLOSED, SILENT, VISEMES, VisemeSpan, labels, opening
+from gesticulator.face.track import face_of
+from gesticulator.face.visemes import CLOSED, RATE, SILENT, VISEMES, VisemeSpan, labels, opening
+from gesticulator.options import InferenceOptions
 
-RATE = 50
 AA, IH, E, DD, RR, SS = (VISEMES.index(name) for name in ("aa", "ih", "E", "DD", "RR", "SS"))
 
 
@@ -86,28 +84,20 @@ def test_words_of_other_speech_are_left_to_the_sound() -> None:
         assert spoken_weights(weights, [Word("mama", 0.2, 1.0)]) is weights
 
 
-def test_pronunciations_in_three_languages() -> None:
+def test_pronunciations_are_those_of_the_dictionary() -> None:
     pytest.importorskip("pocketsphinx")
     ways = pronunciations(["The", "quick", "map", "was", "read", "..."])
     assert ways is not None and ways[-1] == ()
     assert ways[2] == ((CLOSED, AA, CLOSED),)
     assert {way[1] for way in ways[4]} == {E, IH}
-    if shutil.which("espeak-ng") is None:
-        pytest.skip("espeak-ng is not installed")
-    german = pronunciations(["Der", "Baum", "und", "die", "Mappe", "ist", "nicht", "42", "z.B.", "…"])
-    assert german is not None and german[1][0][0] == CLOSED == german[1][0][-1] and german[4][0][2] == CLOSED
-    assert german[7] and german[8] and german[9] == ()
-    spanish = pronunciations(["El", "perro", "de", "la", "mamá", "no", "es", "de", "los", "que"])
-    assert spanish is not None and spanish[4] == ((CLOSED, AA, CLOSED, AA),)
 
 
-def test_without_a_source_the_lips_follow_the_sound(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sources.shutil, "which", lambda _: None)
+@pytest.mark.parametrize("text", ["Der Baum ist nicht die Mappe", "Ça déjà été à où"])
+def test_without_a_source_the_lips_follow_the_sound(text: str) -> None:
     weights = _weights([SILENT] * 50)
-    for text in ("Der Baum ist nicht die Mappe", "Ça déjà été à où"):
-        words = [Word(word, 0.1 * at, 0.1 * at + 0.1) for at, word in enumerate(text.split())]
-        with pytest.warns(PhonesWarning, match="no pronunciations"):
-            assert spoken_weights(weights, words) is weights
+    words = [Word(word, 0.1 * at, 0.1 * at + 0.1) for at, word in enumerate(text.split())]
+    with pytest.warns(PhonesWarning, match="no pronunciations"):
+        assert spoken_weights(weights, words) is weights
 
 
 def _spoken_words(track: list[VisemeSpan]) -> list[Word]:
@@ -141,6 +131,7 @@ def test_closures_are_sure_with_the_words_of_speech() -> None:
     for middle in closures:
         at = round(middle * RATE - 0.5)
         assert mouth[at - 2:at + 3].min() < 0.05
-    again = [face_of(FaceSettings("lips"), sound, (), made.motion, _spoken_words(track)).visemes for _ in range(2)]
+    again = [face_of(InferenceOptions(face="lips"), sound, (), made.motion, _spoken_words(track)).visemes
+             for _ in range(2)]
     assert made.face is not None and not np.array_equal(again[0], made.face.visemes)
     assert np.array_equal(again[0], again[1])

@@ -12,6 +12,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from safetensors.torch import save_file
 from scipy.linalg import sqrtm
 
 from data_module.errors import InputError
@@ -65,24 +66,24 @@ def test_identical_sets_are_at_zero() -> None:
 
 
 def test_gaussians_of_known_distance() -> None:
-    one = Gaussian(np.zeros(3), np.diag([1.0, 4.0, 9.0]), 100)
+    one = Gaussian(np.zeros(3), np.diag([1.0, 4.0, 9.0]))
     # diagonal: the sum of squared differences of deviations
-    other = Gaussian(np.array([3.0, 0.0, 4.0]), np.diag([4.0, 4.0, 25.0]), 100)
+    other = Gaussian(np.array([3.0, 0.0, 4.0]), np.diag([4.0, 4.0, 25.0]))
     assert frechet_distance(one, other) == pytest.approx(25 + (1 + 0 + 4))
     # one dimension: (m1 - m2)^2 + (s1 - s2)^2
-    assert frechet_distance(Gaussian(np.array([1.0]), np.array([[9.0]]), 9),
-                            Gaussian(np.array([-1.0]), np.array([[1.0]]), 9)) == pytest.approx(4 + 4)
+    assert frechet_distance(Gaussian(np.array([1.0]), np.array([[9.0]])),
+                            Gaussian(np.array([-1.0]), np.array([[1.0]]))) == pytest.approx(4 + 4)
     # turned by a right angle: variances 1 and 9 change places
-    assert frechet_distance(Gaussian(np.zeros(2), np.diag([1.0, 9.0]), 9),
-                            Gaussian(np.zeros(2), np.diag([9.0, 1.0]), 9)) == pytest.approx(10 + 10 - 2 * (3 + 3))
+    assert frechet_distance(Gaussian(np.zeros(2), np.diag([1.0, 9.0])),
+                            Gaussian(np.zeros(2), np.diag([9.0, 1.0]))) == pytest.approx(10 + 10 - 2 * (3 + 3))
 
 
 def test_singular_covariances_give_a_finite_distance() -> None:
     point, line = np.zeros((2, 2)), np.diag([4.0, 0.0])
-    assert frechet_distance(Gaussian(np.zeros(2), point, 9), Gaussian(np.ones(2), point, 9)) == pytest.approx(2.0)
-    assert frechet_distance(Gaussian(np.zeros(2), point, 9), Gaussian(np.zeros(2), line, 9)) == pytest.approx(4.0)
+    assert frechet_distance(Gaussian(np.zeros(2), point), Gaussian(np.ones(2), point)) == pytest.approx(2.0)
+    assert frechet_distance(Gaussian(np.zeros(2), point), Gaussian(np.zeros(2), line)) == pytest.approx(4.0)
     across = np.diag([0.0, 1.0])
-    assert frechet_distance(Gaussian(np.zeros(2), line, 9), Gaussian(np.zeros(2), across, 9)) == pytest.approx(5.0)
+    assert frechet_distance(Gaussian(np.zeros(2), line), Gaussian(np.zeros(2), across)) == pytest.approx(5.0)
     few = distance(some_features(1, 6, 20), some_features(2, 6, 20))
     assert math.isfinite(few) and few > 0
     still = np.ones((10, 4))
@@ -97,7 +98,7 @@ def test_turning_or_moving_both_sets_changes_nothing() -> None:
 
 
 def test_the_bias_of_the_sample_is_what_sampling_gives() -> None:
-    of = Gaussian(np.zeros(6), np.diag([0.1, 0.5, 1.0, 2.0, 4.0, 8.0]), 0)
+    of = Gaussian(np.zeros(6), np.diag([0.1, 0.5, 1.0, 2.0, 4.0, 8.0]))
     rng = np.random.default_rng(0)
 
     def drawn(count: int) -> Array:
@@ -106,8 +107,8 @@ def test_the_bias_of_the_sample_is_what_sampling_gives() -> None:
     seen = np.mean([distance(drawn(150), drawn(100)) for _ in range(400)])
     assert fgd.sampling_bias(of, 150, 100) == pytest.approx(float(seen), rel=0.05)
     # the figure in the chapter's head
-    assert fgd.sampling_bias(Gaussian(np.zeros(32), np.eye(32), 0), 100, 100) == pytest.approx(5.92)
-    assert fgd.sampling_bias(Gaussian(np.zeros(2), np.zeros((2, 2)), 0), 5, 5) == 0.0
+    assert fgd.sampling_bias(Gaussian(np.zeros(32), np.eye(32)), 100, 100) == pytest.approx(5.92)
+    assert fgd.sampling_bias(Gaussian(np.zeros(2), np.zeros((2, 2))), 5, 5) == 0.0
 
 
 def test_invalid_input_is_refused() -> None:
@@ -116,10 +117,6 @@ def test_invalid_input_is_refused() -> None:
             gaussian(features)
     with pytest.raises(ValueError):
         distance(some_features(0), some_features(0, width=4))
-    with pytest.raises(ValueError):
-        fgd.samples_needed(0)
-    with pytest.raises(ValueError):
-        fgd.sampling_bias(gaussian(some_features(0)), 0, 4)
 
 
 # --- figures with their intervals
@@ -214,7 +211,8 @@ def test_the_published_network_gives_the_reference_features_and_distance(outside
     network = networks.published(outside_data / "fgd")
     with np.load(outside_data / "fgd" / "h36m_reference.npz", allow_pickle=False) as stored:
         wanted = {key: stored[key] for key in stored.files}
-    first, second = networks.reference_windows(outside_data / "fgd" / "h36m_reference.npz")
+    axes = np.tile(networks.PUBLISHED_AXES, 9)
+    first, second = (wanted[f"windows_{name}"] * axes for name in "ab")
     a, b = network.features(first), network.features(second)
     # Features reach 16 and come out of sums of hundreds of terms of that size in single precision, in an order that
     # depends on the processor and on how many windows there are: 2.2e-5 is the most of four kinds of processors.
@@ -243,7 +241,7 @@ def test_our_character_lies_in_the_published_network_as_its_own_people_did(outsi
     assert (cosines > math.cos(math.radians(40))).all()
 
 
-@pytest.mark.parametrize("kind", ["nothing", "no listing", "wrong width", "other weights", "not weights"])
+@pytest.mark.parametrize("kind", ["nothing", "no listing", "wrong width", "not weights"])
 def test_what_is_not_the_published_network_is_refused(kind: str, outside_data: Path, tmp_path: Path) -> None:
     source = outside_data / "fgd"
     listing = (source / "h36m_gesture_encoder.json").read_text()
@@ -253,10 +251,6 @@ def test_what_is_not_the_published_network_is_refused(kind: str, outside_data: P
     if kind != "no listing":
         (tmp_path / "h36m_gesture_encoder.json").write_text(
             listing.replace('"dim": 27', '"dim": 30') if kind == "wrong width" else listing)
-    if kind == "other weights":
-        with np.load(source / "h36m_reference.npz", allow_pickle=False) as stored:
-            arrays = {key: stored[key] for key in stored.files}
-        np.savez(tmp_path / "h36m_reference.npz", **{**arrays, "features_a": arrays["features_a"] + 1.0})
     with pytest.raises(InputError):
         networks.published(tmp_path)
 
@@ -291,12 +285,12 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> networks.Autoencoder:
                           AutoencoderConfig(frames=20), QUICK, seed=3, progress=False)
 
 
-def test_training_lowers_the_loss_and_keeps_its_figures(own: networks.Autoencoder, tmp_path: Path) -> None:
+def test_training_lowers_the_loss(own: networks.Autoencoder, tmp_path: Path) -> None:
     started = networks.train(FakeStore(), tmp_path, AutoencoderConfig(frames=20),  # type: ignore[arg-type]
                              replace(QUICK, steps=1), seed=3, progress=False)
-    assert own.origin["validation"]["reconstruction"] < started.origin["validation"]["reconstruction"]
-    assert set(own.weights) == set(own.losses({"windows": torch.zeros(3, 20, 27)}))
-    assert own.origin["fingerprint"] == "f" * 64 and not own.training
+    unseen = {"windows": torch.as_tensor(networks.windows(gesturing(8.0, 5), 20), dtype=torch.float32)}
+    assert own.losses(unseen)["reconstruction"] < started.losses(unseen)["reconstruction"]
+    assert set(own.weights) == set(own.losses(unseen)) and not own.training
 
 
 def test_training_is_a_matter_of_the_seed(own: networks.Autoencoder, tmp_path: Path) -> None:
@@ -311,22 +305,22 @@ def test_saved_and_loaded_it_is_the_same_and_pinned(own: networks.Autoencoder, t
     loaded = networks.load(tmp_path)
     seen = networks.as_features(loaded)
     assert seen.sha256 == sha == networks.as_features(own).sha256
-    assert loaded.origin == own.origin and loaded.config == own.config
+    assert loaded.config == own.config
     data = networks.windows(gesturing(6.0, 9), 20)
     np.testing.assert_array_equal(seen.features(data), networks.as_features(own).features(data))
     assert seen.features(data).shape == (len(data), 32)
 
 
-@pytest.mark.parametrize("kind", ["missing", "changed", "format", "not json"])
-def test_a_changed_network_is_refused(own: networks.Autoencoder, tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize("kind", ["missing", "cut", "other"])
+def test_what_is_not_our_network_is_refused(own: networks.Autoencoder, tmp_path: Path, kind: str) -> None:
     networks.save(own, tmp_path)
-    weights, listing = (tmp_path / f"gesture_features.{ending}" for ending in ("safetensors", "json"))
+    weights = tmp_path / "gesture_features.safetensors"
     if kind == "missing":
         weights.unlink()
-    elif kind == "changed":
-        weights.write_bytes(weights.read_bytes()[:-4] + b"\0\0\0\1")
+    elif kind == "cut":
+        weights.write_bytes(weights.read_bytes()[:-4])
     else:
-        listing.write_text(listing.read_text().replace('"format": 1', '"format": 9') if kind == "format" else "{")
+        save_file({"a": torch.zeros(3)}, weights)
     with pytest.raises(InputError):
         networks.load(tmp_path)
 
@@ -343,7 +337,6 @@ def test_windows_too_short_for_the_network_or_the_store_are_refused(tmp_path: Pa
 def test_on_a_real_store(tiny_store: Path, tmp_path: Path) -> None:
     store = Store.open(tiny_store)
     network = networks.train(store, tmp_path, AutoencoderConfig(frames=30), replace(QUICK, steps=5), progress=False)
-    assert network.origin["fingerprint"] == store.fingerprint and network.origin["windows"] > 20
     motions = [store.load(info.name).motion for info in store.of_split("test")]
     got = fgd.fgd(motions, motions, networks.as_features(network), paired=True)
     assert got.distance == pytest.approx(0.0, abs=1e-6) and got.frames == 30

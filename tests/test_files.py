@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import stat
 import subprocess
 import sys
 import threading
@@ -22,13 +21,6 @@ def test_text_is_written_as_utf_8_with_the_line_ends_it_has(tmp_path: Path) -> N
     write_text(tmp_path / "a.txt", "Füße\nzwei\r\n")
     assert (tmp_path / "a.txt").read_bytes() == "Füße\nzwei\r\n".encode()
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
-
-
-def test_an_old_file_is_replaced(tmp_path: Path) -> None:
-    target = tmp_path / "a.bin"
-    target.write_bytes(b"old and longer")
-    write_bytes(target, b"new")
-    assert target.read_bytes() == b"new"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="permissions are POSIX's")
@@ -85,38 +77,6 @@ def test_a_bare_file_name_goes_to_the_current_folder(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     write_bytes("a.bin", b"x")
     assert (tmp_path / "a.bin").read_bytes() == b"x"
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="folders are synced on POSIX alone")
-def test_content_is_synced_before_the_name_and_the_name_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done: list[str] = []
-    sync, replace = os.fsync, Path.replace
-
-    def fsync(handle: int) -> None:
-        kind = "folder" if stat.S_ISDIR(os.fstat(handle).st_mode) else f"file of {os.fstat(handle).st_size}"
-        done.append(f"sync {kind}")
-        sync(handle)
-
-    def renamed(self: Path, target: Path) -> Path:
-        done.append("rename")
-        return replace(self, target)
-
-    monkeypatch.setattr(os, "fsync", fsync)
-    monkeypatch.setattr(Path, "replace", renamed)
-    write_bytes(tmp_path / "a.bin", b"four")
-    assert done == ["sync file of 4", "rename", "sync folder"]
-
-
-def test_writing_leaves_the_mask_of_the_process_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It belongs to all threads: while one asks for it by setting it, files of the others are open to everybody."""
-    before = os.umask(0o077)
-    try:
-        monkeypatch.setattr(os, "umask", lambda mask: pytest.fail("the mask was set"))
-        write_bytes(tmp_path / "a.bin", b"x")
-        assert (tmp_path / "a.bin").stat().st_mode & 0o777 == 0o600
-    finally:
-        monkeypatch.undo()
-        os.umask(before)
 
 
 def test_a_text_is_read_in_every_encoding_with_one_kind_of_line_ends(tmp_path: Path) -> None:
@@ -191,36 +151,6 @@ def test_threads_hold_a_folder_one_after_the_other(tmp_path: Path) -> None:
     for thread in threads:
         thread.join()
     assert most == 1 and refused > 0
-
-
-def test_a_lock_file_is_looked_for_by_its_name(tmp_path: Path) -> None:
-    """Who had the lock before removes its file, and another may have come and gone since."""
-    own, other = tmp_path / "own", tmp_path / "other"
-    other.write_text("another")
-    handle = os.open(own, os.O_RDWR | os.O_CREAT)
-    try:
-        assert files._is_at(handle, own)
-        assert not files._is_at(handle, other)
-        assert not files._is_at(handle, tmp_path / "gone")
-    finally:
-        os.close(handle)
-
-
-def test_a_lock_is_shared_by_those_who_say_so_and_left_by_the_last(tmp_path: Path) -> None:
-    place = tmp_path / "w"
-    file = tmp_path / f".w{LOCK}"
-    with lock(place, "one", beside=True, shared=True):
-        with lock(place, "another", beside=True, shared=True), pytest.raises(InputError, match="in use by another"), \
-                lock(place, "alone", beside=True):
-            pass
-        assert file.exists(), "one still holds it"
-        with pytest.raises(InputError, match="in use"), lock(place, "alone", beside=True):
-            pass
-    assert not file.exists()
-    with lock(place, "alone", beside=True), pytest.raises(InputError, match="in use by alone"), \
-            lock(place, "one", beside=True, shared=True):
-        pass
-    assert not file.exists()
 
 
 def test_a_lock_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,19 +21,17 @@ from data_module.speech.audio import load_speech
 from data_module.text.marks import EMOJI, mark_name, marked_text, marked_words
 from data_module.text.transcript import as_transcript, read_transcript, with_transcript
 from data_module.types import Speech, Word
-from gesticulator.directing.directions import stroke_of_word
+from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.marks import (
+    LATEST,
     SOURCE,
     MarkWarning,
+    StreamMarks,
     gesture_of_mark,
-    is_kept_free,
     mark_cues,
-    names_of_marks,
-    prompt,
     with_mark_cues,
 )
 from gesticulator.directing.named_gestures import span_of_gesture
-from gesticulator.directing.stream_marks import LATEST, StreamMarks
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.protocol import StreamRequest
 from gesticulator.live.session import session_opener
@@ -216,31 +214,16 @@ def test_each_mark_is_a_cue_at_its_word() -> None:
                     GestureCue("wave", "no", 2, source=SOURCE))
 
 
-def test_words_that_are_kept_free() -> None:
-    words = _marked(("none",), (), ("shrug",))
-    assert [is_kept_free(word) for word in words] == [True, False, False]
-    assert not mark_cues(words[:2])
-
-
 def test_unknown_marks_are_warned_of_once() -> None:
     words = _marked(("shurg",), ("shurg", "nod"), ("none",), ("jump about",))
     with pytest.warns(MarkWarning) as given_:
         options = with_mark_cues(InferenceOptions(), words)
-    assert [str(one.message) for one in given_] == [
-        "[shurg], [jump about] name no gesture and are left out; did you mean [shrug]?"]
+    assert len(given_) == 1 and "[shurg], [jump about]" in str(given_[0].message)
+    assert "did you mean [shrug]?" in str(given_[0].message)
     assert [cue.gesture for cue in options.cues] == ["nod"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert with_mark_cues(InferenceOptions(), ()) == InferenceOptions()
-
-
-@pytest.mark.parametrize("gesture", GESTURES)
-def test_every_gesture_has_marks_that_name_it(gesture: str) -> None:
-    marks = names_of_marks()[gesture]
-    assert len(marks) in (2, 3)
-    for mark in marks:
-        text, names = marked_text(f"well {mark}no")
-        assert text == "well no" and [gesture_of_mark(name) for _, name in names] == [gesture]
 
 
 @given(st.sampled_from(sorted(GESTURES)), st.sampled_from(" _-:."), st.booleans())
@@ -250,13 +233,11 @@ def test_the_spelling_of_a_name_does_not_matter(gesture: str, between: str, capi
     assert mark_name(mark_name(spelt)) == mark_name(spelt)
 
 
-def test_the_prompt_has_a_hundred_words_and_stands_in_the_page() -> None:
-    about, _, marks = prompt().rpartition(": ")
-    assert 80 <= len(about.split()) <= 100
-    named = {gesture_of_mark(mark[1:-1]) for mark in re.findall(r"\[[^\]]+\]", marks)}
-    assert named == {name for name, one in REPERTOIRE.items() if one.core}
+def test_the_prompt_of_the_page_lists_the_gestures_that_talk_often_calls_for() -> None:
     page = " ".join((ROOT / "docs" / "marks.md").read_text(encoding="utf-8").split())
-    assert " ".join(prompt().split()) in page
+    marks = page[page.index("Use these marks and no others"):page.index("## Transcripts")]
+    named = {gesture_of_mark(mark[1:-1]) for mark in re.findall(r"\[[^\]]+\]", marks)}
+    assert named == {name for name, gesture in REPERTOIRE.items() if gesture.core}
 
 
 def test_the_page_shows_every_emoji() -> None:
@@ -268,7 +249,7 @@ def test_the_page_shows_every_emoji() -> None:
 
 @pytest.fixture(scope="module")
 def g() -> Any:
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
 
     return Gesticulator.from_pretrained()
 

@@ -212,7 +212,7 @@ def test_the_page_and_the_command_play_the_same_and_undo_costs_nothing(
     with pytest.raises(InputError, match="the arm reaches"):
         page.edit({**page.plan, "pins": [{"time": 3.0, "joint": "LeftHand", "position": [0.9, 1.4, 0.3]}]})
     calls = []
-    monkeypatch.setattr("gesticulator.body.pins.with_group", lambda *given: calls.append(given))
+    monkeypatch.setattr("gesticulator.body.pins._with_pins", lambda *given: calls.append(given))
     page.edit(pinned_plan)
     np.testing.assert_array_equal(page.frames, frames_of_take(made))
     page.edit(original)

@@ -33,7 +33,6 @@ from gesticulator.plan.plan import (
     PlanSound,
     PlanWord,
     PosePin,
-    SoundAlignment,
     edited_blocks,
     place_of,
 )
@@ -108,7 +107,7 @@ def test_what_the_schema_refuses_is_refused_with_its_place(place: tuple[str | in
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
-    ('"seed": 7,', '"seed": 7,,', "line 6, column 12: is not valid JSON"), ('"seed": 7,', '"seed": NaN,', "NaN"),
+    ('"seed": 7,', '"seed": 7,,', "line 6: is not valid JSON"), ('"seed": 7,', '"seed": NaN,', "not valid JSON"),
     ('"seed": 7,', '"seed": 1e999,', "too large"), ('"seed": 7,', f'"seed": {2**64},', "seed is 18446744073709551616"),
     ('"version": 2', '"version": 3', "this version reads 2"), (FORMAT, "other", "--plan-out"),
     ('"wave"', '"wavy"', "did you mean wave"), ('"word": "Hello"', '"word": null', "a word or a time"),
@@ -187,7 +186,6 @@ SECTIONS: dict[str, Any] = {
     "pins": (PosePin(0.5, "RightHand", position=(0.1, 1.2, 0.3)),
              PosePin(0.6, "Head", (0.6, 0.8, 0.0, 0.0), hold=0.25)),
     "curves": (KnobCurve("intensity", (0.0, 0.5), (1.0, 0.25)), KnobCurve("height", (0.2,), (-0.1,))),
-    "alignment": SoundAlignment("ff", 2.5, (0.0, 0.5, 1.0), (0.0, 0.75, 1.25)),
 }
 
 
@@ -215,8 +213,6 @@ def test_sections_stand_in_the_file_only_where_there_are_any_and_come_back_as_th
     ("curves", (KnobCurve("intensity", (1.0, 1.0), (1.0, 1.0)),), "do not rise"),
     ("curves", (KnobCurve("intensity", (), ()),), "at least one"),
     ("curves", (KnobCurve("intensity", (1.0,), (1.0,)),) * 2, "one curve per knob"),
-    ("alignment", SoundAlignment("ff", 2.0, (0.0, 1.0), (1.0, 1.0)), "there do not rise"),
-    ("alignment", SoundAlignment("ff", 0.0, (0.0,), (0.0,)), "duration"),
     ("fingerprint", "AAAAAAA=", "fingerprint: Expected"),
 ])
 def test_sections_that_make_no_sense_are_refused_with_their_place(section: str, wrong: Any, told: str) -> None:

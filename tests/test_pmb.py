@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import mir_eval
@@ -102,17 +101,6 @@ def test_as_many_as_mir_eval_matches(beats: Array, onsets: Array, delta: float) 
     assert np.count_nonzero(matched(beats, onsets, delta) >= 0) == len(mir_eval.util.match_events(onsets, beats, delta))
 
 
-FEW = st.lists(st.floats(0, 1), min_size=1, max_size=5).map(lambda values: np.sort(np.array(values)))
-
-
-@given(beats=FEW, onsets=FEW, delta=st.sampled_from([0.05, 0.2, 0.5]))
-def test_no_assignment_matches_more(beats: Array, onsets: Array, delta: float) -> None:
-    padded = np.concatenate([onsets, np.full(len(beats), np.inf)])  # a beat may go without
-    best = max(sum(beat - delta < onset < beat + delta for beat, onset in zip(beats, order, strict=False))
-               for order in itertools.permutations(padded, len(beats)))
-    assert np.count_nonzero(matched(beats, onsets, delta) >= 0) == best
-
-
 @pytest.mark.parametrize(("mode", "at"), [("A", (3 + math.sqrt(3)) / 6), ("B", 1.0)])
 def test_the_beats_of_either_mode_are_where_a_known_movement_has_them(mode: str, at: float) -> None:
     """The right arm swings there and back, each time along 10 u^3 - 15 u^4 + 6 u^5 in 0.7 s: it brakes hardest at the
@@ -130,12 +118,10 @@ def test_the_beats_of_either_mode_are_where_a_known_movement_has_them(mode: str,
     assert pmb(beats, onsets + 0.2, 0.1) == 0.0
 
 
-def test_undefined_is_nan_with_a_reason_and_without_onsets_it_is_zero() -> None:
+def test_undefined_is_nan_and_without_onsets_it_is_zero() -> None:
     none, some = np.zeros(0), np.array([1.0, 2.0])
-    assert chance(none, some, 5.0).reason == delta_curve(none, some).reason == "the motion has no beat"
     assert math.isnan(chance(none, some, 5.0).p_value) and math.isnan(delta_curve(none, some).area)
-    assert chance(some, some, 5.0).reason == delta_curve(some, none).reason == ""
-    assert delta_curve(some, none).area == 0.0
+    assert delta_curve(some, none).area == chance(some, none, 5.0).mean == 0.0
 
 
 def test_nonsense_is_refused() -> None:
@@ -151,6 +137,3 @@ def test_nonsense_is_refused() -> None:
     for duration, shifts in ((0.0, 9), (float("nan"), 9), (5.0, 0)):
         with pytest.raises(ValueError):
             chance(good, good, duration, shifts=shifts)
-    for deltas in ((), (0.2, 0.1), (0.1, 0.1)):
-        with pytest.raises(ValueError):
-            delta_curve(good, good, deltas)

@@ -16,14 +16,13 @@ from eval.context import with_judges
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training import command as train
 from gesticulator.training import presets
 from gesticulator.training.stages.corpus import Corpus, prepare
 from gesticulator.training.stages.lexicon import decoded_blocks, token_labels
-from gesticulator.training.stages.q_network import q_batch, takes_of
+from gesticulator.training.stages.q_network import takes_of
 from gesticulator.training.stages.reward import RewardWindows, block_audio, groups, reward_table
-from interpreters.episodes import Episodes
 from interpreters.reward import RewardConfig
 from lexicon.racer import RacerCodec
 
@@ -82,7 +81,7 @@ def test_reward_windows_hold_what_belongs_together(corpus: Corpus, tiny_bundle: 
 
 def test_rivals_are_wrong_at_the_end_and_right_before(corpus: Corpus, tiny_bundle: Path) -> None:
     bundle = bundles.load(tiny_bundle)
-    lexemes = bundle.block_models.lexicon.shown()
+    lexemes = bundle.block_lexicon.shown()
     labels = token_labels(bundle.lexicon, corpus)
     config = RewardConfig(window=4, longest=6, rivals=3)
     windows = RewardWindows(corpus, block_audio(corpus), decoded_blocks(bundle.lexicon, labels, corpus),
@@ -110,21 +109,12 @@ def test_a_reward_table_asks_about_the_corpus(corpus: Corpus, tiny_bundle: Path)
     got = table.sequence(torch.as_tensor(take.lexemes), torch.as_tensor(take.blocks))
     # The last step by hand: the last window of decoded blocks and of audio, through the model itself.
     last, model = torch.as_tensor(take.blocks[-bundle.config.reward.window:]), bundle.reward
-    motion = bundle.block_models.lexicon.shown()[torch.as_tensor(labels)[last]][None]
+    motion = bundle.block_lexicon.shown()[torch.as_tensor(labels)[last]][None]
     with torch.no_grad():
         pairs = [own.embed({"motion": motion, "audio": block_audio(corpus)[last].float()[None],
                              "valid": torch.ones(1, len(last))}) for own in model.models]
     by_hand = sum(float((one * two).sum()) for one, two in pairs) / len(pairs)
     assert float(got[-1]) == pytest.approx(by_hand, abs=1e-5)
-
-
-def test_the_offline_episodes_of_a_run(tiny_bundle: Path, corpus: Corpus) -> None:
-    work = tiny_bundle.with_name(tiny_bundle.name + ".work")
-    episodes = Episodes.load(next(iter(work.glob("episodes-*.npz"))))
-    assert {corpus.splits[episode.recording] for episode in episodes.episodes} == {"train"}
-    batch = q_batch(corpus, episodes.windows(np.random.default_rng(0), 8, 6))
-    assert torch.equal(batch["audio"], corpus.high[batch["block"]].float())
-    assert batch["speaker"].shape == (8, len(corpus.statistics.speakers)) and (batch["speaker"].sum(1) == 1).all()
 
 
 @pytest.fixture(scope="module")
@@ -162,10 +152,10 @@ def test_racers_own_form_decodes_its_codes_together(native: Path) -> None:
 
     speech = Speech(babble(4.0), 16000)
     made = system(speech, fps=20)
-    rest = system.bundle.rest_lexeme(system.speaker_index(None))
+    rest = system.bundle.rest_lexeme(system.resolver.speaker(None))
     codes = torch.as_tensor([[rest, *made.lexemes.tolist()]])
     frames = codec.decode(codec.vectors[codes])[0, 8:].numpy().astype(np.float64)
-    poses = system.bundle.statistics.denormalise(frames, system.speaker_index(None))
+    poses = system.bundle.statistics.denormalise(frames, system.resolver.speaker(None))
     # The frames of the motion at 20 fps are the decoded ones, but for the smoothing.
     from gesticulator.bundle.features import representation_of
 

@@ -88,7 +88,7 @@ def test_transcripts_of_google_in_both_shapes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "message"), [
-    ("{", "a.json: line 1, column 2: is not valid JSON"),
+    ("{", "a.json: line 1: is not valid JSON"),
     ("{}", "a.json: is not a list"),
     ('[{"word": "a", "start_time": "1.0", "end_time": "2s"}]', "a.json: entry 0: '1.0' is not a time"),
     ('[{"word": "a", "start_time": "2s", "end_time": "1s"}]', "a.json: entry 0: .*no valid time"),

@@ -75,7 +75,7 @@ def near() -> Motion:
 
 
 def _gestured(**asked: str) -> Motion:
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
 
     speech = Path(__file__).parent.parent / "examples" / "speech.flac"
     samples, rate = soundfile.read(speech, frames=round(SECONDS * 16000))

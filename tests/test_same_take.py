@@ -11,8 +11,8 @@ import pytest
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, amplified, load_speech
 from data_module.types import Array, Speech
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
-from gesticulator.pipeline import Gesticulator
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 

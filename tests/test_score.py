@@ -32,7 +32,6 @@ from eval.clip.foreign import Clip, read_motion
 from eval.commands import SCORE
 from eval.context import EvalContext, with_judges
 from eval.metrics import METRICS, fgd
-from eval.metrics.diversity import diversity, entropy, lexeme_moments, motion_variance, variance_of_moments
 from eval.metrics.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.metrics.evaluate import OnsetTrack
 from eval.metrics.gesture_features import RawFeatures
@@ -44,7 +43,7 @@ from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, Provenance, load, save
 from gesticulator.bundle import bundle as bundles
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.lexicon import token_labels
 
@@ -489,7 +488,7 @@ def test_networks_of_one_name_and_length_are_kept_apart(tmp_path: Path, monkeypa
     monkeypatch.setattr(score, "as_features", lambda folder: replace_name(second, "own 34 frames"))
     monkeypatch.setattr(score, "load", lambda folder: folder)
     (tmp_path / "fgd-a").mkdir()
-    (tmp_path / "fgd-a" / "gesture_features.json").write_text("{}")
+    (tmp_path / "fgd-a" / "gesture_features.safetensors").write_bytes(b"")
     assert list(score.networks_of(tmp_path, tmp_path, tmp_path))[:2] == ["own 34 frames", "own 34 frames (abababab)"]
 
 
@@ -498,24 +497,6 @@ def replace_name(features: RawFeatures, name: str) -> Any:
 
 
 # -------------------------------------------------------------------------------------------- as a bundle reads it
-
-def test_lexeme_sums_give_the_figures_of_all_blocks() -> None:
-    rng = np.random.default_rng(0)
-    vectors = rng.normal(size=(7, 3))
-    read: list[tuple[Any, Any] | None] = [(rng.normal(size=(n, 3)), rng.integers(7, size=n)) for n in (30, 5, 12)]
-    read.insert(1, None)
-    moments = lexeme_moments(read, vectors)
-    for chosen in ([0, 2, 3], [3, 3, 2, 1], [2, 2, 2], [1, 1]):
-        some = [own for k in chosen if (own := read[k]) is not None]
-        counts, sums, squares = (part[chosen].sum(axis=0) for part in moments)
-        if not some:
-            assert np.isnan(entropy(counts)) and np.isnan(variance_of_moments(counts, sums, squares))
-            continue
-        labels = np.concatenate([own[1] for own in some])
-        assert entropy(counts) == pytest.approx(diversity(labels, 7))
-        assert variance_of_moments(counts, sums, squares) == pytest.approx(
-            motion_variance(np.concatenate([own[0] for own in some]), labels, vectors))
-
 
 def work_of(bundle: Path) -> Path:
     """Where the training of a bundle kept its stages."""

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import json
 import logging
 import socket
-import threading
 import time
 import urllib.error
 import urllib.request
-import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from live_double import LOOK_AHEAD, TURN, TellingStream, figure, opener
@@ -31,17 +28,11 @@ from websockets.asyncio.client import connect as open_socket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from data_module.motion import rotation
-from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
-from data_module.speech.audio import load_speech
-from data_module.types import Motion
-from gesticulator.live import server as server_module
 from gesticulator.live.limits import ServerLimits
-from gesticulator.live.protocol import CloseCode, StreamRequest, published, read_hello
+from gesticulator.live.protocol import CloseCode, StreamRequest, published
 from gesticulator.live.server import LiveServer, ServerAddress
-from gesticulator.live.session import Session
-from gesticulator.live.vmc import VmcFrames
 
 RATE = 16000
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
@@ -89,13 +80,13 @@ async def running(limits: ServerLimits = LIMITS, work: float = 0.0, share: float
         await asyncio.wait_for(ended, 10)
 
 
-def run(test: Callable[[], Awaitable[None]]) -> None:
-    """Run a test's coroutine, two minutes at most."""
-    async def bounded() -> None:
-        async with asyncio.timeout(120):
-            await test()
+def in_loop(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
+    """Runs a test's coroutine, two minutes at most."""
+    @wraps(test)
+    def bounded(**arguments: Any) -> None:
+        asyncio.run(asyncio.wait_for(test(**arguments), 120))
 
-    asyncio.run(bounded())
+    return bounded
 
 
 def pcm(seconds: float, rate: int = RATE) -> bytes:
@@ -141,103 +132,61 @@ def assert_whole(poses: list[Poses], seconds: float, fps: float = 60.0) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pcm16", "float32"])
-def test_sound_in_poses_out(kind: str) -> None:
+@in_loop
+async def test_sound_in_poses_out(kind: str) -> None:
     sound = pcm(2.0) if kind == "pcm16" else (np.frombuffer(pcm(2.0), "<i2") / 32768).astype("<f4").tobytes()
-
-    async def test() -> None:
-        async with running() as at:
-            poses, events = await talk(at.url, sound, Hello(RATE, kind))
-            assert_whole(poses, 2.0)
-            assert events[-1] == {"type": "done", "frames": 120}
-            assert [event["state"] for event in events if event["type"] == "state"] == ["speaking"]
-
-    run(test)
+    async with running() as at:
+        poses, events = await talk(at.url, sound, Hello(RATE, kind))
+        assert_whole(poses, 2.0)
+        assert events[-1] == {"type": "done", "frames": 120}
+        assert [event["state"] for event in events if event["type"] == "state"] == ["speaking"]
 
 
-def test_the_hello_tells_the_skeleton() -> None:
-    async def test() -> None:
-        async with running() as at, connect(at.url, Hello(RATE, fps=30, seed=7)) as stream:
-            told = stream.welcome
-            assert (told.fps, told.look_ahead) == (30, LOOK_AHEAD)
-            assert tuple(joint.name for joint in told.joints) == CHARACTER.names
-            assert tuple(joint.parent for joint in told.joints) == CHARACTER.parents
-            np.testing.assert_allclose([joint.offset for joint in told.joints], CHARACTER.offsets, atol=1e-6)
-            await stream.finish()
-
-    run(test)
+@in_loop
+async def test_the_hello_tells_the_skeleton() -> None:
+    async with running() as at, connect(at.url, Hello(RATE, fps=30, seed=7)) as stream:
+        told = stream.welcome
+        assert (told.fps, told.look_ahead) == (30, LOOK_AHEAD)
+        assert tuple(joint.name for joint in told.joints) == CHARACTER.names
+        assert tuple(joint.parent for joint in told.joints) == CHARACTER.parents
+        np.testing.assert_allclose([joint.offset for joint in told.joints], CHARACTER.offsets, atol=1e-6)
+        await stream.finish()
 
 
-def test_smplx_poses_are_those_of_an_smplx_file() -> None:
-    async def test() -> None:
-        async with running() as at:
-            poses, _ = await talk(at.url, pcm(1.0), Hello(RATE, output="smplx"))
-            double = TellingStream(StreamRequest(RATE))
-            double.time = 1.0
-            truth = smplx_arrays(double.finish().motion())
-            got = np.concatenate([one.rotations for one in poses])
-            assert got.shape == (60, 55, 3)
-            np.testing.assert_allclose(got.reshape(60, -1), truth["poses"], atol=1e-6)
-            np.testing.assert_allclose(np.concatenate([one.root_positions for one in poses]), truth["trans"], atol=1e-6)
-
-    run(test)
+@in_loop
+async def test_smplx_poses_are_those_of_an_smplx_file() -> None:
+    async with running() as at:
+        poses, _ = await talk(at.url, pcm(1.0), Hello(RATE, output="smplx"))
+        double = TellingStream(StreamRequest(RATE))
+        double.time = 1.0
+        truth = smplx_arrays(double.finish().motion())
+        got = np.concatenate([one.rotations for one in poses])
+        assert got.shape == (60, 55, 3)
+        np.testing.assert_allclose(got.reshape(60, -1), truth["poses"], atol=1e-6)
+        np.testing.assert_allclose(np.concatenate([one.root_positions for one in poses]), truth["trans"], atol=1e-6)
 
 
-@pytest.mark.parametrize("output", ["joints", "smplx"])
-def test_a_stream_may_stand_on_legs(output: str) -> None:
-    """Its frames are those of a stream with legs, and VMC sends them, too."""
-    from gesticulator.live.session import session_opener
-    from gesticulator.pipeline import Gesticulator
-
-    torch.set_num_threads(1)
-    system = Gesticulator.from_pretrained()
-    hello = Hello(RATE, output=output, options={"legs": True, "latency": "low"})
-    session = session_opener(system, LIMITS)("a", read_hello(hello.text()))
-    sound = load_speech(EXAMPLE).samples[:4 * RATE]
-    answers = [*session.feed(sound), *session.obey({"type": "finish"})]
-    poses = [Poses.unpack(one) for answer in answers for one in answer.messages if isinstance(one, bytes)]
-    stream = system.stream(RATE, legs=True, latency="low")
-    parts = [part for part in (stream.feed(sound), stream.finish()) if len(part)]
-    motion = Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
-                    np.concatenate([part.root_positions for part in parts]), 60.0)
-    got = np.concatenate([one.rotations for one in poses])
-    if output == "smplx":
-        truth = smplx_arrays(motion)["poses"].reshape(len(got), 55, 3)
-        assert np.abs(truth[:, 1:9]).max() > 0.01, "knees and ankles bend"
-    else:
-        truth = motion.rotations
-        told = [joint["name"] for joint in session.welcome()["joints"]]
-        assert told == list(motion.skeleton.names) and "LeftFoot" in told
-        feet = positions_of(motion)[:, [told.index("LeftFoot"), told.index("RightFoot")]]
-        assert np.abs(feet - feet[0]).max() < 0.005, "they stay where they are"
-        bones = b"".join(VmcFrames(motion).bundles(100, 0.0))
-        assert b"LeftUpperLeg" in bones and b"RightFoot" in bones
-    np.testing.assert_allclose(got, truth, atol=2e-6)
-
-
-def test_every_message_fits_the_published_schema() -> None:
+@in_loop
+async def test_every_message_fits_the_published_schema() -> None:
     """An independent validator reads the schema and what a server really sends."""
     told = published()
     jsonschema.Draft202012Validator.check_schema(told)
-
-    async def test() -> None:
-        async with running() as at, open_socket(at.url) as ws:
-            await ws.send(Hello(RATE).text())
-            await ws.send(pcm(1.0))
-            await ws.send(json.dumps({"type": "finish"}))
-            kinds = []
-            async for message in ws:
-                if isinstance(message, bytes):
-                    size = int.from_bytes(message[:4], "little")
-                    assert size % 4 == 0
-                    header = json.loads(message[4:4 + size])
-                    jsonschema.validate(header, {"$ref": "#/$defs/poses", "$defs": told["$defs"]})
-                else:
-                    jsonschema.validate(json.loads(message), {"oneOf": told["server"]["oneOf"],
-                                                              "$defs": told["$defs"]})
-                    kinds.append(json.loads(message)["type"])
-            assert kinds[0] == "hello" and kinds[-1] == "done"
-
-    run(test)
+    async with running() as at, open_socket(at.url) as ws:
+        await ws.send(Hello(RATE).text())
+        await ws.send(pcm(1.0))
+        await ws.send(json.dumps({"type": "finish"}))
+        kinds = []
+        async for message in ws:
+            if isinstance(message, bytes):
+                size = int.from_bytes(message[:4], "little")
+                assert size % 4 == 0
+                header = json.loads(message[4:4 + size])
+                jsonschema.validate(header, {"$ref": "#/$defs/poses", "$defs": told["$defs"]})
+            else:
+                jsonschema.validate(json.loads(message), {"oneOf": told["server"]["oneOf"],
+                                                          "$defs": told["$defs"]})
+                kinds.append(json.loads(message)["type"])
+        assert kinds[0] == "hello" and kinds[-1] == "done"
 
 
 JSON = st.recursive(st.none() | st.booleans() | st.integers(-3, 200_000) | st.floats() | st.text(max_size=5),
@@ -252,133 +201,112 @@ def test_codes_are_those_of_the_schema() -> None:
 # ---------------------------------------------------------------- commands
 
 
-def test_idle_listen_and_interrupt() -> None:
-    async def test() -> None:
-        async with running() as at, connect(at.url, Hello(RATE)) as stream:
-            await stream.send(pcm(1.0))
-            await stream.think(0.5)
-            await stream.listen()
-            await stream.send(pcm(0.5))
-            said: list[Any] = []
-            async for message in stream:
-                said.append(message)
-                if isinstance(message, Poses) and message.state == "listening":
+@in_loop
+async def test_idle_listen_and_interrupt() -> None:
+    async with running() as at, connect(at.url, Hello(RATE)) as stream:
+        await stream.send(pcm(1.0))
+        await stream.think(0.5)
+        await stream.listen()
+        await stream.send(pcm(0.5))
+        said: list[Any] = []
+        async for message in stream:
+            said.append(message)
+            if isinstance(message, Poses) and message.state == "listening":
+                break
+        await stream.interrupt()
+        await stream.speak()
+        await stream.send(pcm(1.0))
+        await stream.finish()
+        said += [message async for message in stream]
+        assert_whole([one for one in said if isinstance(one, Poses)], 3.0)
+        states = [event["state"] for event in said if isinstance(event, dict) and event["type"] == "state"]
+        assert states == ["speaking", "thinking", "listening", "idle", "speaking"]
+
+
+@in_loop
+async def test_beats_lexemes_and_words_are_events() -> None:
+    async with running() as at, connect(at.url, Hello(RATE, options={"text": True})) as stream:
+        await stream.add_words([("there", 1.2, 1.5), ("hello", 0.1, 0.4), ("never", 50.0, 51.0)])
+        await stream.send(pcm(2.0))
+        await stream.finish()
+        events = [message async for message in stream if isinstance(message, dict)]
+        assert [event["time"] for event in events if event["type"] == "beat"] == [0.5, 1.0, 1.5, 2.0]
+        assert [event["lexeme"] for event in events if event["type"] == "lexeme"] == [0, 1, 2, 3]
+        assert [event["text"] for event in events if event["type"] == "word"] == ["hello", "there"]
+
+
+@in_loop
+async def test_an_interruption_takes_back_what_was_not_heard() -> None:
+    async with running() as at, connect(at.url, Hello(RATE)) as stream:
+        player = PosePlayer()
+        await stream.send(pcm(5.0))
+        async for message in stream:
+            if isinstance(message, Poses):
+                player.add(message)
+                if player.end > 4.0:
                     break
-            await stream.interrupt()
-            await stream.speak()
-            await stream.send(pcm(1.0))
-            await stream.finish()
-            said += [message async for message in stream]
-            assert_whole([one for one in said if isinstance(one, Poses)], 3.0)
-            states = [event["state"] for event in said if isinstance(event, dict) and event["type"] == "state"]
-            assert states == ["speaking", "thinking", "listening", "idle", "speaking"]
-
-    run(test)
-
-
-def test_beats_lexemes_and_words_are_events() -> None:
-    async def test() -> None:
-        async with running() as at, connect(at.url, Hello(RATE, options={"text": True})) as stream:
-            await stream.add_words([("there", 1.2, 1.5), ("hello", 0.1, 0.4), ("never", 50.0, 51.0)])
-            await stream.send(pcm(2.0))
-            await stream.finish()
-            events = [message async for message in stream if isinstance(message, dict)]
-            assert [event["time"] for event in events if event["type"] == "beat"] == [0.5, 1.0, 1.5, 2.0]
-            assert [event["lexeme"] for event in events if event["type"] == "lexeme"] == [0, 1, 2, 3]
-            assert [event["text"] for event in events if event["type"] == "word"] == ["hello", "there"]
-
-    run(test)
-
-
-def test_an_interruption_takes_back_what_was_not_heard() -> None:
-    async def test() -> None:
-        async with running() as at, connect(at.url, Hello(RATE)) as stream:
-            player = PosePlayer()
-            await stream.send(pcm(5.0))
-            async for message in stream:
-                if isinstance(message, Poses):
-                    player.add(message)
-                    if player.end > 4.0:
-                        break
-            await stream.interrupt(1.0)
-            await stream.idle(0.5)
-            await stream.finish()
-            async for message in stream:
-                if isinstance(message, Poses):
-                    player.add(message)
-            assert player.end == 1.5
-
-    run(test)
+        await stream.interrupt(1.0)
+        await stream.idle(0.5)
+        await stream.finish()
+        async for message in stream:
+            if isinstance(message, Poses):
+                player.add(message)
+        assert player.end == 1.5
 
 
 @pytest.mark.parametrize("heard", [1.9, 1.0])
-def test_media_time_goes_on_from_where_the_voice_was_heard(heard: float) -> None:
+@in_loop
+async def test_media_time_goes_on_from_where_the_voice_was_heard(heard: float) -> None:
     """Also where it was heard before there were poses of it, as of a voice that is played as it is sent."""
-    async def test() -> None:
-        async with running() as at, connect(at.url, Hello(RATE)) as stream:
-            player = PosePlayer()
-            await stream.send(pcm(2.0))
-            async for message in stream:
-                if isinstance(message, Poses):
-                    player.add(message)
-                    if player.end >= 1.5:
-                        break
-            await stream.interrupt(heard)
-            await stream.idle(0.5)
-            await stream.send(pcm(1.0))
-            await stream.finish()
-            async for message in stream:
-                if isinstance(message, Poses):
-                    player.add(message)
-            assert player.end == pytest.approx(heard + 0.5 + 1.0)
-
-    run(test)
+    async with running() as at, connect(at.url, Hello(RATE)) as stream:
+        player = PosePlayer()
+        await stream.send(pcm(2.0))
+        async for message in stream:
+            if isinstance(message, Poses):
+                player.add(message)
+                if player.end >= 1.5:
+                    break
+        await stream.interrupt(heard)
+        await stream.idle(0.5)
+        await stream.send(pcm(1.0))
+        await stream.finish()
+        async for message in stream:
+            if isinstance(message, Poses):
+                player.add(message)
+        assert player.end == pytest.approx(heard + 0.5 + 1.0)
 
 
-def test_words_without_the_option_are_refused() -> None:
-    async def test() -> None:
-        async with running() as at:
-            words = json.dumps({"type": "words", "words": [{"text": "a", "start": 0, "end": 1}]})
-            assert (await closed_with(at.url, Hello(RATE).text(), words))[0] == CloseCode.BAD_MESSAGE
-
-    run(test)
-
-
-def test_idle_without_end_goes_with_the_clock_until_there_is_sound() -> None:
-    async def test() -> None:
-        async with running() as at, connect(at.url, Hello(RATE)) as stream:
-            begin = asyncio.get_running_loop().time()
-            await stream.idle()
-            got = 0
-            async for message in stream:
-                if isinstance(message, Poses):
-                    got += len(message)
-                    spent = asyncio.get_running_loop().time() - begin
-                    assert abs(got / 60 - spent) < 0.35
-                    if got >= 60:
-                        break
-            await stream.send(pcm(1.0))
-            await stream.finish()
-            async for message in stream:
-                if isinstance(message, Poses):
-                    assert message.first == got
-                    got += len(message)
-            assert got < 60 * 2.5, "idling ended when there was sound"
-
-    run(test)
+@in_loop
+async def test_idle_without_end_goes_with_the_clock_until_there_is_sound() -> None:
+    async with running() as at, connect(at.url, Hello(RATE)) as stream:
+        begin = asyncio.get_running_loop().time()
+        await stream.idle()
+        got = 0
+        async for message in stream:
+            if isinstance(message, Poses):
+                got += len(message)
+                spent = asyncio.get_running_loop().time() - begin
+                assert abs(got / 60 - spent) < 0.35
+                if got >= 60:
+                    break
+        await stream.send(pcm(1.0))
+        await stream.finish()
+        async for message in stream:
+            if isinstance(message, Poses):
+                assert message.first == got
+                got += len(message)
+        assert got < 60 * 2.5, "idling ended when there was sound"
 
 
-def test_an_interruption_drops_the_sound_that_waits() -> None:
-    async def test() -> None:
-        async with running(work=0.1) as at, connect(at.url, Hello(RATE)) as stream:
-            await stream.send(pcm(8.0))  # 16 pieces of work
-            await asyncio.sleep(0.15)
-            await stream.interrupt()
-            await stream.finish()
-            done = [message async for message in stream][-1]
-            assert isinstance(done, dict) and 0 < done["frames"] < 60 * 3
-
-    run(test)
+@in_loop
+async def test_an_interruption_drops_the_sound_that_waits() -> None:
+    async with running(work=0.1) as at, connect(at.url, Hello(RATE)) as stream:
+        await stream.send(pcm(8.0))  # 16 pieces of work
+        await asyncio.sleep(0.15)
+        await stream.interrupt()
+        await stream.finish()
+        done = [message async for message in stream][-1]
+        assert isinstance(done, dict) and 0 < done["frames"] < 60 * 3
 
 
 # ---------------------------------------------------------------- limits
@@ -395,40 +323,37 @@ def test_an_interruption_drops_the_sound_that_waits() -> None:
     (('{"type": "finish"}',), CloseCode.BAD_MESSAGE),
     ((Hello(RATE).text(), b"\0\0\0"), CloseCode.BAD_MESSAGE),
     ((Hello(RATE).text(), Hello(RATE).text()), CloseCode.BAD_MESSAGE),
+    ((Hello(RATE).text(), '{"type": "words", "words": [{"text": "a", "start": 0, "end": 1}]}'), CloseCode.BAD_MESSAGE),
     ((Hello(RATE, "float32").text(), np.array([0, np.nan], "<f4").tobytes()), CloseCode.BAD_MESSAGE),
     ((Hello(RATE, "float32").text(), np.array([3e38], "<f4").tobytes()), CloseCode.BAD_MESSAGE),
     ((Hello(RATE).text(), b"\0" * (2**16 + 2)), CloseCode.TOO_BIG),
     ((), CloseCode.TOO_QUIET),
     ((Hello(RATE).text(), b"\xff\x7f" * 16000), CloseCode.FAILED),
 ], ids=lambda value: str(value)[:40])
-def test_what_is_wrong_is_closed_with_its_code_and_others_go_on(messages: tuple[str | bytes, ...], code: CloseCode
+@in_loop
+async def test_what_is_wrong_is_closed_with_its_code_and_others_go_on(messages: tuple[str | bytes, ...], code: CloseCode
                                                                ) -> None:
-    async def test() -> None:
-        async with running() as at, connect(at.url, Hello(RATE)) as other:
-            assert (await closed_with(at.url, *messages))[0] == code
-            await other.send(pcm(1.0))
-            await other.finish()
-            assert_whole([one async for one in other if isinstance(one, Poses)], 1.0)
-
-    run(test)
+    async with running() as at, connect(at.url, Hello(RATE)) as other:
+        assert (await closed_with(at.url, *messages))[0] == code
+        await other.send(pcm(1.0))
+        await other.finish()
+        assert_whole([one async for one in other if isinstance(one, Poses)], 1.0)
 
 
-def test_an_answer_of_minutes_that_was_sent_at_once_is_interrupted_where_it_is_played() -> None:
-    async def test() -> None:
-        limits = replace(LIMITS, waiting_seconds=200.0, stream_seconds=200.0, message_bytes=2**23, quiet_seconds=60.0)
-        async with running(limits) as at, connect(at.url, Hello(RATE, fps=10)) as stream:
-            await stream.send(pcm(150.0))
-            await stream.idle(0.0)
-            got = stream.__aiter__()
-            while not isinstance(poses := await anext(got), Poses) or poses.first + len(poses) < 1500:
-                pass
-            await stream.interrupt(5.0)
-            await stream.idle(0.1)
-            while not isinstance(poses := await anext(got), Poses):
-                pass
-            assert poses.first == 50
-
-    run(test)
+@in_loop
+async def test_an_answer_of_minutes_that_was_sent_at_once_is_interrupted_where_it_is_played() -> None:
+    limits = replace(LIMITS, waiting_seconds=200.0, stream_seconds=200.0, message_bytes=2**23, quiet_seconds=60.0)
+    async with running(limits) as at, connect(at.url, Hello(RATE, fps=10)) as stream:
+        await stream.send(pcm(150.0))
+        await stream.idle(0.0)
+        got = stream.__aiter__()
+        while not isinstance(poses := await anext(got), Poses) or poses.first + len(poses) < 1500:
+            pass
+        await stream.interrupt(5.0)
+        await stream.idle(0.1)
+        while not isinstance(poses := await anext(got), Poses):
+            pass
+        assert poses.first == 50
 
 
 async def speak(url: str, seconds: float, options: dict[str, Any]) -> tuple[list[Poses], list[dict[str, Any]]]:
@@ -455,227 +380,140 @@ async def speak(url: str, seconds: float, options: dict[str, Any]) -> tuple[list
     return poses, events
 
 
-def test_a_server_that_is_too_slow_passes_over_what_is_late() -> None:
+@in_loop
+async def test_a_server_that_is_too_slow_passes_over_what_is_late() -> None:
     """Four seconds of work for a second of sound: all of it would be nine seconds late. How late it is then stands in
     `test_pace.py`, where time is counted and not measured."""
-    async def test() -> None:
-        async with running(share=4.0) as at:
-            poses, events = await speak(at.url, 3.0, {"latency": "low"})
-            assert_whole(poses, 3.0)
-            passed = [event["passed"] for event in events if event["type"] == "pace" and event["effort"] == "none"]
-            _, figures = await at.get("/metrics")
-            counted = float(figures.split("\ngesticulator_passed_seconds_total ")[1].split()[0])
-            assert passed and passed[-1] == pytest.approx(counted) and 0.9 < counted < 3.0
-            for event in events:
-                jsonschema.validate(event, {"oneOf": published()["server"]["oneOf"], "$defs": published()["$defs"]})
-
-    run(test)
+    async with running(share=4.0) as at:
+        poses, events = await speak(at.url, 3.0, {"latency": "low"})
+        assert_whole(poses, 3.0)
+        passed = [event["passed"] for event in events if event["type"] == "pace" and event["effort"] == "none"]
+        assert passed and 0.9 < passed[-1] < 3.0
+        for event in events:
+            jsonschema.validate(event, {"oneOf": published()["server"]["oneOf"], "$defs": published()["$defs"]})
 
 
-@pytest.mark.parametrize(("share", "options"), [
-    (3.0, {}), (0.2, {"latency": "low"}), (3.0, {"latency": "low", "keep_up": False})])
-def test_nothing_is_passed_over_unasked_or_where_there_is_time(share: float, options: dict[str, Any]) -> None:
-    async def test() -> None:
-        async with running(share=share) as at:
-            poses, events = await speak(at.url, 0.8, options)
-            assert_whole(poses, 0.8)
-            assert not [event for event in events if event["type"] == "pace" and event["effort"] == "none"]
-
-    run(test)
+@in_loop
+async def test_too_much_sound_has_a_clear_code() -> None:
+    async with running(work=0.2) as at:
+        code, reason = await closed_with(at.url, Hello(RATE).text(), *[pcm(1.0)] * 15)
+        assert code == CloseCode.TOO_MUCH_SOUND and "wait" in reason
+    async with running(replace(LIMITS, stream_seconds=3.0)) as at:
+        code, reason = await closed_with(at.url, Hello(RATE).text(), *[pcm(1.0)] * 5)
+        assert code == CloseCode.TOO_MUCH_SOUND and "3 s" in reason
 
 
-def test_too_much_sound_has_a_clear_code() -> None:
-    async def test() -> None:
-        async with running(work=0.2) as at:
-            code, reason = await closed_with(at.url, Hello(RATE).text(), *[pcm(1.0)] * 15)
-            assert code == CloseCode.TOO_MUCH_SOUND and "wait" in reason
-        async with running(replace(LIMITS, stream_seconds=3.0)) as at:
-            code, reason = await closed_with(at.url, Hello(RATE).text(), *[pcm(1.0)] * 5)
-            assert code == CloseCode.TOO_MUCH_SOUND and "3 s" in reason
-
-    run(test)
-
-
-def test_the_token_is_asked_for() -> None:
-    async def test() -> None:
-        async with running(token="open sesame") as at:
-            assert (await closed_with(at.url, Hello(RATE).text()))[0] == CloseCode.BAD_TOKEN
-            assert (await closed_with(at.url, Hello(RATE, token="open sesam\u00e9").text()))[0] == CloseCode.BAD_TOKEN
-            assert_whole((await talk(at.url, pcm(1.0), Hello(RATE, token="open sesame")))[0], 1.0)
-            assert (await at.get("/metrics"))[0] == 401 and (await at.get("/healthz"))[0] == 200
-            assert (await at.get("/metrics", "open sesame"))[0] == 200
-            assert (await at.get("/metrics", "sesame"))[0] == 401
-
-    run(test)
+@in_loop
+async def test_the_token_is_asked_for() -> None:
+    async with running(token="open sesame") as at:
+        assert (await closed_with(at.url, Hello(RATE).text()))[0] == CloseCode.BAD_TOKEN
+        assert (await closed_with(at.url, Hello(RATE, token="open sesam\u00e9").text()))[0] == CloseCode.BAD_TOKEN
+        assert_whole((await talk(at.url, pcm(1.0), Hello(RATE, token="open sesame")))[0], 1.0)
+        assert (await at.get("/metrics"))[0] == 401 and (await at.get("/healthz"))[0] == 200
+        assert (await at.get("/metrics", "open sesame"))[0] == 200
+        assert (await at.get("/metrics", "sesame"))[0] == 401
 
 
-def test_a_token_that_is_no_text_is_a_wrong_token() -> None:
-    async def test() -> None:
-        async with running(token="open sesame") as at:
-            hello = Hello(RATE, token="TOKEN").text().replace("TOKEN", "\\ud800")
-            assert (await closed_with(at.url, hello))[0] == CloseCode.BAD_TOKEN
-            hello = Hello(RATE).text().replace("pcm16", "\\ud800")
-            assert (await closed_with(at.url, hello))[0] == CloseCode.BAD_MESSAGE
-
-    run(test)
-
-
-def test_a_minute_of_idle_time_comes_a_block_at_a_time_and_ends_where_it_is_asked_to() -> None:
-    async def test() -> None:
-        limits = replace(LIMITS, waiting_seconds=100.0, unread_bytes=2**24)
-        async with running(limits, work=0.0) as at:
-            async with open_socket(at.url, max_size=None) as ws:
-                await ws.send(Hello(RATE).text())
-                assert json.loads(await ws.recv())["type"] == "hello"
-                await ws.send('{"type": "idle", "seconds": 50}')
-                await ws.send('{"type": "finish"}')
-                packets = [Poses.unpack(message) async for message in ws if isinstance(message, bytes)]
-            assert_whole(packets, 50.0)
-            assert max(len(one) for one in packets) <= 0.4 * 60 + 1
-            code, reason = await closed_with(at.url, Hello(RATE).text(), *['{"type": "idle", "seconds": 60}'] * 2)
-            assert code == CloseCode.TOO_MUCH_SOUND and "wait" in reason
-            async with connect(at.url, Hello(RATE)) as stream:
-                await stream._say({"type": "idle", "seconds": 50, "until_sound": True})
-                await stream.send(pcm(1.0))
-                await stream.finish()
-                messages = [message async for message in stream]
-                length = sum(len(one) for one in messages if isinstance(one, Poses))
-                spoken = [one for one in messages if isinstance(one, dict) and one.get("state") == "speaking"]
-                # The sound follows whatever was idled before it came.
-                assert 60 <= length < 60 * 51 and spoken[0]["time"] * 60 == pytest.approx(length - 60, abs=0.1)
-
-    run(test)
+@in_loop
+async def test_a_minute_of_idle_time_comes_a_block_at_a_time_and_ends_where_it_is_asked_to() -> None:
+    limits = replace(LIMITS, waiting_seconds=100.0, unread_bytes=2**24)
+    async with running(limits, work=0.0) as at:
+        async with open_socket(at.url, max_size=None) as ws:
+            await ws.send(Hello(RATE).text())
+            assert json.loads(await ws.recv())["type"] == "hello"
+            await ws.send('{"type": "idle", "seconds": 50}')
+            await ws.send('{"type": "finish"}')
+            packets = [Poses.unpack(message) async for message in ws if isinstance(message, bytes)]
+        assert_whole(packets, 50.0)
+        assert max(len(one) for one in packets) <= 0.4 * 60 + 1
+        code, reason = await closed_with(at.url, Hello(RATE).text(), *['{"type": "idle", "seconds": 60}'] * 2)
+        assert code == CloseCode.TOO_MUCH_SOUND and "wait" in reason
+        async with connect(at.url, Hello(RATE)) as stream:
+            await stream._say({"type": "idle", "seconds": 50, "until_sound": True})
+            await stream.send(pcm(1.0))
+            await stream.finish()
+            messages = [message async for message in stream]
+            length = sum(len(one) for one in messages if isinstance(one, Poses))
+            spoken = [one for one in messages if isinstance(one, dict) and one.get("state") == "speaking"]
+            # The sound follows whatever was idled before it came.
+            assert 60 <= length < 60 * 51 and spoken[0]["time"] * 60 == pytest.approx(length - 60, abs=0.1)
 
 
-def test_connections_that_say_nothing_take_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forty WebSockets without a hello beside a server of two streams: the oldest are cut off."""
-    monkeypatch.setattr(server_module, "MOST_GUESTS", 16)
-
-    async def test() -> None:
-        async with running(replace(LIMITS, streams=2, hello_seconds=20.0)) as at:
-            silent = []
-            for _ in range(40):
-                reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
-                silent.append((reader, writer))
-                await _raw_handshake(writer, reader)
-            assert not at.server.connections
-            assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
-            for reader, _ in silent[:24]:
-                with suppress(ConnectionError):
-                    assert not await reader.read(), "cut off"
-            for _, writer in silent:
-                writer.transport.abort()
-
-    run(test)
-
-
-def test_a_compute_thread_that_is_stuck_fails_the_health_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def test() -> None:
-        async with running() as at:
-            assert await at.get("/healthz") == (200, "ok\n") and (await at.get("/readyz"))[1] == "ok: 0 of 8 streams\n"
-            release, started = threading.Event(), asyncio.Event()
-            loop = asyncio.get_running_loop()
-
-            def hang() -> None:
-                loop.call_soon_threadsafe(started.set)
-                release.wait(20)
-
-            hanging = asyncio.create_task(at.server.compute.run(hang))
-            await started.wait()
-            monkeypatch.setattr(server_module, "STUCK_SECONDS", 0.0)
-            status, text = await at.get("/healthz")
-            assert status == 503 and "turn" in text and (await at.get("/readyz"))[0] == 503
-            release.set()
-            await hanging
-            assert await at.get("/healthz") == (200, "ok\n")
-
-    run(test)
-
-
-def test_streams_take_turns_whatever_one_of_them_asked_for() -> None:
+@in_loop
+async def test_streams_take_turns_whatever_one_of_them_asked_for() -> None:
     """Beside a stream that was sent eight seconds at once, one that speaks now waits for one turn of it at a time."""
-    async def test() -> None:
-        async with running(work=0.05) as at, connect(at.url, Hello(RATE)) as greedy, \
-                connect(at.url, Hello(RATE)) as other:
-            await greedy.send(pcm(8.0))  # 16 turns of 0.05 s
-            await asyncio.sleep(0.02)
-            begin = time.monotonic()
-            await other.send(pcm(1.0))  # two turns
-            await other.finish()
-            assert_whole([message async for message in other if isinstance(message, Poses)], 1.0)
-            assert time.monotonic() - begin < 0.5, "all turns of the first take 0.8 s"
-
-    run(test)
+    async with running(work=0.05) as at, connect(at.url, Hello(RATE)) as greedy, \
+            connect(at.url, Hello(RATE)) as other:
+        await greedy.send(pcm(8.0))  # 16 turns of 0.05 s
+        await asyncio.sleep(0.02)
+        begin = time.monotonic()
+        await other.send(pcm(1.0))  # two turns
+        await other.finish()
+        assert_whole([message async for message in other if isinstance(message, Poses)], 1.0)
+        assert time.monotonic() - begin < 0.5, "all turns of the first take 0.8 s"
 
 
 @pytest.mark.parametrize(("origin", "allowed"), [
     (None, True), ("http://localhost:3000", True), ("http://127.0.0.1:8765", True), ("https://good.example", True),
     ("https://evil.example", False), ("null", False), ("http://localhost.evil.example", False), ("http://[", False)])
-def test_pages_of_other_origins_may_not_connect(origin: str | None, allowed: bool) -> None:
-    async def test() -> None:
-        async with running(origins=("https://good.example",)) as at:
-            opening = open_socket(at.url, origin=origin)  # type: ignore[arg-type]
-            if not allowed:
-                with pytest.raises(InvalidStatus, match="403"):
-                    await opening
-                return
-            async with opening as ws:
+@in_loop
+async def test_pages_of_other_origins_may_not_connect(origin: str | None, allowed: bool) -> None:
+    async with running(origins=("https://good.example",)) as at:
+        opening = open_socket(at.url, origin=origin)  # type: ignore[arg-type]
+        if not allowed:
+            with pytest.raises(InvalidStatus, match="403"):
+                await opening
+            return
+        async with opening as ws:
+            await ws.send(Hello(RATE).text())
+            assert json.loads(await ws.recv())["type"] == "hello"
+
+
+@in_loop
+async def test_no_more_streams_than_the_limit() -> None:
+    async with running(replace(LIMITS, streams=2)) as at:
+        async with connect(at.url, Hello(RATE)), connect(at.url, Hello(RATE)):
+            async with open_socket(at.url) as ws:
                 await ws.send(Hello(RATE).text())
-                assert json.loads(await ws.recv())["type"] == "hello"
-
-    run(test)
-
-
-def test_no_more_streams_than_the_limit() -> None:
-    async def test() -> None:
-        async with running(replace(LIMITS, streams=2)) as at:
-            async with connect(at.url, Hello(RATE)), connect(at.url, Hello(RATE)):
-                async with open_socket(at.url) as ws:
-                    await ws.send(Hello(RATE).text())
-                    told = json.loads(await ws.recv())
-                assert told["code"] == CloseCode.TOO_MANY_STREAMS and "2 streams" in told["message"]
-                assert 0 < told["retry_after"] < 60
-                assert (await at.get("/readyz"))[0] == 503 and await at.get("/healthz") == (200, "ok\n")
-            async with asyncio.timeout(60):
-                while at.server.connections:
-                    await asyncio.sleep(0.01)
-            assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
-
-    run(test)
+                told = json.loads(await ws.recv())
+            assert told["code"] == CloseCode.TOO_MANY_STREAMS and "2 streams" in told["message"]
+            assert 0 < told["retry_after"] < 60
+            assert (await at.get("/readyz"))[0] == 503 and await at.get("/healthz") == (200, "ok\n")
+        async with asyncio.timeout(60):
+            while at.server.connections:
+                await asyncio.sleep(0.01)
+        assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
 
 
-def test_a_stalled_client_costs_its_bound_and_other_clients_nothing() -> None:
+@in_loop
+async def test_a_stalled_client_costs_its_bound_and_other_clients_nothing() -> None:
     """A client that sends and never reads: its queue stays under the limit, others are served, and it is cut off."""
     limits = replace(LIMITS, unread_bytes=2**17, waiting_seconds=60.0, unread_seconds=1.5)
-
-    async def test() -> None:
-        async with running(limits) as at:
-            plain = socket.socket()
-            plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            plain.connect(("127.0.0.1", at.port))
-            reader, writer = await asyncio.open_connection(sock=plain, limit=2**10)
-            await _raw_handshake(writer, reader)
-            writer.write(_frame(1, Hello(RATE, fps=240).text().encode()))
-            reader._transport.pause_reading()  # type: ignore[attr-defined]
-            for _ in range(55):
-                writer.write(_frame(2, pcm(1.0)))
-            await writer.drain()
-            highest, served = 0.0, 0
-            for _ in range(8):
-                assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
-                served += 1
-                highest = max(highest, figure(at.server, "unread_bytes"))
+    async with running(limits) as at:
+        plain = socket.socket()
+        plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        plain.connect(("127.0.0.1", at.port))
+        reader, writer = await asyncio.open_connection(sock=plain, limit=2**10)
+        await _raw_handshake(writer, reader)
+        writer.write(_frame(1, Hello(RATE, fps=240).text().encode()))
+        reader._transport.pause_reading()  # type: ignore[attr-defined]
+        for _ in range(55):
+            writer.write(_frame(2, pcm(1.0)))
+        await writer.drain()
+        highest, served = 0.0, 0
+        for _ in range(8):
+            assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
+            served += 1
+            highest = max(highest, figure(at.server, "unread_bytes"))
+            await asyncio.sleep(0.05)
+        assert served == 8
+        # One piece of work may go over the line: half a second at 240 frames per second.
+        assert 2**17 <= highest <= 2**17 + 120 * (16 * 4 + 3) * 4 + 10_000
+        async with asyncio.timeout(60):
+            while at.server.connections:
                 await asyncio.sleep(0.05)
-            assert served == 8
-            # One piece of work may go over the line: half a second at 240 frames per second.
-            assert 2**17 <= highest <= 2**17 + 120 * (16 * 4 + 3) * 4 + 10_000
-            async with asyncio.timeout(60):
-                while at.server.connections:
-                    await asyncio.sleep(0.05)
-            assert figure(at.server, "closed_total", code=str(int(CloseCode.UNREAD))) == 1
-            writer.transport.abort()
-
-    run(test)
+        assert figure(at.server, "closed_total", code=str(int(CloseCode.UNREAD))) == 1
+        writer.transport.abort()
 
 
 async def _raw_handshake(writer: asyncio.StreamWriter, reader: asyncio.StreamReader) -> None:
@@ -695,47 +533,13 @@ def _frame(opcode: int, payload: bytes, mask: bytes = b"\0\0\0\0") -> bytes:
 # ---------------------------------------------------------------- faults
 
 
-def test_rude_clients_end_nothing_but_themselves(caplog: pytest.LogCaptureFixture) -> None:
-    """Disconnects in the middle of a message and of a handshake, garbage, many connects: one line in the log each."""
-    async def test() -> None:
-        limits = replace(LIMITS, streams=64)
-        async with running(limits) as at, connect(at.url, Hello(RATE)) as other:
-            async def rude(number: int) -> None:
-                reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
-                if number % 4 == 0:
-                    writer.write(b"\x16\x03\x01 no HTTP at all \r\n\r\n")
-                elif number % 4 == 1:
-                    writer.write(b"GET /stream HTTP/1.1\r\nHost: loc")
-                else:
-                    await _raw_handshake(writer, reader)
-                    writer.write(_frame(1, Hello(RATE).text().encode()))
-                    half = _frame(2, pcm(1.0))
-                    writer.write(half[:len(half) // 2] if number % 4 == 2 else b"\xff\xff\xff\xff\xff")
-                await writer.drain()
-                writer.transport.abort()
-
-            await asyncio.gather(*(rude(number) for number in range(100)))
-            await other.send(pcm(1.0))
-            await other.finish()
-            assert_whole([one async for one in other if isinstance(one, Poses)], 1.0)
-            assert await at.get("/healthz") == (200, "ok\n")
-
-    with caplog.at_level(logging.INFO, "gesticulator"):
-        run(test)
-    lines = [record.getMessage() for record in caplog.records]
-    assert all(record.exc_info is None and "\n" not in record.getMessage() for record in caplog.records)
-    assert len([line for line in lines if line.startswith("stream ")]) <= 51
-
-
-def test_a_failure_in_a_stream_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
-    async def test() -> None:
-        async with running() as at:
-            await closed_with(at.url, Hello(RATE).text(), b"\xff\x7f" * 1000)
-
-    with caplog.at_level(logging.INFO, "gesticulator"):
-        run(test)
-    told = [record.getMessage() for record in caplog.records if "a model failed" in record.getMessage()]
-    assert len(told) == 1 and "4500" in told[0] and "\n" not in told[0]
+@in_loop
+async def test_a_failure_in_a_stream_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "gesticulator")
+    async with running() as at:
+        await closed_with(at.url, Hello(RATE).text(), b"\xff\x7f" * 1000)
+    failures = [record.getMessage() for record in caplog.records if "a model failed" in record.getMessage()]
+    assert len(failures) == 1 and "4500" in failures[0] and "\n" not in failures[0]
 
 
 MESSAGES = st.lists(st.one_of(
@@ -774,120 +578,41 @@ def test_no_message_ends_the_server() -> None:
     asyncio.run(test())
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not tell memory in /proc")
-def test_a_quarter_of_an_hour_of_silence_leaves_nothing_behind() -> None:
-    """Sent as fast as it is worked on; every frame comes, and memory is what it was after the first minutes."""
-    def pages() -> int:
-        return int(Path("/proc/self/statm").read_text().split()[1])
-
-    async def test() -> None:
-        async with running(ServerLimits()) as at, connect(at.url, Hello(8000, fps=2)) as stream:
-            minute, numbers, before = bytes(2 * 8000 * 60), [], 0
-            answers = aiter(stream)
-            for passed in range(1, 16):
-                await stream.send(minute)
-                while len(numbers) < 2 * (60 * passed - 1):
-                    message = await anext(answers)
-                    if isinstance(message, Poses):
-                        numbers += range(message.first, message.first + len(message))
-                before = before if passed > 5 else pages()
-            assert (pages() - before) * 4096 < 20e6
-            await stream.finish()
-            async for message in answers:
-                if isinstance(message, Poses):
-                    numbers += range(message.first, message.first + len(message))
-            assert numbers == list(range(2 * 900))
-            assert figure(at.server, "waiting_seconds") == pytest.approx(0, abs=1e-6)
-
-    run(test)
-
-
-def test_ended_streams_are_freed_though_the_collector_does_not_run_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However they ended: a stream holds a minute of poses, and its tasks, their errors and their frames hold it."""
-    monkeypatch.setattr(server_module, "RELEASE_SECONDS", 0.02)
-    sessions: weakref.WeakSet[Session] = weakref.WeakSet()
-
-    async def end(url: str, how: str) -> None:
-        with suppress(ConnectionClosed):
-            async with open_socket(url) as ws:
-                await ws.send(Hello(RATE).text())
-                await ws.send(pcm(0.5))
-                await ws.recv()
-                if how == "broken":
-                    ws.transport.abort()
-                else:
-                    await ws.send({"finished": '{"type":"finish"}', "odd": b"\0", "quiet": '{"type":"idle"}'}[how])
-                while True:
-                    await ws.recv()
-
-    async def test() -> None:
-        async with running(replace(LIMITS, quiet_seconds=0.2)) as at:
-            open_session = at.server.open_session
-
-            def opened(name: str, request: StreamRequest) -> Session:
-                session = open_session(name, request)
-                sessions.add(session)
-                return session
-
-            at.server.open_session = opened
-            for how in ("finished", "broken", "odd", "quiet"):
-                await end(at.url, how)
-            assert figure(at.server, "streams_opened_total") == 4
-            for _ in range(200):
-                await asyncio.sleep(0.02)
-                if not sessions:
-                    break
-        assert not sessions
-
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        run(test)
-    finally:
-        gc.enable()
-        gc.unfreeze()
-
-
 # ---------------------------------------------------------------- health, figures, the end
 
 
-def test_metrics_are_on_the_same_port() -> None:
-    async def test() -> None:
-        async with running() as at:
-            await talk(at.url, pcm(2.0))
-            assert await at.get("/healthz") == (200, "ok\n")
-            assert (await at.get("/elsewhere"))[0] == 404
-            status, text = await at.get("/metrics")
-            assert status == 200
-            values = {sample.name: sample.value for family in text_string_to_metric_families(text)
-                      for sample in family.samples if set(sample.labels) <= {"code"}}
-            assert values["gesticulator_frames_total"] == 120
-            assert values["gesticulator_sound_seconds_total"] == pytest.approx(2)
-            assert values["gesticulator_streams"] == values["gesticulator_unread_bytes"] == 0
-            assert values["gesticulator_waiting_seconds"] == pytest.approx(0, abs=1e-9)
-            assert values["gesticulator_closed_total"] == 1
-            assert values["gesticulator_compute_seconds_count"] >= 5
-
-    run(test)
+@in_loop
+async def test_metrics_are_on_the_same_port() -> None:
+    async with running() as at:
+        await talk(at.url, pcm(2.0))
+        assert await at.get("/healthz") == (200, "ok\n")
+        assert (await at.get("/elsewhere"))[0] == 404
+        status, text = await at.get("/metrics")
+        assert status == 200
+        values = {sample.name: sample.value for family in text_string_to_metric_families(text)
+                  for sample in family.samples if set(sample.labels) <= {"code"}}
+        assert values["gesticulator_frames_total"] == 120
+        assert values["gesticulator_sound_seconds_total"] == pytest.approx(2)
+        assert values["gesticulator_streams"] == values["gesticulator_unread_bytes"] == 0
+        assert values["gesticulator_waiting_seconds"] == pytest.approx(0, abs=1e-9)
+        assert values["gesticulator_closed_total"] == 1
+        assert values["gesticulator_compute_seconds_count"] >= 5
 
 
-def test_a_server_that_is_told_to_stop_answers_what_it_received() -> None:
-    async def test() -> None:
-        async with running() as at, connect(at.url, Hello(RATE)) as stream:
-            await stream.send(pcm(2.0))
-            at.server.stop()
-            came = [one async for one in stream]
-            assert_whole([one for one in came if isinstance(one, Poses)], 2.0)
-            # A client that comes back would take it as the end.
-            assert not any(isinstance(one, dict) and one["type"] == "done" for one in came)
-            with pytest.raises(ConnectionClosed, match="1001"):
-                await stream._socket.recv()
-            await asyncio.wait_for(at.ended, 5)
-            with pytest.raises(OSError, match=r".*"):
-                await open_socket(at.url)
-
-    run(test)
+@in_loop
+async def test_a_server_that_is_told_to_stop_answers_what_it_received() -> None:
+    async with running() as at, connect(at.url, Hello(RATE)) as stream:
+        await stream.send(pcm(2.0))
+        at.server.stop()
+        came = [one async for one in stream]
+        assert_whole([one for one in came if isinstance(one, Poses)], 2.0)
+        # A client that comes back would take it as the end.
+        assert not any(isinstance(one, dict) and one["type"] == "done" for one in came)
+        with pytest.raises(ConnectionClosed, match="1001"):
+            await stream._socket.recv()
+        await asyncio.wait_for(at.ended, 5)
+        with pytest.raises(OSError, match=r".*"):
+            await open_socket(at.url)
 
 
 # ---------------------------------------------------------------- the client's player

@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -109,74 +108,9 @@ def joined(poses: list[Poses]) -> np.ndarray:
     return np.concatenate([one.rotations for one in poses])
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_workers_share_a_port_and_the_server_ends_with_any_of_them() -> None:
-    with served("--workers", "2") as at:
-        for _ in range(2):
-            at.await_line("worker . is ready")
-        sound = speech(6.0)
-        first = joined(asyncio.run(talk(at.port, sound)))
-        assert len(first) == 360
-
-        async def two_at_once() -> list[list[Poses]]:
-            return await asyncio.gather(talk(at.port, sound), talk(at.port, sound))
-
-        for again in asyncio.run(two_at_once()):
-            np.testing.assert_array_equal(joined(again), first, "the same seed, whichever worker answers")
-        for _ in range(200):  # which worker takes a connection is the system's choice
-            if {worker for line in at.lines for worker in re.findall(r"stream (\d)-", line)} == {"0", "1"}:
-                break
-            asyncio.run(talk(at.port, speech(0.3)))
-        streams = sum("INFO stream " in line for line in at.lines)
-        text = at.get("/metrics")
-        assert f"gesticulator_streams_opened_total {float(streams)}" in text, "of both workers together"
-        workers = [child for child in _children(at.process.pid) if _serves(child)]
-        os.kill(workers[0], signal.SIGKILL)
-        assert at.process.wait(_PATIENCE) == 1, "for a supervisor to start it again"
-        assert not any(_serves(worker) for worker in workers)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_workers_end_with_code_0_on_a_signal() -> None:
-    with served("--workers", "2") as at:
-        for _ in range(2):
-            at.await_line("worker . is ready")
-        at.end()
-        assert not any("Traceback" in line for line in at.lines)
-        assert at.lines[-1].endswith("stopped")
-
-
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="no list of processes")
-def test_no_worker_is_left_behind_when_its_parent_is_killed() -> None:
-    with served("--workers", "2") as at:
-        for _ in range(2):
-            at.await_line("worker . is ready")
-        workers = [child for child in _children(at.process.pid) if _serves(child)]
-        assert len(workers) == 2
-        at.process.kill()
-        for _ in range(1200):
-            if not any(_serves(worker) for worker in workers):
-                return
-            time.sleep(0.1)
-        raise AssertionError(f"they live: {at.lines}")
-
-
-def _children(pid: int) -> list[int]:
-    return [int(child) for task in Path(f"/proc/{pid}/task").iterdir()
-            for child in (task / "children").read_text().split()]
-
-
-def _serves(pid: int) -> bool:
-    """Whether it is a worker that lives; multiprocessing has a helper beside them."""
-    try:
-        return "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-
-
 def test_a_single_server_ends_with_code_0_in_the_middle_of_a_stream() -> None:
     with served("--drain-seconds", "0.3") as at:
-        at.await_line("worker 0 is ready")
+        at.await_line("INFO ready")
 
         async def test() -> list[Poses]:
             async with connect(f"ws://127.0.0.1:{at.port}/stream", Hello(RATE)) as stream:
@@ -193,39 +127,10 @@ def test_a_single_server_ends_with_code_0_in_the_middle_of_a_stream() -> None:
         assert at.process.wait(_PATIENCE) == 0
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs Linux's figures of threads")
-def test_no_thread_computes_beside_the_compute_thread() -> None:
-    """Those of numpy's matrix products spin while they wait for work, which took more than the stream."""
-    with served() as at:
-        at.await_line("worker 0 is ready")
-        before = _processor_ticks(at.process.pid)
-
-        async def test() -> None:
-            async with connect(f"ws://127.0.0.1:{at.port}/stream", Hello(RATE)) as stream:
-                for _ in range(60):  # as it comes from a microphone: the products are small
-                    await stream.send(speech(.1))
-                await stream.finish()
-                async for message in stream:
-                    assert message
-
-        asyncio.run(test())
-        after = _processor_ticks(at.process.pid)
-        took = sorted(ticks - before.get(thread, 0) for thread, ticks in after.items())
-        assert sum(took[:-1]) <= .4 * took[-1], "the sockets' thread takes a tenth"
-
-
-def _processor_ticks(pid: int) -> dict[str, int]:
-    """Thread -> the processor time that it took, in ticks of the kernel."""
-    fields = {task.name: (task / "stat").read_text().rpartition(")")[2].split()
-              for task in Path(f"/proc/{pid}/task").iterdir()}
-    return {thread: int(of[11]) + int(of[12]) for thread, of in fields.items()}
-
-
 @pytest.mark.parametrize(("arguments", "wrong"), [
     (["--port", "99999"], "port 99999"), (["--host", "no.such.host.invalid"], "no.such.host.invalid"),
-    (["--host", "0.0.0.0"], "--token-file"), (["--streams", "0"], "limits.streams"), (["--workers", "0"], "--workers"),
+    (["--host", "0.0.0.0"], "--token-file"), (["--streams", "0"], "limits.streams"),
     (["--vmc", "nowhere"], "HOST:PORT"),
-    (["--vmc", "127.0.0.1:39539", "--workers", "2"], "one worker"),
     (["--bundle", "/no/such/folder"], "is not a folder"), (["--drain-seconds", "nan"], "limits.drain_seconds"),
     (["--threads", "0"], "--threads")])
 def test_what_cannot_be_served_is_told_in_one_line(arguments: list[str], wrong: str,
@@ -246,43 +151,3 @@ def test_the_token_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypa
     assert read_token(parser.parse_args([])) == ""
     monkeypatch.setenv("GESTICULATOR_TOKEN", "other")
     assert read_token(parser.parse_args(["--host", "0.0.0.0"])) == "other"
-
-
-_HEAP_PROGRAM = """
-import ctypes, threading
-from gesticulator.live.command import _limit_heap
-
-libc = ctypes.CDLL(None)
-libc.malloc.restype = ctypes.c_void_p
-libc.free.argtypes = [ctypes.c_void_p]
-if {limited}:
-    _limit_heap()
-libc.free(libc.malloc(20_000_000))  # by itself, glibc then takes up to 20 MB from the heap
-kept = libc.malloc(5_000_000)
-go = threading.Barrier(8)
-
-def work():
-    libc.malloc(100_000)
-    go.wait()
-
-threads = [threading.Thread(target=work) for _ in range(8)]
-[thread.start() for thread in threads]
-[thread.join() for thread in threads]
-libc.fopen.restype = ctypes.c_void_p
-out = ctypes.c_void_p(libc.fopen(b"/dev/stdout", b"w"))
-libc.malloc_info(0, out)
-libc.fclose(out)
-"""
-
-
-@pytest.mark.skipif(not GLIBC, reason="only glibc has mallopt and malloc_info (Linux but Alpine)")
-@pytest.mark.parametrize("limited", [False, True])
-def test_a_limited_heap_is_one_and_gives_large_pieces_their_own_pages(limited: bool) -> None:
-    """By glibc's own account, `malloc_info`."""
-    told = subprocess.run([sys.executable, "-c", _HEAP_PROGRAM.format(limited=limited)], capture_output=True, text=True,
-                          check=True).stdout
-    heaps = told.count("<heap nr=")
-    pages = told.rpartition('<total type="mmap" count="')[2]
-    count, size = int(pages.partition('"')[0]), int(pages.partition('size="')[2].partition('"')[0])
-    assert (heaps == 1) == limited
-    assert (count >= 1 and size >= 5_000_000) == limited

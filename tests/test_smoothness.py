@@ -10,10 +10,10 @@ from scipy.spatial.distance import jensenshannon
 from scipy.stats import norm
 
 from data_module.motion import rotation
-from data_module.motion.skeletons import CHARACTER
+from data_module.motion.kinematics import positions_of
+from data_module.motion.skeletons import CHARACTER, facing
 from data_module.types import Array, Motion
 from eval.baselines.controls import jittered, reversed_in_time
-from eval.metrics import smoothness
 from eval.metrics.smoothness import BIN, BINS, derivative, hand_speeds, hellinger, motion_smoothness, speed_histogram
 
 
@@ -43,12 +43,12 @@ def test_a_cubic_has_its_third_derivative_at_any_rate() -> None:
 
 
 def test_hands_and_joints_are_told_apart() -> None:
-    t = np.arange(30) / 30.0
-    points = np.zeros((30, 3, 3))
-    points[:, 1, 0], points[:, 2, 1] = 0.5 * 4 * t ** 2, t
-    got = smoothness.smoothness(points, 30.0, np.array([False, True, False]), np.array([False, True, True]))
-    assert got.acceleration_hands == pytest.approx(4.0) and got.acceleration == pytest.approx(2.0)
-    assert got.jerk_hands == pytest.approx(0.0, abs=1e-6) and got.reason == ""
+    """The upper arm alone turns: by hand from the places of its elbow and wrist, which are all that moves."""
+    motion = waving(60.0)
+    got, places = motion_smoothness(motion), positions_of(facing(motion))
+    right, left = (derivative(places[:, [CHARACTER.index(f"{side}Hand")]], 60.0, 2) for side in ("Right", "Left"))
+    assert got.acceleration_hands == pytest.approx((right.mean() + left.mean()) / 2)
+    assert got.acceleration == pytest.approx(derivative(places[:, 1:], 60.0, 2).mean())
 
 
 def test_absent_joints_do_not_count_and_too_few_frames_have_a_reason() -> None:
@@ -56,6 +56,8 @@ def test_absent_joints_do_not_count_and_too_few_frames_have_a_reason() -> None:
     assert without.jerk > whole.jerk > 0 and without.jerk_hands == whole.jerk_hands
     short = motion_smoothness(waving(60.0).crop(0, 3))
     assert np.isnan(short.jerk) and short.acceleration > 0 and short.reason == "3 frames: jerk needs 4"
+    nobody = motion_smoothness(waving(60.0, absent=CHARACTER.names))
+    assert np.isnan(nobody.jerk) and nobody.reason == "no joint is known"
 
 
 def test_what_fools_it_as_the_chapter_says() -> None:
@@ -104,19 +106,9 @@ def test_nonsense_is_refused() -> None:
     for speeds in ([-0.1], [np.inf]):
         with pytest.raises(ValueError):
             speed_histogram(np.array(speeds))
-    for masks in ((np.ones(2, bool), np.ones(3, bool)), (np.array([1, 0]), np.ones(2, bool))):
-        with pytest.raises(ValueError):
-            smoothness.smoothness(np.zeros((5, 2, 3)), 30.0, *masks)
-    with pytest.raises(ValueError):
-        smoothness.smoothness(np.zeros((5, 3)), 30.0, np.ones(3, bool), np.ones(3, bool))
     for counts in ([1.0, np.nan], [1.0, np.inf], [1.0, -1.0]):
         with pytest.raises(ValueError):
             hellinger(np.array(counts), np.ones(2))
-
-
-def test_no_joint_is_nan_with_a_reason() -> None:
-    nobody = smoothness.smoothness(np.zeros((9, 2, 3)), 30.0, np.zeros(2, bool), np.ones(2, bool))
-    assert np.isnan(nobody.jerk_hands) and np.isnan(nobody.speed_hands) and nobody.reason == "no joint is known"
 
 
 @pytest.mark.parametrize(("middle", "deviation"), [(0.5, 1.0), (2.0, 1.0), (0.0, 3.0)])

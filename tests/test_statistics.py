@@ -14,7 +14,7 @@ from data_module.motion.skeletons import CHARACTERS
 from data_module.speech.audio import load_speech
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.features import LEAST_MOVEMENT, Normaliser, Statistics, control_rows
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.systems import movement
 from gesticulator.training.presets import preset
 from gesticulator.training.stages.measured import measured, resting
@@ -108,7 +108,7 @@ def test_absent_joints_of_the_shipped_bundle_are_exactly_still_before_the_clamp(
     made = torch.cat(blocks)
     assert len(blocks) > 10 and (made[..., absent] == 0).all()
     assert (made.abs().amax(dim=(0, 1)) > 0).sum() == made.shape[-1] - len(absent), "all others move"
-    assert (bundle.block_models.lexicon.shown()[..., absent].abs() < 1e-6).all()
+    assert (bundle.block_lexicon.shown()[..., absent].abs() < 1e-6).all()
 
 
 def test_control_rows_are_standardised_and_say_what_is_asked() -> None:

@@ -188,12 +188,12 @@ def test_words_without_times_lie_between_their_neighbours(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("content", "said"), [
-    ('{"words": [}', "line 1, column 12: is not valid JSON"),
+    ('{"words": [}', "line 1: is not valid JSON"),
     ('{"words": [{"word": "a", "start": "0:01", "end": 2}]}', "words[0].start: '0:01' is not a time"),
-    ('{"words": [{"word": "a", "start": 1, "end": NaN}]}', "NaN is not a number"),
+    ('{"words": [{"word": "a", "start": 1, "end": NaN}]}', "is not valid JSON"),
     ('{"words": [{"word": "a", "start": 1}]}', "words[0].end: 'None' is not a time"),
     ('{"words": [{"word": "a", "start": true, "end": 2}]}', "words[0].start: 'True' is not a time"),
-    ('{"words": [{"word": "a", "start": 1e999, "end": 2}]}', "the number 1e999 is too large"),
+    ('{"words": [{"word": "a", "start": 1e999, "end": 2}]}', "out of range"),
     ('{"words": [{"word": "a", "start": ' + "9" * 400 + ', "end": 2}]}', "a number of 400 digits"),
     ('{"words": [{"start": 1, "end": 2}]}', "words[0]: has no word"),
     ('{"words": ["a"]}', "words[0]: is not an object"),

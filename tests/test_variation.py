@@ -7,7 +7,7 @@ import pytest
 
 from data_module.errors import InputError
 from data_module.types import Speech
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from tests.untrained import MOVING, PLAIN, untrained
 
 RATE = 16000

@@ -18,7 +18,7 @@ from small_characters import write_character
 
 from gesticulator import Gesticulator
 from gesticulator.options import InferenceOptions
-from gesticulator.page.command import COMMAND, PageRequest, _job, _way_in, _with_saved_edits
+from gesticulator.page.command import COMMAND, _job, _way_in, _with_saved_edits
 from gesticulator.page.saved_edits import SavedEdits, place_of
 from gesticulator.page.server import TOKEN_HEADER
 from gesticulator.plan.plan_file import read_plan
@@ -68,17 +68,16 @@ def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixt
     plan = system(sound, seed=1).plan()
     place = place_of(sound)
     saved = SavedEdits(place, after=60.0)
-    saved.keep(lambda: plan)
+    saved.keep(plan)
     saved.save()
     assert read_plan(place) == plan
 
     def gone_on(*words: str) -> InferenceOptions:
         args = COMMAND.parser("gesticulator view").parse_args([str(sound), *words])
-        return _with_saved_edits(system, _job(args), PageRequest(anew=args.anew))[0].options
+        return _with_saved_edits(system, _job(args)).options
 
     options = gone_on()
     assert (options.plan, options.retime) == (plan, False) and "are opened" in capsys.readouterr().out
-    assert gone_on("--anew").plan is None
     # The sound was exported again, with a pause at the start.
     soundfile.write(sound, np.concatenate([np.zeros(rate, np.float32), samples]), rate, subtype="FLOAT")
     assert gone_on().retime and "moved onto the new sound" in capsys.readouterr().out

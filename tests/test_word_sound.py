@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.types import Speech, Word
-from gesticulator.directing.directions import stroke_of_word
+from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.word_sound import WordSounds
 
 LASTS = 0.4

@@ -39,7 +39,6 @@ from data_module.speech.sound_files import (
     container,
     container_of,
     is_mpeg,
-    mpeg,
     promised,
     sndfile,
 )
@@ -209,11 +208,10 @@ def check_file(name: Path, any_length: bool = False) -> None:
 
 
 def header_seconds(name: Path) -> float:
-    """Length of a recording from its header, seconds; 0 if unknown, and for MP3, which needs a subprocess."""
-    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw:
-        if not is_mpeg(raw.read(512)):
-            with _decoder(raw, name) as (sound, promise):
-                return _claimed(sound, promise) / sound.rate
+    """Length of a recording from its header, seconds; 0 if unknown."""
+    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw, \
+            _decoder(raw, name) as (sound, promise):
+        return _claimed(sound, promise) / sound.rate
     return 0.0
 
 
@@ -360,14 +358,10 @@ def _decoder(raw: BinaryIO, name: object) -> Iterator[tuple[Sound, Promise]]:
     raw.seek(0)
     promise = promised(raw, size, name)
     raw.seek(0)
-    if is_mpeg(head):
-        with mpeg(raw) as sound:
-            # Without a count in the header the decoder guesses the length from the first frame.
-            yield replace(sound, frames=sound.frames if promise.known else 0), promise
-        return
     # The header of a WAV written to a pipe may have a length of 0, which the decoder would trust.
-    with sndfile(cast(BinaryIO, Patched(raw, promise.patch))) as sound:
-        yield sound, promise
+    with sndfile(cast(BinaryIO, io.BufferedReader(Patched(raw, promise.patch)))) as sound:
+        # Without a count in the header of an MP3 the decoder guesses the length from the first frame.
+        yield replace(sound, frames=0) if is_mpeg(head) and not promise.known else sound, promise
 
 
 def _claimed(sound: Sound, promise: Promise) -> int:

@@ -36,7 +36,7 @@ from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curve
 from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_strip
 from eval.table import dumps, loads
 from gesticulator.bundle import config as configs
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import diversity, longest_run
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.features import SpeechFeatures
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import Corpus
 from gesticulator.training.stages.q_network import features_of, takes_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
@@ -161,7 +161,7 @@ def walk(policy: Policy, decisions: Decisions, take: Demonstration, teacher: boo
 
 def accuracy(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstration, teacher: bool) -> float:
     """Percent of a take's blocks, but the first, on which the best score is the performer's lexeme (RG Table 6)."""
-    return lexeme_accuracy(walk(Policy(interpreter), decisions, take, teacher)[0][1:], take.lexemes[1:]).percent
+    return lexeme_accuracy(walk(Policy(interpreter), decisions, take, teacher)[0][1:], take.lexemes[1:])
 
 
 def every_reward(rewards: Rewards, take: Demonstration, lexemes: Lexemes) -> Array:

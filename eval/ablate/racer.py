@@ -109,7 +109,7 @@ class RacerRows:
         if bundle.reward is None or bundle.reward_judge is None:
             raise InputError(context.work, "lacks one of the two reward models of the bundle's training",
                              "give the work folder of its training, with schedules.reward.steps")
-        parts = bundle.block_models
+        lexicon = bundle.block_lexicon
         config = configs.with_settings(bundle.config, preset)
         corpus, labels = context.corpus, context.labels
         decisions = Decisions.of(bundle, corpus, labels, context.limit)
@@ -117,11 +117,11 @@ class RacerRows:
             raise InputError(store.path, "has no test recording with a decision in it", "build the store again")
         silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.double().numpy(), bundle.silent))
         takes = [replace(take, lexemes=silent.relabel(take)) for take in takes_of(corpus, labels, "train")]
-        models = (parts.lexicon, parts.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder)
+        models = (lexicon, bundle.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder)
         hashes = [weights_hash(model) for model in models if model is not None]
         shapes = configs.digest(VERSION, store.fingerprint, hashes, bundle.silent.tolist(), config.silence.mask)
-        tables = {"": reward_table(bundle.reward, parts.lexicon, corpus),
-                  "judge_": reward_table(bundle.reward_judge, parts.lexicon, corpus)}
+        tables = {"": reward_table(bundle.reward, lexicon, corpus),
+                  "judge_": reward_table(bundle.reward_judge, lexicon, corpus)}
         judge = PolicyJudge(decisions, tables)
         return cls(context, config, takes, silent, judge, tables, shapes, rg)
 
@@ -156,11 +156,11 @@ class RacerRows:
     @cached_property
     def shared(self) -> str:
         """Hash of what the rows share."""
-        parts = self.bundle.block_models
-        style = weights_hash(parts.style) if parts.style else ""
+        generator, style = self.bundle.generator, self.bundle.style
+        assert generator is not None
         networks = [[network.sha256, network.name, network.frames] for network in self.rg.context.networks.values()]
-        return configs.digest(VERSION, self.shapes, weights_hash(parts.generator), style, networks,
-                              self.context.limit, MOTION)
+        return configs.digest(VERSION, self.shapes, weights_hash(generator), weights_hash(style) if style else "",
+                              networks, self.context.limit, MOTION)
 
     def cell_key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes a row's cell."""
@@ -198,7 +198,7 @@ class RacerRows:
     @cached_property
     def nats(self) -> float:
         """Mean entropy of the lstm's choice on the validation split as the bundle samples it, on the person's past."""
-        model, temperature = self.bundle.block_models.interpreter, self.bundle.config.selection.temperature or 1.0
+        model, temperature = self.bundle.interpreter, self.bundle.config.selection.temperature or 1.0
         return entropy_of(torch.cat([teacher_logits(model, self.corpus, take.blocks, take.lexemes)
                                      for take in self.held]) / temperature)
 
@@ -259,7 +259,7 @@ def rewarded(racer: RacerRows, config: Config) -> tuple[Episodes, Rewards]:
     episodes = _episodes(racer, config)
     if config.episodes.reward == "contrastive":
         return episodes, racer.taught(config)
-    lexicon = racer.bundle.block_models.lexicon
+    lexicon = racer.bundle.block_lexicon
     table = rescaled(distance_rewards(lexicon.shown(), racer.corpus.motion), episodes)
     with_distance = [replace(e, reward=table.numpy()[e.blocks, e.actions].astype(np.float32))
                      for e in episodes.episodes]
@@ -273,7 +273,7 @@ def _episodes(racer: RacerRows, config: Config) -> Episodes:
     with lock(file, "a row that makes its data", beside=True, wait=True):
         if not file.exists():
             interpreters: dict[str, LexemeInterpreter] = {
-                "sampled": racer.bundle.block_models.interpreter, "statistical": racer.bundle.statistical()}
+                "sampled": racer.bundle.interpreter, "statistical": racer.bundle.statistical()}
             build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
                   vectors=racer.bundle.vectors.numpy(), seed=config.seed,
                   policies=BehaviourPolicies(interpreters, features_of(racer.corpus))).save(file)

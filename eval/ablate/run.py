@@ -55,8 +55,8 @@ from gesticulator.bundle import config as configs
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import SpeechFeatures
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import FPS
-from gesticulator.pipeline import Gesticulator
 from gesticulator.training.fit import late_gain
 from gesticulator.training.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Node, Run, Stage, assemble, wanted
 from gesticulator.training.stages.q_network import takes_of
@@ -290,7 +290,7 @@ class RgRows:
         takes = [take for take in takes_of(corpus, labelled.hinted, corpus.splits[number]) if take.recording == number]
         decisions = Decisions(corpus, takes, labelled.silent, system.bundle.config.silence.mask,
                               len(self.judge.lexicon.vectors))
-        chooser = system.interpreter(interpreter, bool(corpus.has_text[number]))
+        chooser = system.bundle.interpreter_named(interpreter, bool(corpus.has_text[number]))
         return {column: accuracy(chooser, decisions, takes[0], teacher)
                 for column, teacher in (("accuracy", False), ("teacher_forced", True))}
 

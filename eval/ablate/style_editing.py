@@ -27,7 +27,7 @@ from data_module.types import Array, Motion
 from eval.clip.excerpts import excerpt
 from eval.stats import Interval, mean_interval
 from eval.table import Column
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 
 CLIPS = 8
 SECONDS = 40.0

@@ -145,8 +145,8 @@ def _opened(arguments: argparse.Namespace) -> Acceptance:
     work = arguments.work or (None if store is None else Path(f"{store.path}.work") / "acceptance")
     cache = KeptRenderings(None if work is None else work / "renderings")
     system = BundleSystem(OURS, bundle_folder(arguments.bundle), cache)
-    _ = system.bundle.block_models  # a bundle of RACER's own codec has no lexemes by which blocks are sampled
-    system.gesticulator.speaker_index(arguments.speaker)
+    _ = system.bundle.block_lexicon  # a bundle of RACER's own codec has no lexemes by which blocks are sampled
+    system.gesticulator.resolver.speaker(arguments.speaker)
     chosen = _voices(arguments, store, system)
     others = [system_at(name, Path(place), cache) for name, place in places.items()]
     if WITHOUT_SOUND in system.gesticulator.interpreters:

@@ -34,7 +34,7 @@ from data_module.store import Store
 from data_module.types import Array, Motion
 from eval import stats
 from eval.acceptance.bounds import LACKING, Measured, Results
-from eval.metrics.eye import common_body, hands, strokes
+from eval.metrics.eye import common_body, hands
 from eval.metrics.eye.body import HZ
 from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
@@ -137,7 +137,7 @@ def stroke_blocks(places: Array, durations: Array) -> NDArray[np.bool_]:
     # A stroke is recognised by its fastest moment, not by its mean: most of a block may be preparation.
     wrists = places[:, :, [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]]
     step = np.linalg.norm(np.diff(wrists, axis=1), axis=-1) * (places.shape[1] / durations)[:, None, None]
-    return np.asarray(step.max(axis=(1, 2)) > strokes.MOVES, dtype=bool)
+    return np.asarray(step.max(axis=(1, 2)) > hands.MOVES, dtype=bool)
 
 
 def r_squared(sums: Array) -> Interval:
@@ -181,7 +181,7 @@ def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
 @torch.no_grad()
 def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
     """[N] ranks of the requested lexemes: how many are nearer to each sampled block than the one that was requested."""
-    lexicon = bundle.block_models.lexicon
+    lexicon = bundle.block_lexicon
     blocks, requested = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
     if isinstance(lexicon, Lexicon):
         return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)
@@ -273,7 +273,7 @@ def measure(system: BundleSystem, store: Store | None, voices: Sequence[Acceptan
     """The group `lexicon`; one missing figure without a store."""
     if store is None:
         return {("within_r2", f"{ALL}, open loop"): Measured(missing=LACKING["corpus"])}
-    recordings, codes = held_out(system.bundle, store), codes_of(system.bundle.block_models.lexicon)
+    recordings, codes = held_out(system.bundle, store), codes_of(system.bundle.block_lexicon)
     results = lexicon_figures(recordings, codes)
     results["absent", ""] = absent_figure([open_loop(codes[ALL], held) for held in recordings],
                                           system.bundle.statistics.present)
@@ -290,7 +290,7 @@ def measure(system: BundleSystem, store: Store | None, voices: Sequence[Acceptan
 
 def _obedience(system: BundleSystem, voices: Sequence[AcceptanceVoice], performed: Sequence[Rendering], on: str
                ) -> Results:
-    speakers = [system.gesticulator.speaker_index(system.speaker(voice)) for voice in voices]
+    speakers = [system.gesticulator.resolver.speaker(system.speaker(voice)) for voice in voices]
     ranks = [encode(system.bundle, rendering, speaker) for rendering, speaker in zip(performed, speakers, strict=True)]
     groups = [voice.group or voice.name for voice in voices]
     return obedience_figures(ranks, [rendering.lexemes for rendering in performed], groups, system.bundle.silent, on)

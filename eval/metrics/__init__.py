@@ -31,9 +31,9 @@ class Metric(RegistryEntry):
     unit: "" for a figure without one. digits: behind the point, in tables. part: the table it stands in. inputs:
     "truth" (the speaker's own motion of the clip), "speech", "set" (several clips), "bundle" (a lexicon and a model
     that judges), "edges" (of the system's own blocks), "reference" (the frozen space of the Frechet distance).
-    fooled_by: the controls (`eval.baselines`) that it cannot tell from good motion: where less is better, they are
-    better than a real person's motion at another moment; else they are as good as the truth, or as near to it. Of the
-    figures of lexemes, over a lexicon of postures: among movements jitter does not pass.
+    fooled_by: the controls (`eval.baselines`) that it cannot tell from good motion, whoever moves: where less is
+    better, they are better than a real person's motion at another moment; else they are as good as the truth, or as
+    near to it. Of the figures of lexemes, over a lexicon of postures: among movements jitter does not pass.
     """
 
     unit: str = ""
@@ -55,9 +55,6 @@ class Metric(RegistryEntry):
 
 
 _TRUTH, _SPEECH, _BUNDLE = ("truth",), ("speech",), ("speech", "bundle")
-_SEEN_BACKWARDS = ("mirrored", "reversed")
-"""Controls that no figure of one hand's shape or of a window's means can tell from real motion."""
-_STILL_TOO = ("mirrored", "still", "reversed", "jitter", "bobbing")
 _SHAPE = ("shuffled", "reversed")
 """Controls that keep how fast real motion is: what looks at vigour alone takes them for the truth."""
 
@@ -104,118 +101,71 @@ _OURS: dict[str, Metric] = {
 """Without those for the eye. FGD has a column for each network, and each network has its own unit."""
 
 
-_MEASURES = {"frechet": "ReferenceSpace", "phrases": "sound_figures"}
-"""Chapters of the figures for the eye whose function is not `figures`."""
+def _eye(part: str, about: str, unit: str, digits: int, good: Direction, inputs: tuple[str, ...] = ()) -> Metric:
+    """A figure of `eval.metrics.eye`: of the chapter of its part, but for the two whose measure has another name."""
+    measure = {"frechet": "frechet:ReferenceSpace", "phrases": "units:sound_figures"}.get(part, f"{part}:figures")
+    return Metric(about, f"eval.metrics.eye.{measure}", unit, digits, f"eye {part}", good, inputs)
 
-
-def _eye(chapter: str, about: str, unit: str, digits: int, good: Direction, fooled_by: tuple[str, ...], *,
-         inputs: tuple[str, ...] = ()) -> Metric:
-    module = "units" if chapter == "phrases" else chapter
-    measure = _MEASURES.get(chapter, "figures")
-    return Metric(about, f"eval.metrics.eye.{module}:{measure}", unit, digits, f"eye {chapter}", good, inputs,
-                  fooled_by)
-
-
-_MIRROR_OR_NOISE = (*_SEEN_BACKWARDS, "jitter")
-_BOBS = (*_SEEN_BACKWARDS, "bobbing")
-_EDGES = ("edges",)
 
 EYE_METRICS: dict[str, Metric] = {
-    "eye_hand_speed_correlation": _eye("hands", "L/R hand speed correlation", "", 2, "near", ("reversed",)),
-    "eye_hand_height_correlation": _eye("hands", "L/R hand height correlation", "", 2, "near", ("reversed", "jitter")),
-    "eye_one_handed": _eye("hands", "one-handed share of movement", "%", 0, "near", ("reversed",)),
-    "eye_one_hanging": _eye("hands", "exactly one hand hanging", "%", 0, "near", ("reversed", "jitter")),
-    "eye_both_hanging": _eye("hands", "both hands hanging", "%", 0, "near", _STILL_TOO),
-    "eye_speed_5": _eye("hands", "hand speed, 5 %", "m/s", 2, "near", _SEEN_BACKWARDS),
-    "eye_speed_25": _eye("hands", "hand speed, 25 %", "m/s", 2, "near", _SEEN_BACKWARDS),
-    "eye_speed_50": _eye("hands", "hand speed, 50 %", "m/s", 2, "near", _SEEN_BACKWARDS),
-    "eye_speed_75": _eye("hands", "hand speed, 75 %", "m/s", 2, "near", _BOBS),
-    "eye_speed_95": _eye("hands", "hand speed, 95 %", "m/s", 2, "near", _BOBS),
-    "eye_speed_99": _eye("hands", "hand speed, 99 %", "m/s", 2, "near", _BOBS),
-    "eye_drift": _eye("hands", "mean wrist of the last 15 s from the first", "cm", 0, "low", _STILL_TOO),
-    "eye_head": _eye("trunk", "head on chest, spread", "deg", 1, "near", _MIRROR_OR_NOISE),
-    "eye_chest": _eye("trunk", "chest, spread", "deg", 1, "near", _SEEN_BACKWARDS),
-    "eye_head_yaw": _eye("trunk", "head yaw, 95 %", "deg", 0, "low", _STILL_TOO),
-    "eye_freeze": _eye("trunk", "longest freeze of head and hands", "s", 1, "low", _MIRROR_OR_NOISE),
-    "eye_freeze_head": _eye("trunk", "longest freeze of the head", "s", 1, "low", _MIRROR_OR_NOISE),
-    "eye_freeze_hands": _eye("trunk", "longest rest of both hands", "s", 1, "low", _MIRROR_OR_NOISE),
-    "eye_hand_in_torso": _eye("trunk", "hand in the torso", "%", 1, "low", _STILL_TOO),
-    "eye_elbow_in_torso": _eye("trunk", "elbow in the torso", "%", 1, "low", _STILL_TOO),
-    "eye_elbow_behind": _eye("trunk", "elbow behind the trunk, hand ahead", "%", 1, "low", _STILL_TOO),
-    "eye_elbow_fastest": _eye("trunk", "fastest elbow", "m/s", 1, "low",
-                              ("mirrored", "still", "reversed", "bobbing")),
-    "eye_fingers": _eye("trunk", "fingers moving", "%", 0, "near", _MIRROR_OR_NOISE),
-    "eye_stroke_amplitude": _eye("strokes", "stroke amplitude, median", "cm", 0, "near", _SEEN_BACKWARDS),
-    "eye_stroke_amplitude_90": _eye("strokes", "stroke amplitude, 90 %", "cm", 0, "near", _MIRROR_OR_NOISE),
-    "eye_stroke_duration": _eye("strokes", "stroke duration, median", "s", 2, "near", (*_MIRROR_OR_NOISE, "bobbing")),
-    "eye_stroke_duration_90": _eye("strokes", "stroke duration, 90 %", "s", 2, "near", _MIRROR_OR_NOISE),
-    "eye_attack": _eye("strokes", "where a stroke is fastest", "% of it", 1, "near",
-                       ("mirrored", "jitter")),
-    "eye_rising": _eye("strokes", "hands speeding up, of the time", "%", 1, "near", ("mirrored",)),
-    "eye_seam": _eye("strokes", "acceleration at seams over elsewhere", "", 2, "low", (*_MIRROR_OR_NOISE, "bobbing"),
-                     inputs=_EDGES),
-    "eye_repetition": _eye("strokes", "nearest other 2 s window over spread", "", 2, "near", ("reversed", "jitter")),
-    "eye_speech_speed": _eye("voice", "hand speed in speech", "m/s", 2, "near", _BOBS, inputs=_SPEECH),
-    "eye_silence_speed": _eye("voice", "hand speed in silence", "m/s", 2, "near", _BOBS, inputs=_SPEECH),
-    "eye_speech_over_silence": _eye("voice", "speech over silence, speed", "", 2, "near",
-                                    (*_MIRROR_OR_NOISE, "bobbing"), inputs=_SPEECH),
-    "eye_loudness": _eye("voice", "loudness and hand speed, signed r2", "", 2, "near", (*_MIRROR_OR_NOISE, "bobbing"),
-                         inputs=_SPEECH),
-    "eye_above_1": _eye("voice", "PMB above chance, 0.1 s, first detector", "%", 0, "high", _BOBS, inputs=_SPEECH),
-    "eye_above_2": _eye("voice", "PMB above chance, 0.1 s, second", "%", 0, "high", (*_MIRROR_OR_NOISE, "bobbing"),
-                        inputs=_SPEECH),
-    "eye_splay": _eye("posture", "forearm outward, of the time", "%", 0, "low", ("still", "reversed", "bobbing")),
-    "eye_splay_both": _eye("posture", "both forearms outward, of the time", "%", 0, "low",
-                           ("still", "reversed", "jitter", "bobbing")),
-    "eye_azimuth": _eye("posture", "azimuth of the forearm, outward", "deg", 0, "near", _STILL_TOO),
-    "eye_elbow": _eye("posture", "elbow bend", "deg", 0, "near", _STILL_TOO),
-    "eye_folded": _eye("posture", "elbow folded, of the time", "%", 1, "low", _STILL_TOO),
-    "eye_face": _eye("posture", "arm before the face, of the time", "%", 1, "low", _STILL_TOO),
-    "eye_hands_apart": _eye("posture", "hands apart", "cm", 0, "near", _STILL_TOO),
-    "eye_shoulder": _eye("posture", "shoulder lift, spread", "cm", 1, "near", _SEEN_BACKWARDS),
-    "eye_wrist_50": _eye("posture", "wrist bend, median", "deg", 0, "near", ()),
-    "eye_wrist_95": _eye("posture", "wrist bend, 95 %", "deg", 0, "near", ()),
-    "eye_finger_bend": _eye("posture", "finger bend", "deg", 0, "near", ()),
-    "eye_finger_over_time": _eye("posture", "finger bend, spread over time", "deg", 1, "near", ()),
-    "eye_finger_between": _eye("posture", "finger bend, spread between joints", "deg", 1, "near", ()),
-    "eye_thumb_index": _eye("posture", "thumb with index finger, correlation", "", 2, "near", ()),
-    "eye_head_with_hands": _eye("together", "head with hands, correlation", "", 2, "near", _SEEN_BACKWARDS),
-    "eye_chest_with_hands": _eye("together", "chest with hands, correlation", "", 2, "near", _SEEN_BACKWARDS),
-    "eye_chest_side": _eye("together", "chest turn with the side of the hands", "", 2, "near",
-                           _MIRROR_OR_NOISE),
-    "eye_head_travel": _eye("together", "head travel", "cm/s", 1, "near", _SEEN_BACKWARDS),
-    "eye_chest_travel": _eye("together", "chest travel", "cm/s", 1, "near", _SEEN_BACKWARDS),
-    "eye_fast": _eye("together", "hand velocity in 3 to 6 Hz", "%", 1, "low", (*_MIRROR_OR_NOISE, "bobbing")),
-    "eye_variation": _eye("together", "variation over 4 s", "", 2, "near", _MIRROR_OR_NOISE),
-    "eye_units": _eye("units", "gesture units a minute and hand", "", 1, "near", _BOBS),
-    "eye_unit_length": _eye("units", "unit length, median", "s", 1, "near", ("reversed", "bobbing")),
-    "eye_unit_length_90": _eye("units", "unit length, 90 %", "s", 1, "near", ("bobbing",)),
-    "eye_unit_time": _eye("units", "in gesture units, of the time", "%", 0, "near", (*_MIRROR_OR_NOISE, "bobbing")),
-    "eye_unit_strokes": _eye("units", "strokes a unit, median", "", 1, "near", ("reversed", "bobbing")),
-    "eye_unit_single": _eye("units", "units of one or two strokes", "%", 0, "near", (*_MIRROR_OR_NOISE, "bobbing")),
-    "eye_held": _eye("phrases", "raised hand held, of speech", "%", 1, "near", (*_MIRROR_OR_NOISE, "bobbing"),
-                     inputs=_SPEECH),
-    "eye_holds": _eye("phrases", "holds a minute and hand", "", 1, "near", ("mirrored", "still", "reversed", "jitter"),
-                      inputs=_SPEECH),
-    "eye_pause_moving": _eye("phrases", "pauses with a moving hand", "%", 0, "near", _MIRROR_OR_NOISE,
-                             inputs=_SPEECH),
-    "eye_pause_speed": _eye("phrases", "speed in pauses over around them", "", 2, "near", (), inputs=_SPEECH),
-    "eye_lead": _eye("phrases", "first movement after a pause, from the voice", "s", 2, "near", ("jitter", "bobbing"),
-                     inputs=_SPEECH),
-    "eye_lead_before": _eye("phrases", "first movement before the voice", "%", 0, "near",
-                            (*_MIRROR_OR_NOISE, "bobbing"), inputs=_SPEECH),
-    "eye_lead_chance": _eye("phrases", "chance of that", "%", 0, "", (), inputs=_SPEECH),
-    "eye_loud": _eye("phrases", "log hand speed with loudness, correlation", "", 2, "near",
-                     (*_MIRROR_OR_NOISE, "bobbing"), inputs=_SPEECH),
-    "eye_loud_speech": _eye("phrases", "the same in speech alone", "", 2, "near", (*_MIRROR_OR_NOISE, "bobbing"),
-                            inputs=_SPEECH),
-    "eye_variation_speech": _eye("phrases", "variation over 4 s, in speech", "", 2, "near",
-                                 (*_MIRROR_OR_NOISE, "bobbing"), inputs=_SPEECH),
-    "eye_frechet": _eye("frechet", "window Frechet distance to real, mean of clips", "", 1, "low", _SEEN_BACKWARDS,
-                        inputs=("reference",)),
+    "eye_hand_speed_correlation": _eye("hands", "L/R hand speed correlation", "", 2, "near"),
+    "eye_hand_height_correlation": _eye("hands", "L/R hand height correlation", "", 2, "near"),
+    "eye_one_handed": _eye("hands", "one-handed share of movement", "%", 0, "near"),
+    "eye_one_hanging": _eye("hands", "exactly one hand hanging", "%", 0, "near"),
+    "eye_both_hanging": _eye("hands", "both hands hanging", "%", 0, "near"),
+    "eye_speed_5": _eye("hands", "hand speed, 5 %", "m/s", 2, "near"),
+    "eye_speed_25": _eye("hands", "hand speed, 25 %", "m/s", 2, "near"),
+    "eye_speed_50": _eye("hands", "hand speed, 50 %", "m/s", 2, "near"),
+    "eye_speed_75": _eye("hands", "hand speed, 75 %", "m/s", 2, "near"),
+    "eye_speed_95": _eye("hands", "hand speed, 95 %", "m/s", 2, "near"),
+    "eye_speed_99": _eye("hands", "hand speed, 99 %", "m/s", 2, "near"),
+    "eye_drift": _eye("hands", "mean wrist of the last 15 s from the first", "cm", 0, "low"),
+    "eye_head": _eye("trunk", "head on chest, spread", "deg", 1, "near"),
+    "eye_chest": _eye("trunk", "chest, spread", "deg", 1, "near"),
+    "eye_head_yaw": _eye("trunk", "head yaw, 95 %", "deg", 0, "low"),
+    "eye_freeze_head": _eye("trunk", "longest freeze of the head", "s", 1, "low"),
+    "eye_hand_in_torso": _eye("trunk", "hand in the torso", "%", 1, "low"),
+    "eye_elbow_in_torso": _eye("trunk", "elbow in the torso", "%", 1, "low"),
+    "eye_elbow_behind": _eye("trunk", "elbow behind the trunk, hand ahead", "%", 1, "low"),
+    "eye_elbow_fastest": _eye("trunk", "fastest elbow", "m/s", 1, "low"),
+    "eye_fingers": _eye("trunk", "fingers moving", "%", 0, "near"),
+    "eye_stroke_amplitude": _eye("strokes", "stroke amplitude, median", "cm", 0, "near"),
+    "eye_stroke_amplitude_90": _eye("strokes", "stroke amplitude, 90 %", "cm", 0, "near"),
+    "eye_attack": _eye("strokes", "where a stroke is fastest", "% of it", 1, "near"),
+    "eye_seam": _eye("strokes", "acceleration at seams over elsewhere", "", 2, "low", ("edges",)),
+    "eye_repetition": _eye("strokes", "nearest other 2 s window over spread", "", 2, "near"),
+    "eye_speech_speed": _eye("voice", "hand speed in speech", "m/s", 2, "near", _SPEECH),
+    "eye_silence_speed": _eye("voice", "hand speed in silence", "m/s", 2, "near", _SPEECH),
+    "eye_speech_over_silence": _eye("voice", "speech over silence, speed", "", 2, "near", _SPEECH),
+    "eye_above_1": _eye("voice", "PMB above chance, 0.1 s, first detector", "%", 0, "high", _SPEECH),
+    "eye_above_2": _eye("voice", "PMB above chance, 0.1 s, second", "%", 0, "high", _SPEECH),
+    "eye_splay": _eye("posture", "forearm outward, of the time", "%", 0, "low"),
+    "eye_splay_both": _eye("posture", "both forearms outward, of the time", "%", 0, "low"),
+    "eye_azimuth": _eye("posture", "azimuth of the forearm, outward", "deg", 0, "near"),
+    "eye_elbow": _eye("posture", "elbow bend", "deg", 0, "near"),
+    "eye_face": _eye("posture", "arm before the face, of the time", "%", 1, "low"),
+    "eye_hands_apart": _eye("posture", "hands apart", "cm", 0, "near"),
+    "eye_shoulder": _eye("posture", "shoulder lift, spread", "cm", 1, "near"),
+    "eye_wrist_95": _eye("posture", "wrist bend, 95 %", "deg", 0, "near"),
+    "eye_finger_bend": _eye("posture", "finger bend", "deg", 0, "near"),
+    "eye_finger_between": _eye("posture", "finger bend, spread between joints", "deg", 1, "near"),
+    "eye_thumb_index": _eye("posture", "thumb with index finger, correlation", "", 2, "near"),
+    "eye_head_with_hands": _eye("together", "head with hands, correlation", "", 2, "near"),
+    "eye_head_travel": _eye("together", "head travel", "cm/s", 1, "near"),
+    "eye_chest_travel": _eye("together", "chest travel", "cm/s", 1, "near"),
+    "eye_fast": _eye("together", "hand velocity in 3 to 6 Hz", "%", 1, "low"),
+    "eye_variation": _eye("together", "variation over 4 s", "", 2, "near"),
+    "eye_units": _eye("units", "gesture units a minute and hand", "", 1, "near"),
+    "eye_unit_length": _eye("units", "unit length, median", "s", 1, "near"),
+    "eye_held": _eye("phrases", "raised hand held, of speech", "%", 1, "near", _SPEECH),
+    "eye_pause_moving": _eye("phrases", "pauses with a moving hand", "%", 0, "near", _SPEECH),
+    "eye_pause_speed": _eye("phrases", "speed in pauses over around them", "", 2, "near", _SPEECH),
+    "eye_loud": _eye("phrases", "log hand speed with loudness, correlation", "", 2, "near", _SPEECH),
+    "eye_variation_speech": _eye("phrases", "variation over 4 s, in speech", "", 2, "near", _SPEECH),
+    "eye_frechet": _eye("frechet", "window Frechet distance to real, mean of clips", "", 1, "low", ("reference",)),
 }
-"""The figures for the eye (`eval.metrics.eye`), of one clip each. fooled_by: the controls, made of a real take, that
-lie in the range of real people (`eval.metrics.eye.RANGES`) by this figure."""
+"""The figures for the eye (`eval.metrics.eye`), of one clip each, in the order of a table. Which controls pass depends
+on the speaker: each chapter tells it, and `gesticulator score` marks it on the clips at hand."""
 
 METRICS: Registry[Metric] = Registry("metrics", "an eval.metrics.Metric, or a function of two motions",
                                      {**_OURS, **EYE_METRICS}, Metric)

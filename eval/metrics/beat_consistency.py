@@ -31,7 +31,7 @@ import numpy as np
 from data_module.motion.kinematics import positions_of, resample
 from data_module.motion.skeletons import facing, upper_body
 from data_module.types import Array, Motion
-from eval.metrics.pmb import above_chance
+from eval.metrics.pmb import above_chance, circular_shifts, rising
 
 __all__ = ["consistency"]
 
@@ -48,14 +48,10 @@ SHIFTS = 50
 
 @dataclass(frozen=True)
 class Consistency:
-    """score: 0 to 1, higher said to be better; chance: of the same beats moved against the onsets; NaN with a reason.
-
-    beats_per_second: motion beats of a joint, the mean over joints: what a high score may be due to.
-    """
+    """score: 0 to 1, higher said to be better; chance: that of the same beats moved in time; NaN with a reason."""
 
     score: float
     chance: float
-    beats_per_second: float
     reason: str = ""
 
     @property
@@ -67,16 +63,11 @@ class Consistency:
 def onset_score(motion_beats: Array, onsets: Array, sigma: float = SIGMA) -> float:
     """Mean over onsets [m] of exp(-d^2 / (2 sigma^2)), d seconds to the nearest of the motion beats [n].
 
-    NaN without onsets, as a mean over none; 0 without motion beats (each onset waits in vain). ValueError for a sigma
-    that is not positive, and for times that are not finite or not [n].
+    NaN without onsets, as a mean over none; 0 without motion beats (each onset waits in vain). ValueError for times
+    that are not finite or not [n].
     """
-    if not (np.isfinite(sigma) and sigma > 0):
-        raise ValueError(f"sigma must be positive, not {sigma}")
-    beats, times = np.asarray(motion_beats, dtype=np.float64), np.asarray(onsets, dtype=np.float64)
-    if beats.ndim != 1 or times.ndim != 1 or not (np.isfinite(beats).all() and np.isfinite(times).all()):
-        raise ValueError(f"times must be finite seconds, [n], not {beats.shape} and {times.shape}")
-    # `searchsorted` below needs them in order, and a circular shift leaves them out of it.
-    beats = np.sort(beats)
+    # Sorted for `searchsorted` below: a circular shift leaves the beats out of order.
+    beats, times = rising(motion_beats), rising(onsets)
     if len(times) == 0:
         return float("nan")
     if len(beats) == 0:
@@ -134,18 +125,12 @@ def consistency(joints: Sequence[Array], onsets: Array, duration: float, sigma: 
                 ) -> Consistency:
     """Score and chance of the beats of joints against onsets (both in seconds, 0 to `duration`).
 
-    chance: the mean over circular shifts of all beats together, drawn evenly but no closer to 0 than a second (or a
-    tenth of the duration). ValueError as in `onset_score`, and for a duration that is not positive.
+    chance: the mean over `circular_shifts` of all beats together. ValueError as in `onset_score`, and for a duration
+    that is not positive.
     """
-    nan = float("nan")
-    if not (np.isfinite(duration) and duration > 0):
-        raise ValueError(f"the duration must be positive, not {duration}")
-    if len(joints) == 0:
-        return Consistency(nan, nan, nan, "no joint moves")
-    rate = float(np.mean([len(beats) for beats in joints])) / duration
-    if len(onsets) == 0:
-        return Consistency(nan, nan, rate, "the sound has no onset")
-    least = min(1.0, 0.1 * duration)
-    by = np.random.default_rng(seed).uniform(least, duration - least, SHIFTS)
-    moved = [mean_score([(beats + shift) % duration for beats in joints], onsets, sigma) for shift in by]
-    return Consistency(mean_score(joints, onsets, sigma), float(np.mean(moved)), rate)
+    if len(joints) == 0 or len(onsets) == 0:
+        reason = "the sound has no onset" if len(joints) else "no joint moves"
+        return Consistency(float("nan"), float("nan"), reason)
+    moved = [mean_score([(beats + shift) % duration for beats in joints], onsets, sigma)
+             for shift in circular_shifts(duration, SHIFTS, seed)]
+    return Consistency(mean_score(joints, onsets, sigma), float(np.mean(moved)))

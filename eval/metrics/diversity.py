@@ -19,7 +19,9 @@ compare sets of the same number of blocks.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,50 +54,22 @@ def motion_variance(latents: Array, labels: ArrayLike, vectors: Array) -> float:
     labels: [N], the lexeme that each motion is nearest to. The variance is the unbiased one, so that rare lexemes do
     not lower the mean. In squared latent units; NaN where no lexeme occurs twice.
     """
-    points, lexemes = _latents(latents, vectors)
+    points, lexemes = np.asarray(latents, dtype=np.float64), np.asarray(vectors, dtype=np.float64)
     chosen = checked_labels(labels, len(lexemes))
-    if len(chosen) != len(points):
-        raise ValueError(f"{len(points)} latents have {len(chosen)} labels")
+    if points.shape != (len(chosen), lexemes.shape[1]):
+        raise ValueError(f"{len(chosen)} lexemes of {lexemes.shape} do not fit latents of {points.shape}")
+    if not (np.isfinite(points).all() and np.isfinite(lexemes).all()):
+        raise ValueError("latents and lexemes must be finite")
     distances = np.linalg.norm(points - lexemes[chosen], axis=1)
     counts = np.bincount(chosen, minlength=len(lexemes))
     variances = [float(distances[chosen == lexeme].var(ddof=1)) for lexeme in np.flatnonzero(counts > 1)]
     return float(np.mean(variances)) if variances else float("nan")
 
 
-def lexeme_moments(clips: Sequence[tuple[Array, Labels] | None], vectors: Array) -> tuple[Array, Array, Array]:
-    """[clips, S] each: for every lexeme the number of blocks, the sum of their distances to its vector and the sum of
-    squares, both less the mean distance of all. Redrawn sets are summed from these: the blocks are not needed.
-
-    clips: latents [N, D] and labels [N] of each, None for a clip without blocks; vectors: [S, D].
-    """
-    lengths = [np.zeros(0) if clip is None else np.linalg.norm(clip[0] - vectors[clip[1]], axis=1) for clip in clips]
-    middle = float(np.concatenate(lengths).mean())
-    labels = [np.zeros(0, dtype=np.int64) if clip is None else clip[1] for clip in clips]
-    powers = [np.array([np.bincount(clip_labels, (length - middle) ** power, minlength=len(vectors))
-                        for clip_labels, length in zip(labels, lengths, strict=True)]) for power in (0, 1, 2)]
-    return powers[0], powers[1], powers[2]
-
-
-def variance_of_moments(counts: Array, sums: Array, squares: Array) -> float:
-    """`motion_variance` from the sums [S] of `lexeme_moments`; NaN where no lexeme occurs twice."""
-    twice = counts > 1
-    n, total, square = counts[twice], sums[twice], squares[twice]
-    return float(np.maximum((square - total ** 2 / n) / (n - 1), 0.0).mean()) if twice.any() else float("nan")
-
-
 def longest_run(sequences: Sequence[ArrayLike]) -> float:
     """How many blocks in a row have one lexeme, at most, in any sequence; 1: never twice. NaN without a block."""
-    every = [length for sequence in sequences for _, length in runs(sequence)]
-    return float(max(every)) if every else float("nan")
-
-
-def runs(sequence: ArrayLike) -> list[tuple[int, int]]:
-    """(lexeme, blocks) of every run of one lexeme in a sequence [N], in order."""
-    labels = checked_labels(sequence)
-    if len(labels) == 0:
-        return []
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(labels)) + 1, [len(labels)]])
-    return [(int(labels[begin]), int(length)) for begin, length in zip(edges, np.diff(edges), strict=False)]
+    every = [len(list(run)) for sequence in sequences for _, run in groupby(checked_labels(sequence).tolist())]
+    return float(max(every, default=math.nan))
 
 
 def checked_labels(labels: ArrayLike, size: int | None = None) -> Labels:
@@ -109,12 +83,3 @@ def checked_labels(labels: ArrayLike, size: int | None = None) -> Labels:
         raise ValueError(f"labels must lie in 0 to {'N_s' if size is None else size} - 1: "
                          f"{values.min()} to {values.max()}")
     return values.astype(np.int64)
-
-
-def _latents(latents: Array, vectors: Array) -> tuple[Array, Array]:
-    points, lexemes = np.asarray(latents, dtype=np.float64), np.asarray(vectors, dtype=np.float64)
-    if points.ndim != 2 or lexemes.ndim != 2 or points.shape[1] != lexemes.shape[1] or len(lexemes) == 0:
-        raise ValueError(f"latents [N, D] and lexemes [S, D] do not fit: {points.shape} and {lexemes.shape}")
-    if not (np.isfinite(points).all() and np.isfinite(lexemes).all()):
-        raise ValueError("latents and lexemes must be finite")
-    return points, lexemes

@@ -127,7 +127,7 @@ def read_motion(lexicon: BlockLexicon, config: Config, statistics: Statistics, m
 
 def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:
     """The latents and nearest lexemes of a motion in given blocks."""
-    return read_motion(bundle.block_models.lexicon, bundle.config, bundle.statistics, motion, blocks, speaker)
+    return read_motion(bundle.block_lexicon, bundle.config, bundle.statistics, motion, blocks, speaker)
 
 
 @torch.no_grad()

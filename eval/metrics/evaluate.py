@@ -30,6 +30,7 @@ from data_module.motion.motion_beats import MODES, motion_beats
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Motion, Speech
 from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, eye, pmb
+from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.beat_consistency import consistency, mean_score, motion_joint_beats
 from eval.metrics.encode import EncodedMotion
 from eval.metrics.joint_error import motion_error
@@ -163,5 +164,5 @@ def lexeme_values(own: EncodedMotion | None, truth: EncodedMotion | None, reward
         return out
     out.put("reward", reward, "nothing is said" if judged
             else "no judging reward model of the bundle's training was found in the work folder (--work)")
-    out.put("lexeme_accuracy", 100.0 * float((own.labels == truth.labels).mean()), "")
+    out.put("lexeme_accuracy", lexeme_accuracy(own.labels, truth.labels), "")
     return out

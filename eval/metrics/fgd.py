@@ -51,11 +51,10 @@ DRAWS = 200
 
 @dataclass(frozen=True)
 class Gaussian:
-    """The two moments of features. mean: [E]; covariance: [E, E], unbiased; count: how many they are of."""
+    """The two moments of features. mean: [E]; covariance: [E, E], unbiased."""
 
     mean: Array
     covariance: Array
-    count: int
 
 
 @dataclass(frozen=True)
@@ -114,14 +113,7 @@ def gaussian(features: Array) -> Gaussian:
         raise ValueError(f"features must be [N, E] with N of 2 or more, not {points.shape}")
     if not np.isfinite(points).all():
         raise ValueError("features must be finite")
-    return Gaussian(points.mean(axis=0), np.atleast_2d(np.cov(points, rowvar=False)), len(points))
-
-
-def samples_needed(width: int) -> int:
-    """Windows that a set should have for features of this width."""
-    if width < 1:
-        raise ValueError(f"features have a width of 1 or more, not {width}")
-    return ENOUGH * width
+    return Gaussian(points.mean(axis=0), np.atleast_2d(np.cov(points, rowvar=False)))
 
 
 def frechet_distance(a: Gaussian, b: Gaussian) -> float:
@@ -145,8 +137,6 @@ def distance(first: Array, second: Array) -> float:
 
 def sampling_bias(of: Gaussian, first: int, second: int) -> float:
     """About what the distance is between samples of these sizes from one Gaussian (see the chapter's head)."""
-    if min(first, second) < 1:
-        raise ValueError(f"samples have a size of 1 or more, not {first} and {second}")
     roots = np.linalg.eigvalsh(of.covariance).clip(min=0.0)
     sums = roots[:, None] + roots
     spread = np.outer(roots, roots) * (1.0 + np.eye(len(roots)))
@@ -169,11 +159,10 @@ def measure(generated: Sequence[Array], real: Sequence[Array], by: Features, *, 
     nan = float("nan")
     if min(counts) < 2:
         width = max((clip.shape[1] for clip in (*generated, *real) if len(clip)), default=1)
-        return Figure(nan, Interval.undefined(), nan, counts, samples_needed(width), by.name, by.frames, by.fps,
+        return Figure(nan, Interval.undefined(), nan, counts, ENOUGH * width, by.name, by.frames, by.fps,
                       by.sha256, f"{min(counts)} windows in a set: a covariance needs two")
-    first, second = ([clip for clip in clips if len(clip)] for clips in (generated, real))
-    both = gaussian(np.concatenate(first)), gaussian(np.concatenate(second))
-    needed, got = samples_needed(len(both[0].mean)), frechet_distance(*both)
+    both = gaussian(_joined(generated)), gaussian(_joined(real))
+    needed, got = ENOUGH * len(both[0].mean), frechet_distance(*both)
     bounds = _interval(generated, real, got, paired, seed, draws)
     reason = "" if min(counts) >= needed else (
         f"{min(counts)} windows in a set, and {needed} are needed for features of {len(both[0].mean)} numbers")
@@ -209,28 +198,9 @@ def _root(covariance: Array) -> Array:
     return root
 
 
-class _Moments:
-    """Counts, sums and sums of squares of each clip: a redrawn set's moments without its features."""
-
-    def __init__(self, clips: Sequence[Array]) -> None:
-        centred = [np.asarray(clip, dtype=np.float64) for clip in clips]
-        width = max(clip.shape[1] for clip in centred if len(clip))
-        middle = np.concatenate([clip for clip in centred if len(clip)]).mean(axis=0)
-        # Sums of squares about the common mean: about zero they would lose the digits that variances are made of.
-        centred = [clip - middle if len(clip) else np.zeros((0, width)) for clip in centred]
-        self._middle = middle
-        self._counts = np.array([len(clip) for clip in centred], dtype=np.float64)
-        self._sums = np.array([clip.sum(axis=0) for clip in centred])
-        self._squares = np.array([clip.T @ clip for clip in centred])
-
-    def drawn(self, times: Array) -> Gaussian | None:
-        """The moments when clip k is taken times[k] times; None when that leaves fewer than two windows."""
-        count = float(times @ self._counts)
-        if count < 2:
-            return None
-        mean = times @ self._sums / count
-        covariance = (np.tensordot(times, self._squares, axes=1) - count * np.outer(mean, mean)) / (count - 1.0)
-        return Gaussian(mean + self._middle, covariance, int(count))
+def _joined(clips: Sequence[Array]) -> Array:
+    """The windows of all clips, [N, E]; a clip too short for a window has none, of no width."""
+    return np.concatenate([clip for clip in clips if len(clip)] or [np.zeros((0, 1))])
 
 
 def _interval(generated: Sequence[Array], real: Sequence[Array], got: float, paired: bool, seed: int, draws: int
@@ -239,13 +209,11 @@ def _interval(generated: Sequence[Array], real: Sequence[Array], got: float, pai
     clips = min(len(generated), len(real))
     if clips < 2:
         return Interval.exact(got, clips)
-    first, second = _Moments(generated), _Moments(real)
     # Paired clips are of one speech: redrawing them apart would widen the interval by what speeches differ.
     sizes = [len(generated)] if paired else [len(generated), len(real)]
     values = []
     for chosen in stats.resamples(np.random.default_rng(seed), sizes, draws):
-        times = [np.bincount(drawn, minlength=size).astype(float) for drawn, size in zip(chosen, sizes, strict=True)]
-        pair = first.drawn(times[0]), second.drawn(times[-1])
-        if pair[0] is not None and pair[1] is not None:
-            values.append(frechet_distance(pair[0], pair[1]))
+        first, second = _joined([generated[k] for k in chosen[0]]), _joined([real[k] for k in chosen[-1]])
+        if min(len(first), len(second)) > 1:
+            values.append(distance(first, second))
     return stats.limits(got, values, clips, basic=True, least=0.0)

@@ -22,17 +22,16 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import safetensors
 import safetensors.torch
 import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
-from data_module.arrays import read_numbers
 from data_module.errors import InputError
-from data_module.files import read_object, write_bytes, write_text
+from data_module.files import read_object, write_bytes
 from data_module.layers import SLOPE, freeze
 from data_module.motion.representation import POSITIONS, TED_BONES, TED_JOINTS, bone_directions
 from data_module.store import Store
@@ -53,8 +52,6 @@ NETWORK_FRAMES = (34, 60)
 """Windows of our own networks, at 15 fps: that of the papers' network, and one of 4 s."""
 PUBLISHED_FOLDER = "fgd"
 """In GESTICULATOR_DATA: where the papers' network lies, if it is there."""
-_REFERENCE = "h36m_reference.npz"
-_FORMAT = 1
 _LEAST_FRAMES = 12
 
 
@@ -168,8 +165,7 @@ _THEIR_NAMES = {"net": "convolutions", "out_net": "linear", "fc_mu": "feature"}
 def published(folder: str | Path) -> Features:
     """The papers' own Human3.6M network, of a folder with `h36m_gesture_encoder.safetensors` and .json.
 
-    Where `h36m_reference.npz` lies beside it, the features that the original gave for its windows must come out, or
-    the folder is refused. InputError for a file that is missing or is something else.
+    InputError for a file that is missing or is something else.
     """
     weights = Path(folder) / f"{PUBLISHED}.safetensors"
     if not weights.is_file():
@@ -184,37 +180,8 @@ def published(folder: str | Path) -> Features:
     except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise InputError(weights, f"is not the Human3.6M gesture encoder ({str(error).splitlines()[0]})",
                          "name the folder that holds it with its .json, or fetch both again") from None
-    network_features = Features("Human3.6M (Yoon et al. 2020)", frames, fps, _sha256(weights.read_bytes()),
+    return Features("Human3.6M (Yoon et al. 2020)", frames, fps, _sha256(weights.read_bytes()),
                     _batched(freeze(network), PUBLISHED_AXES))
-    reference = weights.with_name(_REFERENCE)
-    if reference.is_file() and (off := reference_error(network_features, reference)) > 1e-3:
-        raise InputError(weights, f"gives features that are up to {off:.2g} off those of {_REFERENCE}",
-                         "fetch both again")
-    return network_features
-
-
-def reference_windows(path: str | Path) -> tuple[Array, Array]:
-    """The two sets of windows [64, 34, 27] of the reference file, in our axes; InputError where it is another file."""
-    advice = "fetch it again"
-    windows = read_numbers(path, ("windows_a", "windows_b"), advice)
-    if any(part.ndim != 3 or part.shape[-1] != DIRECTIONS for part in windows):
-        raise InputError(path, f"holds no windows of {DIRECTIONS} numbers a frame", advice)
-    first, second = (part * np.tile(PUBLISHED_AXES, len(TED_BONES)) for part in windows)
-    return first, second
-
-
-def reference_error(network: Features, path: str | Path) -> float:
-    """Largest difference from the reference features, as a share of their standard deviation."""
-    advice = "fetch it again"
-    windows, features = reference_windows(path), read_numbers(path, ("features_a", "features_b"), advice)
-    if any(part.shape[1] != network.frames for part in windows):
-        raise InputError(path, f"holds no windows of {network.frames} frames", advice)
-    got = network.features(np.concatenate(windows))
-    if any(part.ndim != 2 for part in features) or sum(map(len, features)) != len(got) or any(
-            part.shape[1] != got.shape[1] for part in features):
-        raise InputError(path, "holds other features than its windows have", advice)
-    wanted = np.concatenate(features)
-    return float((np.abs(got - wanted) / wanted.std(axis=0)).max())
 
 
 def _our_name(theirs: str) -> str:
@@ -249,7 +216,6 @@ class Autoencoder(nn.Module):
     def __init__(self, config: AutoencoderConfig) -> None:
         super().__init__()
         self.config = config
-        self.origin: dict[str, Any] = {}
         self.register_buffer("mean", torch.zeros(DIRECTIONS))
         self.register_buffer("deviation", torch.ones(()))
         self.encoder = Encoder(config.frames, config.features)
@@ -289,13 +255,13 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
     """Our own network on the windows of a store's training split; `folder` holds the run's checkpoint and log, and the
     default of `settings` is `SETTINGS`.
 
-    The figures of its validation split are kept in `origin`. InputError when no recording is as long as two windows.
+    InputError when no recording is as long as two windows.
     """
     chosen, schedule = config or AutoencoderConfig(), settings or SETTINGS
     # A quarter of a window apart: training sees more phases of a movement than the distance does.
-    data, held = (np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)), *(
+    data = np.concatenate([np.zeros((0, chosen.frames, DIRECTIONS)), *(
         windows(store.load(info.name).motion, chosen.frames, chosen.fps, max(1, chosen.frames // 4))
-        for info in store.of_split(split))]) for split in ("train", "val"))
+        for info in store.of_split("train"))])
     if len(data) < 2:
         raise InputError(store.path, f"has no training motion of {chosen.frames} frames at {chosen.fps:g} fps",
                          "use shorter windows or a larger store")
@@ -307,19 +273,10 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
     def batch(rng: np.random.Generator, size: int) -> dict[str, Tensor]:
         return {"windows": pool[torch.as_tensor(rng.integers(len(pool), size=size))]}
 
-    def validate() -> dict[str, float]:
-        if len(held) == 0:
-            return {}
-        with torch.no_grad():
-            terms = network.losses({"windows": torch.as_tensor(held, dtype=torch.float32)})
-        return {key: round(float(term), 5) for key, term in terms.items()}
-
     Path(folder).mkdir(parents=True, exist_ok=True)
-    figures = fit(f"{NAME}_{chosen.frames}", network, Task(batch, validate=validate), schedule, Path(folder),
-                  FitOptions(seed=seed, progress=progress))
+    fit(f"{NAME}_{chosen.frames}", network, Task(batch), schedule, Path(folder),
+        FitOptions(seed=seed, progress=progress))
     freeze(network)
-    network.origin = {"store": store.corpus, "fingerprint": store.fingerprint, "licence": store.licence, "seed": seed,
-                      "steps": schedule.steps, "windows": len(data), "validation": figures}
     return network
 
 
@@ -332,31 +289,24 @@ def as_features(network: Autoencoder) -> Features:
 
 
 def save(network: Autoencoder, folder: str | Path) -> str:
-    """Write NAME.safetensors and NAME.json into `folder`; the SHA-256 of the former, which the latter holds too."""
+    """Write NAME.safetensors into `folder`; its SHA-256."""
     place, data = Path(folder), _bytes(network)
     place.mkdir(parents=True, exist_ok=True)
-    settings = {"format": _FORMAT, "sha256": _sha256(data), "config": asdict(network.config), "origin": network.origin}
     write_bytes(place / f"{NAME}.safetensors", data)
-    write_text(place / f"{NAME}.json", json.dumps(settings, indent=1, sort_keys=True) + "\n")
     return _sha256(data)
 
 
 def load(folder: str | Path) -> Autoencoder:
-    """The inverse of `save`; InputError when a file is missing, was changed or is of another format."""
+    """The inverse of `save`; InputError when the file is missing or is something else."""
     weights = Path(folder) / f"{NAME}.safetensors"
     try:
-        settings, data = read_object(weights.with_suffix(".json"), "train it again"), weights.read_bytes()
-        if (settings["format"], settings["sha256"]) != (_FORMAT, _sha256(data)):
-            raise ValueError("its .json tells of another format or another file")
-        network = Autoencoder(AutoencoderConfig(**settings["config"]))
-        network.load_state_dict(safetensors.torch.load(data))
-        # The settings are in the hash too: weights of the right shapes may stand beside another rate of frames.
-        if _bytes(network) != data:
-            raise ValueError("its .json tells of another configuration")
+        with safetensors.safe_open(weights, "pt") as file:
+            config = AutoencoderConfig(**json.loads(file.metadata()["config"]))
+            network = Autoencoder(config)
+            network.load_state_dict({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118 - no mapping
     except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise InputError(weights, f"is not a network of gesture features ({str(error).splitlines()[0]})",
                          "train it again") from None
-    network.origin = settings.get("origin", {})
     freeze(network)
     return network
 
@@ -388,7 +338,7 @@ def networks(store: Store, work: Path, progress: bool = True) -> list[Features]:
     every: list[Features] = []
     for frames in NETWORK_FRAMES:
         folder = work / f"fgd-{store.fingerprint[:12]}-{frames}"
-        if not (folder / f"{NAME}.json").is_file():
+        if not (folder / f"{NAME}.safetensors").is_file():
             save(train(store, folder, AutoencoderConfig(frames=frames), progress=progress), folder)
         every.append(as_features(load(folder)))
     place = os.environ.get("GESTICULATOR_DATA")

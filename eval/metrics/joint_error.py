@@ -30,7 +30,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import facing, upper_body
@@ -48,45 +47,37 @@ class JointError:
     """Errors of one clip; NaN where nothing is to be compared, and `reason` says why.
 
     maje: mm, mean over coordinates (public code); maje_length: mm, mean length of a joint's error.
-    mad: mm/s^2, mean length of a joint's acceleration error (RG 7.3.2); mad_coordinate: mm/s^2, mean over coordinates.
-    mad_per_frame, mad_coordinate_per_frame: the same in mm per squared frame, as the published figures are.
+    mad: mm/s^2, mean length of a joint's acceleration error (RG 7.3.2). mad_per_frame: the same in mm per squared
+    frame, as the published figures are; mad_coordinate_per_frame: its mean over coordinates.
     """
 
     maje: float
     maje_length: float
     mad: float
-    mad_coordinate: float
     mad_per_frame: float
     mad_coordinate_per_frame: float
     reason: str = ""
 
 
-def joint_error(generated: Array, truth: Array, fps: float, mask: NDArray[np.bool_] | None = None) -> JointError:
+def joint_error(generated: Array, truth: Array, fps: float) -> JointError:
     """MAJE and MAD of positions [T, J, 3] in metres against the speaker's, at `fps` frames a second (RG 7.3.2).
 
-    mask: [J] or [T, J], which joints count (of which frames); an acceleration counts when its three frames do. What it
-    leaves out may be NaN. ValueError for shapes that differ, for an fps that is not positive, and for positions that
-    count and are not finite.
+    ValueError for shapes that differ, for an fps that is not positive, and for positions that are not finite.
     """
     places, reference = np.asarray(generated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     if places.shape != reference.shape or places.ndim != 3 or places.shape[2] != 3:
         raise ValueError(f"positions must both be [T, J, 3], not {places.shape} and {reference.shape}")
     if not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"fps must be positive, not {fps}")
-    counts = _kept(mask, places.shape[:2])
-    with np.errstate(invalid="ignore"):
-        error = np.where(counts[..., None], MILLIMETRES * (places - reference), 0.0)
+    error = MILLIMETRES * (places - reference)
     if not np.isfinite(error).all():
-        raise ValueError("positions that count must be finite")
+        raise ValueError("positions must be finite")
     # The acceleration errors are those of the error itself: differences are linear.
     braking = np.diff(error, n=2, axis=0)
-    counts_thrice = counts[:-2] & counts[1:-1] & counts[2:]
-    length, coordinate = _means(error, counts)
-    braking_length, braking_coordinate = _means(braking, counts_thrice)
-    reason = "" if counts_thrice.any() else ("no joint is known in three frames in a row" if counts.any()
-                                           else "no joint is known in any frame")
-    return JointError(coordinate, length, braking_length * fps ** 2, braking_coordinate * fps ** 2, braking_length,
-                      braking_coordinate, reason)
+    length, coordinate = _means(error)
+    braking_length, braking_coordinate = _means(braking)
+    reason = "" if braking.size else "fewer than three frames" if error.size else "no joint is known in any frame"
+    return JointError(coordinate, length, braking_length * fps ** 2, braking_length, braking_coordinate, reason)
 
 
 def motion_error(generated: Motion, truth: Motion) -> JointError:
@@ -94,8 +85,7 @@ def motion_error(generated: Motion, truth: Motion) -> JointError:
 
     Of the character the 16 joints count, with fingers or without. Both are brought into their own facing frame with the
     root at the origin, as the models see them (RG 4.1.1). Joints that either source lacks do not count, nor does the
-    root.
-    ValueError when skeletons, lengths or frame rates differ: crop or resample first, and say so.
+    root. ValueError when skeletons, lengths or frame rates differ: crop or resample first, and say so.
     """
     generated, truth = upper_body(generated), upper_body(truth)
     if not generated.skeleton.same_joints(truth.skeleton) or not np.allclose(
@@ -106,24 +96,13 @@ def motion_error(generated: Motion, truth: Motion) -> JointError:
                          f"{truth.fps}")
     # The root is at the origin in both, without error by construction.
     absent = {*generated.absent, *truth.absent, truth.skeleton.names[0]}
-    counts = np.array([name not in absent for name in truth.skeleton.names])
-    first, second = (positions_of(facing(motion)) for motion in (generated, truth))
-    return joint_error(first, second, truth.fps, counts)
+    known = [joint for joint, name in enumerate(truth.skeleton.names) if name not in absent]
+    first, second = (positions_of(facing(motion))[:, known] for motion in (generated, truth))
+    return joint_error(first, second, truth.fps)
 
 
-def _kept(mask: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """The mask as [T, J]."""
-    if mask is None:
-        return np.ones(shape, dtype=bool)
-    chosen = np.asarray(mask)
-    if chosen.dtype != np.bool_ or chosen.shape not in (shape, shape[1:]):
-        raise ValueError(f"the mask must be of bool, [J] or [T, J] = {shape}, not {chosen.dtype} {chosen.shape}")
-    return np.broadcast_to(chosen, shape)
-
-
-def _means(vectors: Array, counts: NDArray[np.bool_]) -> tuple[float, float]:
-    """Mean length of the kept vectors [T, J, 3], and the mean of their absolute coordinates; NaN for none."""
-    chosen = vectors[counts]
-    if len(chosen) == 0:
+def _means(vectors: Array) -> tuple[float, float]:
+    """Mean length of vectors [T, J, 3], and the mean of their absolute coordinates; NaN for none."""
+    if vectors.size == 0:
         return float("nan"), float("nan")
-    return float(np.linalg.norm(chosen, axis=-1).mean()), float(np.abs(chosen).mean())
+    return float(np.linalg.norm(vectors, axis=-1).mean()), float(np.abs(vectors).mean())

@@ -49,22 +49,19 @@ NO_BEAT = "the motion has no beat"
 @dataclass(frozen=True)
 class Chance:
     """PMB of the same motion beats moved against the same onsets: mean in percent, and the one-sided p-value; NaN
-    without motion beats, and reason says so."""
+    without motion beats (`NO_BEAT`)."""
 
     mean: float
     p_value: float
-    reason: str = ""
 
 
 @dataclass(frozen=True)
 class DeltaCurve:
-    """PMB against delta. deltas: [n] seconds; percent: [n]; area: mean height over the span of delta, percent; NaN
-    without motion beats, and reason says so."""
+    """PMB against delta. percent: [n], one for each delta; area: mean height over the span of delta, percent; NaN
+    without motion beats."""
 
-    deltas: Array
     percent: Array
     area: float
-    reason: str = ""
 
 
 def matched(motion_beats: Array, onsets: Array, delta: float) -> NDArray[np.int64]:
@@ -91,7 +88,7 @@ def pmb(motion_beats: Array, onsets: Array, delta: float = DELTA) -> float:
     Onsets closer than `MERGE` are merged first. NaN without motion beats, as a share of none (`NO_BEAT`); 0 without
     onsets. ValueError for times that are not finite or not [n], and for a delta that is not positive.
     """
-    beats, events = _times(motion_beats), _times(onsets)
+    beats, events = rising(motion_beats), rising(onsets)
     if not (np.isfinite(delta) and delta > 0):
         raise ValueError(f"delta must be positive, not {delta}")
     if len(beats) == 0:
@@ -103,21 +100,34 @@ def chance(motion_beats: Array, onsets: Array, duration: float, delta: float = D
            shifts: int = SHIFTS) -> Chance:
     """PMB of the motion beside another stretch of speech: circular shifts over `duration` seconds.
 
-    Shifts are drawn evenly, no closer to 0 than a second (or a tenth of the duration). The p-value is the share of
-    shifts that do as well as no shift, with the unshifted one counted in. NaN without motion beats. ValueError as in
-    `pmb`, and for a duration that is not positive or no shift at all.
+    The p-value is the share of shifts that do as well as no shift, with the unshifted one counted in. NaN without
+    motion beats. ValueError as in `pmb` and `circular_shifts`.
     """
-    if not (np.isfinite(duration) and duration > 0) or shifts < 1:
-        raise ValueError(f"the duration must be positive and shifts 1 or more, not {duration} and {shifts}")
+    by = circular_shifts(duration, shifts, seed)
     if math.isnan(pmb(motion_beats, onsets, delta)):
-        return Chance(float("nan"), float("nan"), NO_BEAT)
-    least = min(1.0, 0.1 * duration)
-    # A shift near 0 is hardly a shift, and would count as chance what is synchrony.
-    by = np.random.default_rng(seed).uniform(least, duration - least, shifts)
+        return Chance(float("nan"), float("nan"))
     values = np.array([pmb((np.asarray(motion_beats) + shift) % duration, onsets, delta) for shift in by])
     # The tolerance is for rounding: a shift that ties must count against the motion.
     as_good = np.count_nonzero(values >= pmb(motion_beats, onsets, delta) - 1e-9)
     return Chance(float(values.mean()), (1 + as_good) / (1 + shifts))
+
+
+def circular_shifts(duration: float, count: int, seed: int) -> Array:
+    """[count] seconds, drawn evenly, no closer to 0 than a second (or a tenth of the duration). ValueError for a
+    duration that is not positive, or no shift at all."""
+    if not (np.isfinite(duration) and duration > 0) or count < 1:
+        raise ValueError(f"the duration must be positive and shifts 1 or more, not {duration} and {count}")
+    # A shift near 0 is hardly a shift, and would count as chance what is synchrony.
+    least = min(1.0, 0.1 * duration)
+    return np.random.default_rng(seed).uniform(least, duration - least, count)
+
+
+def rising(seconds: Array) -> Array:
+    """Times [n] in order; ValueError for times that are not finite or not [n]."""
+    values = np.asarray(seconds, dtype=np.float64)
+    if values.ndim != 1 or not np.isfinite(values).all():
+        raise ValueError(f"times must be finite seconds, [n], not {values.shape}")
+    return np.sort(values)
 
 
 def beat_rate(motion_beats: Array, duration: float) -> float:
@@ -133,23 +143,11 @@ def above_chance(value: float, by_chance: float, best: float = 100.0) -> float:
 
 
 def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float, ...] = DELTAS) -> DeltaCurve:
-    """PMB for each delta (RG Fig. 11), and its area as a mean height, from delta 0 (where nothing matches) on.
+    """PMB for each delta [n], rising (RG Fig. 11), and its area as a mean height, from delta 0 on.
 
-    ValueError as in `pmb`, and for deltas [n] that do not rise.
+    ValueError as in `pmb`.
     """
-    at = np.asarray(deltas, dtype=np.float64)
-    if at.ndim != 1 or len(at) == 0 or (np.diff(at) <= 0).any():
-        raise ValueError("deltas must rise, one at least")
-    percent = np.array([pmb(motion_beats, onsets, float(delta)) for delta in at])
+    percent = np.array([pmb(motion_beats, onsets, float(delta)) for delta in deltas])
     # At delta 0 nothing matches, so the curve begins at the origin.
-    x, y = np.concatenate([[0.0], at]), np.concatenate([[0.0], percent])
-    area = float(np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / x[-1])
-    return DeltaCurve(at, percent, area, NO_BEAT if len(motion_beats) == 0 else "")
-
-
-def _times(seconds: Array) -> Array:
-    """Times [n], checked, rising."""
-    values = np.asarray(seconds, dtype=np.float64)
-    if values.ndim != 1 or not np.isfinite(values).all():
-        raise ValueError(f"times must be finite seconds, [n], not {values.shape}")
-    return np.sort(values)
+    x, y = np.concatenate([[0.0], deltas]), np.concatenate([[0.0], percent])
+    return DeltaCurve(percent, float(np.trapezoid(y, x) / x[-1]))

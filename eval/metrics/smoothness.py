@@ -28,13 +28,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import facing, upper_body
 from data_module.types import Array, Motion
 
-__all__ = ["Smoothness", "motion_smoothness", "smoothness"]
+__all__ = ["Smoothness", "motion_smoothness"]
 
 HANDS = ("RightHand", "LeftHand")
 BIN = 0.05
@@ -74,40 +73,24 @@ def derivative(positions: Array, fps: float, order: int) -> Array:
     return lengths
 
 
-def smoothness(positions: Array, fps: float, hands: NDArray[np.bool_], joints: NDArray[np.bool_]) -> Smoothness:
-    """The figures of positions [T, J, 3]; hands, joints: [J] which joints count as either.
-
-    ValueError for other shapes, positions that count and are not finite, or an fps that is not positive.
-    """
-    places = np.asarray(positions, dtype=np.float64)
-    if places.ndim != 3 or any(np.shape(mask) != places.shape[1:2] or np.asarray(mask).dtype != np.bool_
-                               for mask in (hands, joints)):
-        raise ValueError(f"positions must be [T, J, 3] and both masks [J] of bool: {places.shape}, "
-                         f"{np.shape(hands)}, {np.shape(joints)}")
-    chosen = {"hands": places[:, hands], "joints": places[:, joints]}
-    fewest = min(hands.sum(), joints.sum())
-    short = "" if len(positions) > 3 else f"{len(positions)} frames: jerk needs 4"
-    reason = "no joint is known" if fewest == 0 else short
-
-    def mean(part: str, order: int) -> float:
-        values = derivative(chosen[part], fps, order)
-        return float(values.mean()) if values.size else float("nan")
-
-    return Smoothness(mean("hands", 1), mean("joints", 2), mean("hands", 2), mean("joints", 3), mean("hands", 3),
-                      reason)
-
-
 def motion_smoothness(motion: Motion) -> Smoothness:
     """The figures of a motion of the 16-joint character, seen from its own facing hips.
 
     Joints that the source lacks do not count, nor does the root; the hands are the wrists' places.
     """
     motion = upper_body(motion)
-    names = motion.skeleton.names
-    hands = np.array([name in HANDS for name in names])
+    places = positions_of(facing(motion))
+    hands = [motion.skeleton.index(name) for name in HANDS]
     # The root stands still in the facing frame and would lower every mean.
-    joints = np.array([k > 0 and name not in motion.absent for k, name in enumerate(names)])
-    return smoothness(positions_of(facing(motion)), motion.fps, hands, joints)
+    joints = [k for k, name in enumerate(motion.skeleton.names) if k and name not in motion.absent]
+
+    def mean(chosen: list[int], order: int) -> float:
+        values = derivative(places[:, chosen], motion.fps, order)
+        return float(values.mean()) if values.size else float("nan")
+
+    short = "" if len(motion) > 3 else f"{len(motion)} frames: jerk needs 4"
+    return Smoothness(mean(hands, 1), mean(joints, 2), mean(hands, 2), mean(joints, 3), mean(hands, 3),
+                      short if joints else "no joint is known")
 
 
 def hand_speeds(motion: Motion) -> Array:

@@ -68,7 +68,7 @@ def opened(arguments: argparse.Namespace) -> tuple[list[Source], Speech | None]:
         if speech is None:
             raise InputError("--ours", "has no sound to gesture to", "give --sound, --take or --corpus")
         # Opens torch, which a page without ours does not need.
-        from gesticulator.pipeline import Gesticulator
+        from gesticulator.gesticulator import Gesticulator
 
         performance = Gesticulator.from_pretrained(arguments.ours or None)(speech, seed=arguments.seed)
         sources.append(Source("ours", performance.motion))

@@ -43,7 +43,7 @@ from eval.clip.clip_set import TRUTH, ClipSet, common_clips, listed, shared_name
 from eval.clip.foreign import Clip, named, names_in, read_folder
 from eval.context import EvalContext, provenance, with_judges
 from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, eye, fgd
-from eval.metrics.diversity import entropy, lexeme_moments, variance_of_moments
+from eval.metrics.diversity import diversity, motion_variance
 from eval.metrics.encode import EncodedMotion, SpeechBlocks, encode_motion, judged_reward
 from eval.metrics.evaluate import (
     LEXEME_METRICS,
@@ -169,11 +169,16 @@ class ScoredClips:
             row.reasons |= dict.fromkeys(of_sets, "no speech is known")
             return
         vectors = bundle.lexicon.vectors.double().numpy()
-        moments = lexeme_moments([None if motion is None else (motion.latents.double().numpy(), motion.labels)
-                                  for motion in encoded], vectors)
-        row.sets["diversity"] = lambda chosen: entropy(moments[0][chosen].sum(axis=0))
-        row.sets["motion_variance"] = lambda chosen: variance_of_moments(
-            *(part[chosen].sum(axis=0) for part in moments))
+        # Blocks are redrawn with their clips, so each figure is of the drawn clips' blocks together.
+        latents = [None if motion is None else motion.latents.double().numpy() for motion in encoded]
+        labels = [np.zeros(0, dtype=np.int64) if motion is None else motion.labels for motion in encoded]
+
+        def of_clips(values: Sequence[Array | None], chosen: Indices) -> Array:
+            return np.concatenate([part for k in chosen if (part := values[k]) is not None] or [vectors[:0]])
+
+        row.sets["diversity"] = lambda chosen: diversity(np.concatenate([labels[k] for k in chosen]), len(vectors))
+        row.sets["motion_variance"] = lambda chosen: motion_variance(
+            of_clips(latents, chosen), np.concatenate([labels[k] for k in chosen]), vectors)
 
 
 def _put(row: ScoreRow, metrics: Sequence[str], every: Sequence[Values]) -> None:
@@ -382,7 +387,7 @@ def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict
     """The feature spaces of FGD, two window lengths at least: the papers' network (fgd_folder), our own in work
     (trained there on the truth's training split where it is a store), and raw directions for lengths that lack."""
     chosen: list[Features] = [published(fgd_folder)] if fgd_folder else []
-    folders = sorted(file.parent for file in work.rglob("gesture_features.json")) if work is not None else []
+    folders = sorted(file.parent for file in work.rglob("gesture_features.safetensors")) if work is not None else []
     if work is not None and not folders and (truth / "store.json").is_file():
         work.mkdir(parents=True, exist_ok=True)
         chosen += [network for network in networks(Store.open(truth), work) if network.name.startswith("own")]
@@ -478,7 +483,7 @@ def scored(arguments: argparse.Namespace) -> Scores:
         bundle = with_judges(bundles.load(bundle_folder(arguments.bundle)),
                              arguments.work)
         # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
-        _ = bundle.block_models
+        _ = bundle.block_lexicon
     folders, left_out = read_all(arguments)
     if arguments.units:
         folders[UNITS] = unit_selection_row(folders[TRUTH], Store.open(arguments.units), arguments.work, arguments.seed)

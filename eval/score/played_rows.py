@@ -13,7 +13,7 @@ from data_module.types import Motion, Speech
 from eval.clip.foreign import Clip
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import INDEX, bundle_folder
-from gesticulator.pipeline import Gesticulator
+from gesticulator.gesticulator import Gesticulator
 from interpreters import INTERPRETERS
 
 

@@ -46,7 +46,7 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import LEG_JOINTS, WHOLE_BODY, resized
 from data_module.motion.standing_legs import bent_leg, leg_lengths
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.body.life import breath, eased, noise, normal, uniform, weight_shifts
+from gesticulator.body.life import Shifts, breath, eased, noise, normal, uniform, weight_shifts
 from gesticulator.contacts.lap import SEAT_SPREAD
 
 __all__ = ["Stance", "seated", "with_legs"]
@@ -71,8 +71,9 @@ _FIRST_CHANNEL = (1 << 10) + 6
 class LegWeight:
     """The weight of one performance, in pieces: positive on the left leg, about -1 to 1."""
 
-    def __init__(self, seed: int) -> None:
-        self._shifts = weight_shifts(seed)
+    def __init__(self, seed: int, shifts: Shifts) -> None:
+        """shifts: `weight_shifts` of the seed."""
+        self._shifts = shifts
         self._side = 1.0 if uniform(seed, _FIRST_CHANNEL, np.zeros(1, np.int64))[0] < 0.5 else -1.0
         self._settled = self._target = self._side * (_LEAST + _MORE)
         self._next, self._clock, self._time = 0, 0.0, 0.0
@@ -159,11 +160,12 @@ class FootPath:
 class Steps:
     """Placement of the feet over time, a function of seed and time."""
 
-    def __init__(self, seed: int, scale: float, socket: float, foot: Array) -> None:
-        """scale: of all lengths; socket: metres from the middle to a hip socket; foot: [3] metres from the ankle to the
-        ball of a foot whose toes point ahead."""
-        self.seed, self.scale, self.socket, self.foot = seed, scale, socket, foot
-        self._weight = weight_shifts(seed)
+    def __init__(self, seed: int, shifts: Shifts, skeleton: Skeleton) -> None:
+        """shifts: `weight_shifts` of the seed; lengths scale with the legs of the skeleton."""
+        self.seed, self._weight = seed, shifts
+        self.scale = sum(leg_lengths(skeleton, "Left")) / _LEG
+        socket, ball = (skeleton.offsets[skeleton.index("Left" + part)] for part in ("UpLeg", "ToeBase"))
+        self._socket, self._to_ball = abs(float(socket[0])), np.array([0.0, ball[1], ball[2]])
         self._next_shift = 0
         self._placed = [[(-1, self._places(foot, -1)[0])] for foot in range(len(SIDES))]
 
@@ -202,8 +204,8 @@ class Steps:
         turn = rotation.multiply(abouts(UP, yaw), abouts(np.array([1.0, 0.0, 0.0]), heel))
         flat = np.stack([ball[:, 0], SOLE * self.scale + _LIFT * self.scale * lift, ball[:, 1]], -1)
         # The ball is placed; the ankle is behind and above it, higher with the heel raised.
-        return FootPath(flat - rotation.rotate(turn, self.foot), yaw, heel,
-                        slow[:, :2] - rotation.rotate(abouts(UP, np.radians(slow[:, 2])), self.foot)[:, [0, 2]])
+        return FootPath(flat - rotation.rotate(turn, self._to_ball), yaw, heel,
+                        slow[:, :2] - rotation.rotate(abouts(UP, np.radians(slow[:, 2])), self._to_ball)[:, [0, 2]])
 
     def forget(self, before: float) -> None:
         """Drop steps completed before this time in seconds, so that memory stays bounded."""
@@ -235,9 +237,9 @@ class Steps:
         where = (2 * (number + 1) + foot) * _TRIES + np.arange(_TRIES)
         offsets = np.clip(normal(self.seed, _PLACE_CHANNEL, where[:, None] * 3 + np.arange(3)), -2.0, 2.0) * _SPREAD
         yaw = sign * (_TOES_OUT + offsets[:, 2])
-        ankle = np.stack([sign * (self.socket + self.scale * (_FOOT_OUT + offsets[:, 0])), np.zeros(_TRIES),
+        ankle = np.stack([sign * (self._socket + self.scale * (_FOOT_OUT + offsets[:, 0])), np.zeros(_TRIES),
                           self.scale * (offsets[:, 1] - FOOT_BACK)], axis=-1)
-        ball = ankle + rotation.rotate(abouts(UP, np.radians(yaw)), self.foot)
+        ball = ankle + rotation.rotate(abouts(UP, np.radians(yaw)), self._to_ball)
         return np.stack([ball[:, 0], ball[:, 2], yaw], axis=-1)
 
 
@@ -317,10 +319,7 @@ _AHEAD, _LEFTWARD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 _TRUNK = np.array([[WHOLE_BODY.index(name)] for name in ("Spine", "Spine1", "Spine2", "Spine3")])
 _ARMS, _LEGS = (np.array([[WHOLE_BODY.index(side + part) for side, _ in SIDES] for part in parts]) for parts in (
     ("Shoulder", "Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase")))
-LEGGED = [0, int(_TRUNK[0, 0]), *_LEGS.ravel().tolist()]
-"""The joints of the whole body that legs turn: the hips, the lowest one of the spine, and the legs'."""
-_PLACES = np.arange(2, len(LEGGED)).reshape(_LEGS.shape)
-"""The legs' joints among those."""
+_SPINE = int(_TRUNK[0, 0])
 
 
 def with_legs(motion: Motion, seed: int, skeleton: Skeleton = WHOLE_BODY) -> Motion:
@@ -340,17 +339,15 @@ def seated(motion: Motion, skeleton: Skeleton = WHOLE_BODY) -> Motion:
     See `with_legs` for the input. The spine takes the rotation of the hips, so the upper body keeps its pose.
     """
     body = resized(motion, WHOLE_BODY)
-    rotations = body.rotations.copy()
-    still = np.tile([1.0, 0.0, 0.0, 0.0], (len(body), 1))
-    rotations[:, 0], rotations[:, WHOLE_BODY.index("Spine")] = _counter_turned(body.rotations[:, LEGGED[:2]], still)
+    rotations = _with_hips(body.rotations, np.tile([1.0, 0.0, 0.0, 0.0], (len(body), 1)))
     root = np.zeros((len(body), 3))
-    _, shin = leg_lengths(skeleton, "Left")
-    root[:, 1] = _ankle_height(skeleton) + shin - skeleton.offsets[skeleton.index("LeftUpLeg")][1]
-    level = _about(_LEFTWARD, -90.0)
-    knees, toes = (np.stack([_about(UP, sign * out) for _, sign in SIDES]) for out in (SEAT_SPREAD, _SEAT_TOES))
-    _hang(rotations, still, [np.tile(turn, (len(body), 1, 1)) for turn in (
-        rotation.multiply(knees, level), toes, toes, toes)], _LEGS)
-    return on_legs(body, rotations, root, skeleton, rotations[:0])
+    ankle = sum(leg_lengths(skeleton, "Left")) / _LEG * SOLE - skeleton.offsets[skeleton.index("LeftToeBase")][1]
+    root[:, 1] = ankle + leg_lengths(skeleton, "Left")[1] - skeleton.offsets[skeleton.index("LeftUpLeg")][1]
+    level = abouts(_LEFTWARD, np.radians(np.array([-90.0])))
+    knees, toes = (abouts(UP, np.radians(np.array([sign * out for _, sign in SIDES])))
+                   for out in (SEAT_SPREAD, _SEAT_TOES))
+    _hang(rotations, [np.tile(turn, (len(body), 1, 1)) for turn in (rotation.multiply(knees, level), toes, toes, toes)])
+    return _on_legs(body, rotations, root, skeleton, rotations[:0])
 
 
 # ---------------------------------------------------------------------------------------------------- the body
@@ -392,75 +389,44 @@ class _Drives:
     active: Array
 
 
-@dataclass(frozen=True)
-class Signals:
-    """What is followed of the generated body. roll, yaw: [T] degrees of the hips and of the chest; places: [T, 3, 3]
-    displacements from their rest over the hips of the chest and both hands, in metres of the reference character;
-    turns: [T, 2, 4] rotations of the hips and of the lowest joint of the spine."""
-
-    roll: Array
-    yaw: Array
-    places: Array
-    turns: Array
-
-
-class _Drive:
+class _Follower:
     """Follows the generated body in pieces."""
 
-    def __init__(self, fps: float) -> None:
-        self._fps = fps
+    def __init__(self, fps: float, skeleton: Skeleton, scale: float) -> None:
+        """scale: of all lengths relative to the reference character."""
+        self._fps, self._skeleton, self._scale = fps, skeleton, scale
         self._roll, self._habit = _LowPass(_FOLLOWS, fps), _LowPass(_HABIT, fps)
         self._quick, self._slow = _LowPass(_QUICKLY, fps), _LowPass(_SLOWLY, fps)
         self._last: Array | None = None
 
-    def step(self, signals: Signals) -> _Drives:
-        roll, yaw, places = signals.roll, signals.yaw, signals.places
+    def step(self, body: Motion) -> _Drives:
+        """The drives in the next frames of a body on the skeleton of the whole body."""
+        left = rotation.rotate(body.rotations[:, 0], _LEFTWARD)
+        roll = np.degrees(np.arcsin(np.clip(left[:, 1], -1.0, 1.0)))
+        chest, place = self._along(body, body.rotations[:, :1], _TRUNK)
+        hands = place + self._along(body, chest, _ARMS)[1]
+        rest = self._skeleton.offsets[_TRUNK].sum(axis=(0, 1))
+        places = np.concatenate([place - rest, hands], axis=1) / self._scale
+        left = rotation.rotate(chest[:, 0], _LEFTWARD)
+        yaw = np.degrees(np.arctan2(-left[:, 2], left[:, 0]))
         slow = self._roll(roll[:, None])
         moves = np.diff(places, axis=0, prepend=places[:1] if self._last is None else self._last) * self._fps
         self._last = places[-1:]
         squares = np.sum(moves**2, axis=-1)
+        # One filter takes all that is followed at the same pace: yaw, place and speed of the chest, speed of the hands.
         smooth = self._quick(np.column_stack([yaw, places[:, 0], np.sqrt(squares[:, 0]), squares[:, 1:].mean(axis=1)]))
         lean = self._slow(np.column_stack([smooth[:, 1:4], smooth[:, 5]]))
         return _Drives(roll, slow[:, 0], self._habit(slow)[:, 0], smooth[:, 0], smooth[:, 1:4] - lean[:, :3],
                        lean[:, :3], smooth[:, 4], smooth[:, 5], lean[:, 3] / (lean[:, 3] + _ACTIVE))
 
-
-@dataclass(frozen=True)
-class Course:
-    """What seed and time decide for T frames. times: [T] seconds; random: [T, 8] noise; feet: left and right; held,
-    side: [T] see `Steps.over`; pitch: [T] degrees of the idle hips; breath: [T]"""
-
-    times: Array
-    random: Array
-    feet: tuple[FootPath, FootPath]
-    held: Array
-    side: Array
-    pitch: Array
-    breath: Array
-
-
-def _travelled(course: Course, g: Array, drives: _Drives, scale: float) -> Array:
-    """[T, 2] position of the hips along X and Z. g: see the module."""
-    feet, held, side = course.feet, course.held, course.side
-    sway = course.random[:, :6] * np.array([size for size, _ in (*_SWAY, *_STIRS)])
-    sway[:, 4:] *= drives.active[:, None]
-    across, ahead = sway[:, [0, 1, 4]].sum(axis=1), sway[:, [2, 3, 5]].sum(axis=1)
-    leans = np.array(_WITH_LEAN) * drives.lean[:, [0, 2]] - np.array(_COUNTERS) * drives.quick[:, [0, 2]]
-    both = (feet[0].middle + feet[1].middle) / 2.0
-    both[:, 0] += scale * _within(_TRAVEL * g + across + leans[:, 0], _FAR)
-    one = np.where(side[:, None] > 0, feet[0].middle, feet[1].middle)
-    one[:, 0] += scale * (across - _INSIDE * side)
-    way = both + held[:, None] * (one - both)
-    way[:, 1] += scale * (FOOT_BACK + _within(ahead + leans[:, 1] - _PITCHED_BACK * course.pitch, _LEANS))
-    return way
-
-
-def _given(course: Course, drives: _Drives, scale: float) -> Array:
-    """[T] metres, above 0, by which the knees give more than they must."""
-    strokes = _STROKE * drives.energy / (drives.energy + _STROKE_ENERGY)
-    give = _GIVEN + (_GIVES[0] + _GIVES[1] * drives.active) * course.random[:, 7] + strokes - _DIPS * drives.quick[:, 1]
-    breathed = _BREATH_DIPS * (1.0 - course.breath) / 2.0
-    return scale * (_SOFTLY * np.logaddexp(0.0, give / _SOFTLY) + breathed)
+    def _along(self, body: Motion, world: Array, chains: NDArray[np.int64]) -> tuple[Array, Array]:
+        """[T, C, 4] the rotations and [T, C, 3] the places of the last joints of chains [M, C] of joints, under a joint
+        with the rotation `world` [T, 1, 4] and from the place of that."""
+        place = np.zeros((len(body), 1, 3))
+        for joints in chains:
+            place = place + rotation.rotate(world, self._skeleton.offsets[joints])
+            world = rotation.multiply(world, body.rotations[:, joints])
+        return world, place
 
 
 class Stance:
@@ -470,103 +436,82 @@ class Stance:
         if skeleton.names != WHOLE_BODY.names:
             raise ValueError(f"the legs' skeleton has {len(skeleton)} joints, not those of the whole body")
         self.skeleton, self.seed, self.fps = skeleton, seed, fps
-        self.scale = sum(leg_lengths(skeleton, "Left")) / _LEG
-        socket, ball = (skeleton.offsets[skeleton.index("Left" + part)] for part in ("UpLeg", "ToeBase"))
-        self.steps = Steps(seed, self.scale, abs(float(socket[0])), np.array([0.0, ball[1], ball[2]]))
-        self._pitch = weight_shifts(seed)
+        self._shifts = weight_shifts(seed)
+        self._steps, self._weight = Steps(seed, self._shifts, skeleton), LegWeight(seed, self._shifts)
+        self._follower = _Follower(fps, skeleton, self._steps.scale)
         lengths = np.array([leg_lengths(skeleton, side) for side, _ in SIDES])
         self._lengths = lengths[:, :1], lengths[:, 1:]
-        self._weight, self._drive = LegWeight(seed), _Drive(fps)
         self._frames = 0
         self._last = np.zeros((0, len(WHOLE_BODY), 4))
 
     def fork(self) -> Stance:
         """A copy that continues independently."""
-        return copy.deepcopy(self, {id(self.skeleton): self.skeleton})
+        # The shifts depend on the seed alone, so copies may share what was computed of them.
+        return copy.deepcopy(self, {id(shared): shared for shared in (self.skeleton, self._shifts)})
 
     def step(self, motion: Motion) -> Motion:
         """The next frames [T] of the body with legs, see `with_legs`."""
         body = resized(motion, WHOLE_BODY)
-        first, self._frames = self._frames, self._frames + len(body)
-        self.steps.forget(first / self.fps - 1.0)
-        course, signals = self.course(first, self._frames), self.signals(body)
-        turns, root = self.stood(signals.turns, course, self._lead(signals, course))
-        rotations = body.rotations.copy()
-        rotations[:, LEGGED] = turns
-        motion = on_legs(body, rotations, root, self.skeleton, self._last)
+        times = (self._frames + np.arange(len(body))) / self.fps
+        self._steps.forget(self._frames / self.fps - 1.0)
+        self._frames += len(body)
+        random = noise(self.seed, _SWAY_CHANNEL + np.arange(len(_NOISE_STEPS)), times, _NOISE_STEPS)
+        held, side = self._steps.over(times)
+        feet = self._steps.path(0, times), self._steps.path(1, times)
+        drives = self._follower.step(body)
+        # g as in the module's equation, but over the standing leg during a step.
+        u = (self._weight.step(times, drives.speed) + (drives.slow_roll - drives.habit) / _ROLL_UNIT) / _BOTH
+        g = (1.0 - held) * u / np.sqrt(1.0 + u * u) + held * side
+        rolled = _ROLLED * g + _ROLLS[0] * random[:, 6] - drives.habit - _QUICK * (drives.roll - drives.slow_roll)
+        yawed = _TURNED * g + _within(_YAWS * drives.yaw, _FARTHEST_YAW)
+        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * rolled, yawed, rolled], -1)))
+        hips = rotation.multiply(turn, body.rotations[:, 0])
+        rotations = _with_hips(body.rotations, hips)
+        root = np.zeros((len(body), 3))
+        root[:, [0, 2]] = self._travelled(times, g, drives, random, feet, held, side)
+        self._stand(rotations, root, feet, self._given(times, drives, random))
+        motion = _on_legs(body, rotations, root, self.skeleton, self._last)
         self._last = motion.rotations[-1:]
         return motion
 
-    def _lead(self, signals: Signals, course: Course) -> Array:
-        """[T, 5] the lead of the hips in the next frames: degrees by which they are rolled and yawed, their place along
-        X and Z, and by how much the knees give, metres."""
-        drives = self._drive.step(signals)
-        u = (self._weight.step(course.times, drives.speed) + (drives.slow_roll - drives.habit) / _ROLL_UNIT) / _BOTH
-        g = (1.0 - course.held) * u / np.sqrt(1.0 + u * u) + course.held * course.side
-        rolled = _ROLLED * g + _ROLLS[0] * course.random[:, 6] - drives.habit - _QUICK * (
-            drives.roll - drives.slow_roll)
-        yawed = _TURNED * g + _within(_YAWS * drives.yaw, _FARTHEST_YAW)
-        return np.column_stack([rolled, yawed, _travelled(course, g, drives, self.scale),
-                                _given(course, drives, self.scale)])
+    def _travelled(self, times: Array, g: Array, drives: _Drives, random: Array, feet: Sequence[FootPath], held: Array,
+                   side: Array) -> Array:
+        """[T, 2] position of the hips along X and Z. g: see the module; held, side: see `Steps.over`."""
+        scale = self._steps.scale
+        sway = random[:, :6] * np.array([size for size, _ in (*_SWAY, *_STIRS)])
+        sway[:, 4:] *= drives.active[:, None]
+        across, ahead = sway[:, [0, 1, 4]].sum(axis=1), sway[:, [2, 3, 5]].sum(axis=1)
+        leans = np.array(_WITH_LEAN) * drives.lean[:, [0, 2]] - np.array(_COUNTERS) * drives.quick[:, [0, 2]]
+        both = (feet[0].middle + feet[1].middle) / 2.0
+        both[:, 0] += scale * _within(_TRAVEL * g + across + leans[:, 0], _FAR)
+        one = np.where(side[:, None] > 0, feet[0].middle, feet[1].middle)
+        one[:, 0] += scale * (across - _INSIDE * side)
+        way = both + held[:, None] * (one - both)
+        pitch = self._shifts.at(times)[:, 1]
+        way[:, 1] += scale * (FOOT_BACK + _within(ahead + leans[:, 1] - _PITCHED_BACK * pitch, _LEANS))
+        return way
 
-    def course(self, first: int, last: int) -> Course:
-        """What seed and time decide for the frames `first` to `last` - 1."""
-        times = (first + np.arange(last - first)) / self.fps
-        random = noise(self.seed, _SWAY_CHANNEL + np.arange(len(_NOISE_STEPS)), times, _NOISE_STEPS)
-        held, side = self.steps.over(times)
-        return Course(times, random, (self.steps.path(0, times), self.steps.path(1, times)), held, side,
-                      self._pitch.at(times)[:, 1], breath(self.seed, times))
+    def _given(self, times: Array, drives: _Drives, random: Array) -> Array:
+        """[T] metres, above 0, by which the knees give more than they must."""
+        strokes = _STROKE * drives.energy / (drives.energy + _STROKE_ENERGY)
+        give = _GIVEN + (_GIVES[0] + _GIVES[1] * drives.active) * random[:, 7] + strokes - _DIPS * drives.quick[:, 1]
+        breathed = _BREATH_DIPS * (1.0 - breath(self.seed, times)) / 2.0
+        return self._steps.scale * (_SOFTLY * np.logaddexp(0.0, give / _SOFTLY) + breathed)
 
-    def signals(self, body: Motion) -> Signals:
-        """What is followed of a body on the skeleton of the whole body."""
-        left = rotation.rotate(body.rotations[:, 0], _LEFTWARD)
-        roll = np.degrees(np.arcsin(np.clip(left[:, 1], -1.0, 1.0)))
-        places, chest = self._places(body)
-        left = rotation.rotate(chest, _LEFTWARD)
-        yaw = np.degrees(np.arctan2(-left[:, 2], left[:, 0]))
-        return Signals(roll, yaw, places, body.rotations[:, LEGGED[:2]])
-
-    def _places(self, body: Motion) -> tuple[Array, Array]:
-        """[T, 3, 3] the places of `Signals`, and [T, 4] the chest's rotation."""
-        chest, place = self._along(body, body.rotations[:, :1], _TRUNK)
-        hands = place + self._along(body, chest, _ARMS)[1]
-        rest = self.skeleton.offsets[_TRUNK].sum(axis=(0, 1))
-        return np.concatenate([place - rest, hands], axis=1) / self.scale, chest[:, 0]
-
-    def _along(self, body: Motion, world: Array, chains: NDArray[np.int64]) -> tuple[Array, Array]:
-        """[T, C, 4] the rotations and [T, C, 3] the places of the last joints of chains [M, C] of joints, under a joint
-        with the rotation `world` [T, 1, 4] and from the place of that."""
-        place = np.zeros((len(body), 1, 3))
-        for joints in chains:
-            place = place + rotation.rotate(world, self.skeleton.offsets[joints])
-            world = rotation.multiply(world, body.rotations[:, joints])
-        return world, place
-
-    def stood(self, turns: Array, course: Course, lead: Array) -> tuple[Array, Array]:
-        """[T, 10, 4] rotations of the joints `LEGGED`, and [T, 3] positions of the root. turns: [T, 2, 4] rotations of
-        the hips and of the lowest joint of the spine; lead: [T, 5] of the hips, see `_lead`."""
-        rolled, yawed = lead[:, 0], lead[:, 1]
-        turn = rotation.from_exponential_map(np.radians(np.stack([0.0 * rolled, yawed, rolled], -1)))
-        hips = rotation.multiply(turn, turns[:, 0])
-        out, root = np.empty((len(turns), len(LEGGED), 4)), np.zeros((len(turns), 3))
-        out[:, 0], out[:, 1] = _counter_turned(turns, hips)
-        root[:, [0, 2]] = lead[:, 2:4]
-        self._stand(out, root, hips, course.feet, lead[:, 4])
-        return out, root
-
-    def _stand(self, turns: Array, root: Array, hips: Array, feet: Sequence[FootPath], give: Array) -> None:
-        """Set the hips' height and the legs' rotations in those of `LEGGED`."""
-        ankles = np.stack([foot.ankles for foot in feet], axis=1)
+    def _stand(self, rotations: Array, root: Array, feet: Sequence[FootPath], give: Array) -> None:
+        """Set the hips' height in `root` [T, 3] and the legs in `rotations` [T, J, 4]."""
+        hips, ankles = rotations[:, 0], np.stack([foot.ankles for foot in feet], axis=1)
         socket = rotation.rotate(hips[:, None], self.skeleton.offsets[_LEGS[0]])
         longest = _BENT * (self._lengths[0] + self._lengths[1])[:, 0]
         level = np.sum((root[:, None] + socket - ankles)[..., [0, 2]] ** 2, axis=-1)
         reach = ankles[..., 1] + np.sqrt(np.maximum(longest**2 - level, 0.0)) - socket[..., 1]
-        soft = _SOFT * self.scale
+        soft = _SOFT * self._steps.scale
+        # A soft minimum of the heights that the two legs reach.
         root[:, 1] = -soft * np.logaddexp(*(-reach / soft).T) - give
         toes = abouts(UP, np.stack([foot.yaw for foot in feet], axis=1))
         thigh, shin = bent_leg(ankles - root[:, None] - socket, rotation.rotate(toes, _AHEAD), self._lengths)
         raised = rotation.multiply(toes, abouts(_LEFTWARD, np.stack([foot.heel for foot in feet], axis=1)))
-        _hang(turns, hips, [thigh, shin, raised, toes], _PLACES)
+        _hang(rotations, [thigh, shin, raised, toes])
 
 
 def _within(values: Array, most: float) -> Array:
@@ -574,34 +519,24 @@ def _within(values: Array, most: float) -> Array:
     return np.asarray(most * np.tanh(values / most))
 
 
-def _about(axis: Array, degrees: float) -> Array:
-    """[4] the rotation about an axis by an angle in degrees."""
-    return abouts(axis, np.radians(np.array([degrees])))[0]
+def _with_hips(rotations: Array, hips: Array) -> Array:
+    """A copy of the rotations [T, J, 4] with these hips [T, 4]; the lowest joint of the spine turns back, so that the
+    upper body stays as it is in the world."""
+    out = rotations.copy()
+    spine = rotation.multiply(rotations[:, 0], rotations[:, _SPINE])
+    out[:, 0], out[:, _SPINE] = hips, rotation.multiply(rotation.conjugate(hips), spine)
+    return out
 
 
-def _counter_turned(turns: Array, hips: Array) -> tuple[Array, Array]:
-    """The given hips [T, 4], and rotations of the spine [T, 4] that keep the upper body unchanged in the world. turns:
-    [T, 2, 4] of hips and spine before."""
-    spine = rotation.multiply(turns[:, 0], turns[:, 1])
-    return hips, rotation.multiply(rotation.conjugate(hips), spine)
-
-
-def _hang(rotations: Array, hips: Array, world: Sequence[Array], places: NDArray[np.int64]) -> None:
-    """Set the local rotations of both legs, which are at `places` [4, 2], from world rotations [T, 2, 4] of thighs,
-    shins, feet and toes, under hips [T, 4]."""
-    above = hips[:, None]
-    for joints, turn in zip(places, world, strict=True):
+def _hang(rotations: Array, world: Sequence[Array]) -> None:
+    """Set both legs in `rotations` [T, J, 4] from world rotations [T, 2, 4] of thighs, shins, feet and toes."""
+    above = rotations[:, :1]
+    for joints, turn in zip(_LEGS, world, strict=True):
         rotations[:, joints] = rotation.multiply(rotation.conjugate(above), turn)
         above = turn
 
 
-def _ankle_height(skeleton: Skeleton) -> float:
-    """Height of the ankle of a flat foot above the floor, metres."""
-    scale = sum(leg_lengths(skeleton, "Left")) / _LEG
-    return scale * SOLE - float(skeleton.offsets[skeleton.index("LeftToeBase")][1])
-
-
-def on_legs(body: Motion, rotations: Array, root: Array, skeleton: Skeleton, before: Array) -> Motion:
+def _on_legs(body: Motion, rotations: Array, root: Array, skeleton: Skeleton, before: Array) -> Motion:
     """The body with these rotations and root positions; its legs are marked as filled in. before: [0 or 1, J, 4] the
     previous frame, for continuous quaternion signs."""
     filled = {*body.filled, *LEG_JOINTS}

@@ -21,7 +21,6 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,10 +43,6 @@ _SPLINE_SPREAD = math.sqrt(151.0 / 315.0)
 _SETTLED = 16.0
 """Time constants after which a shift counts as complete: the rest is below 1e-5 degrees."""
 _TRIES = 8
-_MARK = 64
-"""Postures from one that is kept for good to the next."""
-_REMEMBERED = 128
-"""Postures kept before the requested one, so that memory does not grow with time."""
 
 _FAINT = 0.25
 """Share of the idle motion during speech, while the generator moves the body."""
@@ -69,19 +64,10 @@ def mixed(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> NDArray[np
 
     channel: one, or an array that broadcasts with the numbers.
     """
-    flat = np.atleast_1d(numbers).astype(np.uint64)  # arrays, unlike scalars, overflow without a warning
-    if isinstance(channel, np.ndarray):
-        key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * (np.atleast_1d(channel) + 1).astype(np.uint64))
-    else:
-        key = _key(seed & _ALL_BITS, int(channel))
-    out = _scrambled(key + _STEP_OF_BITS * flat)
+    key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * (np.atleast_1d(channel) + 1).astype(np.uint64))
+    # Arrays, unlike scalars, overflow without a warning.
+    out = _scrambled(key + _STEP_OF_BITS * np.atleast_1d(numbers).astype(np.uint64))
     return out if np.ndim(numbers) or np.ndim(channel) else out.reshape(())
-
-
-@lru_cache(maxsize=256)
-def _key(seed: int, channel: int) -> NDArray[np.uint64]:
-    """[1] `_scrambled` of the seed and a channel."""
-    return _scrambled(np.array([(seed + int(_STEP_OF_BITS) * (channel + 1)) & _ALL_BITS], np.uint64))
 
 
 _SHIFTS_OF_BITS = np.uint64(30), np.uint64(27), np.uint64(31)
@@ -143,10 +129,7 @@ class Shifts:
     channel: int
     style: ShiftStyle
     _postures: list[Array] = field(default_factory=list)
-    _first: int = 0
-    """Number of the first posture kept."""
-    _marks: dict[int, Array] = field(default_factory=dict)
-    """Every `_MARK`th posture, which is never dropped: some 200 kB in a day."""
+    """Those computed so far, each from the one before: some 20 MB in a day of the most frequent shifts."""
 
     def at(self, times: Array) -> Array:
         """[T, D] at times [T] in seconds, not negative."""
@@ -156,11 +139,11 @@ class Shifts:
         # Shifts before `first` are complete: their sum is the posture before it.
         reach = math.ceil(_SETTLED * s.tau / s.every + 1)
         first = max(0, math.floor(times.min() / s.every) - reach)
-        self._extend(max(first - 1, 0), last)
+        self._extend(last)
         a = np.maximum(times[:, None] - self.begins(np.arange(first, last + 1)), 0.0) / s.tau
         done = 1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a)
-        postures = np.array(self._postures[first - self._first:last + 1 - self._first])
-        before = self._postures[first - 1 - self._first] if first > 0 else np.zeros(len(s.spread))
+        postures = np.array(self._postures[first:last + 1])
+        before = self._postures[first - 1] if first > 0 else np.zeros(len(s.spread))
         steps = np.diff(postures, axis=0, prepend=before[None])
         return np.asarray(before + done @ steps)
 
@@ -171,19 +154,14 @@ class Shifts:
 
     def posture(self, number: int) -> Array:
         """[D] the posture at the end of shift `number`."""
-        self._extend(number, number)
-        return self._postures[number - self._first]
+        self._extend(number)
+        return self._postures[number]
 
-    def _extend(self, first: int, last: int) -> None:
-        """Extend the chain of postures to cover numbers `first` to `last`: each is sampled from the same spread,
-        neither too near the one before nor too far."""
+    def _extend(self, last: int) -> None:
+        """Extend the chain of postures up to number `last`: each is sampled from the same spread, neither too near the
+        one before nor too far."""
         s, width = self.style, len(self.style.spread)
-        if first < self._first:  # already dropped: generate the chain again, from the last mark before
-            mark = first // _MARK * _MARK
-            known = self._marks.get(mark)
-            self._postures, self._first = ([], 0) if known is None else ([known], mark)
-        while self._first + len(self._postures) <= last:
-            n = self._first + len(self._postures)
+        for n in range(len(self._postures), last + 1):
             before = self._postures[-1] if n else np.zeros(width)
             tries = normal(self.seed, self.channel + 1, (n * _TRIES + np.arange(_TRIES))[:, None] * width
                            + np.arange(width)) * s.spread
@@ -194,12 +172,6 @@ class Shifts:
             chosen = tries[fits[0] if len(fits) else int(np.argmin(np.abs(apart - s.least)))]
             length = max(float(np.linalg.norm((chosen - before) / s.spread)), 1e-9)
             self._postures.append(before + (chosen - before) * min(max(1.0, s.least / length), s.most / length))
-            if n % _MARK == 0:
-                self._marks[n] = self._postures[-1]
-        old = min(first, last) - _REMEMBERED - self._first
-        if old > _REMEMBERED:
-            del self._postures[:old]
-            self._first += old
 
 
 _HEAD_SHIFT = ShiftStyle(every=0.62, jitter=0.14, tau=0.085, spread=(1.5, 1.5), least=1.4, most=2.2)

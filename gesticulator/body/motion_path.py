@@ -107,7 +107,7 @@ class MotionPath:
                 self._stance.step(self._representation.motion(self._knots.frames(number, first), self._knots.fps))
 
     def rewind_poses(self, times: Array, poses: Array, first: int) -> None:
-        """`rewind` with poses [M, D_m] as in `push_poses`; the legs stay as they are (`stand_on`)."""
+        """`rewind` with poses [M, D_m] as in `push_poses`; the legs stay as they are."""
         self._knots.rewind(times, self._cleared(poses), first)
         self._last = None
 
@@ -115,16 +115,6 @@ class MotionPath:
     def has_legs(self) -> bool:
         """Whether the motion is on standing legs, which depend on everything before."""
         return self._stance is not None
-
-    def legs(self) -> Stance:
-        """A copy of the state of the legs before frame `next`. ValueError without standing legs."""
-        if self._stance is None:
-            raise ValueError("the motion has no standing legs")
-        return self._stance.fork()
-
-    def stand_on(self, legs: Stance) -> None:
-        """Go on with a copy of the legs (`legs`) after `rewind_poses` to its frame."""
-        self._stance = legs.fork()
 
     def _poses(self, times: Array, features: NDArray[np.floating]) -> Array:
         poses = self._statistics.denormalise(features.astype(np.float64), self._speaker)

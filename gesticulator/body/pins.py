@@ -15,19 +15,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.motion import rotation
 from data_module.motion.skeletons import standing
-from data_module.types import Array, Motion, Skeleton
+from data_module.types import Array, Motion
 from gesticulator.contacts.default_body import cleared
-from gesticulator.contacts.limbs import BelowShoulder, bend, pose_of, soft, swing
+from gesticulator.contacts.lap import is_seated
+from gesticulator.contacts.limbs import POLE_OF_ELBOW, BelowShoulder, bend, pose_of, soft, swing, write_turns
 from gesticulator.plan.plan import GesturePlan, Place, PosePin
 
 REACH = 0.6
@@ -47,117 +47,96 @@ out of the body: one on the surface is moved by 0.0125."""
 _SPINE = ("Spine", "Spine1", "Spine2", "Spine3")
 _ITERATIONS, _GAIN = 10, 1.3
 """Of the bend of the spine: the head turns about points that are a quarter nearer than the lowest joint."""
-_POLE_OF_ELBOW = np.array([0.0, -1.0, -0.5])
-"""Direction to which the elbow of a straight arm bends."""
 Problem = Callable[[Place, str, str], InputError]
+"""Makes the error of a place in the plan."""
 
 
 @dataclass(frozen=True)
-class PlacedPin:
+class _Pin:
     """A pin on the frames of a motion: it is reached in frame `at`, and left after frame `until`; number: in the
     plan."""
 
     pin: PosePin
-    number: int = field(compare=False)
+    number: int
     at: int
     until: int
-
-
-@dataclass(frozen=True)
-class PinGroup:
-    """Pins whose ranges overlap, and the frames `first` to `last` - 1 that they change. fade: frames of `REACH`; stop:
-    frames of `STOPS`; error: makes the error of a place in the plan."""
-
-    pins: tuple[PlacedPin, ...]
-    first: int
-    last: int
-    fade: int
-    stop: int
-    error: Problem = field(compare=False, repr=False)
-
-
-def pin_groups(plan: GesturePlan, fps: float, count: int) -> tuple[PinGroup, ...]:
-    """The pins of a plan on `count` frames, in groups that do not overlap, by their times."""
-    fade, stop = max(round(REACH * fps), 1), max(round(STOPS * fps), 1)
-    placed = [PlacedPin(pin, number, *(min(round(time * fps), count - 1) for time in (pin.time, pin.time + pin.hold)))
-              for number, pin in enumerate(plan.pins)]
-    groups: list[list[PlacedPin]] = []
-    for pin in sorted(placed, key=lambda one: (one.at, one.number)):
-        if groups and pin.at - max(one.until for one in groups[-1]) < 2 * fade:
-            groups[-1].append(pin)
-        else:
-            groups.append([pin])
-    return tuple(PinGroup(tuple(pins), max(pins[0].at - fade + 1, 0), min(max(one.until for one in pins) + fade, count),
-                          fade, stop, plan.error) for pins in groups)
 
 
 def pinned(motion: Motion, plan: GesturePlan) -> Motion:
     """A motion on the default skeleton with the pins of a plan. `InputError` for a place that cannot be reached, with
     the line of the pin if the plan was read from a file."""
+    fade, count = max(round(REACH * motion.fps), 1), len(motion)
+    pins = [_Pin(pin, number, *(min(round(time * motion.fps), count - 1) for time in (pin.time, pin.time + pin.hold)))
+            for number, pin in enumerate(plan.pins)]
+    # Pins whose ranges overlap are applied together: the difference of one goes over into that of the next.
+    groups: list[list[_Pin]] = []
+    for pin in sorted(pins, key=lambda pin: (pin.at, pin.number)):
+        if groups and pin.at - max(before.until for before in groups[-1]) < 2 * fade:
+            groups[-1].append(pin)
+        else:
+            groups.append([pin])
     rotations = motion.rotations.copy()
-    for group in pin_groups(plan, motion.fps, len(motion)):
-        rows = slice(group.first, group.last)
-        rotations[rows] = with_group(replace(motion, rotations=motion.rotations[rows],
-                                             root_positions=motion.root_positions[rows]), group).rotations
+    for group in groups:
+        first = max(group[0].at - fade + 1, 0)
+        rows = slice(first, min(max(pin.until for pin in group) + fade, count))
+        part = replace(motion, rotations=motion.rotations[rows], root_positions=motion.root_positions[rows])
+        rotations[rows] = _with_pins(part, group, first, plan.error)
     return replace(motion, rotations=rotations)
 
 
-def with_group(motion: Motion, group: PinGroup) -> Motion:
-    """The frames of a group with its pins."""
-    lift = standing(motion).root_positions
-    made = replace(motion, rotations=motion.rotations.copy(), root_positions=lift)
-    by_joint: dict[int, list[PlacedPin]] = {}
-    for pin in group.pins:
-        by_joint.setdefault(_joint(motion.skeleton, pin, group.error), []).append(pin)
+def _with_pins(motion: Motion, pins: Sequence[_Pin], first: int, error: Problem) -> Array:
+    """[T, J, 4] rotations of a motion that begins in frame `first`, with its pins."""
+    moved = replace(motion, rotations=motion.rotations.copy(), root_positions=standing(motion).root_positions)
+    by_joint: dict[int, list[_Pin]] = {}
+    for pin in pins:
+        if pin.pin.joint not in motion.skeleton.names:
+            raise error(("pins", pin.number, "joint"), f"is {shown(pin.pin.joint)}, which the skeleton does not have",
+                        f"give one of {', '.join(motion.skeleton.names[:16])}, ...")
+        by_joint.setdefault(motion.skeleton.index(pin.pin.joint), []).append(pin)
     share = np.zeros(len(motion))
-    for joint in sorted(by_joint):  # parents first
-        _check_apart(by_joint[joint], group)
-        places = [pin for pin in by_joint[joint] if pin.pin.position is not None]
-        turns = [pin for pin in by_joint[joint] if pin.pin.rotation is not None]
+    for joint, of_joint in sorted(by_joint.items()):  # parents first
+        for before, pin in zip(of_joint, of_joint[1:], strict=False):
+            if pin.at <= before.until:
+                raise error(("pins", pin.number, "time"), f"is {pin.pin.time:g}, when another pin of {pin.pin.joint} "
+                            "holds", "give another time, or remove one of the two")
+        places = [pin for pin in of_joint if pin.pin.position is not None]
+        turns = [pin for pin in of_joint if pin.pin.rotation is not None]
         if places:
             move = _move_head if motion.skeleton.names[joint] == "Head" else _move_hand
-            course = _Course(places, group)
-            move(made, joint, course, group.error)
+            course = _Course(places, first, motion)
+            move(moved, joint, course, error)
             share = np.maximum(share, course.share)
         if turns:
-            _turn(made, joint, _Course(turns, group))
-    _clear(made, motion, share, group)
-    return replace(made, root_positions=motion.root_positions)
-
-
-def _joint(skeleton: Skeleton, pin: PlacedPin, error: Problem) -> int:
-    if pin.pin.joint not in skeleton.names:
-        raise error(("pins", pin.number, "joint"), f"is {shown(pin.pin.joint)}, which the skeleton does not have",
-                    f"give one of {', '.join(skeleton.names[:16])}, ...")
-    return skeleton.index(pin.pin.joint)
-
-
-def _check_apart(pins: Sequence[PlacedPin], group: PinGroup) -> None:
-    for before, pin in zip(pins, pins[1:], strict=False):
-        if pin.at <= before.until:
-            raise group.error(("pins", pin.number, "time"), f"is {pin.pin.time:g}, when another pin of "
-                              f"{pin.pin.joint} holds", "give another time, or remove one of the two")
+            _turn(moved, joint, _Course(turns, first, motion))
+    if share.any():
+        _clear(moved, share, [pin for pin in pins if pin.pin.position is not None and pin.pin.joint != "Head"], first,
+               error)
+    return moved.rotations
 
 
 class _Course:
-    """How strongly the pins of a joint act in the frames of a group."""
+    """How strongly the pins of a joint act in the frames of a motion.
 
-    def __init__(self, pins: Sequence[PlacedPin], group: PinGroup) -> None:
-        self.pins, frames = pins, np.arange(group.first, group.last, dtype=np.float64)
-        self.rows = [(pin.at - group.first, pin.until - group.first) for pin in pins]
+    rows: first and last frame of each pin; shares: [T] of each pin; sources: [T] frames c(t) of each pin that holds,
+    None for one that is passed.
+    """
+
+    def __init__(self, pins: Sequence[_Pin], first: int, motion: Motion) -> None:
+        """first: number of the motion's first frame."""
+        self.pins, frames = pins, np.arange(first, first + len(motion), dtype=np.float64)
+        self.rows = [(pin.at - first, pin.until - first) for pin in pins]
         self.shares: list[Array] = []
-        """[T] of each pin."""
         self.sources: list[Array | None] = []
-        """[T] frames c(t) of each pin that holds; None for one that is passed."""
+        fade, stop = (max(round(seconds * motion.fps), 1) for seconds in (REACH, STOPS))
         untils = [-math.inf, *(pin.until for pin in pins[:-1])]
         ats = [*(pin.at for pin in pins[1:]), math.inf]
         for pin, before, after in zip(pins, untils, ats, strict=True):
-            rise, fall = (gap if gap < 2 * group.fade else group.fade for gap in (pin.at - before, after - pin.until))
+            rise, fall = (gap if gap < 2 * fade else fade for gap in (pin.at - before, after - pin.until))
             away = np.where(frames < pin.at, (pin.at - frames) / rise, np.maximum(frames - pin.until, 0.0) / fall)
             s = 1.0 - np.minimum(away, 1.0)
             self.shares.append(s * s * s * (s * (6.0 * s - 15.0) + 10.0))
             self.sources.append(None if pin.until == pin.at else np.clip(
-                _stopped(frames, pin, min(group.stop, rise), min(group.stop, fall)) - group.first, 0, len(frames) - 1))
+                _stopped(frames, pin, min(stop, rise), min(stop, fall)) - first, 0, len(frames) - 1))
 
     @property
     def share(self) -> Array:
@@ -171,7 +150,7 @@ class _Course:
                                   in enumerate(zip(self.shares, self.sources, strict=True))], axis=0))
 
 
-def _stopped(frames: Array, pin: PlacedPin, before: float, after: float) -> Array:
+def _stopped(frames: Array, pin: _Pin, before: float, after: float) -> Array:
     """[T] the frames c(t) of a pin that holds; before, after: frames in which it slows down and sets off."""
     rise = np.clip((frames - pin.at) / before + 1.0, 0.0, 1.0)
     fall = np.clip((pin.until - frames) / after + 1.0, 0.0, 1.0)
@@ -212,12 +191,11 @@ def _move_hand(motion: Motion, hand: int, course: _Course, error: Problem) -> No
     turned = swing(wrist[near] - shoulder[near], goal - shoulder[near])
     for joint in chain[:2]:
         turns[joint] = turned @ turns[joint]
-    bend(turns, BelowShoulder(skeleton, chain[0], shoulder[near]), chain, goal, _POLE_OF_ELBOW)
-    for joint in chain[:2]:
-        _write(motion, near, joint, np.swapaxes(turns[skeleton.parents[joint]], -1, -2) @ turns[joint])
+    bend(turns, BelowShoulder(skeleton, chain[0], shoulder[near]), chain, goal, POLE_OF_ELBOW)
+    write_turns(motion.rotations, skeleton, turns, chain[:2], near)
 
 
-def _check_reach(pin: PlacedPin, side: str, far: Array, length: float, error: Problem) -> None:
+def _check_reach(pin: _Pin, side: str, far: Array, length: float, error: Problem) -> None:
     place = ("pins", pin.number, "position")
     if far.max() > STRETCHED * length + 1e-9:
         raise error(place, f"is {far.max():.2f} m from the {side.lower()} shoulder at {pin.pin.time:.2f} s, and the "
@@ -234,42 +212,25 @@ def _limited(far: Array, length: float) -> Array:
     return np.minimum(far, free) + room * np.tanh(over / room) + soft(NEAREST - far, NEAR_SOFT)
 
 
-def _write(motion: Motion, near: NDArray[np.intp], joint: int, local: Array) -> None:
-    """Put local rotations [n, 3, 3] of a joint into the frames `near` [n], on the side of the quaternions there."""
-    new, old = Rotation.from_matrix(local).as_quat(scalar_first=True), motion.rotations[near, joint]
-    motion.rotations[near, joint] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
-
-
-def _clear(made: Motion, before: Motion, share: Array, group: PinGroup) -> None:
-    """Move hands out of the body where a pin has brought them there."""
-    near = np.flatnonzero(share)
-    if not len(near):
-        return
-    free = cleared(made, _sits(made))
-    changed = np.flatnonzero((free.rotations != made.rotations).any(axis=(0, 2)))
+def _clear(moved: Motion, share: Array, hands: Sequence[_Pin], first: int, error: Problem) -> None:
+    """Move hands out of the body where a pin has brought them there. share: [T] of all pins."""
+    near, free = np.flatnonzero(share), cleared(moved, is_seated(moved))
+    changed = np.flatnonzero((free.rotations != moved.rotations).any(axis=(0, 2)))
     if not len(changed):
         return
-    wrists, moved = (pose_of(motion).places for motion in (made, free))
-    for pin in group.pins:
-        joint, rows = pin.pin.joint, slice(pin.at - group.first, pin.until - group.first + 1)
-        if pin.pin.position is not None and joint != "Head" and \
-                np.linalg.norm(wrists[joint][rows] - moved[joint][rows], axis=-1).max() > _CLEARS:
-            raise group.error(("pins", pin.number, "position"), f"is inside the body at {pin.pin.time:.2f} s",
-                              "give a place farther ahead")
+    wrists, freed = (pose_of(motion).places for motion in (moved, free))
+    for pin in hands:
+        joint, rows = pin.pin.joint, slice(pin.at - first, pin.until - first + 1)
+        if np.linalg.norm(wrists[joint][rows] - freed[joint][rows], axis=-1).max() > _CLEARS:
+            raise error(("pins", pin.number, "position"), f"is inside the body at {pin.pin.time:.2f} s",
+                        "give a place farther ahead")
+    # Near a pin nearly all of the correction counts, at the ends of its range none: there the motion is as it was.
     keep = (1.0 - (1.0 - share) ** 4)[near, None]
     for node in changed:
-        old, new = made.rotations[near, node], free.rotations[near, node]
+        old, new = moved.rotations[near, node], free.rotations[near, node]
         new = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
         mixed = rotation.normalise(old + keep * (new - old))
-        made.rotations[near, node] = np.where((new == old).all(axis=-1, keepdims=True), old, mixed)
-
-
-def _sits(motion: Motion) -> bool:
-    if "LeftUpLeg" not in motion.skeleton.names:
-        return False
-    from gesticulator.contacts.lap import is_seated
-
-    return is_seated(motion)
+        moved.rotations[near, node] = np.where((new == old).all(axis=-1, keepdims=True), old, mixed)
 
 
 # ------------------------------------------------------------------------------------------------- head and rotations
@@ -288,14 +249,13 @@ def _move_head(motion: Motion, head: int, course: _Course, error: Problem) -> No
             raise error(("pins", pin.number, "position"), f"is out of the head's reach at {pin.pin.time:.2f} s: by "
                         f"bending the spine it comes within {max(off, 0.01):.2f} m", "give a nearer place")
     near = np.flatnonzero(course.share)
-    neck = skeleton.parents[head]
-    above = pose.turns[skeleton.names[skeleton.parents[spine[0]]]][near]
+    turns = {skeleton.index(joint): turn[near] for joint, turn in pose.turns.items()}
     for at, joint in enumerate(spine):
-        turned = _part(lean[near], at, len(spine)) @ pose.turns[skeleton.names[joint]][near]
-        _write(motion, near, joint, np.swapaxes(above, -1, -2) @ turned)
-        above = turned
-    turned = _part(lean[near], len(spine) - 1, len(spine)) @ pose.turns[skeleton.names[neck]][near]
-    _write(motion, near, head, np.swapaxes(turned, -1, -2) @ pose.turns["Head"][near])
+        turns[joint] = _part(lean[near], at, len(spine)) @ turns[joint]
+    # The neck follows the last joint of the spine, and the head keeps its turn in the world.
+    neck = skeleton.parents[head]
+    turns[neck] = _part(lean[near], len(spine) - 1, len(spine)) @ turns[neck]
+    write_turns(motion.rotations, skeleton, turns, (*spine, head), near)
 
 
 def _part(lean: Array, at: int, count: int) -> Array:

@@ -2,7 +2,7 @@
 
 Blender is either a Python with the `bpy` wheel (this one, or another), or the program `blender`. Its start takes
 seconds, so the jobs of one process, reading a character and writing it once for each recording, share one Blender
-(`job_in_blender`), which may be started before it is needed (`start_blender`, `start_job`).
+(`job_in_blender`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from data_module.errors import InputError
@@ -105,18 +104,14 @@ class _Worker:
         """A temporary folder that is removed when this Blender ends."""
         return Path(self._folder.name)
 
-    def send(self, script: Path, arguments: tuple[str, ...]) -> Path:
-        """Queue a job behind the earlier ones; returns the path of the file that will hold its outcome."""
+    def run(self, script: Path, arguments: tuple[str, ...]) -> str:
+        """Do a job; returns its error message, "" for none. TimeoutError after `SECONDS`."""
         self._count += 1
         outcome, pipe = self.folder / f"{self._count}.json", self._process.stdin
         assert pipe is not None
         with contextlib.suppress(OSError):  # one that has ended: the outcome says so
             pipe.write(json.dumps([str(script), str(outcome), *arguments]).encode() + b"\n")
             pipe.flush()
-        return outcome
-
-    def wait(self, outcome: Path) -> str:
-        """Wait for a job; returns its error message, "" for none. TimeoutError after `SECONDS`."""
         until = time.monotonic() + SECONDS
         # The outcome is a file because Blender itself prints on standard output.
         while not outcome.exists():
@@ -163,36 +158,17 @@ def _worker(subject: Path) -> _Worker:
     return _workers[key]
 
 
-def start_blender(subject: Path) -> Path:
-    """Start the Blender of this process without waiting for it. Returns a folder for its files, which is removed when
-    it ends. `InputError` about `subject` without Blender."""
+def blender_folder(subject: Path) -> Path:
+    """A folder for files of the Blender of this process, which is removed when it ends. `InputError` about `subject`
+    without Blender."""
     return _worker(subject).folder
-
-
-@dataclass(frozen=True)
-class BlenderJob:
-    """A job queued in Blender. subject: the file that its errors name."""
-
-    subject: Path
-    worker: _Worker
-    outcome: Path
-
-    def wait(self) -> None:
-        """Wait until it is done. `InputError` about the subject if it fails."""
-        try:
-            message = self.worker.wait(self.outcome)
-        except TimeoutError:
-            raise InputError(self.subject, f"took Blender more than {SECONDS} s", "give a shorter recording") from None
-        if message:
-            raise InputError(self.subject, f"was rejected by Blender ({message.splitlines()[-1]})", _ADVICE)
-
-
-def start_job(subject: Path, script: Path, *arguments: str) -> BlenderJob:
-    """Give the Blender of this process a job without waiting for it. `InputError` about `subject` without Blender."""
-    worker = _worker(subject)
-    return BlenderJob(subject, worker, worker.send(script, arguments))
 
 
 def job_in_blender(subject: Path, script: Path, *arguments: str) -> None:
     """As `run_in_blender`, in a Blender that stays for the next job of this process."""
-    start_job(subject, script, *arguments).wait()
+    try:
+        message = _worker(subject).run(script, arguments)
+    except TimeoutError:
+        raise InputError(subject, f"took Blender more than {SECONDS} s", "give a shorter recording") from None
+    if message:
+        raise InputError(subject, f"was rejected by Blender ({message.splitlines()[-1]})", _ADVICE)

@@ -1,27 +1,24 @@
-"""`gesticulator plan`: check gesture plans, and list the names that they can use; needs no sound."""
+"""`gesticulator plan` and `gesticulator gestures`: check gesture plans, list the names that they can use; no sound."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from typing import Any
 
 from gesticulator.cli import Command
 
-_BUNDLE_HELP = "default, paper, or the folder of a bundle (default: default)"
 
-
-def arguments(p: argparse.ArgumentParser) -> None:
-    """The arguments of the command."""
+def _plan_arguments(p: argparse.ArgumentParser) -> None:
     verbs = p.add_subparsers(dest="what", required=True, metavar="check|names|schema")
     check = verbs.add_parser("check", help="report the first error of a plan, or its edits")
     check.add_argument("plan", metavar="PLAN.json")
     names = verbs.add_parser("names", help="list the named gestures and the names of the lexemes")
-    names.add_argument("--bundle", metavar="NAME|DIR", help=_BUNDLE_HELP)
+    names.add_argument("--bundle", metavar="NAME|DIR", help="default, paper, or the folder of one (default: default)")
     verbs.add_parser("schema", help="print the JSON Schema of plans")
 
 
-def run(parsed: argparse.Namespace) -> int:
-    """Run the command; `InputError` for an invalid plan."""
+def _run_plan(parsed: argparse.Namespace) -> int:
     from gesticulator.plan.plan_file import schema
 
     if parsed.what == "schema":
@@ -38,10 +35,9 @@ def _summary(path: str) -> str:
     from gesticulator.plan.plan_file import read_plan
 
     plan = read_plan(path)
-    edited = sum(edited_blocks(plan))
     locked = sum(block.locked for block in plan.blocks)
     return (f"{path}: {plan.sound.name or 'unnamed sound'}, {plan.duration:.1f} s, {len(plan.blocks)} blocks, of which "
-            f"{edited} will be generated again and {locked} are locked; {len(plan.cues)} cues")
+            f"{sum(edited_blocks(plan))} will be generated again and {locked} are locked; {len(plan.cues)} cues")
 
 
 def _print_names(bundle: str | None) -> None:
@@ -50,14 +46,46 @@ def _print_names(bundle: str | None) -> None:
     from gesticulator.directing.lexeme_names import lexeme_names
     from gesticulator.plan.gestures import GESTURES
 
-    print("gestures")
-    for name, about in GESTURES.items():
-        print(f"  {name}: {about}")
-    print("lexemes (learned movements, named by what the hands do)")
-    for entry in lexeme_names(load(bundle_folder(bundle))):
-        print(f"  {entry.lexeme}: {entry.name}{'  (silent)' if entry.silent else ''}")
+    print("gestures", *(f"  {name}: {about}" for name, about in GESTURES.items()), sep="\n")
+    print("lexemes (learned movements, named by what the hands do)",
+          *(f"  {entry.lexeme}: {entry.name}{'  (silent)' if entry.silent else ''}"
+            for entry in lexeme_names(load(bundle_folder(bundle)))), sep="\n")
 
 
-COMMAND = Command(
-    "check a gesture plan, list the gesture names", arguments, run,
-    examples=("plan names", "plan check plan.json", "plan schema"))
+def _gestures_arguments(p: argparse.ArgumentParser) -> None:
+    p.add_argument("--json", action="store_true", help="as JSON, with the seconds of the phases")
+
+
+def _run_gestures(parsed: argparse.Namespace) -> int:
+    rows = gesture_rows()
+    if parsed.json:
+        print(json.dumps(rows, indent=1, ensure_ascii=False))
+        return 0
+    for row in rows:
+        notes = [kind for kind in ("core", "weak", "offensive") if row[kind]]
+        print(row["name"] + (f" (or {', '.join(row['also'])})" if row["also"] else "") + f": {row['meaning']}"
+              + (f" [{', '.join(notes)}]" if notes else ""))
+    return 0
+
+
+def gesture_rows() -> list[dict[str, Any]]:
+    """For every gesture, in plain values: name, other names, meaning, category, hands, whether it is core, weak or
+    offensive, seconds of its phases (at most), and its mark in a text."""
+    from gesticulator.directing.gesture_phases import longest
+    from gesticulator.plan.gestures import ALIASES, REPERTOIRE, mark_of
+
+    rows: list[dict[str, Any]] = []
+    for name, gesture in REPERTOIRE.items():
+        also, phases = [alias for alias, meant in ALIASES.items() if meant == name], longest(name)
+        rows.append({"name": name, "also": also, "meaning": gesture.meaning, "category": list(gesture.category),
+                     "hands": gesture.hands, "core": gesture.core, "weak": gesture.weak,
+                     "offensive": gesture.offensive, "preparation": round(phases.preparation, 3),
+                     "stroke": round(phases.stroke, 3), "hold": round(phases.hold, 3),
+                     "retraction": round(phases.retraction, 3), "mark": mark_of((*also, name)[0])})
+    return rows
+
+
+COMMAND = Command("check a gesture plan, list the gesture names", _plan_arguments, _run_plan,
+                  examples=("plan names", "plan check plan.json", "plan schema"))
+GESTURES_COMMAND = Command("list the gestures that have a name, what they mean and how long they last",
+                           _gestures_arguments, _run_gestures, examples=("gestures", "gestures --json"))

@@ -1,10 +1,9 @@
-"""From options, knobs, cues and plans to instructions for each block and changes of the generated poses."""
+"""From options, knobs, cues and plans to instructions for each block, and whether a plan fits its sound and bundle."""
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,44 +13,13 @@ from data_module.controls import FEATURES, LIMITS, UNITS, Controls, Curve
 from data_module.errors import InputError, shown
 from data_module.types import Array, Speech, Word
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.features import SpeechBlock, representation_of
+from gesticulator.bundle.features import SpeechBlock
 from gesticulator.bundle.files import lexicon_hash
-from gesticulator.directing.shaping import (
-    FADE,
-    MIRROR_FADE,
-    OTHER_HAND,
-    REST_FADE,
-    ArmScales,
-    Shaper,
-    eased_levels,
-    levels_at,
-    nearest_turn,
-    rest_share,
-)
+from gesticulator.directing.cues import cues_at
+from gesticulator.directing.lexeme_names import handed_bias, lexeme_names
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
-from gesticulator.plan.checks import plain_word as plain_word
-from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
-from gesticulator.plan.plan import (
-    ENERGIES,
-    ENERGY_SIZES,
-    GestureCue,
-    GesturePlan,
-    KnobCurve,
-    LexemeName,
-    PlanKnobs,
-    edited_blocks,
-)
+from gesticulator.plan.plan import GesturePlan, PlanKnobs, edited_blocks
 from gesticulator.sampling.loop import ControlRows, Request
-
-MeantCues = Callable[[float], Sequence["MeantCue"]]
-"""Gives the gestures that begin up to a time."""
-LONGEST_GESTURE = 4.0
-"""Seconds from the start of a named gesture to its apex, or from there to its end, at most (a test measures it)."""
-_BROKEN_OFF = 1.2
-"""Seconds in which a gesture ends that an interruption breaks off: so long the hands take to hang."""
-_VOWEL_SHARE, _EARLY = 0.3, 0.11
-"""A stroke falls at this share of its word, less this many seconds. Measured on two read sonnets: the vowel of the
-loudest syllable begins there, and a beat of the hand leads the voice by .075 s in the median."""
 
 
 def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.bool_] | None:
@@ -65,99 +33,11 @@ def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:
     """[S] what a handedness adds to an interpreter's scores; None without a handedness."""
     if hand is None:
         return None
-    from gesticulator.directing.lexeme_names import handed_bias
-
     bias = handed_bias(bundle, hand)
     if bias is None:
         raise InputError(f"handedness {hand}", "needs lexemes that can be decoded one by one, and this bundle's cannot",
                          "leave it out")
     return bias
-
-
-# --------------------------------------------------------------------------------------------------------- cues
-
-@dataclass(frozen=True)
-class CueAt:
-    """A cue and the time of its stroke, seconds. lexeme: the one it names, or None for a gesture of `GESTURES`."""
-
-    cue: GestureCue
-    time: float
-    lexeme: int | None = None
-
-
-@dataclass(frozen=True)
-class MeantCue:
-    """A gesture that the words call for, or a mark in them. time: of its stroke; broken_off: when an interruption ended
-    it, seconds."""
-
-    cue: GestureCue
-    time: float
-    broken_off: float | None = None
-
-
-def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
-            names: Callable[[], Sequence[LexemeName]]) -> list[CueAt]:
-    """The cues of the body with the times of their strokes. names: returns the lexicon's names; called only for
-    gestures that are not in `GESTURES`.
-
-    `InputError` for a word that is not spoken, a time beyond the end and an unknown gesture.
-    """
-    out, spoken = [], dict[str, list[Word]]()
-    lexemes: dict[str, int] | None = None
-    for word in words if cues else ():
-        spoken.setdefault(plain_word(word.text), []).append(word)
-    for cue in cues:
-        if cue.gesture in EXPRESSIONS:
-            continue
-        lexeme = None
-        if cue.gesture not in GESTURES:
-            lexemes = {entry.name: entry.lexeme for entry in names()} if lexemes is None else lexemes
-            lexeme = lexemes.get(cue.gesture)
-            if lexeme is None:
-                raise InputError(f"gesture {shown(cue.gesture)}", "is unknown", near_gestures(cue.gesture, lexemes))
-        out.append(CueAt(cue, _time_of(cue, words, spoken, duration), lexeme))
-    return out
-
-
-def expressions_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float) -> list[tuple[float, str]]:
-    """(time, name) of the cues of the face, seconds; raises as `cues_at`."""
-    spoken = dict[str, list[Word]]()
-    for word in words:
-        spoken.setdefault(plain_word(word.text), []).append(word)
-    return [(_time_of(cue, words, spoken, duration), cue.gesture) for cue in cues if cue.gesture in EXPRESSIONS]
-
-
-def _time_of(cue: GestureCue, words: Sequence[Word], spoken: Mapping[str, Sequence[Word]], duration: float) -> float:
-    if cue.time is not None:
-        if not 0 <= cue.time <= duration:
-            raise InputError(f"cue at {cue.time:g} s", f"is not within the {duration:.2f} s of the sound",
-                             "choose an earlier time")
-        return float(cue.time)
-    matches = spoken.get(plain_word(cue.word or ""), ())
-    if not words:
-        raise InputError(f"cue at the word {shown(cue.word)}", "needs the words of the recording",
-                         "give them with --text, or a time instead of the word")
-    if len(matches) < cue.occurrence:
-        raise InputError(f"cue at the word {shown(cue.word)}, occurrence {cue.occurrence}",
-                         f"is impossible: the word is spoken {len(matches)} times", "choose among " + _listed(words))
-    return stroke_of_word(matches[cue.occurrence - 1])
-
-
-def stroke_of_word(word: Word) -> float:
-    """Seconds at which the stroke of a word's gesture falls: just before its stressed vowel, as far as the times of the
-    word tell. `word_sound.WordSounds.stroke` knows it better where the sound is there."""
-    return max(word.start + _VOWEL_SHARE * (word.end - word.start) - _EARLY, 0.0)
-
-
-def _listed(words: Sequence[Word]) -> str:
-    distinct = list(dict.fromkeys(plain_word(word.text) for word in words if plain_word(word.text)))
-    return ", ".join(distinct[:30]) + (" ..." if len(distinct) > 30 else "")
-
-
-def _names(bundle: Bundle) -> Sequence[LexemeName]:
-    from gesticulator.directing.lexeme_names import lexeme_names
-
-    return lexeme_names(bundle)
 
 
 class Director:
@@ -166,7 +46,7 @@ class Director:
     def __init__(self, bundle: Bundle, options: InferenceOptions, words: Sequence[Word], duration: float) -> None:
         """words: those known so far; duration: seconds, infinite in a stream."""
         self._knobs, self._bias = options.knobs, bias_of(bundle, options.handedness)
-        self._cues = [cue for cue in cues_at(options.cues, words, duration, lambda: _names(bundle))
+        self._cues = [cue for cue in cues_at(options.cues, words, duration, lambda: lexeme_names(bundle))
                       if cue.lexeme is not None]
 
     def request(self, speech: SpeechBlock, times: Array, control: ControlRows | None) -> Request:
@@ -178,6 +58,7 @@ class Director:
 
 # -------------------------------------------------------------------------------------------------------- plans
 
+# They were drawn into the plan's lexemes and random numbers: another value would contradict what is replayed.
 _OF_THE_PLAN = ("speaker", "temperature", "beta", "hand_height", "hand_speed", "hand_radius", "controls")
 
 
@@ -284,144 +165,3 @@ def check_plan_of(bundle: Bundle, plan: GesturePlan, sound: str) -> None:
     if not bundle.system.BLOCKS and any(edited_blocks(plan)):
         raise plan.error(("blocks",), "cannot be generated one by one: this bundle decodes all of its codes together",
                          "use a bundle with a lexicon of blocks")
-
-
-# ------------------------------------------------------------------------------------------------------- shaping
-
-@dataclass(frozen=True)
-class ShapeLevels:
-    """What the knobs ask for at M times. arms: sizes of the arms; mirrored: [M] the way to the mirror image."""
-
-    arms: ArmScales
-    mirrored: Array
-
-
-class Shaping:
-    """Applies intensity, mirroring and named gestures to generated poses [M, D_m] at rising seconds [M]."""
-
-    def __init__(self, bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array,
-                 meant: MeantCues | None = None) -> None:
-        """edges: [N + 1] seconds of the blocks; without a plan, the start and the end (infinity for a stream) are
-        enough. meant: called with the last of the seconds, gives the gestures that the words call for."""
-        representation = representation_of(bundle.config)
-        if representation.name != "rotations":
-            raise InputError("intensity, energy, handedness, cues and plans", "need a bundle of joint rotations, and "
-                             "this one has joint positions", "leave them out")
-        self._edges, self._meant, self._seed = edges, meant, options.seed or 0
-        self._sizes, self._both, self._mirrored, self._locked = _levels(options, len(edges) - 1)
-        self._curves = [] if options.plan is None else _sizing(options.plan)
-        self._shares = [eased_levels(edges, rest_share(side), REST_FADE, self._locked) for side in self._sizes.T]
-        cues = cues_at(options.cues, words, float(edges[-1]), lambda: _names(bundle))
-        self._cues = sorted([(cue.cue, cue.time) for cue in cues if cue.lexeme is None], key=_by_time)
-        self._shaper = Shaper(bundle.statistics, representation, speaker)
-
-    def levels(self, times: Array) -> ShapeLevels:
-        """The levels at `times` [M]."""
-        edges, locked = self._edges, self._locked
-        intensity = np.stack([levels_at(edges, side, times, FADE, locked) for side in self._sizes.T], axis=1)
-        share = np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in self._shares], axis=1)
-        if self._curves:
-            factor = _sizes_at(self._curves[0], times)
-            for curve in self._curves[1:]:
-                factor = factor * _sizes_at(curve, times)
-            factor = 1.0 + (factor - 1.0) * levels_at(edges, 1.0 - locked, times, FADE, locked)
-            intensity = np.minimum(intensity * factor[:, None], 2.0)
-            share = share * rest_share(np.minimum(factor, 1.0))[:, None]
-        return ShapeLevels(ArmScales(intensity, share, levels_at(edges, self._both, times, REST_FADE, locked)),
-                           levels_at(edges, self._mirrored, times, MIRROR_FADE, locked))
-
-    def named(self, times: Array) -> list[MeantCue]:
-        """The gestures that may be made within `times`, by the times of their strokes."""
-        if not len(times):
-            return []
-        begin, end = float(times[0]) - LONGEST_GESTURE, float(times[-1]) + LONGEST_GESTURE
-        cues = self._cues[bisect_left(self._cues, begin, key=_by_time):bisect_right(self._cues, end, key=_by_time)]
-        called = [one for one in self._meant(float(times[-1])) if begin <= one.time <= end] if self._meant else []
-        return sorted([*(MeantCue(cue, time) for cue, time in cues), *called], key=lambda one: one.time)
-
-    def __call__(self, poses: Array, times: Array) -> Array:
-        """The next poses."""
-        levels = self.levels(times)
-        poses = self._shaper.mirrored(self._shaper.shaped(poses, times, levels.arms), levels.mirrored)
-        return _with_gestures(poses, times, self.named(times), self._seed)
-
-
-def gestures_over(meant: MeantCues, seed: int) -> Callable[[Array, Array], Array]:
-    """A function that lays named gestures over generated poses [M, 3 J] at seconds [M] and changes nothing else.
-
-    meant: called with the last of the seconds, gives the gestures; seed: of their variation.
-    """
-    def shape(poses: Array, times: Array) -> Array:
-        return _with_gestures(poses, times, meant(float(times[-1])), seed) if len(times) else poses
-
-    return shape
-
-
-def _by_time(cue: tuple[GestureCue, float]) -> float:
-    return cue[1]
-
-
-def _with_gestures(poses: Array, times: Array, cues: Sequence[MeantCue], seed: int) -> Array:
-    """Poses [M, D] at seconds [M] with named gestures, and with those that were broken off as they end; seed: of their
-    variation."""
-    if not cues:
-        return poses
-    from gesticulator.directing.named_gestures import laid_over
-
-    for one in cues:
-        if one.broken_off is None:
-            continue
-        whole = laid_over(poses, times, [(one.cue, one.time)], seed)
-        share = np.clip((times - one.broken_off) / _BROKEN_OFF, 0.0, 1.0)
-        share = share * share * (3.0 - 2.0 * share)
-        poses = np.where(share[:, None] == 1.0, poses, np.where(share[:, None] == 0.0, whole, whole + share[:, None] * (
-            nearest_turn(poses.reshape(len(poses), -1, 3), whole.reshape(len(poses), -1, 3)).reshape(poses.shape)
-            - whole)))
-    played = sorted((one for one in cues if one.broken_off is None), key=lambda one: one.time)
-    return laid_over(poses, times, [(one.cue, one.time) for one in played], seed)
-
-
-def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Of N blocks: [N, 2] intensities of the left and the right hand; [N] 1.0 where each hand joins in the other's
-    strokes; [N] 1.0 where the block is mirrored; [N] whether it is locked."""
-    if options.plan is None:
-        both = np.full(count, float(options.handedness == "both"))
-        return np.array([_hands(options.knobs)] * count), both, np.zeros(count), np.zeros(count, bool)
-    now, first = options.plan.knobs, options.plan.drawn.knobs
-    locked = [block.locked for block in options.plan.blocks]
-    hands = np.where(np.array(locked)[:, None], _hands(first), _hands(now, _steady_energy(options.plan)))
-    sizes = np.minimum(np.array([block.intensity for block in options.plan.blocks])[:, None] * hands, 2.0)
-    whole = options.mirrored
-    mirrored = [block.mirror != (not whole and (first if block.locked else now).mirror)
-                for block in options.plan.blocks]
-    both = np.where(locked, float(first.handedness == "both"), float(now.handedness == "both"))
-    return sizes, both, np.array(mirrored, dtype=np.float64), np.array(locked)
-
-
-def _hands(knobs: PlanKnobs, factor: float = 1.0) -> tuple[float, float]:
-    """Intensities of the left and the right hand. factor: on the size, by a curve that is constant."""
-    size = min(knobs.size * factor, 2.0)
-    return (size * (OTHER_HAND if knobs.handedness == "right" else 1.0),
-            size * (OTHER_HAND if knobs.handedness == "left" else 1.0))
-
-
-def _sizing(plan: GesturePlan) -> list[KnobCurve]:
-    """The curves that vary the size of gestures; one of energy that is constant is as the knob (`_steady_energy`)."""
-    intensity, energy = plan.curve("intensity"), plan.curve("energy")
-    return [curve for curve in (intensity, None if _is_steady(energy) else energy) if curve is not None]
-
-
-def _is_steady(curve: KnobCurve | None) -> bool:
-    return curve is not None and len(set(curve.values)) == 1
-
-
-def _steady_energy(plan: GesturePlan) -> float:
-    """The factor on intensity of a curve of energy that is constant; 1 for another one, and without one."""
-    curve = plan.curve("energy")
-    return float(_sizes_at(curve, np.zeros(1))[0]) if curve is not None and _is_steady(curve) else 1.0
-
-
-def _sizes_at(curve: KnobCurve, times: Array) -> Array:
-    """[M] the factor on intensity at `times` [M] of a curve of intensity or of energy."""
-    values: Array = np.interp(times, curve.times, curve.values)
-    return np.interp(values, np.arange(len(ENERGIES)), ENERGY_SIZES) if curve.knob == "energy" else values

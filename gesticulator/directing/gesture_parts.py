@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 Vector = tuple[float, float, float]
-UP, DOWN, AHEAD, BACK, IN, OUT = ((0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0),
-                                  (-1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+UP, DOWN, AHEAD, IN = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)
 PALM, TIPS = 0.085, 0.165
 """Metres from the wrist to the middle of the palm, and to the tips of straight fingers."""
 HEAD: dict[str, Any] = {"faces": True, "preparation": 0.72, "retraction": 1.0}
@@ -84,6 +83,11 @@ class GestureScript:
     hold: float = 0.5
     retraction: float = 0.75
 
+    @property
+    def hands(self) -> list[HandPart]:
+        """What the hands that take part do, the main one first."""
+        return [part for part in (self.main, self.other) if part is not None]
+
 
 def hand(place: Vector, fingers: Vector, palm: Vector, shape: str = "open", start: Vector = (0.0, -0.06, -0.05),
          then: tuple[HandKey, ...] = (), **more: Any) -> HandPart:
@@ -99,6 +103,11 @@ def hand(place: Vector, fingers: Vector, palm: Vector, shape: str = "open", star
 def both(part: HandPart, **more: Any) -> GestureScript:
     """A gesture of both hands, one the mirror image of the other. more: fields of `GestureScript`."""
     return GestureScript(part, part, **more)
+
+
+def one_or_both(part: HandPart, **more: Any) -> tuple[GestureScript, GestureScript]:
+    """Two takes of a gesture: of one hand, and of both. more: fields of `GestureScript`."""
+    return GestureScript(part, **more), both(part, **more)
 
 
 def in_turn(part: HandPart, **more: Any) -> GestureScript:

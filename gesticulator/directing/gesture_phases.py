@@ -6,8 +6,10 @@ and waits in a hold after it, in which repeated movements take place; then it is
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +17,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
-from gesticulator.directing.gesture_arms import arm_turns, best_swing, hand_rotation
 from gesticulator.directing.gesture_parts import GestureScript, HandKey, HandPart, Repeat
-from gesticulator.directing.gesture_scripts import SCRIPTS
-from gesticulator.directing.hand_shapes import finger_turns
+from gesticulator.directing.hands import arm_turns, best_swing, finger_turns, hand_rotation
+from gesticulator.directing.scripts_of_people import PEOPLE
+from gesticulator.directing.scripts_of_things import THINGS
+from gesticulator.plan.gestures import ALIASES
 from gesticulator.plan.plan import GestureCue
 
+SCRIPTS: dict[str, tuple[GestureScript, ...]] = {**PEOPLE, **THINGS}
+SCRIPTS |= {alias: SCRIPTS[name] for alias, name in ALIASES.items()}
+"""Name of a gesture -> its takes, of which a draw chooses one."""
 _HOME = np.array([0.03, -0.28, 0.26])
 """Where a hand is when it rests in front of the body, metres from its shoulder: larger gestures go further from it."""
 _FADE = 0.18
@@ -36,6 +42,7 @@ _HANGING = np.array([0.16, -0.48, 0.07])
 _FASTEST = 1.9
 """Metres a second at which a hand would be led along a straight way; it goes in an arc, and reaches 2.6 at most."""
 _LARGEST = 1.6
+"""Largest intensity of a gesture; its ways must be possible there, too."""
 _PEAK, _GENTLE_PEAK = 1.875, 2.1875
 """Greatest speed of `smooth` and of `_gentle`, in relation to the mean one."""
 _STRAYS, _TURNS = 0.014, np.radians(5.0)
@@ -86,25 +93,24 @@ class GestureDraw:
 @functools.cache
 def longest(name: str) -> Phases:
     """The longest phases of a gesture; what is drawn is at most so long."""
-    rows = [(max(script.preparation, least.preparation), max(script.stroke, least.stroke), _hold(script),
-             max(script.retraction, least.retraction)) for script in SCRIPTS[name] for least in (_least(script),)]
-    return Phases(*(max(column) for column in zip(*rows, strict=True)))
+    rows = [_at_least(script, (1.0, 1.0, 1.0), _hold(script)) for script in SCRIPTS[name]]
+    return Phases(*(max(column) for column in zip(*map(dataclasses.astuple, rows), strict=True)))
 
 
 def _hold(script: GestureScript) -> float:
     """Seconds of a script's hold: its keys and repeated movements take place in it."""
-    parts = [part for part in (script.main, script.other) if part is not None]
-    ends = [part.repeat.count / part.repeat.rate for part in parts if part.repeat is not None]
-    return max([script.hold, *ends, *(part.keys[-1].time + 0.1 for part in parts)])
+    ends = [part.repeat.count / part.repeat.rate for part in script.hands if part.repeat is not None]
+    return max([script.hold, *ends, *(part.keys[-1].time + 0.1 for part in script.hands)])
 
 
-def _least(script: GestureScript) -> Phases:
-    """The seconds that the ways of a script's hands take at least, in its largest size and from hands that hang, at
-    `_FASTEST`; 0 for the hold."""
-    ways = [_ways(part) for part in (script.main, script.other) if part is not None]
-    up, across, down = (max((way[at] for way in ways), default=0.0) / _FASTEST for at in range(3))
+def _at_least(script: GestureScript, shares: Sequence[float], hold: float) -> Phases:
+    """The phases of a script, preparation, stroke and retraction at a share of their seconds, but not shorter than the
+    ways of its hands take, in its largest size and from hands that hang, at `_FASTEST`."""
+    up, across, down = (max(ways, default=0.0) / _FASTEST for ways in zip(
+        *map(_ways, script.hands), strict=True)) if script.hands else (0.0, 0.0, 0.0)
     preparation = max(_GENTLE_PEAK * up - min(0.9 * script.stroke, _OVERLAP), 0.0)
-    return Phases(preparation, _PEAK * across, 0.0, _GENTLE_PEAK * down)
+    return Phases(max(script.preparation * shares[0], preparation), max(script.stroke * shares[1], _PEAK * across),
+                  hold, max(script.retraction * shares[2], _GENTLE_PEAK * down))
 
 
 @functools.cache
@@ -119,18 +125,16 @@ def _ways(part: HandPart) -> tuple[float, float, float]:
 def drawn_gesture(cue: GestureCue, at: float, seed: int) -> GestureDraw:
     """How the gesture of a cue is made at a time, seconds. The same cue, time and seed give the same gesture."""
     takes = SCRIPTS[cue.gesture]
+    # The order of the draws is part of the result: plans replay gestures from their seed.
     random = np.random.default_rng([zlib.crc32(cue.gesture.encode()), round(at * 1000.0), seed])
     script = takes[int(random.integers(len(takes)))]
-    shorter = random.uniform(_SHORTER, 1.0, 4)
-    size = float(np.clip(cue.intensity, 0.5, 1.6)) * random.uniform(0.94, 1.06)
+    preparation, stroke, _, retraction = random.uniform(_SHORTER, 1.0, 4).tolist()
+    size = float(np.clip(cue.intensity, 0.5, _LARGEST)) * random.uniform(0.94, 1.06)
     place, turn = random.normal(0.0, _STRAYS, (2, 3)), random.normal(0.0, _TURNS, (2, 3))
     pace, turns = random.uniform(1.0, 1.12), random.uniform(0.85, 1.15) * (0.45 + 0.55 * size)
     # Two standard deviations at most: a hand that strays further would be another gesture.
     place, turn = np.clip(place, -2 * _STRAYS, 2 * _STRAYS), np.clip(turn, -2 * _TURNS, 2 * _TURNS)
-    hold = max(_hold(script) / pace, 0.2)
-    least = _least(script)
-    phases = Phases(max(script.preparation * shorter[0], least.preparation), max(
-        script.stroke * shorter[1], least.stroke), hold, max(script.retraction * shorter[3], least.retraction))
+    phases = _at_least(script, (preparation, stroke, retraction), max(_hold(script) / pace, 0.2))
     return GestureDraw(script, phases, size, place, turn, pace, turns)
 
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from data_module.motion.kinematics import positions_of
@@ -22,9 +21,6 @@ from data_module.types import Array, Motion
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
 from gesticulator.plan.plan import LexemeName
-from lexicon.movement import MovementLexicon
-
-__all__ = ["HandWays", "LexemeName", "described", "hand_ways", "handed_bias", "lexeme_names"]
 
 MOVES, FAR = 0.05, 0.18
 """Path of a hand that counts as moving, and displacement that counts as far, metres."""
@@ -50,16 +46,21 @@ class HandWays:
     heights: Array
 
 
-@torch.no_grad()
 def decoded_motion(bundle: Bundle) -> Motion | None:
     """The movements of all lexemes, one after the other, of equal length; None if lexemes cannot be decoded one by one
     (RACER's codes)."""
+    import torch
+
+    from lexicon.movement import MovementLexicon
+
     lexicon: Any = bundle.lexicon
     if not hasattr(lexicon, "shown"):
         return None
-    blocks = lexicon.shown()
-    if isinstance(lexicon, MovementLexicon):  # movements need a start: that of the nearest training block
-        blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
+    with torch.no_grad():
+        blocks = lexicon.shown()
+        # Movements need a start: that of the nearest training block.
+        if isinstance(lexicon, MovementLexicon):
+            blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
     statistics = bundle.statistics
     poses = blocks.double().cpu().numpy() * statistics.deviation + statistics.mean_pose.mean(axis=0)
     return representation_of(bundle.config).motion(poses.reshape(-1, poses.shape[-1]), 1.0)
@@ -73,34 +74,32 @@ def hand_ways(bundle: Bundle) -> HandWays | None:
     names = motion.skeleton.names
     places = positions_of(motion).reshape(len(bundle.vectors), -1, len(names), 3)
     hands = places[:, :, [names.index(side + "Hand") for side in _SIDES]] - places[:, :, :1]
-    hands = hands * np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])  # outwards is to the right for the right hand
+    # Outwards is to the right for the right hand.
+    hands = hands * np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
     return HandWays(hands[:, -1] - hands[:, 0], np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(axis=1),
                     hands[:, -1, :, 1])
 
 
 def lexeme_names(bundle: Bundle) -> tuple[LexemeName, ...]:
     """A name for each lexeme of a bundle, all different."""
-    silent, ways = set(bundle.silent.tolist()), hand_ways(bundle)
-    plain = [f"lexeme {number}" for number in range(len(bundle.vectors))]
-    if ways is not None:
-        plain = [described(ways.ways[n], ways.paths[n], ways.heights[n], n in silent) for n in range(len(plain))]
-    seen: Counter[str] = Counter()
+    silent, hands = set(bundle.silent.tolist()), hand_ways(bundle)
+    count: Counter[str] = Counter()
     out = []
-    for number, name in enumerate(plain):
-        seen[name] += 1
-        out.append(LexemeName(number, name if seen[name] == 1 else f"{name} {seen[name]}", number in silent))
+    for number in range(len(bundle.vectors)):
+        name = f"lexeme {number}" if hands is None else "rest" if number in silent else _described(
+            hands.ways[number], hands.paths[number], hands.heights[number])
+        count[name] += 1
+        out.append(LexemeName(number, name if count[name] == 1 else f"{name} {count[name]}", number in silent))
     return tuple(out)
 
 
-def described(ways: Array, paths: Array, heights: Array, silent: bool) -> str:
+def _described(ways: Array, paths: Array, heights: Array) -> str:
     """The movement of both hands in words. ways: [2, 3]; paths, heights: [2]; see `HandWays`."""
-    moves = [float(path) > MOVES for path in paths]
-    if silent:
-        return "rest"
-    if not any(moves):
+    moves = paths > MOVES
+    if not moves.any():
         return "hold, hands " + ("up" if heights.min() > LIFTED else "down" if heights.max() <= LIFTED else "apart")
-    right, left = (_way(ways[side], float(paths[side])) for side in (0, 1))
-    if all(moves):
+    right, left = (_way(way, float(path)) for way, path in zip(ways, paths, strict=True))
+    if moves.all():
         return f"both hands {right}" if right == left else f"right hand {right}, left hand {left}"
     return f"right hand {right}" if moves[0] else f"left hand {left}"
 
@@ -118,11 +117,11 @@ def _way(way: Array, path: float) -> str:
 def handed_bias(bundle: Bundle, hand: str) -> NDArray[np.float64] | None:
     """[S] nats to add to an interpreter's scores to prefer lexemes of the left, the right or both hands; None as
     `hand_ways`."""
-    ways = hand_ways(bundle)
-    if ways is None:
+    hands = hand_ways(bundle)
+    if hands is None:
         return None
-    total = ways.paths.sum(axis=1)
-    right = (ways.paths[:, 0] - ways.paths[:, 1]) / np.maximum(total, 1e-9)
+    total = hands.paths.sum(axis=1)
+    right = (hands.paths[:, 0] - hands.paths[:, 1]) / np.maximum(total, 1e-9)
     sided = {"right": right, "left": -right, "both": 1.0 - 2.0 * np.abs(right)}[hand]
     # A lexeme in which nothing moves gets no bias.
     bias: NDArray[np.float64] = BIAS * sided * np.clip(total / MOVES - 1.0, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Gesture marks in the words of a speech, such as `[shrug]`: which gestures they name, and the cues that they become.
+"""Gesture marks in the words of a speech, such as `[shrug]`: the cues that they become, in a file and in a stream.
 
 `data_module.text.marks` reads them from texts; a mark is resolved against `plan.GESTURES` when it is used, so that a
 gesture that is added there has its marks at once.
@@ -10,21 +10,23 @@ import difflib
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
-from data_module.text.marks import EMOJI, NONE, mark_name
-from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, REPERTOIRE, mark_of
+from data_module.errors import InputError
+from data_module.text.marks import NONE, mark_name, marked_words
+from data_module.types import Word
+from gesticulator.body.motion_path import LONGEST_HISTORY
+from gesticulator.directing.cues import TimedCue, stroke_of_word
+from gesticulator.directing.named_gestures import span_of_gesture
+from gesticulator.options import InferenceOptions
+from gesticulator.plan.checks import ALLOWED_CUES, CUES_PER_SECOND, plain_word
+from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, mark_of
 from gesticulator.plan.plan import GestureCue
-
-if TYPE_CHECKING:
-    from data_module.types import Word
-    from gesticulator.options import InferenceOptions
-
-__all__ = ["SOURCE", "MarkWarning", "gesture_of_mark", "is_kept_free", "names_of_marks", "prompt"]
 
 SOURCE = "mark"
 """The source of a cue in a plan that comes from a mark."""
+LATEST = 0.6
+"""Seconds that a stroke may come after its word, where the word came too late to prepare it; beyond, it is dropped."""
 
 
 class MarkWarning(UserWarning):
@@ -34,35 +36,24 @@ class MarkWarning(UserWarning):
 def gesture_of_mark(name: str) -> str | None:
     """The gesture of `plan.GESTURES` that a mark names, in any spelling (`mark_name`); None for an unknown one."""
     plain = mark_name(name)
-    return plain if plain in GESTURES else next((one for one in GESTURES if mark_name(one) == plain), None)
+    return plain if plain in GESTURES else next((gesture for gesture in GESTURES if mark_name(gesture) == plain), None)
 
 
 def expression_of_mark(name: str) -> str | None:
     """The expression of `plan.gestures.EXPRESSIONS` that a mark names ("smile", "mood:happy", "raise brows"); None for
     another."""
-    plain = mark_name(name)
-    plain = plain.removeprefix("mood ").removeprefix("face ")
+    plain = mark_name(name).removeprefix("mood ").removeprefix("face ")
     return plain if plain in EXPRESSIONS else None
 
 
-def names_of_marks() -> dict[str, tuple[str, ...]]:
-    """Each gesture of `plan.GESTURES` with the ways to mark it in a text, the shortest first: brackets, SSML, and an
-    emoji if it has one."""
-    emoji = {gesture: sign for sign, gesture in EMOJI.items()}
-    return {name: (mark_of(name), f'<mark name="gesture.{name.replace(" ", "_")}"/>',
-                   *((emoji[name],) if name in emoji else ())) for name in GESTURES}
+def gestures_of(word: Word) -> tuple[str, ...]:
+    """The gestures that are marked at a word."""
+    return tuple(filter(None, map(gesture_of_mark, word.marks)))
 
 
-def prompt(gestures: Iterable[str] | None = None) -> str:
-    """Instructions for a language model that writes what a character says: a hundred words, and the marks of these
-    gestures (default: those that talk often calls for)."""
-    gestures = [name for name, one in REPERTOIRE.items() if one.core] if gestures is None else gestures
-    marks = " ".join(mark_of(name) for name in gestures)
-    return ("Your words are spoken by a character with a body. You may mark a gesture by its name in square brackets, "
-            "directly before the word it belongs to: \"[shrug] I have no idea.\" The marks are not spoken. Use one "
-            "where a person would gesture: once in two or three sentences, never two in one, and none in lists or "
-            "code. Do not announce or describe gestures in words. Where the character should keep still, write [none] "
-            f"before the word. Use these marks and no others: {marks}")
+def expressions_of(word: Word) -> tuple[str, ...]:
+    """The expressions of a face that are marked at a word."""
+    return tuple(filter(None, map(expression_of_mark, word.marks)))
 
 
 def with_mark_cues(options: InferenceOptions, words: Sequence[Word]) -> InferenceOptions:
@@ -73,34 +64,16 @@ def with_mark_cues(options: InferenceOptions, words: Sequence[Word]) -> Inferenc
 
 def mark_cues(words: Sequence[Word]) -> tuple[GestureCue, ...]:
     """A cue at each marked word, of a gesture or of the face. Marks that name neither are left out."""
-    from gesticulator.directing.directions import plain_word
-
     cues: list[GestureCue] = []
     spoken: Counter[str] = Counter()
     for word in words:
         plain = plain_word(word.text)
         spoken[plain] += 1
         for gesture in (*gestures_of(word), *expressions_of(word)):
+            # A plan names the word, so that the cue moves with it; a lone punctuation mark has nothing but its time.
             place = GestureCue(gesture, word.text, spoken[plain]) if plain else GestureCue(gesture, time=word.start)
             cues.append(replace(place, source=SOURCE))
     return tuple(cues)
-
-
-def gestures_of(word: Word) -> tuple[str, ...]:
-    """The gestures that are marked at a word."""
-    found = (gesture_of_mark(name) for name in word.marks)
-    return tuple(gesture for gesture in found if gesture is not None)
-
-
-def expressions_of(word: Word) -> tuple[str, ...]:
-    """The expressions of a face that are marked at a word."""
-    found = (expression_of_mark(name) for name in word.marks)
-    return tuple(expression for expression in found if expression is not None)
-
-
-def is_kept_free(word: Word) -> bool:
-    """Whether a word is marked with [none]: nothing but a cue places a gesture there."""
-    return NONE in word.marks
 
 
 def warn_of_unknown(names: Iterable[str], known: set[str] | None = None) -> None:
@@ -114,6 +87,87 @@ def warn_of_unknown(names: Iterable[str], known: set[str] | None = None) -> None
     known.update(unknown)
     near = difflib.get_close_matches(unknown[0], (*GESTURES, *EXPRESSIONS), 1)
     listed = ", ".join(f"[{name[:40]}]" for name in unknown[:8]) + (" ..." if len(unknown) > 8 else "")
-    one = len(unknown) == 1
-    warnings.warn(MarkWarning(f"{listed} {'names' if one else 'name'} no gesture and {'is' if one else 'are'} left out"
+    warnings.warn(MarkWarning(f"no gesture is named {listed}, so nothing is shown for it"
                               + (f"; did you mean {mark_of(near[0])}?" if near else "")), stacklevel=3)
+
+
+# ------------------------------------------------------------------------------------------------------- in a stream
+
+@dataclass(frozen=True)
+class _MarkedCue:
+    """A gesture and the start of its word, seconds."""
+
+    cue: TimedCue
+    word: float
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Seconds at which the gesture begins and ends."""
+        before, after = span_of_gesture(self.cue.cue.gesture)
+        return self.cue.time - before, self.cue.time + after
+
+
+class StreamMarks:
+    """The marked gestures of a stream: `take` them from words, then ask for their `cues`."""
+
+    def __init__(self, rotations: bool) -> None:
+        """rotations: whether the bundle's poses are joint rotations, which gestures need."""
+        self._rotations = rotations
+        self._marked: list[_MarkedCue] = []
+        self._late: tuple[str, ...] = ()
+        self._known: set[str] = set()
+
+    def take(self, words: Sequence[Word], final: float) -> tuple[Word, ...]:
+        """The words as they are spoken, with their marks noted; a mark after the last one waits for the next call.
+
+        final: seconds of motion that are final, so that a gesture can begin no earlier. `InputError` for a mark where
+        the bundle's poses are no rotations, and for too many marks.
+        """
+        parts, late = marked_words([word.text for word in words])
+        waiting, self._late = self._late, late
+        out = []
+        for word, (text, marks) in zip(words, parts, strict=True):
+            if text.strip():
+                out.append(replace(word, text=text, marks=(*word.marks, *waiting, *marks)))
+                waiting = ()
+            elif not word.text.strip():
+                out.append(word)
+        self._late = (*waiting, *late)
+        warn_of_unknown((name for word in out for name in word.marks), self._known)
+        for word in out:
+            self._add(word, final)
+        self._marked = [marked for marked in self._marked if marked.cue.time >= final - LONGEST_HISTORY]
+        return tuple(out)
+
+    def _add(self, word: Word, final: float) -> None:
+        for gesture in gestures_of(word):
+            if not self._rotations:
+                raise InputError("gesture marks", "need a bundle of joint rotations, and this one has joint positions",
+                                 "leave them out")
+            spoken = stroke_of_word(word)
+            time = max(spoken, final + span_of_gesture(gesture)[0])
+            # A recogniser sends a word again when it has understood it better.
+            again = any(marked.cue.cue.gesture == gesture and marked.word == word.start for marked in self._marked)
+            if time - spoken <= LATEST and not again:
+                self._check_room(final)
+                cue = TimedCue(GestureCue(gesture, time=time, source=SOURCE), time)
+                self._marked.append(_MarkedCue(cue, word.start))
+
+    def _check_room(self, final: float) -> None:
+        """`InputError` if there are more gestures than a plan of the same length may have, or too many at once: each
+        costs computing time in every block around it, which other streams would wait for."""
+        waiting = sum(marked.cue.time > final for marked in self._marked)
+        if waiting >= ALLOWED_CUES or len(self._marked) >= max(ALLOWED_CUES, int(CUES_PER_SECOND * final)):
+            raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait or {CUES_PER_SECOND:g} per second came",
+                             "send fewer")
+
+    def interrupt(self, at: float) -> None:
+        """Forget what begins after `at` seconds, and break off what is being made."""
+        self._late = ()
+        begun = [marked for marked in self._marked if marked.span[0] < at]
+        self._marked = [marked if marked.span[1] <= at else replace(marked, cue=replace(
+            marked.cue, broken_off=min(marked.cue.broken_off or at, at))) for marked in begun]
+
+    def cues(self) -> list[TimedCue]:
+        """The marked gestures, in order of their words."""
+        return [marked.cue for marked in self._marked]

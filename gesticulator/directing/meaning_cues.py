@@ -1,46 +1,182 @@
 """Which words of a speech call for a gesture with a meaning, and for which one: cue phrases with guards.
 
-`meaning_cues.json` holds, for each meaning, cue phrases in English, German and Spanish (`cue_patterns`), and phrases in
-which they do not count: idioms, homonyms and other parts of speech. After a negation in the same clause only meanings
-that are themselves negative or questions count. Where two meanings are equally good, there is none. In English prose
-that was written to be read, cue phrases are worth less than in talk: it has more "of" and "which", and less "you".
+`meaning_cues.json` holds, for each meaning, cue phrases in English, German and Spanish, and phrases in which they do
+not count: idioms, homonyms and other parts of speech. After a negation in the same clause only meanings that are
+themselves negative or questions count. Where two meanings are equally good, there is none. In English prose that was
+written to be read, cue phrases are worth less than in talk: it has more "of" and "which", and less "you".
+
+Phrases are patterns of spoken words: `i|we do not *know` finds "we don't know" and marks its last word. A pattern is a
+row of elements, one spoken word each: `a|b` one of them, `_` any word, `_ing` and `run~` any word with this end or
+beginning, `a_b` two words, a trailing `?` an element that may be missing, a leading `*` the word that carries the
+stroke. `^` and `$` stand for a boundary: the end of a sentence or a clause, or a pause. `,` and `?` stand for
+themselves. A number in front of a pattern is its weight.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
+import re
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from data_module.files import read_object
 from data_module.text.language import LANGUAGES
-from gesticulator.directing.cue_patterns import CuePattern, SpokenText, cue_pattern, spoken_text
 
+_BOUNDARY = "[,.?] "
+_ENDS = (", ", ". ", "? ")
+_LETTERS = r"[\w'-]"
+_WEIGHT = re.compile(r"0?\.\d+$")
+_MARKS = {"^": _BOUNDARY, "$": _BOUNDARY, ",": ", ", "?": r"\? "}
+_SHORT = {"i'm": "i am", "let's": "let us", "can't": "can not", "cannot": "can not", "won't": "will not",
+          "shan't": "shall not", "ain't": "is not", "gonna": "going to", "gotta": "got to", "wanna": "want to",
+          "y'all": "you all", "dunno": "do not know", "that's": "that is", "it's": "it is", "here's": "here is",
+          "there's": "there is", "what's": "what is", "who's": "who is", "how's": "how is", "where's": "where is",
+          "he's": "he is", "she's": "she is", "why's": "why is"}
+_ENDINGS = (("n't", "not"), ("'re", "are"), ("'ve", "have"), ("'ll", "will"), ("'d", "would"))
+_FULL_STOP, _COMMA = 0.5, 0.33
+"""Seconds of silence that count as a full stop and as a comma."""
 _SCOPE = 4
 """Words after a negation that it may concern."""
 _NEAR = 80
 """Characters around a phrase in which its guards are sought."""
 _LONGER = 0.01
 """Added to the score for each further word of a cue phrase: the more specific phrase wins."""
-
-
-def _set(words: str) -> frozenset[str]:
-    return frozenset(words.split())
-
-
-_TALK = _set("i me my you your we us our am let going got want know think get look well okay yeah yes thank do not "
-             "what why that this just really so")
-_PROSE = _set("of the which by upon such")
+_TALK = frozenset((
+    "i", "me", "my", "you", "your", "we", "us", "our", "am", "let", "going", "got", "want", "know", "think", "get",
+    "look", "well", "okay", "yeah", "yes", "thank", "do", "not", "what", "why", "that", "this", "just", "really", "so"))
+_PROSE = frozenset(("of", "the", "which", "by", "upon", "such"))
 _AROUND, _FEWEST, _LEAST_TALK, _WRITTEN = 35, 25, -0.05, 0.15
 """Words on both sides that tell talk from prose, and how many are needed; the least share of words of talk minus those
 of prose; what is taken off the scores in prose."""
-_NEGATIONS = {"en": _set("not no never nobody none nothing without hardly neither nor cannot"),
-              "de": _set("nicht kein keine keinen keiner nie niemals niemand ohne weder"),
-              "es": _set("no nunca nadie nada sin jamás ni tampoco")}
+_NEGATIONS = {"en": "not no never nobody none nothing without hardly neither nor cannot",
+              "de": "nicht kein keine keinen keiner nie niemals niemand ohne weder",
+              "es": "no nunca nadie nada sin jamás ni tampoco"}
 
+
+# ----------------------------------------------------------------------------------------------------- spoken text
+
+@dataclass(frozen=True)
+class SpokenText:
+    """Words as patterns read them. text: lower case, short forms written out, `,` `.` `?` for boundaries, each followed
+    by a space, and a boundary at both ends; owners: for each character of `text` that begins a word, the index of the
+    written word, rising."""
+
+    text: str
+    owners: dict[int, int] = field(repr=False)
+
+    @functools.cached_property
+    def _places(self) -> list[int]:
+        return list(self.owners)
+
+    def words(self, start: int, end: int) -> tuple[int, int]:
+        """The first and the last written word between two characters."""
+        return (self.owners[self._places[bisect_left(self._places, start)]],
+                self.owners[self._places[bisect_left(self._places, end) - 1]])
+
+
+def spoken_text(words: Sequence[str], pauses: Sequence[float] = ()) -> SpokenText:
+    """The words of one or more sentences. pauses: seconds of silence after each word, if known."""
+    text, owners = ". ", {}
+    for number, (word, pause) in enumerate(itertools.zip_longest(words, pauses[:len(words)], fillvalue=0.0)):
+        word = str(word).lower().replace("\u2019", "'")
+        # A lone mark counts as one after the word before.
+        places = [at for at, mark in enumerate(word) if mark.isalnum()] or [0, -1]
+        first, last = places[0], places[-1] + 1
+        if word[:first].strip("'\"“”‘«([{*_") and not text.endswith(_ENDS):
+            text += ", "
+        for part in _written_out(word[first:last]):
+            owners[len(text)] = number
+            text += part + " "
+        mark = _boundary(word[last:], pause)
+        if mark and not text.endswith(_ENDS):
+            text += mark + " "
+    return SpokenText(text if text.endswith(_ENDS) else text + ". ", owners)
+
+
+def _boundary(tail: str, pause: float) -> str:
+    if "?" in tail:
+        return "?"
+    if any(mark in tail for mark in ".!…。！") or pause >= _FULL_STOP:
+        return "."
+    return "," if any(mark in tail for mark in ",;:—–)") or tail in ("-", "--") or pause >= _COMMA else ""
+
+
+def _written_out(core: str) -> list[str]:
+    if core in _SHORT:
+        return _SHORT[core].split()
+    for ending, word in _ENDINGS:
+        if core.endswith(ending) and len(core) > len(ending):
+            return [core[:-len(ending)], word]
+    return [core] if core else []
+
+
+# -------------------------------------------------------------------------------------------------------- patterns
+
+@dataclass(frozen=True)
+class CuePattern:
+    """A compiled pattern. weight: how sure it is, 0 to 1; keys: words one of which must be in the text, or none;
+    length: elements that must be there."""
+
+    source: str
+    weight: float
+    keys: frozenset[str]
+    length: int
+    _regex: re.Pattern[str] = field(repr=False)
+
+    def matches(self, spoken: SpokenText, first: int = 0, last: int | None = None) -> Iterator[tuple[int, int, int]]:
+        """(start, end, place of the stroke's word) of each match between two characters of the text."""
+        for match in self._regex.finditer(spoken.text, first, len(spoken.text) if last is None else last):
+            yield match.start(), match.end(), match.start("stroke") if "stroke" in match.groupdict() else match.start()
+
+
+def cue_pattern(source: str, weight: float = 0.0) -> CuePattern:
+    """Compile a pattern. weight: used where the pattern names none. ValueError for one without a word."""
+    elements = source.split()
+    if elements and _WEIGHT.match(elements[0]):
+        weight, elements = float(elements[0]), elements[1:]
+    if not any(re.search(r"[^\W_]", element) for element in elements):
+        raise ValueError(f"the pattern {source!r} has no word")
+    parts = [_element(element, at == 0, at == len(elements) - 1) for at, element in enumerate(elements)]
+    # The rarest words of the phrase are the filter: long words are rarer than short ones.
+    keys = max((_keys(element) for element in elements), key=lambda words: min(map(len, words), default=0))
+    length = sum(not element.endswith("?") and element not in _MARKS for element in elements)
+    return CuePattern(source, weight, frozenset(keys), length, re.compile("(?<= )" + "".join(parts)))
+
+
+def _element(element: str, first: bool, last: bool) -> str:
+    mark, optional = element.rstrip("?") or "?", "?" if element.endswith("?") and element != "?" else ""
+    if mark in _MARKS:
+        # A boundary at the edge of a phrase is not part of it, so that it may belong to the next phrase, too.
+        if mark in "^$" and not optional and (first or last):
+            return f"(?<={_BOUNDARY})" if first else f"(?={_BOUNDARY})"
+        return f"(?:{_MARKS[mark]}){optional}"
+    group, words = "?P<stroke>" if mark.startswith("*") else "?:", mark.lstrip("*").split("|")
+    return f"({group}(?:{'|'.join(map(_word, words))}) ){optional}"
+
+
+def _word(word: str) -> str:
+    if word == "$":
+        return "(?=[,.?])"
+    if word.startswith("_"):
+        return _LETTERS + "+" + re.escape(word[1:])
+    if word.endswith("~"):
+        return re.escape(word[:-1]) + _LETTERS + "*"
+    return " ".join(map(re.escape, word.split("_")))
+
+
+def _keys(element: str) -> list[str]:
+    """Words one of which must be in the text as it is written; [] where others match, too."""
+    words = element.lstrip("*").split("|")
+    if element.endswith("?") or element in _MARKS or any(
+            word.startswith("_") or word.endswith("~") or word == "$" for word in words):
+        return []
+    return [word.split("_")[0] for word in words]
+
+
+# -------------------------------------------------------------------------------------------------------- meanings
 
 @dataclass(frozen=True)
 class CalledGesture:
@@ -66,22 +202,24 @@ class MeaningClass:
     cues: tuple[CuePattern, ...]
     unless: tuple[CuePattern, ...]
 
+    def guarded(self, spoken: SpokenText, start: int, end: int) -> bool:
+        """Whether a phrase in which the cues do not count overlaps these characters."""
+        first, last = max(start - _NEAR, 0), end + _NEAR
+        return any(a < end and start < b for guard in self.unless for a, b, _ in guard.matches(spoken, first, last))
+
 
 class MeaningCues:
     """The cue phrases of one language."""
 
-    def __init__(self, classes: Sequence[MeaningClass], language: str = "en") -> None:
-        self.classes, self.language = tuple(classes), language
-        self._by_key: dict[str, list[tuple[MeaningClass, CuePattern]]] = {}
-        for meaning in self.classes:
-            for cue in meaning.cues:
-                for key in cue.keys or ("",):
-                    self._by_key.setdefault(key, []).append((meaning, cue))
+    def __init__(self, classes: Sequence[MeaningClass], language: str) -> None:
+        self._classes, self._language = classes, language
+        self._cues = [(meaning, cue) for meaning in classes for cue in meaning.cues]
+        self._negations = frozenset(_NEGATIONS[language].split())
 
     @property
     def gestures(self) -> Mapping[str, str]:
         """Meaning -> the name of its gesture."""
-        return {meaning.label: meaning.gesture for meaning in self.classes}
+        return {meaning.label: meaning.gesture for meaning in self._classes}
 
     def called(self, words: Sequence[str], pauses: Sequence[float] = ()) -> list[CalledGesture]:
         """The words that call for a gesture, in their order; of phrases that overlap the best one, or none on a tie.
@@ -90,7 +228,7 @@ class MeaningCues:
         """
         spoken = spoken_text(words, pauses)
         calls = sorted(self._candidates(spoken), key=lambda call: (call.first, call.word, call.label))
-        if self.language == "en" and calls:
+        if self._language == "en" and calls:
             written = _written(spoken, len(words))
             calls = [replace(call, score=round(call.score - _WRITTEN, 3)) if written[call.word] else call
                      for call in calls]
@@ -98,20 +236,14 @@ class MeaningCues:
 
     def _candidates(self, spoken: SpokenText) -> Iterator[CalledGesture]:
         """Every cue phrase that its guards let pass; they may overlap."""
-        tried: set[int] = set()
-        for key in (*spoken.tokens, ""):
-            for meaning, cue in self._by_key.get(key, ()):
-                if id(cue) not in tried:
-                    tried.add(id(cue))
-                    yield from self._matched(meaning, cue, spoken)
-
-    def _matched(self, meaning: MeaningClass, cue: CuePattern, spoken: SpokenText) -> Iterator[CalledGesture]:
-        for start, end, stroke in cue.matches(spoken):
-            if _guarded(meaning, spoken, start, end) or (not meaning.negated and self._negated(spoken, start)):
-                continue
-            score = round(min(cue.weight + _LONGER * (cue.length - 1), 1.0), 3)
-            yield CalledGesture(spoken.owners[stroke], *spoken.words(start, end), meaning.label, meaning.gesture, score,
-                                cue.source)
+        tokens = frozenset(spoken.text.split())
+        for meaning, cue in self._cues:
+            # Most of a thousand phrases have no word in the text: looking for one spares the regular expression.
+            for start, end, stroke in cue.matches(spoken) if not cue.keys or cue.keys & tokens else ():
+                if not meaning.guarded(spoken, start, end) and (meaning.negated or not self._negated(spoken, start)):
+                    yield CalledGesture(spoken.owners[stroke], *spoken.words(start, end), meaning.label,
+                                        meaning.gesture, round(min(cue.weight + _LONGER * (cue.length - 1), 1.0), 3),
+                                        cue.source)
 
     def _negated(self, spoken: SpokenText, start: int) -> bool:
         """True if a negation stands in the same clause within `_SCOPE` words before a place."""
@@ -120,9 +252,8 @@ class MeaningCues:
             if token in (",", ".", "?") or len(before) == _SCOPE:
                 break
             before.append(token)
-        negations = _NEGATIONS[self.language]
         # "not only", "not just" say more, not less.
-        return any(token in negations and before[at - 1:at] not in (["only"], ["just"])
+        return any(token in self._negations and before[at - 1:at] not in (["only"], ["just"])
                    for at, token in enumerate(before))
 
 
@@ -142,12 +273,6 @@ def _written(spoken: SpokenText, count: int) -> list[bool]:
     return out
 
 
-def _guarded(meaning: MeaningClass, spoken: SpokenText, start: int, end: int) -> bool:
-    """True if a phrase in which the cues of a meaning do not count overlaps these characters."""
-    first, last = max(start - _NEAR, 0), end + _NEAR
-    return any(a < end and start < b for guard in meaning.unless for a, b, _ in guard.matches(spoken, first, last))
-
-
 def _best(calls: list[CalledGesture]) -> list[CalledGesture]:
     """Of calls that share a word the best; none where two labels are equally good."""
     out: list[CalledGesture] = []
@@ -155,7 +280,8 @@ def _best(calls: list[CalledGesture]) -> list[CalledGesture]:
         if not any(other.first <= call.last and call.first <= other.last for other in out):
             tied = any(other.score == call.score and other.label != call.label and other.word == call.word
                        for other in calls)
-            out.append(replace(call, score=0.0) if tied else call)  # a tie still keeps worse calls from its words
+            # A tie still keeps worse calls from its words.
+            out.append(replace(call, score=0.0) if tied else call)
     return sorted((call for call in out if call.score > 0.0), key=lambda call: call.word)
 
 
@@ -163,17 +289,9 @@ def _best(calls: list[CalledGesture]) -> list[CalledGesture]:
 def meaning_cues(language: str = "en") -> MeaningCues:
     """The cue phrases of a language; those of English for a language without its own."""
     language = language if language in LANGUAGES else "en"
-    return MeaningCues([_class(row, language) for row in _table() if row.get(language)], language)
-
-
-@functools.cache
-def _table() -> tuple[Mapping[str, Any], ...]:
-    return tuple(read_object(Path(__file__).with_name("meaning_cues.json"), "install the program again")["classes"])
-
-
-def _class(row: Mapping[str, Any], language: str) -> MeaningClass:
-    unless = row.get("unless" if language == "en" else f"unless_{language}", ())
-    weight = row["weight"]
-    return MeaningClass(row["label"], row.get("gesture", row["label"].replace("_", " ")), row.get("negated", False),
-                        tuple(cue_pattern(cue, weight) for cue in row[language]),
-                        tuple(cue_pattern(guard) for guard in unless))
+    guards = "unless" if language == "en" else f"unless_{language}"
+    rows = read_object(Path(__file__).with_name("meaning_cues.json"), "install the program again")["classes"]
+    return MeaningCues([MeaningClass(
+        row["label"], row.get("gesture", row["label"].replace("_", " ")), row.get("negated", False),
+        tuple(cue_pattern(cue, row["weight"]) for cue in row[language]),
+        tuple(cue_pattern(guard) for guard in row.get(guards, ()))) for row in rows if row.get(language)], language)

@@ -1,14 +1,14 @@
 """Named gestures, such as a wave, a shrug or a nod: scripts that are blended over the generated motion.
 
 The lexicon has movements without meanings; no lexeme is a wave. So each gesture of the repertoire
-(`gesticulator.plan.gestures`) is a script of key poses (`gesticulator.directing.gesture_scripts`), which inverse
+(`gesticulator.plan.gestures`) is a script of key poses (`gesticulator.directing.gesture_phases`), which inverse
 kinematics turns into poses of arms and fingers. An envelope blends them in and out along the shortest rotation, so that
 there is no jump, and hands that would pass through the trunk are led around it. The apex is at the cue's time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,7 +19,7 @@ from data_module.types import Array, Motion
 from gesticulator.body.clips import exchanged_joints
 from gesticulator.contacts.columns import head_distances, kept_off_our_head, kept_out_of_us, trunk_distances
 from gesticulator.contacts.limbs import MARGIN, pose_of
-from gesticulator.directing.gesture_parts import GestureScript, Vector
+from gesticulator.directing.gesture_parts import GestureScript
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
 from gesticulator.directing.shaping import nearest_turn
 from gesticulator.plan.plan import GestureCue
@@ -59,34 +59,28 @@ def _with_gesture(poses: Array, seconds: Array, cue: GestureCue, draw: GestureDr
     weight = min(cue.intensity / _WHOLE, 1.0) * draw.phases.weight(seconds)
     script, flipped = draw.script, (draw.script.side == "Left") != cue.mirror
     names = CHARACTERS[poses.shape[1] // 3].names
+    swapped = exchanged_joints(names)
     vectors = poses.reshape(len(poses), -1, 3).copy()
     targets = _targets(draw, seconds)
-    adds = _added(draw, seconds, weight)
-    for name, turns in targets.items():
-        joint, turns = _on_side(names, name, turns, flipped)
-        if joint is not None:
-            vectors[:, joint] = _blended(vectors[:, joint], turns, weight)
-    for name, turns in adds.items():
-        joint, turns = _on_side(names, name, turns, flipped)
-        if joint is not None and name not in targets:
-            vectors[:, joint] += turns
-    moved = [side for side, part in (("Right", script.main), ("Left", script.other)) if part is not None]
-    moved = [SIDES[1 - SIDES.index(side)] if flipped else side for side in moved]
+    added = {name: turns for name, turns in _added(draw, seconds, weight).items() if name not in targets}
+    # Scripts are right-handed: a flipped gesture goes to the joints of the other side, as its mirror image.
+    for name, turns in (targets | added).items():
+        if name in names:
+            joint, turns = names.index(name), turns * _FLIP if flipped else turns
+            joint = int(swapped[joint]) if flipped else joint
+            vectors[:, joint] = _blended(vectors[:, joint], turns, weight) if name in targets \
+                else vectors[:, joint] + turns
+    moved = [side for side, part in zip(SIDES if flipped else SIDES[::-1], (script.main, script.other), strict=True)
+             if part is not None]
     return _led_around(vectors.reshape(poses.shape), poses, weight, moved, script)
-
-
-def _on_side(names: tuple[str, ...], name: str, turns: Array, flipped: bool) -> tuple[int | None, Array]:
-    """The number of a joint of a right-handed script, None if the character lacks it, and its turns; of the other side
-    if the gesture is flipped."""
-    if name not in names:
-        return None, turns
-    joint = names.index(name)
-    return (int(exchanged_joints(names)[joint]), turns * _FLIP) if flipped else (joint, turns)
 
 
 def _targets(draw: GestureDraw, seconds: Array) -> dict[str, Array]:
     """Joint -> [M, 3] exponential maps that a right-handed gesture leads to: arms and fingers, and the head if a hand
     touches it."""
+    def held(name: str, factor: float) -> Array:
+        return np.repeat(factor * np.radians(script.adds.get(name, (0.0, 0.0, 0.0)))[None], len(seconds), axis=0)
+
     out: dict[str, Array] = {}
     script = draw.script
     for which, (side, part) in enumerate((("Right", script.main), ("Left", script.other))):
@@ -95,20 +89,13 @@ def _targets(draw: GestureDraw, seconds: Array) -> dict[str, Array]:
         arm, fingers = hand_turns(draw, which, seconds)
         if side == "Right":
             arm, fingers = arm * _FLIP, fingers * _FLIP
-        shoulder = _constant(script.adds.get(side + "Shoulder", (0.0, 0.0, 0.0)), draw.turns, seconds)
+        out[side + "Shoulder"] = shoulder = held(side + "Shoulder", draw.turns)
         # The hand is placed in the frame of the chest, whatever the shoulder does.
         arm[:, 0] = (Rotation.from_rotvec(shoulder).inv() * Rotation.from_rotvec(arm[:, 0])).as_rotvec()
         out |= {side + name: arm[:, at] for at, name in enumerate(_ARM)}
         out |= {f"{side}Hand{finger}{place + 1}": fingers[:, 3 * at + place]
                 for at, finger in enumerate(FINGERS) for place in range(3)}
-        out[side + "Shoulder"] = shoulder
-    if script.faces:
-        out |= {name: _constant(script.adds.get(name, (0.0, 0.0, 0.0)), 1.0, seconds) for name in _HEAD}
-    return out
-
-
-def _constant(degrees: Vector, factor: float, seconds: Array) -> Array:
-    return np.repeat(factor * np.radians(degrees)[None], len(seconds), axis=0)
+    return out | ({name: held(name, 1.0) for name in _HEAD} if script.faces else {})
 
 
 def _added(draw: GestureDraw, seconds: Array, weight: Array) -> dict[str, Array]:
@@ -116,16 +103,11 @@ def _added(draw: GestureDraw, seconds: Array, weight: Array) -> dict[str, Array]
     script = draw.script
     # At its far end at the apex, whatever the rate.
     wave = weight * np.cos(2.0 * np.pi * script.rate * draw.pace * seconds)
-    levels = ((script.adds, weight), (script.nods, wave))
     out: dict[str, Array] = {}
-    for turns, level in levels:
+    for turns, level in ((script.adds, weight), (script.nods, wave)):
         for name, degrees in turns.items():
-            out[name] = out.get(name, np.zeros((len(seconds), 3))) + _scaled(degrees, draw.turns, level)
+            out[name] = out.get(name, np.zeros((len(seconds), 3))) + draw.turns * level[:, None] * np.radians(degrees)
     return out
-
-
-def _scaled(degrees: Vector, factor: float, level: Array) -> Array:
-    return factor * level[:, None] * np.radians(degrees)
 
 
 def _blended(now: Array, target: Array, share: Array) -> Array:
@@ -136,28 +118,21 @@ def _blended(now: Array, target: Array, share: Array) -> Array:
     return nearest_turn((begin * Rotation.from_rotvec(share[:, None] * turn)).as_rotvec(), now)
 
 
-# ---------------------------------------------------------------------------------------------------- contacts
-
-def _touching(script: GestureScript) -> bool:
-    return any(part is not None and part.touches for part in (script.main, script.other))
-
-
 def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str], script: GestureScript
                 ) -> Array:
     """Poses [M, 3 J] with the hands of the sides `moved` kept as far from trunk and head as in the poses `before`, and
     in a gesture at `MARGIN`, or on the body if it touches it. Where nothing has to move, nothing changes."""
-    on_trunk = _TOUCH if _touching(script) else MARGIN
-    on_head = 0.0 if script.faces else MARGIN
     if not moved:
         return poses
     motion, first = _motion_of(poses), pose_of(_motion_of(before))
     freed = motion
-    for distances, kept, gap in ((trunk_distances, kept_out_of_us, on_trunk),
-                                 (head_distances, kept_off_our_head, on_head)):
+    touches = any(part.touches for part in script.hands)
+    for distances, clear, gap in ((trunk_distances, kept_out_of_us, _TOUCH if touches else MARGIN),
+                                  (head_distances, kept_off_our_head, 0.0 if script.faces else MARGIN)):
         now = distances(first)
-        wanted: Mapping[str, Array] = {side: (1.0 - weight) * np.minimum(now[side], MARGIN) + weight * gap
-                                       if side in moved else np.full(len(poses), -np.inf) for side in SIDES}
-        freed = kept(freed, wanted)
+        freed = clear(freed, {side: (1.0 - weight) * np.minimum(now[side], MARGIN) + weight * gap
+                              if side in moved else np.full(len(poses), -np.inf) for side in SIDES})
+    # Joints that did not have to move keep their bits: exponential maps of the same rotation may differ.
     changed = (freed.rotations != motion.rotations).any(axis=-1, keepdims=True)
     reference = poses.reshape(len(poses), -1, 3)
     turned = nearest_turn(rotation.to_exponential_map(freed.rotations), reference)

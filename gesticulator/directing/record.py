@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
+from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan import (
     FORMAT,
     VERSION,
@@ -66,26 +66,19 @@ def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: 
 def rendered_plan(plan: GesturePlan, speech: Speech, blocks: Sequence[BlockMotion], origin: Origin) -> GesturePlan:
     """A plan after rendering, with the models' choices in its edited blocks."""
     # The hash of the sound was compared with the plan's before rendering (`directions.check_plan_of`).
-    sound, words = PlanSound("", speech.duration, speech.sample_rate, plan.sound.sha256), words_of(speech)
-    units = units_of_blocks(blocks) or plan.units
+    sound = PlanSound("", speech.duration, speech.sample_rate, plan.sound.sha256)
     return replace(plan, sound=sound, blocks=tuple(_rendered(block, generated) for block, generated
                                                    in zip(plan.blocks, blocks, strict=True)),
-                   units=plan.units if units == plan.units else units,
-                   words=plan.words if words == plan.words else words, score_is=origin.score_is, source="plan")
+                   units=units_of_blocks(blocks) or plan.units, words=words_of(speech), score_is=origin.score_is,
+                   source="plan")
 
 
 def _rendered(block: Block, generated: BlockMotion) -> Block:
-    """A planned block with the decisions of its generation; the same object if nothing differs."""
-    now, choices = generated.block, block.alternatives
-    rows = [(choice.lexeme, choice.score, choice.prior, choice.advantage) for choice in now.alternatives]
-    if [(choice.lexeme, choice.score, choice.prior, choice.advantage) for choice in choices] != rows:
-        choices = now.alternatives
-    lexeme = generated.lexeme if block.lexeme is None else block.lexeme
-    before = (block.lexeme, block.gate, block.score, block.rank, block.chosen, block.runner_up)
-    if choices is block.alternatives and before == (lexeme, now.gate, now.score, now.rank, now.chosen, now.runner_up):
-        return block
-    return replace(block, lexeme=lexeme, gate=now.gate, alternatives=choices, score=now.score, rank=now.rank,
-                   chosen=now.chosen, runner_up=now.runner_up)
+    """A planned block with the decisions of its generation."""
+    now = generated.block
+    return replace(block, lexeme=generated.lexeme if block.lexeme is None else block.lexeme, gate=now.gate,
+                   alternatives=now.alternatives, score=now.score, rank=now.rank, chosen=now.chosen,
+                   runner_up=now.runner_up)
 
 
 def fingerprinted(plan: GesturePlan, speech: Speech) -> GesturePlan:
@@ -96,25 +89,13 @@ def fingerprinted(plan: GesturePlan, speech: Speech) -> GesturePlan:
 
 
 def named(plan: GesturePlan, names: tuple[LexemeName, ...]) -> GesturePlan:
-    """The plan with the names of lexemes and gestures; blocks that have their names already are the same objects."""
+    """The plan with the names of lexemes and gestures."""
     by_lexeme = {entry.lexeme: entry.name for entry in names}
-    blocks = []
-    for block in plan.blocks:
-        name, choices = by_lexeme.get(block.lexeme) if block.lexeme is not None else None, block.alternatives
-        for choice in choices:
-            if choice.name != by_lexeme.get(choice.lexeme, ""):
-                choices = tuple([replace(other, name=by_lexeme.get(other.lexeme, "")) for other in choices])
-                break
-        same = name == block.name and choices is block.alternatives
-        blocks.append(block if same else replace(block, name=name, alternatives=choices))
-    return replace(plan, blocks=tuple(blocks), lexicon=names, gestures=_named_gestures())
-
-
-@cache
-def _named_gestures() -> tuple[GestureName, ...]:
-    from gesticulator.plan.gestures import GESTURES
-
-    return tuple(GestureName(name, about) for name, about in GESTURES.items())
+    blocks = [replace(block, name=None if block.lexeme is None else by_lexeme.get(block.lexeme), alternatives=tuple(
+        replace(choice, name=by_lexeme.get(choice.lexeme, "")) for choice in block.alternatives))
+        for block in plan.blocks]
+    return replace(plan, blocks=tuple(blocks), lexicon=names,
+                   gestures=tuple(GestureName(name, about) for name, about in GESTURES.items()))
 
 
 def words_of(speech: Speech) -> tuple[PlanWord, ...]:
@@ -142,6 +123,7 @@ def _unit(blocks: Sequence[BlockMotion]) -> GestureUnit:
     phases: list[GesturePhase] = []
     struck = False
     for block, decision in zip(blocks, decisions, strict=True):
+        # Equal phases of neighbouring blocks are one phase; a hold is named by the stroke that it precedes or follows.
         kind = PHASES[decision.phase]
         struck = struck or kind == "stroke"
         if kind == "hold":

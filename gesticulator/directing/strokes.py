@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,6 @@ _STORED = 640.0
 
 _GRAIN = 2.0 ** -36
 """Radians, to which the ways between knots are rounded: far less than a tenth of a degree per hour."""
-Amount = TypeVar("Amount", float, Array)
 _TOGETHER = 16
 """Knots whose sums are computed together: as many as share most of the movements that they remember."""
 
@@ -50,13 +49,13 @@ class StrokeScale:
 LARGE, FINE = StrokeScale(2.0, 4.0, 4.0), StrokeScale(0.0, 2.0, 1.0)
 
 
-@dataclass
-class _KnotRows:
-    """The knots in memory: times [M] seconds, paths [M] l_j, moved [M, D] w_j."""
+class _KnotRows(NamedTuple):
+    """The knots in memory: times [M] seconds, paths [M] l_j, moved [M, D] w_j, poses [M, D] x_j."""
 
     times: Array
     paths: Array
     moved: Array
+    poses: Array
 
 
 class StrokeMemory:
@@ -65,31 +64,24 @@ class StrokeMemory:
     def __init__(self, columns: NDArray[np.int64], scale: StrokeScale) -> None:
         """columns: [D] of the arm in a pose."""
         self._columns, self._scale = columns, scale
-        self._rows = _KnotRows(np.zeros(0), np.zeros(0), np.zeros((0, len(columns))))
-        self._poses = np.zeros((0, len(columns)))
+        none = np.zeros((0, len(columns)))
+        self._rows = _KnotRows(np.zeros(0), np.zeros(0), none, none)
 
     def push(self, times: Array, poses: Array) -> None:
         """Add poses [K, 3 J] at rising seconds [K]. Knots in memory that are not earlier than these are replaced."""
-        known = int(np.searchsorted(self._rows.times, times[0]))
-        old = int(np.searchsorted(self._rows.times[:known], times[-1] - _STORED))
         rows, arm = self._rows, poses[:, self._columns]
-        before = self._poses[known - 1:known] if known else arm[:1]
-        since = rows.times[known - 1] if known else times[0] - 1.0
-        moved, ways = self._movement(before, arm, np.concatenate([[since], times]))
-        path = rows.paths[known - 1] if known else 0.0
-        paths = np.cumsum(np.concatenate([[path], ways]))[1:]
-        stored = slice(old, known)
-        self._rows = _KnotRows(*(np.concatenate([earlier[stored], new]) for earlier, new in (
-            (rows.times, times), (rows.paths, paths), (rows.moved, moved))))
-        self._poses = np.concatenate([self._poses[stored], arm])
-
-    def _movement(self, before: Array, arm: Array, times: Array) -> tuple[Array, Array]:
-        """w [K, D] and |w| [K] of an arm's poses [K, D] after another one, [1, D], at times [1 + K]."""
-        steps = np.diff(np.concatenate([before, arm]), axis=0)
-        speeds = np.linalg.norm(steps, axis=1) / np.diff(times)
+        known = int(np.searchsorted(rows.times, times[0]))
+        old = int(np.searchsorted(rows.times[:known], times[-1] - _STORED))
+        before, since, path = (rows.poses[known - 1], rows.times[known - 1], rows.paths[known - 1]) if known \
+            else (arm[0], times[0] - 1.0, 0.0)
+        steps = np.diff(arm, axis=0, prepend=before[None])
+        speeds = np.linalg.norm(steps, axis=1) / np.diff(times, prepend=since)
         moved = steps * smooth_step((speeds - self._scale.slow) / (self._scale.fast - self._scale.slow))[:, None]
         # Sums of multiples of a power of two are exact, so a path does not depend on where the memory begins.
-        return moved, np.round(np.linalg.norm(moved, axis=1) / _GRAIN) * _GRAIN
+        ways = np.round(np.linalg.norm(moved, axis=1) / _GRAIN) * _GRAIN
+        paths = np.cumsum(np.concatenate([[path], ways]))[1:]
+        self._rows = _KnotRows(*(np.concatenate([earlier[old:known], new]) for earlier, new in zip(
+            rows, (times, paths, moved, arm), strict=True)))
 
     def at(self, times: Array) -> Array:
         """[K, D] S at times [K], interpolated linearly between knots; zero before the first knot."""
@@ -110,7 +102,7 @@ class StrokeMemory:
         rows = self._rows
         # One more, from which the width of the first that counts is measured.
         first = max(int(np.searchsorted(rows.times, times[0] - span)) - 1, 0)
-        knots, values = rows.times[first:], value(self._poses[first:])
+        knots, values = rows.times[first:], value(rows.poses[first:])
         widths = np.diff(knots, prepend=knots[:1])
         out = np.empty(len(times))
         for at, now in enumerate(times):
@@ -134,14 +126,10 @@ class StrokeMemory:
         return total
 
     def _ages(self, knots: NDArray[np.int64], since: slice) -> Array:
-        """[K, M] the arguments of c for movements [M] at knots [K], which fall along M."""
+        """[K, M] the arguments of c for movements [M] at knots [K], which fall along M; 1 and more is forgotten."""
         rows, knots = self._rows, knots[:, None]
-        return stroke_age(rows.paths[knots] - rows.paths[since], rows.times[knots] - rows.times[since], self._scale)
-
-
-def stroke_age(path: Amount, seconds: Amount, scale: StrokeScale) -> Amount:
-    """The argument of c, 1 and more for a movement that is forgotten; path, seconds: since then, path in radians."""
-    return path / scale.path + seconds / REMEMBERED
+        paths: Array = rows.paths[knots] - rows.paths[since]
+        return paths / self._scale.path + (rows.times[knots] - rows.times[since]) / REMEMBERED
 
 
 def smooth_step(s: Array) -> Array:

@@ -14,9 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from data_module.types import Array, Speech, Word
-from gesticulator.directing.directions import stroke_of_word
-
-__all__ = ["WordSounds"]
+from gesticulator.directing.cues import stroke_of_word
 
 _LEAD = 0.08
 """Seconds by which a stroke comes before the vowel: a beat of the hand leads the voice by .075 s in the median."""
@@ -38,8 +36,9 @@ _NEIGHBOURS, _FEWEST = 2.5, 3
 """Seconds on both sides of a word within which its neighbours begin, and how many are needed."""
 _SPREAD = (6.0, 4.0, 0.4)
 """Decibels, semitones, and natural logarithms of duration by which a word stands out plainly from its neighbours."""
-_STRONG, _WEAK = 0.45, -0.45
-_SIZES = (0.8, 1.0, 1.25)
+_STANDS_OUT = 0.45
+"""Emphasis from which on a gesture is larger; from its negative on it is smaller."""
+_SMALLER, _LARGER = 0.8, 1.25
 
 
 class WordSounds:
@@ -63,6 +62,7 @@ class WordSounds:
         if not voiced.any():
             return None
         times = word.start + _HOP * np.arange(len(level))
+        # The best frame, then uphill to the top of its vowel, then back to where the vowel rises.
         expected = word.start + _EXPECTED * (word.end - word.start) + _TO_PEAK
         peak = int(np.argmax(np.where(voiced, level - _STRAYS * np.abs(times - expected), -np.inf)))
         while peak + 1 < len(level) and level[peak + 1] > level[peak]:
@@ -78,7 +78,7 @@ class WordSounds:
         """The factor on the size of a word's gesture: larger for a word that is louder, higher and longer than the
         words around it, smaller for one that is less so, and 1 where too little is known."""
         emphasis = self.emphasis(word)
-        return _SIZES[2] if emphasis >= _STRONG else _SIZES[0] if emphasis <= _WEAK else _SIZES[1]
+        return _LARGER if emphasis >= _STANDS_OUT else _SMALLER if emphasis <= -_STANDS_OUT else 1.0
 
     def emphasis(self, word: Word) -> float:
         """How much a word stands out from its neighbours: the mean of the differences in loudness, pitch and duration,
@@ -87,8 +87,8 @@ class WordSounds:
                 if abs(other.start - word.start) <= _NEIGHBOURS and other.start != word.start]
         rows = np.array([self._measured(other) for other in near]).reshape(len(near), 3)
         differences = []
-        for at, (mine, spread) in enumerate(zip(self._measured(word), _SPREAD, strict=True)):
-            others = rows[:, at][np.isfinite(rows[:, at])]
+        for mine, spread, column in zip(self._measured(word), _SPREAD, rows.T, strict=True):
+            others = column[np.isfinite(column)]
             if len(others) >= _FEWEST and math.isfinite(mine):
                 differences.append(float(np.clip((mine - np.median(others)) / spread, -1.0, 1.0)))
         return sum(differences) / len(differences) if differences else 0.0
@@ -110,6 +110,7 @@ class WordSounds:
         longest = round(self._rate / _PITCHES[0])
         count = max(round((word.end - word.start) / _HOP), 1)
         first, margin = round(word.start * self._rate), round(_AROUND * self._rate)
+        # The frames of the word, with room for the filter and for the longest lag; silence beyond the recording.
         wanted = np.arange(first - margin, first + count * hop + margin + length + longest)
         inside = (wanted >= 0) & (wanted < len(self._samples))
         sound = np.where(inside, self._samples[np.clip(wanted, 0, len(self._samples) - 1)], 0.0).astype(np.float64)
@@ -135,12 +136,14 @@ def _voicing(frames: Array, length: int, rate: float, loudest: float) -> tuple[A
     """[T] whether frames [T, length + longest lag] are voiced, and their pitch, semitones: by autocorrelation."""
     low, high = round(rate / _PITCHES[1]), round(rate / _PITCHES[0])
     frames = frames - frames.mean(axis=1, keepdims=True)
+    # Normalised autocorrelation by FFT, of the frame's beginning with all lags of a voice.
     size = 1 << (frames.shape[1] + length - 1).bit_length()
     begin = np.fft.rfft(frames[:, :length], size)
     shared = np.fft.irfft(np.conj(begin) * np.fft.rfft(frames, size), size)[:, low:high]
     squares = np.cumsum(np.pad(frames ** 2, ((0, 0), (1, 0))), axis=1)
     energies = squares[:, length + low:length + high] - squares[:, low:high]
-    mine = squares[:, length:length + 1]
-    likeness = shared / np.sqrt(np.maximum(energies * mine, (1e-6 * loudest ** 2 * length) ** 2))
+    # The floor keeps frames of near silence from counting as periodic.
+    floor = (1e-6 * loudest ** 2 * length) ** 2
+    likeness = shared / np.sqrt(np.maximum(energies * squares[:, length:length + 1], floor))
     best = np.argmax(likeness, axis=1)
     return likeness.max(axis=1) > _VOICED, 12.0 * np.log2(rate / (low + best))

@@ -1,8 +1,9 @@
 """Frames of an edited plan: those around the change are computed again, the others are taken from the last rendering.
 
 A frame depends on the poses at the knots around it, a pose on the strokes of the last `REMEMBERED` seconds where knobs
-scale them, and legs on everything before. So the poses are compared knot by knot with those of the last rendering; the
-first and the last knot that differ bound what is computed. The result is that of the whole plan, bit for bit.
+scale them, and legs on everything before, so that frames on legs are all computed again. The poses are compared knot by
+knot with those of the last rendering; the first and the last knot that differ bound what is computed. The result is
+that of the whole plan, bit for bit.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array, Motion
-from gesticulator.body.legs import Stance
 from gesticulator.body.motion_path import MotionPath
 from gesticulator.body.pins import pinned
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.directing.directions import MeantCue, Shaping
+from gesticulator.directing.cues import TimedCue
+from gesticulator.directing.knobs import Shaping
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.directing.shaping import CALM, LAG
 from gesticulator.directing.strokes import REMEMBERED
@@ -31,8 +32,6 @@ _MEMORY = REMEMBERED + LAG + CALM
 """Seconds of strokes on which the size of a pose depends, with what the lift of an arm is averaged over."""
 _MARGIN = 6
 """Knots before a window of frames, more than the slope of the path needs."""
-_LEGS_EVERY = 32
-"""Blocks between two copies of the state of the legs: about ten seconds, which are computed in a tenth of one."""
 _TOGETHER = 64
 """Blocks whose frames are computed at once, for bounded memory."""
 _UNSCALED = (1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
@@ -45,15 +44,14 @@ class EditedFrames:
 
     times: [M] seconds of the knots; inputs: [M, D_m + 6] the generated poses, normalised, and what the knobs ask for;
     gestures: the named ones; poses: [M, D_m] with knobs and gestures applied. unpinned, motion: without and with the
-    pins of the plan. legs: number of a block, of its first frame, and the legs before it, now and then."""
+    pins of the plan."""
 
     times: Array
     inputs: Array
-    gestures: tuple[MeantCue, ...]
+    gestures: tuple[TimedCue, ...]
     poses: Array
     unpinned: Motion
     motion: Motion
-    legs: tuple[tuple[int, int, Stance], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -72,9 +70,8 @@ class FrameRenderer:
         inputs, gestures = _inputs(times, features, shaping)
         poses = self._poses(times, features, inputs, gestures, shaping, before)
         knots = generated.cut.knot_times.size // len(generated.cut)
-        unpinned, legs = self._frames(times, poses, knots, float(generated.cut.edges[-1]), before)
-        motion = pinned(unpinned, plan) if plan.pins else unpinned
-        return EditedFrames(times, inputs, gestures, poses, unpinned, motion, legs)
+        unpinned = self._frames(times, poses, knots, float(generated.cut.edges[-1]), before)
+        return EditedFrames(times, inputs, gestures, poses, unpinned, pinned(unpinned, plan) if plan.pins else unpinned)
 
     def of_motion(self, generated: GeneratedMotion, shaping: Shaping | None, motion: Motion) -> EditedFrames:
         """The frames of a plan without pins whose motion is known."""
@@ -84,7 +81,7 @@ class FrameRenderer:
         poses = self._poses(times, features, inputs, gestures, shaping, None)
         return EditedFrames(times, inputs, gestures, poses, motion, motion)
 
-    def _poses(self, times: Array, features: NDArray[np.float32], inputs: Array, gestures: tuple[MeantCue, ...],
+    def _poses(self, times: Array, features: NDArray[np.float32], inputs: Array, gestures: tuple[TimedCue, ...],
                shaping: Shaping | None, before: EditedFrames | None) -> Array:
         """[M, D_m] poses with knobs and gestures."""
         def plain(first: int, last: int) -> Array:
@@ -93,6 +90,7 @@ class FrameRenderer:
         if before is None:
             return plain(0, len(times)) if shaping is None else shaping(plain(0, len(times)), times)
         first, last = changed_rows(_timed(before.times, before.inputs), _timed(times, inputs))
+        # A named gesture that came, went or moved changes the poses of its whole span.
         for cue in {*gestures} ^ {*before.gestures}:
             early, late = span_of_gesture(cue.cue.gesture)
             first = min(first, int(np.searchsorted(times, cue.time - early)))
@@ -109,22 +107,22 @@ class FrameRenderer:
             window = shaping(plain(begin, last), times[begin:last])[first - begin:]
         return np.concatenate([before.poses[:first], window, before.poses[len(before.poses) - len(times) + last:]])
 
-    def _frames(self, times: Array, poses: Array, knots: int, duration: float, before: EditedFrames | None
-                ) -> tuple[Motion, tuple[tuple[int, int, Stance], ...]]:
-        """The motion without pins, and copies of the state of the legs. knots: of a block."""
+    def _frames(self, times: Array, poses: Array, knots: int, duration: float, before: EditedFrames | None) -> Motion:
+        """The motion without pins. knots: of a block."""
         path = MotionPath(self.bundle, self.speaker, self.options)
         if before is None:
             return self._whole(path, times, poses, knots, duration)
         first, last = changed_rows(_timed(before.times, before.poses), _timed(times, poses))
         if first >= last and len(times) == len(before.times):
-            return before.unpinned, before.legs
+            return before.unpinned
+        if path.has_legs:  # they depend on everything before
+            return self._whole(path, times, poses, knots, duration)
         count, half = max(1, round(duration * path.fps)), round(path.reach * path.fps)
         begin = 0
         if first >= 2:
             begin = min(math.ceil(times[first - 2] * path.fps - 1e-9), round(times[first - 1] * path.fps)) - half
+        # The last frames are smoothed with what the path holds at the end, so a window near the end begins before them.
         begin = max(min(begin, count - 2 * half - 3), 0)
-        if path.has_legs:
-            return self._on_legs(path, times, poses, knots, duration, before, begin)
         low = int(np.searchsorted(times, (begin - half) / path.fps)) - _MARGIN
         if low <= 0:
             begin = low = 0
@@ -134,6 +132,7 @@ class FrameRenderer:
             path.rewind_poses(times[low:known], poses[low:known], begin)
             low = known
         stop = count
+        # The slope at a knot needs the next one, and the smoothing half a kernel more.
         if last + 1 < len(times):
             stop = min(math.ceil(times[last + 1] * path.fps) + half + 1, count)
         if stop >= count - 2 * half - 3:
@@ -143,49 +142,20 @@ class FrameRenderer:
             parts = [path.push_poses(times[low:high], poses[low:high])]
             if path.next < stop:
                 parts, stop = [*parts, path.push_poses(times[high:], poses[high:]), path.finish(duration)], count
-        return spliced(before.unpinned, _joined(parts), begin, stop), ()
+        return spliced(before.unpinned, _joined(parts), begin, stop)
 
-    def _whole(self, path: MotionPath, times: Array, poses: Array, knots: int, duration: float
-               ) -> tuple[Motion, tuple[tuple[int, int, Stance], ...]]:
-        if path.has_legs:
-            return self._stepped(path, times, poses, knots, duration, 0)
-        step = _TOGETHER * knots
+    def _whole(self, path: MotionPath, times: Array, poses: Array, knots: int, duration: float) -> Motion:
+        # On legs block by block, as in a file and in a stream: the bits of a shift of the weight depend on where its
+        # steps end.
+        step = knots if path.has_legs else _TOGETHER * knots
         parts = [path.push_poses(times[at:at + step], poses[at:at + step]) for at in range(0, len(times), step)]
-        return _joined([*parts, path.finish(duration)]), ()
-
-    def _on_legs(self, path: MotionPath, times: Array, poses: Array, knots: int, duration: float,
-                 before: EditedFrames, begin: int) -> tuple[Motion, tuple[tuple[int, int, Stance], ...]]:
-        """The frames on legs, which are computed from the last copy of their state before frame `begin` on."""
-        known = [one for one in before.legs if one[1] <= begin and one[0] * knots >= _MARGIN]
-        if not known:
-            return self._stepped(path, times, poses, knots, duration, 0)
-        block, frame, legs = known[-1]
-        low = max(int(np.searchsorted(times, frame / path.fps - path.reach)) - _MARGIN, 0)
-        if low == 0:
-            return self._stepped(path, times, poses, knots, duration, 0)
-        path.rewind_poses(times[low:block * knots], poses[low:block * knots], frame)
-        path.stand_on(legs)
-        motion, later = self._stepped(path, times, poses, knots, duration, block)
-        whole = replace(motion, rotations=np.concatenate([before.unpinned.rotations[:frame], motion.rotations]),
-                        root_positions=np.concatenate([before.unpinned.root_positions[:frame], motion.root_positions]))
-        return whole, (*known[:-1], *later)
-
-    def _stepped(self, path: MotionPath, times: Array, poses: Array, knots: int, duration: float, block: int
-                 ) -> tuple[Motion, tuple[tuple[int, int, Stance], ...]]:
-        """The frames from a block on, block by block, as legs are computed in a file and in a stream: the bits of a
-        shift of the weight depend on where its steps end."""
-        parts, legs = list[Motion | None](), list[tuple[int, int, Stance]]()
-        for at in range(block, len(times) // knots):
-            if (at - block) % _LEGS_EVERY == 0 and path.next > 0:
-                legs.append((at, path.next, path.legs()))
-            rows = slice(at * knots, (at + 1) * knots)
-            parts.append(path.push_poses(times[rows], poses[rows]))
-        return _joined([*parts, path.finish(duration)]), tuple(legs)
+        return _joined([*parts, path.finish(duration)])
 
 
 def changed_rows(before: Array, now: Array) -> tuple[int, int]:
     """The rows (first, last + 1) of `now` [M, D] that differ from those of `before` [L, D], whose first rows are equal
     to the first ones and whose last rows to the last ones; first = last if rows were only left out."""
+    # From both ends: between the first and the last difference there may be more or fewer rows than before.
     count = min(len(before), len(now))
     differs = np.flatnonzero((before[:count] != now[:count]).any(axis=1))
     first = int(differs[0]) if len(differs) else count
@@ -214,10 +184,11 @@ def _signs(one: Array, other: Array) -> Array:
 
 
 def _inputs(times: Array, features: NDArray[np.float32], shaping: Shaping | None
-            ) -> tuple[Array, tuple[MeantCue, ...]]:
+            ) -> tuple[Array, tuple[TimedCue, ...]]:
     """[M, D_m + 6] what poses are made from, and the named gestures."""
     if shaping is None:
         return np.column_stack([features, np.tile(_UNSCALED, (len(times), 1))]), ()
+    # The levels stand beside the poses, so that a knob that changes over time counts as a change of the poses.
     levels = shaping.levels(times)
     arms = levels.arms
     return np.column_stack([features, arms.intensity, arms.share, arms.both, levels.mirrored]), \

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 from typing import Any
 
 from data_module.controls import FEATURES
-from gesticulator.directing.directions import plain_word
 from gesticulator.editing.moved_beats import BeatMap
-from gesticulator.editing.retiming_report import MovedItem
+from gesticulator.plan.checks import plain_word
 from gesticulator.plan.plan import (
     GestureCue,
     GesturePhase,
@@ -21,7 +19,6 @@ from gesticulator.plan.plan import (
     PlanMeaning,
     PlanWord,
     PosePin,
-    SoundAlignment,
 )
 
 _NEAR = 0.3
@@ -30,38 +27,43 @@ _LEAST = 0.02
 """Seconds: shorter ranges are dropped."""
 
 
-@dataclass(frozen=True)
-class MovedSections:
-    """The parts of a plan with times, moved, for `dataclasses.replace`; what happened to pins and cues; and the number
-    of words that are gone."""
-
-    parts: dict[str, Any]
-    items: tuple[MovedItem, ...]
-    words_lost: int
-
-
 def moved_sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] | None, duration: float
-                   ) -> MovedSections:
-    """words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover."""
+                   ) -> tuple[dict[str, Any], list[str], int]:
+    """The parts of a plan with times, moved, for `dataclasses.replace`; a line for each pin and cue that is lost; and
+    the number of words that are lost.
+
+    words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover.
+    """
+    # Words come first: cues at words are looked for among those that are left, or among the new ones.
     moved = [_word(word, beats) for word in plan.words]
     now = tuple(words) if words is not None else tuple(word for word in moved if word is not None)
-    cues = [_cue(cue, plan, beats, now) for cue in plan.cues]
-    pins = [_pin(pin, beats) for pin in plan.pins]
-    items = [MovedItem(f"cue {cue.gesture}" + (f" at \"{cue.word}\"" if cue.word else ""), before, after)
-             for cue, (_, before, after) in zip(plan.cues, cues, strict=True)]
-    items += [MovedItem(f"pin of {pin.joint}", pin.time, None if new is None else new.time)
-              for pin, new in zip(plan.pins, pins, strict=True)]
-    made_by = {**plan.made_by, "settings": _settings(plan.made_by.get("settings", {}), beats)}
+    cues, pins = [], []
+    losses = []
+    for cue in plan.cues:
+        moved_cue, before = _cue(cue, plan, beats, now)
+        if moved_cue is None:
+            losses.append(lost(f"cue {cue.gesture}" + (f" at \"{cue.word}\"" if cue.word else ""), before))
+        else:
+            cues.append(moved_cue if moved_cue.time is None else replace(moved_cue, time=min(moved_cue.time, duration)))
+    for pin in plan.pins:
+        moved_pin = _pin(pin, beats)
+        if moved_pin is None:
+            losses.append(lost(f"pin of {pin.joint}", pin.time))
+        else:
+            pins.append(replace(moved_pin, time=min(moved_pin.time, duration)))
     parts = {
-        "words": now, "cues": tuple(_within(cue, duration) for cue, _, _ in cues if cue is not None),
-        "pins": tuple(replace(pin, time=min(pin.time, duration)) for pin in pins if pin is not None),
-        "knobs": moved_knobs(plan.knobs, beats),
+        "words": now, "cues": tuple(cues), "pins": tuple(pins), "knobs": moved_knobs(plan.knobs, beats),
         "units": tuple(unit for unit in (_unit(unit, beats) for unit in plan.units) if unit is not None),
         "meanings": tuple(_meaning(one, beats, duration) for one in plan.meanings
                           if beats.moment((one.start + one.end) / 2) is not None),
-        "curves": tuple(_curve(curve, beats) for curve in plan.curves), "made_by": made_by,
-        "alignment": alignment_of(beats, plan)}
-    return MovedSections(parts, tuple(items), 0 if words is not None else moved.count(None))
+        "curves": tuple(_curve(curve, beats) for curve in plan.curves),
+        "made_by": {**plan.made_by, "settings": _settings(plan.made_by.get("settings", {}), beats)}}
+    return parts, losses, 0 if words is not None else moved.count(None)
+
+
+def lost(item: str, time: float) -> str:
+    """The line about a pin, a cue or an edit at a time of the old sound, seconds, that has no place in the new one."""
+    return f"the {item} at {time:.2f} s is lost: its sound is gone or is another one"
 
 
 def _at(beats: BeatMap, time: float) -> float:
@@ -75,6 +77,7 @@ def _range(beats: BeatMap, start: float, end: float) -> tuple[float, float] | No
 
 
 def _word(word: PlanWord, beats: BeatMap) -> PlanWord | None:
+    # A word that was cut in the middle, or spoken again, is not the word of the plan.
     inside = beats.moment(word.start) is not None and beats.moment(word.end) is not None
     times = _range(beats, word.start, word.end)
     if times is None or not inside or beats.replaced(word.start, word.end) > 0.5:
@@ -83,26 +86,22 @@ def _word(word: PlanWord, beats: BeatMap) -> PlanWord | None:
 
 
 def _cue(cue: GestureCue, plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord]
-         ) -> tuple[GestureCue | None, float, float | None]:
-    """A cue, and its seconds before and now; None for what is lost."""
+         ) -> tuple[GestureCue | None, float]:
+    """A cue, None for a lost one, and its seconds in the old sound."""
     if cue.time is not None:
         now = beats.moment(cue.time)
-        return (None, cue.time, None) if now is None else (replace(cue, time=round(max(now, 0.0), 6)), cue.time, now)
+        return (None if now is None else replace(cue, time=round(max(now, 0.0), 6))), cue.time
+    # A cue names the n-th occurrence, and n changes when earlier ones are cut: the word is found by its time.
     spoken = [word for word in plan.words if plain_word(word.text) == plain_word(cue.word or "")]
     if len(spoken) < cue.occurrence:
-        return cue, 0.0, 0.0  # reported when the plan is rendered, as before
+        return cue, 0.0  # reported when the plan is rendered, as before
     before = spoken[cue.occurrence - 1].start
     now = beats.moment(before)
+    if now is None:
+        return None, before
     equal = [word for word in words if plain_word(word.text) == plain_word(cue.word or "")]
-    near = [(abs(word.start - now), at) for at, word in enumerate(equal, 1)] if now is not None else []
-    distance, occurrence = min(near, default=(_NEAR, 0))
-    if now is None or distance >= _NEAR:
-        return None, before, None
-    return replace(cue, occurrence=occurrence), before, equal[occurrence - 1].start
-
-
-def _within(cue: GestureCue, duration: float) -> GestureCue:
-    return cue if cue.time is None or cue.time <= duration else replace(cue, time=duration)
+    distance, occurrence = min(((abs(word.start - now), at) for at, word in enumerate(equal, 1)), default=(_NEAR, 0))
+    return (replace(cue, occurrence=occurrence) if distance < _NEAR else None), before
 
 
 def _pin(pin: PosePin, beats: BeatMap) -> PosePin | None:
@@ -136,6 +135,7 @@ def moved_knobs(knobs: PlanKnobs, beats: BeatMap) -> PlanKnobs:
 def _points(times: Sequence[float], values: Sequence[float], beats: BeatMap
             ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """The points of a curve; of points that meet in a cut the first remains."""
+    # Points that meet in a cut would not rise any more, which a plan must.
     points: list[tuple[float, float]] = []
     for time, value in zip(times, values, strict=True):
         now = _at(beats, time)
@@ -157,16 +157,3 @@ def _settings(settings: dict[str, Any], beats: BeatMap) -> dict[str, Any]:
             times, values = _points(out[name]["times"], out[name]["values"], beats)
             out[name] = {"times": list(times), "values": list(values)}
     return out
-
-
-def alignment_of(beats: BeatMap, plan: GesturePlan) -> SoundAlignment:
-    """The map from the new sound back to the one that the plan was made for."""
-    points: list[tuple[float, float]] = []
-    for stretch in beats.stretches:
-        for there, here in zip(stretch.times.tolist(), stretch.there.tolist(), strict=True):
-            place = (round(max(here, 0.0), 6), round(max(there, 0.0), 6))
-            if not points or all(new > old for old, new in zip(points[-1], place, strict=True)):
-                points.append(place)
-    kept = [point for before, point in pairwise([(-1.0, -1.0), *points]) if point > before]
-    return SoundAlignment(plan.sound.sha256, plan.sound.duration, tuple(here for here, _ in kept),
-                          tuple(there for _, there in kept))

@@ -89,14 +89,16 @@ class PlanRenderer:
         edits are ignored here. generation: the first one; it is sampled again where it is missing."""
         self._bundle, self._setup, self._samples, self._encode = bundle, setup, samples, encode
         self._original, self._manner, self._seed = plan.drawn, plan.drawn_manner, (plan.seed, plan.variation)
-        self._bias = cache(partial(bias_of, bundle))
-        # By the number of a block in `draw`; another number is a time of its own.
-        self._noise_times = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
-                                     plan.drawn.keyed_at or plan.drawn.edges, strict=False))
+        self.bias = cache(partial(bias_of, bundle))
+        """Handedness -> [S] its addition to the scores of lexemes; None for none."""
+        self.noise_times = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
+                                    plan.drawn.keyed_at or plan.drawn.edges, strict=False))
+        """Number of a block in `draw` -> seconds that key its random numbers."""
         self._cut = self._blocks_of(plan.drawn.edges, plan.drawn.flags, plan.drawn.silent)
         self._times = self._cut.knot_times.reshape(len(self._cut), -1)
-        self._durations = self._cut.durations.tolist()
-        self._index = {edge: at for at, edge in enumerate(plan.drawn.edges)}
+        self.durations: list[float] = self._cut.durations.tolist()
+        """[N] seconds of the blocks of the first generation."""
+        self.index = {edge: at for at, edge in enumerate(plan.drawn.edges)}
         """Beat of the first generation, seconds -> number of the block that begins there."""
         self._windows: dict[Hashable, int] = {window(plan.drawn.edges, at): at for at in range(len(self._cut))}
         self._cutters: Sequence[BlockCutter] = ()
@@ -132,6 +134,7 @@ class PlanRenderer:
             raise ValueError("the plan is of another generation")
         edited = edited_themselves(plan)
         if not any(edited) and plan.manner == self._manner:
+            # Without edits the plan is its first generation, which needs no fades and no second one.
             steps = self._first_steps(on_block)
             blocks = [step.motion for step in steps[1:]]
             return GeneratedMotion(self.cut(plan), blocks, loop.motion_of(self._bundle, self._setup, blocks))
@@ -180,8 +183,8 @@ class PlanRenderer:
         """The request for a block of the first generation, whose lexeme is chosen."""
         number = self._original.numbers[at] if self._original.numbers else at
         still = still_frames(self._original.knobs, self._times[at], float(self._cut.edges[at]))
-        return Request(replace(self._speech.block(at), number=number, key=self._noise_times[number]),
-                       self.control(self._times[at]), still=still, bias=self._bias(hand))
+        return Request(replace(self._speech.block(at), number=number, key=self.noise_times[number]),
+                       self.control(self._times[at]), still=still, bias=self.bias(hand))
 
     def control(self, times: Array) -> loop.ControlRows | None:
         """[K, 2 F] rows of the hand controls at `times` [K] seconds, or None."""
@@ -203,6 +206,7 @@ class PlanRenderer:
                                 lambda: SampledBlock(state.setup, _standing(state.state, other.state)))
 
     def _remembered(self, key: Hashable, make: Callable[[], SampledBlock]) -> SampledBlock:
+        # A dict keeps the order of insertion: to take out and put in again makes it a list by last use.
         block = self._sampled.pop(key, None) or make()
         self._sampled[key] = block  # the most recently used comes last
         while len(self._sampled) > self._most:
@@ -213,6 +217,7 @@ class PlanRenderer:
                ) -> dict[int, tuple[Hashable, SpeechBlock]]:
         """Number -> speech of the wanted blocks (rising) of N blocks with edges [N + 1] and flags [N], and what its
         numbers depend on."""
+        # Blocks whose window was there before have the features of the first encoding; only the others are cut again.
         places: dict[int, Hashable] = {at: window(edges, at) for at in wanted}
         moved = [at for at, place in places.items() if place not in self._windows]
         if len(self._recut) > self._most:
@@ -238,22 +243,6 @@ class PlanRenderer:
         rhythm = self._bundle.config.rhythm
         return Blocks(np.array(edges), np.array(flag_numbers(flags), np.int8), np.array(silent), rhythm.frames,
                       rhythm.fps)
-
-    def noise_time(self, number: int) -> float:
-        """Seconds that key the random numbers of the block with this number in its `draw`."""
-        return self._noise_times.get(number, float(number))
-
-    def number_at(self, time: float) -> int | None:
-        """The block of the first generation that begins at a beat, seconds; None at a beat of the plan alone."""
-        return self._index.get(time)
-
-    def duration(self, at: int) -> float:
-        """Seconds of a block of the first generation."""
-        return float(self._durations[at])
-
-    def bias(self, hand: str | None) -> NDArray[np.float64] | None:
-        """[S] what a handedness adds to the scores of lexemes; None without one."""
-        return self._bias(hand)
 
 
 @dataclass(frozen=True)
@@ -286,11 +275,13 @@ class _PlanRun:
         self._flags = flag_numbers([block.flag for block in plan.blocks])
         self._speech = renderer.speech(self._edges, self._flags, np.flatnonzero(edited).tolist())
         drawn = plan.drawn
+        # By their edges, not by their numbers: a deleted or an added beat shifts all later numbers.
         pairs = list(zip(drawn.edges, drawn.edges[1:], strict=False))
         self._decided = dict(zip(pairs, zip(drawn.lexemes, drawn.silent, strict=True), strict=True))
         quiet = dict(zip(drawn.edges, drawn.silent, strict=False))
         # Frames of a silence that the plan removed are not quiet.
         self._removed = [quiet.get(block.start, False) and not block.silent for block in plan.blocks]
+        # A generation is sampled only if some block is replayed from it.
         locked = [block.locked for block in plan.blocks]
         self._first = renderer.steps(plan.drawn_manner, on_block) if self._alike or any(locked) else []
         self._changed = self._first if self._alike or all(locked) else renderer.steps(self._manner, on_block)
@@ -302,6 +293,7 @@ class _PlanRun:
         times = cut.knot_times.reshape(len(cut), -1)
         blocks, motion, before = list[BlockMotion](), list[Rows](), None
         for at, block in enumerate(plan_blocks):
+            # Fades add up: an edit may follow another one before its difference is gone.
             fades = [fade for fade in fades if fade.begin + BLEND > block.start]
             if self._edited[at]:
                 before = self._run(at, before, times[at])
@@ -322,18 +314,17 @@ class _PlanRun:
 
     def _number(self, block: Block) -> int:
         """The number in the first generation of the block that begins with this one."""
-        number = self._renderer.number_at(block.start)
-        assert number is not None, "a block at a moved beat goes on with the run before it"
-        return number
+        # A block at a moved beat is not asked for: it goes on with the run before it.
+        return self._renderer.index[block.start]
 
     def _replayed(self, block: Block, before: _Source | None) -> tuple[_Source, _Fade | None]:
         """The source of an unedited block, and the difference to the block before that fades out."""
         steps, at = self._steps(block), self._number(block)
-        source = _Source(steps[at + 1], self._renderer.duration(at))
+        source = _Source(steps[at + 1], self._renderer.durations[at])
         if before is None or before.sampled is steps[at]:
             return source, None
         pose, velocity = _difference(before.sampled.motion, before.duration, steps[at].motion,
-                                     self._renderer.duration(at - 1))
+                                     self._renderer.durations[at - 1])
         return source, _Fade(block.start, pose, velocity)
 
     def _run(self, at: int, before: _Source | None, times: Array) -> _Source:
@@ -354,8 +345,9 @@ class _PlanRun:
         blocks = self._plan.blocks
         if at == 0 or not self._edited[at - 1]:
             return False
+        # Runs with other knobs have other states; a block at a moved beat has no state of a generation to begin with.
         alike = self._anew(blocks[at]) == self._anew(blocks[at - 1])
-        return alike or self._renderer.number_at(blocks[at].start) is None
+        return alike or blocks[at].start not in self._renderer.index
 
     def _request(self, at: int, times: Array) -> tuple[Hashable, Callable[[], Request]]:
         """What is asked for in an edited block, and everything it depends on."""
@@ -366,8 +358,10 @@ class _PlanRun:
         still = None if block.locked else still_frames(plan.knobs, times, block.start)
         if block.silent and not silent:
             still = np.ones(len(times), bool)
+        # A block that mostly rests shows no lexeme, so the interpreter chooses it, as in a first generation.
         if still is not None and still.mean() >= 0.5:
             chosen = None
+        # Everything that the request depends on, and nothing else: an equal key is an equal block, which undo finds.
         last, count = min(at + 1, len(plan.blocks) - 1), len(plan.blocks)
         silence = plan.blocks[max(at - 1, 0)].silent, block.silent, plan.blocks[last].silent
         removed = self._removed[at], self._removed[last]
@@ -382,9 +376,10 @@ class _PlanRun:
 
         def request() -> Request:
             quiet, ahead = spoken.quiet & (not removed[0]), spoken.ahead
-            speech = replace(spoken, number=draw.block, key=self._renderer.noise_time(draw.block),
-                             flag=self._flags[at], silent=silence, quiet=quiet,
-                             ahead=None if ahead is None else ahead & (not removed[1]))
+            # The number of no block of the first generation is a time of its own.
+            noise_time = self._renderer.noise_times.get(draw.block, float(draw.block))
+            speech = replace(spoken, number=draw.block, key=noise_time, flag=self._flags[at], silent=silence,
+                             quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
             return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still,
                            self._renderer.bias(hand), activity)
 
@@ -410,6 +405,7 @@ def _difference(last: BlockMotion, duration: float, there: BlockMotion, other: f
 
 def _end(block: BlockMotion, duration: float) -> tuple[Array, Array]:
     """[D_m] pose and velocity at the end of a block."""
+    # In float64: the velocity is a small difference of large numbers.
     now, before = block.motion[-1].astype(np.float64), block.motion[-2].astype(np.float64)
     return now, (now - before) * len(block.motion) / duration
 
@@ -420,6 +416,7 @@ def _faded(motion: Rows, times: Array, fades: Sequence[_Fade]) -> Rows:
         return motion
     out = motion.copy()
     for fade in fades:
+        # A cubic Hermite curve with h(0) = 1 and k'(0) = 1: pose and velocity meet at the beat, and both end at zero.
         near = (times > fade.begin) & (times < fade.begin + BLEND)
         s = ((times[near] - fade.begin) / BLEND)[:, None]
         added = (2 * s**3 - 3 * s**2 + 1) * fade.pose + BLEND * (s**3 - 2 * s**2 + s) * fade.velocity
@@ -429,6 +426,7 @@ def _faded(motion: Rows, times: Array, fades: Sequence[_Fade]) -> Rows:
 
 def _standing(state: State, other: State) -> State:
     """A state with the pose and the last block of another one of the same bundle."""
+    # A varied state carries a second one with the variation; what is seen is that one's pose.
     shown = other.varied or other
     rest = state.rest
     if rest is not None and shown.rest is not None:

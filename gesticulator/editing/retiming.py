@@ -10,20 +10,19 @@ from __future__ import annotations
 
 import itertools
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
 
-from data_module.speech.fingerprint import RATE, Frames, fingerprint, fingerprint_frames, fingerprint_text
-from data_module.speech.sound_map import SoundMap, Stretch, aligned
-from data_module.types import Array, BeatFlag, Speech
+from data_module.speech.fingerprint import fingerprint, fingerprint_frames, fingerprint_text
+from data_module.speech.sound_map import SoundMap, aligned
+from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.editing.moved_beats import BeatMap
-from gesticulator.editing.moved_sections import moved_knobs, moved_sections
-from gesticulator.editing.retiming_report import MovedItem, RetimingReport, runs_of
+from gesticulator.editing.moved_sections import lost, moved_knobs, moved_sections
 from gesticulator.plan.checks import LONGEST, SHORTEST
 from gesticulator.plan.plan import (
     Block,
@@ -38,8 +37,6 @@ from gesticulator.plan.plan import (
 )
 from gesticulator.sampling.loop import BlockMotion
 
-__all__ = ["Retimed"]
-
 LEAST_SPEECH = 0.2
 """Least share of the speech that both sounds must have in common."""
 _CLOSEST, _LONGEST = 0.2, 0.5
@@ -48,8 +45,35 @@ is shorter than the first goes to the next block that is kept."""
 
 
 @dataclass(frozen=True)
+class RetimingReport:
+    """Statistics of a plan that was moved onto another export of its sound.
+
+    kept, anew, dropped: numbers of blocks with their old decisions, of blocks that the bundle decided, and of old
+    blocks that are gone. anew_at: stretches of the new sound with blocks of the second kind, seconds. losses: a line
+    for each pin, cue or edit that was lost. words_lost: words whose sound is gone.
+    """
+
+    kept: int
+    anew: int = 0
+    dropped: int = 0
+    anew_at: tuple[tuple[float, float], ...] = ()
+    losses: tuple[str, ...] = ()
+    words_lost: int = 0
+
+    def lines(self) -> tuple[str, ...]:
+        """The report as text; losses are not repeated."""
+        out = [f"re-timed: {self.kept} block{'s' * (self.kept != 1)} kept, {self.anew} decided anew, "
+               f"{self.dropped} dropped"]
+        if self.anew_at:
+            out.append("decided anew: " + ", ".join(f"{start:.2f}-{end:.2f} s" for start, end in self.anew_at))
+        if self.words_lost:
+            out.append(f"{self.words_lost} words are gone; give the new text to have those of the new sound")
+        return tuple(out)
+
+
+@dataclass(frozen=True)
 class Retimed:
-    """A plan for the new sound, and what became of the old one."""
+    """A plan for the new sound, and a report of the old one."""
 
     plan: GesturePlan
     report: RetimingReport
@@ -71,35 +95,15 @@ def _exact(time: float, before: float) -> float:
     return before if abs(time - before) < 1e-9 else round(time, 6)
 
 
-@dataclass(frozen=True)
-class _Cell:
-    """The blocks between two beats that the first generation and the plan have in common: index, start and end, in
-    seconds, of those of both."""
-
-    drawn: tuple[tuple[int, float, float], ...]
-    blocks: tuple[tuple[int, float, float], ...]
-
-
 # ------------------------------------------------------------------------------------------------------ the sounds
 
-def map_of(plan: GesturePlan, speech: Speech, before: Speech | None) -> SoundMap:
-    """The map of the plan's sound onto another one. before: the plan's sound, for a plan without a fingerprint.
-
-    A plan with an `alignment` to this very sound is taken at its word. `InputError` for a plan without a fingerprint if
-    its sound is not given, and if the sounds have too little speech in common.
-    """
-    other = fingerprint(speech)
-    if before is not None:
-        one = fingerprint(before)
-    elif plan.fingerprint is not None:
-        one = fingerprint_frames(plan.fingerprint)
-    else:
+def map_of(plan: GesturePlan, speech: Speech) -> SoundMap:
+    """The map of the plan's sound onto another one. `InputError` for a plan without a fingerprint, and if the sounds
+    have too little speech in common."""
+    if plan.fingerprint is None:
         raise plan.error(("fingerprint",), "is missing, so the new sound cannot be compared with the old one",
-                         "give the old sound, too (--retime-from)")
-    told = plan.alignment
-    if told is not None and told.sha256 == sound_hash(speech):
-        return _told(one, other, np.array(told.times), np.array(told.there))
-    sounds = aligned(one, other)
+                         "make a new plan")
+    sounds = aligned(fingerprint_frames(plan.fingerprint), fingerprint(speech))
     if sounds.speech < LEAST_SPEECH:
         raise plan.error(("sound",), f"is {plan.sound.name or 'another sound'}, {plan.sound.duration:.2f} s, and the "
                          f"one that was given has {100 * sounds.speech:.0f} % of its speech",
@@ -107,42 +111,40 @@ def map_of(plan: GesturePlan, speech: Speech, before: Speech | None) -> SoundMap
     return sounds
 
 
-def _told(one: Frames, other: Frames, times: Array, there: Array) -> SoundMap:
-    ends = np.array([len(one)]) / RATE, np.array([len(other)]) / RATE
-    before = np.array([-1.0]) / RATE
-    return SoundMap(one, other, (Stretch(before, before), Stretch(times, there), Stretch(*ends)), 1.0)
-
-
 # ------------------------------------------------------------------------------------------------------ the blocks
 
-def _cells(plan: GesturePlan) -> list[_Cell]:
-    drawn, ends = plan.drawn.edges, _edges(plan)
-    common = sorted(set(drawn) & set(ends))
-    return [_Cell(_inside(drawn, start, end), _inside(ends, start, end)) for start, end in pairwise(common)]
+_Cell = tuple[list[tuple[int, float, float]], list[tuple[int, float, float]]]
+"""The blocks between two beats that the first generation and the plan have in common: index, start and end, in seconds,
+of those of both."""
 
 
-def _edges(plan: GesturePlan) -> tuple[float, ...]:
-    """[N + 1] edges of the blocks to play, up to the end of the first generation: numbers in files are rounded."""
-    return (0.0, *(block.end for block in plan.blocks[:-1]), plan.drawn.edges[-1])
+def _cells(plan: GesturePlan) -> Iterator[_Cell]:
+    drawn = plan.drawn.edges
+    # Numbers in files are rounded: the plan ends where its first generation does.
+    ends = (0.0, *(block.end for block in plan.blocks[:-1]), drawn[-1])
+    # Between two common beats the blocks of both are moved or dropped together, so that edits stay edits of what they
+    # were made to.
+    for start, end in pairwise(sorted(set(drawn) & set(ends))):
+        yield _inside(drawn, start, end), _inside(ends, start, end)
 
 
-def _inside(edges: Sequence[float], start: float, end: float) -> tuple[tuple[int, float, float], ...]:
+def _inside(edges: Sequence[float], start: float, end: float) -> list[tuple[int, float, float]]:
     """Index, start and end of the blocks between two of their edges."""
-    return tuple((at, edges[at], edges[at + 1]) for at in range(bisect_left(edges, start), bisect_left(edges, end)))
+    return [(at, edges[at], edges[at + 1]) for at in range(bisect_left(edges, start), bisect_left(edges, end))]
 
 
 class _Cutter:
     """Puts the blocks of a plan and of its first generation side by side onto the new sound."""
 
-    def __init__(self, plan: GesturePlan, beats: BeatMap, own: SpeechFeatures) -> None:
-        """own: the new sound, cut at its own beats."""
-        self._beats, self._own = beats, own.blocks
+    def __init__(self, plan: GesturePlan, beats: BeatMap, detected: Blocks) -> None:
+        """detected: the blocks of the new sound, cut at its beats."""
+        self._beats, self._detected = beats, detected
         self._onsets = {edge for edge, flag in zip(plan.drawn.edges[1:], plan.drawn.flags, strict=True)
                         if flag == "onset"}
         self._flags = plan.drawn.flags, tuple(block.flag for block in plan.blocks)
         self.drawn: list[_Piece] = []
         self.blocks: list[_Piece] = []
-        self._cursor, end = 0.0, float(own.blocks.edges[-1])
+        self._cursor, end = 0.0, float(detected.edges[-1])
         for cell in _cells(plan):
             self._take(cell)
         if end - self._cursor >= _CLOSEST or not self.drawn:
@@ -152,16 +154,17 @@ class _Cutter:
 
     def _take(self, cell: _Cell) -> None:
         """Add the blocks of a cell, or nothing if one of them does not fit."""
-        drawn, planned = (self._moved(blocks, flags) for blocks, flags in zip((cell.drawn, cell.blocks), self._flags,
-                                                                              strict=True))
+        drawn, planned = map(self._moved, cell, self._flags)
         if drawn is None or planned is None:
             return
         start = drawn[0].start
+        # Not enough of the first block would be left after what is there already.
         if min(drawn[0].end, planned[0].end) < max(self._cursor, start) + SHORTEST:
             return
         if start - self._cursor >= _CLOSEST or max(drawn[0].end, planned[0].end) - self._cursor > LONGEST:
             self._fill(start)
         for pieces, new in ((self.drawn, drawn), (self.blocks, planned)):
+            # Gaps of less than a block go to the block after them.
             pieces += [replace(new[0], start=self._cursor), *new[1:]]
         self._cursor = drawn[-1].end
 
@@ -179,14 +182,15 @@ class _Cutter:
         return pieces
 
     def _fill(self, end: float) -> None:
-        """Add blocks to be decided, from the last block on, cut at the sound's own beats."""
-        own, start = self._own, self._cursor
+        """Add blocks to be decided, from the last block on, cut at the beats of the sound."""
+        detected, start = self._detected, self._cursor
         inner = [(float(edge), cast(Flag, BeatFlag(int(flag)).name.lower()))
-                 for edge, flag in zip(own.edges[1:-1], own.flags[:-1], strict=True)
+                 for edge, flag in zip(detected.edges[1:-1], detected.flags[:-1], strict=True)
                  if start + _CLOSEST <= edge <= end - _CLOSEST]
-        last_flag: Flag = "boundary" if end == float(own.edges[-1]) else "even_pseudo"
+        last_flag: Flag = "boundary" if end == float(detected.edges[-1]) else "even_pseudo"
         edges = [(start, last_flag), *inner, (end, last_flag)]
         for (first, _), (last, flag) in pairwise(edges):
+            # Detected beats may lie farther apart than a block may last: pseudo-beats are put between them.
             count = max(int(np.ceil((last - first) / _LONGEST - 1e-6)), 1)
             cuts = [first, *(round(first + (last - first) * part / count, 6) for part in range(1, count)), last]
             for number, (one, two) in enumerate(pairwise(cuts), 1):
@@ -196,39 +200,39 @@ class _Cutter:
         self._cursor = end
 
     def _silent(self, start: float, end: float) -> bool:
-        """Whether most of a new block lies in silent blocks of the sound's own cut."""
-        own = self._own
-        inside = np.minimum(own.edges[1:], end) - np.maximum(own.edges[:-1], start)
-        return bool(np.maximum(inside, 0.0)[own.silent].sum() > 0.5 * (end - start))
+        """Whether most of a new block lies in silent blocks of the sound."""
+        detected = self._detected
+        inside = np.minimum(detected.edges[1:], end) - np.maximum(detected.edges[:-1], start)
+        return bool(np.maximum(inside, 0.0)[detected.silent].sum() > 0.5 * (end - start))
 
 
 # ------------------------------------------------------------------------------------------------------ the plan
 
-def drafted(plan: GesturePlan, speech: Speech, own: SpeechFeatures, words: Sequence[PlanWord] | None,
-            before: Speech | None) -> Retimed:
+def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: Sequence[PlanWord] | None) -> Retimed:
     """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None.
 
-    own: the features of the sound, cut at its own beats; words: of a new transcript, or None; before: see `map_of`,
-    whose errors are raised.
+    features: of the sound, cut at its beats; words: of a new transcript, or None. Errors as in `map_of`.
     """
-    sounds = map_of(plan, speech, before)
-    beats = BeatMap(sounds, plan.drawn, np.unique(np.concatenate(own.onsets)) if own.onsets else np.zeros(0))
-    cut = _Cutter(plan, beats, own)
+    sounds = map_of(plan, speech)
+    beats = BeatMap(sounds, plan.drawn, np.unique(np.concatenate(features.onsets)) if features.onsets else np.zeros(0))
+    cut = _Cutter(plan, beats, features.blocks)
     drawn = _drawn(plan, cut.drawn, beats)
+    # A new block has the random numbers of the generation's block that begins with it, as any other.
     numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
     blocks = tuple(_block(plan, piece, numbers.get(piece.start, 0)) for piece in cut.blocks)
-    sections = moved_sections(plan, beats, words, drawn.edges[-1])
-    moved = replace(plan, **sections.parts, drawn=drawn, blocks=blocks, source="plan",
+    parts, losses, words_lost = moved_sections(plan, beats, words, drawn.edges[-1])
+    moved = replace(plan, **parts, drawn=drawn, blocks=blocks, source="plan",
                     sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
                     fingerprint=fingerprint_text(sounds.new))
-    return Retimed(moved, replace(_report(plan, cut.blocks), same_speech=round(sounds.speech, 4), moved=sections.items,
-                                  words_lost=sections.words_lost))
+    gone = sorted(set(range(len(plan.blocks))) - {piece.source for piece in cut.blocks})
+    anew = [(piece.start, piece.end) for piece in cut.blocks if piece.source is None]
+    return Retimed(moved, RetimingReport(len(blocks) - len(anew), len(anew), len(gone), _joined(anew),
+                                         (*losses, *_lost_edits(plan, gone)), words_lost))
 
 
 def unchanged(plan: GesturePlan) -> Retimed:
     """The plan itself, where the sound is the very same."""
-    blocks = ((block.start, block.end, 0.0) for block in plan.blocks)
-    return Retimed(plan, RetimingReport(kept=runs_of(blocks)))
+    return Retimed(plan, RetimingReport(len(plan.blocks)))
 
 
 def _numbers(drawn: DrawnBlocks) -> Sequence[int]:
@@ -239,6 +243,7 @@ def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> Drawn
     """The first generation on the new sound. Blocks that are kept keep the numbers of their random keys; new ones get
     numbers that no block has."""
     old, known = plan.drawn, _numbers(plan.drawn)
+    # Beyond all numbers in use: an undone edit may name one that no block has now.
     fresh = itertools.count(max(*known, *(block.draw.block for block in plan.blocks)) + 1)
     numbers = tuple(next(fresh) if piece.source is None else known[piece.source] for piece in pieces)
     times = old.keyed_at or old.edges
@@ -267,20 +272,23 @@ def decided(draft: GesturePlan, generated: Sequence[BlockMotion]) -> GesturePlan
                                 if block.start in new else block for block in draft.blocks))
 
 
-def _report(plan: GesturePlan, pieces: Sequence[_Piece]) -> RetimingReport:
-    kept = [(piece, plan.blocks[piece.source]) for piece in pieces if piece.source is not None]
-    gone = sorted(set(range(len(plan.blocks))) - {piece.source for piece in pieces})
-    edited = edited_blocks(plan)
-    return RetimingReport(
-        kept=runs_of((piece.start, piece.end, piece.end - block.end) for piece, block in kept),
-        anew=runs_of((piece.start, piece.end, 0.0) for piece in pieces if piece.source is None),
-        dropped=runs_of((plan.blocks[at].start, plan.blocks[at].end, 0.0) for at in gone),
-        edited=tuple(MovedItem(_edit_of(plan.blocks[at], edited[at]), plan.blocks[at].start) for at in gone
-                     if _edit_of(plan.blocks[at], edited[at])))
+def _joined(stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """Stretches of seconds with those joined that follow each other."""
+    out: list[tuple[float, float]] = []
+    for start, end in stretches:
+        if out and out[-1][1] == start:
+            start = out.pop()[0]
+        out.append((start, end))
+    return tuple(out)
 
 
-def _edit_of(block: Block, edited: bool) -> str:
-    """What a user did to a block, in words; empty for nothing."""
-    done = {"lock": block.locked, "edit": edited, "intensity": block.intensity != 1.0, "mirroring": block.mirror}
-    names = " and ".join(name for name, is_so in done.items() if is_so)
-    return names and f"{names} of the block"
+def _lost_edits(plan: GesturePlan, gone: Sequence[int]) -> list[str]:
+    """A line for each edited block among those that are gone."""
+    edited, out = edited_blocks(plan), []
+    for at in gone:
+        block = plan.blocks[at]
+        done = {"lock": block.locked, "edit": edited[at], "intensity": block.intensity != 1.0,
+                "mirroring": block.mirror}
+        if any(done.values()):
+            out.append(lost(f"{' and '.join(name for name, is_so in done.items() if is_so)} of the block", block.start))
+    return out

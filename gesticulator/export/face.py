@@ -17,17 +17,13 @@ from gesticulator.characters.rig import Character, CharacterMotion
 from gesticulator.export.gltf import (
     ROTATION,
     TRANSLATION,
-    TRIANGLES,
-    VERTICES,
     WEIGHTS,
     FrameTrack,
     GltfDocument,
     as_gltf,
     transform,
 )
-from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.writers import Scene
-from gesticulator.face.mesh import JOINT, face_mesh, weights
 from gesticulator.face.motion import FaceMotion, at_rest
 from gesticulator.face.rig import find_face
 from gesticulator.face.shapes import ARKIT, arkit, jaw_angles, vrm
@@ -72,28 +68,6 @@ def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], f
             entry |= transform(character.translations[node], character.rotations[node], character.scales[node])
         out.append((character.node_ids[node], ROTATION, as_gltf(rotation.continuous(turns[:, None])[:, 0])))
     return out
-
-
-def head_tracks(gltf: GltfDocument, motion: NodeMotion, face: FaceMotion) -> list[FrameTrack]:
-    """Add a head with blend shapes to a document of the default skeleton; the track of its weights (node, property,
-    values)."""
-    document, mesh = gltf.document, face_mesh()
-    names = list(mesh.shapes)
-    attributes = {"POSITION": gltf.accessor(mesh.positions.astype("<f4"), VERTICES, bounds=True),
-                  "NORMAL": gltf.accessor(mesh.normals.astype("<f4"), VERTICES),
-                  "COLOR_0": gltf.accessor(mesh.colours.astype("<f4"), VERTICES)}
-    targets = [{"POSITION": gltf.accessor(moved.astype("<f4"), VERTICES, bounds=True)}
-               for moved in mesh.shapes.values()]
-    document["materials"].append({"name": "face", "doubleSided": True, "pbrMetallicRoughness": {
-        "metallicFactor": 0.0, "roughnessFactor": 0.8}})
-    document["meshes"].append({"name": "Face", "extras": {"targetNames": names}, "primitives": [{
-        "attributes": attributes, "targets": targets, "material": len(document["materials"]) - 1,
-        "indices": gltf.accessor(mesh.triangles.reshape(-1).astype("<u2"), TRIANGLES)}]})
-    node = len(document["nodes"])
-    document["nodes"].append({"name": "Face", "mesh": len(document["meshes"]) - 1})
-    document["nodes"][motion.names.index(JOINT)].setdefault("children", []).append(node)
-    values = weights(face)[:, [ARKIT.index(name) for name in names]]
-    return [(node, WEIGHTS, values.astype("<f4").reshape(-1))]
 
 
 def vrma_tracks(gltf: GltfDocument, extension: dict[str, Any], face: FaceMotion) -> list[FrameTrack]:

@@ -6,6 +6,7 @@ The figure is a visible body for a bare skeleton: one spindle of eight triangles
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,8 +39,15 @@ def write_glb(path: Path, scene: Scene) -> Path:
     if character is not None and character.character.kind == "fbx":
         return write_animated(path, character, scene.clip, scene.face)
     is_glb = character is not None and character.character.kind == "glb"
-    write_bytes(path, character_glb(character, scene.clip, scene.face) if character is not None and is_glb
-                else skeleton_glb(scene.nodes, scene.clip, scene.face if character is None else None))
+    if character is not None and is_glb:
+        write_bytes(path, character_glb(character, scene.clip, scene.face))
+        return path
+    if scene.face is not None:
+        from gesticulator.export.face import FaceWarning
+
+        warnings.warn(FaceWarning("a skeleton without a mesh shows no face; give a --character that has one"),
+                      stacklevel=2)
+    write_bytes(path, skeleton_glb(scene.nodes, scene.clip))
     return path
 
 
@@ -95,24 +103,17 @@ def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face:
                  frozenset(node for joint, node in moved.joints.items() if joint in STEADY), more)
 
 
-def skeleton_glb(motion: NodeMotion, clip: ClipLayout, face: FaceMotion | None = None) -> bytes:
-    """An animated skeleton with a figure of spindles: the bytes of a GLB file. With a face, it has a head with blend
-    shapes (`gesticulator.face.mesh`)."""
+def skeleton_glb(motion: NodeMotion, clip: ClipLayout) -> bytes:
+    """An animated skeleton with a figure of spindles: the bytes of a GLB file."""
     gltf = skeleton_document(motion)
-    more: list[FrameTrack] = []
-    if face is not None:
-        from gesticulator.export.face import head_tracks
-
-        more = head_tracks(gltf, motion, face)
-    add_skeleton_clip(gltf, motion, clip, more)
+    add_skeleton_clip(gltf, motion, clip)
     return gltf.to_bytes()
 
 
-def add_skeleton_clip(gltf: GltfDocument, motion: NodeMotion, clip: ClipLayout,
-                      more: Sequence[FrameTrack] = ()) -> None:
-    """Add a motion to a document of `skeleton_document`; more: as for `GltfDocument.animate`."""
+def add_skeleton_clip(gltf: GltfDocument, motion: NodeMotion, clip: ClipLayout) -> None:
+    """Add a motion to a document of `skeleton_document`."""
     gltf.animate(clip, motion, {node: node for node, name in enumerate(motion.names)
-                                if not (clip.bare and name in STEADY)}, steady_nodes(motion), more)
+                                if not (clip.bare and name in STEADY)}, steady_nodes(motion))
 
 
 def steady_nodes(motion: NodeMotion) -> frozenset[int]:

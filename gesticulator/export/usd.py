@@ -18,7 +18,7 @@ from gesticulator.export.clip import NAME, ClipLayout
 from gesticulator.export.glb import FigureMesh, figure
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.writers import Scene
-from gesticulator.face.shapes import ARKIT
+from gesticulator.face.shapes import ARKIT, arkit
 
 if TYPE_CHECKING:
     from gesticulator.face.motion import FaceMotion
@@ -35,11 +35,9 @@ def write_usd(path: Path, scene: Scene) -> Path:
         # OpenUSD writes to a path of its own: the result is moved at the end, atomically.
         target = Path(folder) / f"motion{suffix}"
         stage = Usd.Stage.CreateNew(str(target))
-        animation, skeleton = _fill(stage, scene.nodes, scene.clip)
+        animation = _fill(stage, scene.nodes, scene.clip)
         if scene.face is not None:
             _express(animation, scene.face, Usd)
-            if scene.character is None:
-                _add_face(stage, skeleton, scene.nodes)
         if scene.clip.sound:
             _refer_to_sound(stage, path.with_suffix(".wav").name)
         stage.GetRootLayer().Save()
@@ -47,8 +45,8 @@ def write_usd(path: Path, scene: Scene) -> Path:
     return path
 
 
-def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> tuple[Any, Any]:
-    """Write skeleton, figure and animation; returns the animation and the skeleton."""
+def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> Any:
+    """Write skeleton, figure and animation; returns the animation."""
     from pxr import Gf, Usd, UsdGeom, UsdSkel
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -74,54 +72,20 @@ def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> tuple[Any, Any]:
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     _dress(stage, skeleton, figure(motion))
-    return animation, skeleton
+    return animation
 
 
 def _express(animation: Any, face: FaceMotion, usd: Any) -> None:
-    """Add the weights of ARKit's 52 blend shapes to an animation."""
+    """Add the weights of ARKit's 52 blend shapes to an animation, for meshes with such shapes."""
     from pxr import Vt
 
-    from gesticulator.face.mesh import weights
-
+    curves = arkit(face)
+    if face.lips_only:
+        curves |= {name: np.zeros(len(face)) for name in ARKIT if name.startswith(("eye", "brow"))}
     animation.CreateBlendShapesAttr(list(ARKIT))
     track = animation.CreateBlendShapeWeightsAttr()
-    for frame, values in enumerate(weights(face).astype(np.float32)):
+    for frame, values in enumerate(np.stack([curves[name] for name in ARKIT], axis=1).astype(np.float32)):
         track.Set(Vt.FloatArray.FromNumpy(values), usd.TimeCode(frame))
-
-
-def _add_face(stage: Any, skeleton: Any, motion: NodeMotion) -> None:
-    """Add a head with blend shapes, fixed to the joint of the head."""
-    from pxr import Gf, UsdGeom, UsdSkel, Vt
-
-    from gesticulator.face.mesh import JOINT, face_mesh
-
-    face = face_mesh()
-    joint = motion.names.index(JOINT)
-    place = motion.rest_matrices()[joint]
-    mesh = UsdGeom.Mesh.Define(stage, f"{ROOT}/Face")
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(face.positions.astype(np.float32)))
-    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(face.normals.astype(np.float32)))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(face.triangles)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray(face.triangles.ravel().tolist()))
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateDoubleSidedAttr(True)
-    mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(Vt.Vec3fArray.FromNumpy(face.colours.astype(np.float32)))
-    mesh.CreateExtentAttr([Gf.Vec3f(*edge.tolist()) for edge in (face.positions.min(0), face.positions.max(0))])
-    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
-    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-    binding.CreateJointIndicesPrimvar(True, 1).Set(Vt.IntArray([joint]))
-    binding.CreateJointWeightsPrimvar(True, 1).Set(Vt.FloatArray([1.0]))
-    binding.CreateGeomBindTransformAttr(Gf.Matrix4d(*place.T.ravel().tolist()))
-    binding.CreateBlendShapesAttr(list(face.shapes))
-    targets = []
-    for name, moved in face.shapes.items():
-        shape = UsdSkel.BlendShape.Define(stage, f"{ROOT}/Face/{name}")
-        rows = np.flatnonzero(np.abs(moved).max(axis=1) > 0)
-        shape.CreatePointIndicesAttr(Vt.IntArray(rows.tolist()))
-        shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(moved[rows].astype(np.float32)))
-        targets.append(shape.GetPath())
-    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
 
 
 def _animation_name(clip: ClipLayout) -> str:

@@ -1,6 +1,8 @@
 """From sound to the mouth: the lips network, co-articulation by dominance, and the strength of the mouth.
 
-The weights are in `gesticulator/assets/face` and are read with the first face.
+The network turns the sound around a frame of 20 ms into the weights of 15 visemes: a linear layer over the stacked mel
+rows, a gated recurrent unit that remembers voice, level and noise, and a softmax. Its weights are in
+`gesticulator/assets/face` and are read with the first face.
 """
 
 from __future__ import annotations
@@ -17,11 +19,26 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import read_object
+from data_module.speech.front_ends import MelFrontEnd
 from data_module.speech.silence import FRAME, MARGIN, STEP, LoudnessTracker, frame_levels
 from data_module.types import Array, Samples, Word
-from gesticulator.face.network import HIDDEN, LOOK_AHEAD, RATE, SAMPLE_RATE, STACKED, LipFeatures, VisemeStepper
-from gesticulator.face.visemes import SILENT, VISEMES
+from gesticulator.face.visemes import RATE, SILENT, VISEMES
 
+SAMPLE_RATE = 16000
+BANDS = 32
+WIDTH = BANDS + 1
+"""Values of a row: the bands and the loudness, natural logarithms of power."""
+HOP, ROWS, CONTEXT = 160, 2, 3
+"""Samples of a row, rows of a frame, and rows of sound on either side that the windows of 64 ms reach into."""
+BEFORE, AFTER = 4, 4
+STACKED = (BEFORE + ROWS + AFTER) * WIDTH
+"""Values of a frame."""
+LOOK_AHEAD = (ROWS / 2 + AFTER + CONTEXT) * HOP / SAMPLE_RATE
+"""Seconds of sound after the middle of a frame that it depends on."""
+HIDDEN = 112
+"""Width of both layers: 124,000 weights, 0.5 MB."""
+Rows = NDArray[np.float32]
+Weights = Mapping[str, NDArray[np.float32]]
 SHIPPED = Path(__file__).parents[1] / "assets" / "face"
 _AGAIN = "install gesticulator again, or train it: gesticulator train-face --out DIR"
 DOMINANCE = np.array([2.0, 50.0, 16.0, 1.2, 1.0, 1.0, 6.0, 4.8, 1.0, 1.3, 6.0, 6.0, 6.0, 7.8, 9.6])
@@ -40,7 +57,7 @@ REACH = max(LOOK_AHEAD, STEP * FRAME) + (len(_KERNEL) // 2 + 1) / RATE
 
 
 @lru_cache(maxsize=2)
-def load_weights(folder: Path = SHIPPED) -> Mapping[str, NDArray[np.float32]]:
+def load_weights(folder: Path = SHIPPED) -> Weights:
     """The weights of the lips network. `InputError` if the folder lacks them, or they are not what its record says."""
     from safetensors.numpy import load
 
@@ -50,20 +67,100 @@ def load_weights(folder: Path = SHIPPED) -> Mapping[str, NDArray[np.float32]]:
         data = path.read_bytes()
     except OSError:
         raise InputError(path, "cannot be read", _AGAIN) from None
+    # The hash is of the bytes that are read here, so that other weights never pass for the shipped ones.
     hashes: Any = record.get("sha256")
     expected = hashes.get(path.name) if isinstance(hashes, dict) else None
     if hashlib.sha256(data).hexdigest() != expected or record.get("visemes") != list(VISEMES):
         raise InputError(path, "is not the file that its record describes", _AGAIN)
-    weights: Mapping[str, NDArray[np.float32]] = load(data)
+    weights: Weights = load(data)
     if weights["enter.weight"].shape != (HIDDEN, STACKED):
         raise InputError(path, f"has weights of shape {weights['enter.weight'].shape}", _AGAIN)
     return weights
 
 
+@lru_cache(maxsize=2)
+def front_end(rows: int) -> MelFrontEnd:
+    return MelFrontEnd(BANDS, rows, HOP, SAMPLE_RATE, hops=1)
+
+
+class LipFeatures:
+    """Streamed sound to frames [STACKED], one at a time and always by the same operations, so that the numbers do not
+    depend on the sizes of the pieces. Before the first sample there is silence."""
+
+    def __init__(self) -> None:
+        self._sound = np.zeros(CONTEXT * HOP, np.float32)
+        self._rows: list[Rows] = []
+
+    def feed(self, samples: Samples) -> list[Rows]:
+        """The frames that `samples` at 16 kHz complete."""
+        self._sound = np.concatenate([self._sound, samples])
+        out: list[Rows] = []
+        # A frame needs the rows around it, and each row the sound that its window reaches into.
+        step, size = ROWS * HOP, (ROWS + 2 * CONTEXT) * HOP
+        while len(self._sound) >= size:
+            self._add(self._sound[:size])
+            self._sound = self._sound[step:]
+            if len(self._rows) == BEFORE + ROWS + AFTER:
+                out.append(np.concatenate(self._rows))
+                del self._rows[:ROWS]
+        return out
+
+    def flush(self) -> list[Rows]:
+        """The remaining frames of the sound that was fed, as if silence followed."""
+        return self.feed(np.zeros((ROWS - 1 + AFTER + CONTEXT) * HOP, np.float32))
+
+    def _add(self, sound: Samples) -> None:
+        rows = _framed(sound)
+        if not self._rows:
+            self._rows = [rows[0]] * BEFORE
+        self._rows += [rows[0], rows[1]]
+
+
+def _framed(sound: Samples) -> Rows:
+    """[2, WIDTH] rows of one frame, from its samples and `CONTEXT` rows of sound on either side."""
+    rows = front_end(ROWS + 2 * CONTEXT).rows(sound[None])[0, CONTEXT:CONTEXT + ROWS]
+    return np.concatenate([rows[:, :BANDS], rows[:, -1:]], axis=1)
+
+
+class VisemeStepper:
+    """The lips network, one frame after the other, by numpy: a file and a stream give the same bits, in a tenth of a
+    millisecond per frame."""
+
+    def __init__(self, weights: Weights) -> None:
+        """weights: of the layers enter, memory (a GRU of torch) and leave, and the mean and deviation of frames."""
+        # The normalisation of the frames is folded into the first layer, which saves it for every frame.
+        scale = 1.0 / weights["deviation"]
+        self._enter = weights["enter.weight"] * scale
+        self._enter_bias = weights["enter.bias"] - self._enter @ weights["mean"]
+        self._input, self._input_bias = weights["memory.weight_ih_l0"], weights["memory.bias_ih_l0"]
+        self._recurrent, self._recurrent_bias = weights["memory.weight_hh_l0"], weights["memory.bias_hh_l0"]
+        self._leave, self._leave_bias = weights["leave.weight"], weights["leave.bias"]
+        self._state = np.zeros(self._recurrent.shape[1], np.float32)
+
+    def __call__(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+        """[15] weights of the visemes, summing to 1, of the next frame [STACKED]."""
+        entered = np.maximum(self._enter @ frame + self._enter_bias, 0.0)
+        size = len(self._state)
+        # The gates of torch's GRU: reset and update, then the new state, whose memory part the reset gate weighs.
+        inputs = self._input @ entered + self._input_bias
+        memory = self._recurrent @ self._state + self._recurrent_bias
+        gates = _sigmoid(inputs[:2 * size] + memory[:2 * size])
+        new = np.tanh(inputs[2 * size:] + gates[:size] * memory[2 * size:])
+        self._state = new + gates[size:] * (self._state - new)
+        logits = self._leave @ np.concatenate([entered, self._state]) + self._leave_bias
+        # The greatest logit is taken off first: the exponential of a large one would overflow.
+        powers = np.exp(logits - logits.max())
+        return np.asarray(powers / powers.sum(), dtype=np.float32)
+
+
+def _sigmoid(x: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)), dtype=np.float32)
+
+
 class Lips:
     """The mouth of an utterance: sound in, weights of visemes out."""
 
-    def __init__(self, start: float = 0.0, weights: Mapping[str, NDArray[np.float32]] | None = None) -> None:
+    def __init__(self, start: float = 0.0, weights: Weights | None = None) -> None:
         """start: media time of the first sample, seconds."""
         self.start = start
         self._features, self._step = LipFeatures(), VisemeStepper(load_weights() if weights is None else weights)
@@ -93,6 +190,7 @@ class Lips:
         """Forget what comes after `at` seconds of media time; the mouth shuts."""
         last = max(math.floor((at - self.start) * RATE) - self._forgotten, 0)
         del self._curve[last:], self._opens[last:]
+        # Sound that comes later follows a silence, and not what was cut off.
         self._features, self._gate = LipFeatures(), _Gate()
 
     def forget(self, before: float) -> None:
@@ -110,16 +208,19 @@ class Lips:
 
     def rows(self, first: int, last: int) -> Array:
         """[last - first, 15] weights of visemes as drawn: smoothed and with dominance; silence beyond the curve."""
+        # The kernel needs rows before the first and after the last one; beyond the curve the mouth is shut.
         half = len(_KERNEL) // 2
         raw = np.zeros((last - first + 2 * half, len(VISEMES)))
         raw[:, SILENT] = 1.0
         old = self._forgotten
         begin, end = max(first - half, old), min(last + half, old + min(len(self._curve), len(self._opens)))
         if end > begin:
+            # The gate takes weight off all shapes alike, and silence takes what they lose.
             opened = np.array(self._opens[begin - old:end - old])
             shaped = np.array(self._curve[begin - old:end - old]) * opened[:, None]
             shaped[:, SILENT] += 1.0 - shaped.sum(axis=1)
             raw[begin - first + half:end - first + half] = shaped
+        # Smoothed first: dominance then acts on what overlaps, as co-articulation does.
         smooth = sum(share * raw[place:place + last - first] for place, share in enumerate(_KERNEL))
         return with_dominance(np.asarray(smooth))
 
@@ -143,6 +244,7 @@ class _Gate:
     def feed(self, samples: Samples) -> list[float]:
         """0 to 1 for each frame that the samples complete; the silence is found in steps of 0.1 s."""
         self._sound = np.concatenate([self._sound, samples])
+        # Always in steps of one size: the tracker of loudness would give other numbers for other pieces.
         size = round(STEP * FRAME * SAMPLE_RATE)
         out: list[float] = []
         while len(self._sound) >= size:

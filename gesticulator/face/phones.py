@@ -8,9 +8,6 @@ times, give or take `SLACK`. A word that the sound contradicts is left to the so
 from __future__ import annotations
 
 import itertools
-import re
-import shutil
-import subprocess
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,8 +20,7 @@ from numpy.typing import NDArray
 from data_module.text.alignment import aligner_installed, can_follow, dictionary_phones, spoken_words
 from data_module.text.language import language_of
 from data_module.types import Array, Word
-from gesticulator.face.network import RATE
-from gesticulator.face.visemes import CLOSED, SILENT, VISEMES, of_arpabet, of_ipa
+from gesticulator.face.visemes import CLOSED, RATE, SILENT, VISEMES, of_arpabet
 
 SLACK = 0.1
 """Seconds by which the times of a word may be wrong: recognisers round and miss by so much."""
@@ -75,6 +71,7 @@ class PhonesWarning(UserWarning):
 def with_phones(weights: Array, words: Sequence[PhonedWord]) -> Array | None:
     """[T, 15] the network's weights, 50 frames a second, drawn towards the phones of the words, which rise in time.
     Frames of words that are not heard keep theirs. None if too few of the words are heard."""
+    # Each run of words has a path of its own, since memory grows with the square of its length.
     out, recognised = weights.copy(), 0
     for first, last in _runs(words):
         frames, visemes, count = _path(weights, words[first:last])
@@ -86,8 +83,10 @@ def with_phones(weights: Array, words: Sequence[PhonedWord]) -> Array | None:
 
 def _mixed(sound: Array, visemes: NDArray[np.int64]) -> Array:
     """[K, 15] the sound's weights and the phones'. Lips shut where a phone shuts them, for sure, and nowhere else."""
+    # The sound alone shuts the mouth where no phone does, on noise above all: its share of closures is left out.
     open_ = np.where(np.arange(len(VISEMES)) == CLOSED, 0.0, sound)
     open_ /= np.maximum(open_.sum(axis=1, keepdims=True), 1e-9)
+    # A closure and a silence are certain where the phones are known; of a vowel the sound says how clear it is.
     share = np.where(np.isin(visemes, (CLOSED, SILENT)), 1.0, _SHARE)[:, None]
     return np.asarray(share * np.eye(len(VISEMES))[visemes] + (1.0 - share) * open_)
 
@@ -95,6 +94,7 @@ def _mixed(sound: Array, visemes: NDArray[np.int64]) -> Array:
 def spoken_weights(weights: Array, words: Sequence[Word]) -> Array:
     """`with_phones` for words as they are written. Where their pronunciations are not known, or they are not heard, the
     weights stay, and a `PhonesWarning` says so."""
+    # Recognisers send empty words, words without a duration, and some out of order.
     words = sorted((word for word in words if word.text.strip() and word.end > word.start),
                    key=lambda word: word.start)
     if not words:
@@ -104,8 +104,7 @@ def spoken_weights(weights: Array, words: Sequence[Word]) -> Array:
         PhonedWord(word.start, word.end, way) for word, way in zip(words, ways, strict=True)])
     if followed is None:
         reason = ("the words are not heard at their times" if ways is not None else
-                  "no pronunciations for these words (English needs pocketsphinx or espeak-ng, German and Spanish "
-                  "espeak-ng; other languages have none)")
+                  "no pronunciations for these words (English needs pocketsphinx, other languages have none)")
         warnings.warn(PhonesWarning(f"{reason}; the lips follow the sound alone"), stacklevel=1)
     return weights if followed is None else followed
 
@@ -118,6 +117,7 @@ def _runs(words: Sequence[PhonedWord]) -> Iterator[tuple[int, int]]:
             yield first, at
             first = at
         elif words[at].end - words[first].start > _LONGEST:
+            # Not at the limit but at the widest gap before it: a path that ends inside a word loses it.
             half = words[first].start + _LONGEST / 2
             later = [cut for cut in range(first + 1, at + 1) if words[cut].start >= half]
             cut = max(later, key=lambda cut: words[cut].start - words[cut - 1].end)
@@ -128,6 +128,7 @@ def _runs(words: Sequence[PhonedWord]) -> Iterator[tuple[int, int]]:
 def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
     """Frames of these words, the viseme of each, -1 in a word that is not heard, and how many words are heard. No
     frames if there is no path."""
+    # The window is as much longer than the words as their times may be wrong.
     begin = max(int((words[0].start - SLACK) * RATE), 0)
     end = min(int((words[-1].end + SLACK) * RATE) + 1, len(weights))
     states = _chained(words, begin, end)
@@ -135,6 +136,7 @@ def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64
     path = _best(states, scores, begin)
     visemes = np.array([state.viseme for state in states], np.int64)[path]
     owners = np.array([state.word for state in states], np.int64)[path]
+    # A word of other speech gets a path, too, but an unlikely one: it is then left to the sound.
     likely = scores[np.arange(len(path)), visemes]  # -1 is the last column
     recognised = 0
     for word in np.unique(owners[owners >= 0]):
@@ -159,6 +161,7 @@ def _chained(words: Sequence[PhonedWord], begin: int, end: int) -> list[_State]:
     ends: list[int] = []
     edge = words[0].start
     for number, word in enumerate(words):
+        # Words may follow each other with or without a silence, so the next word starts after either.
         silence = add(SILENT, -1, min(edge, word.start), word.start, list(ends))
         starts, ends = [*ends, silence], []
         for way in word.ways or ((-1,),):
@@ -174,6 +177,8 @@ def _chained(words: Sequence[PhonedWord], begin: int, end: int) -> list[_State]:
 
 def _best(states: Sequence[_State], scores: Array, begin: int) -> NDArray[np.int64]:
     """[T] the state at each frame of `scores` [T, 16], on the best path (Viterbi); [0] if there is none."""
+    # A row for each state: itself, since a state may last, and the states before it. -1 is no state, whose score stays
+    # at minus infinity.
     count, most = len(states), max(len(state.before) for state in states)
     before = np.full((count, most + 1), -1)
     before[:, 0] = np.arange(count)
@@ -181,6 +186,7 @@ def _best(states: Sequence[_State], scores: Array, begin: int) -> NDArray[np.int
         before[number, 1:1 + len(state.before)] = state.before
     visemes, first, last = (np.array([getattr(state, name) for state in states]) for name in (
         "viseme", "first", "last"))
+    # A path begins with the first silence or with the first phone of the first word.
     begins = [number for number, state in enumerate(states) if not state.before or state.before[0] == 0]
     now = np.full(count + 1, -np.inf)  # the last entry is of no state
     steps = []
@@ -198,6 +204,7 @@ def _best(states: Sequence[_State], scores: Array, begin: int) -> NDArray[np.int
         step = np.full(count, -1)
         step[inside] = before[inside, chosen]
         steps.append(step)
+    # It ends with the last silence or with the last phone of a way to say the last word.
     ends = [count - 1, *states[-1].before]
     at = max(ends, key=lambda number: now[number])
     if not len(scores) or not np.isfinite(now[at]):
@@ -209,32 +216,12 @@ def _best(states: Sequence[_State], scores: Array, begin: int) -> NDArray[np.int
     return path
 
 
-_VOICES = {"en": "en-us", "de": "de", "es": "es"}
-"""Language -> voice of espeak-ng."""
-_LISTED = re.compile(r"[^\w'’ ]+|_+")
-_ONCE = 200
-"""Words of one call of the program."""
-
-
 def pronunciations(words: Sequence[str]) -> list[tuple[Pronunciation, ...]] | None:
-    """For each word its pronunciations, () for a word without any; None if no source knows the language.
-
-    words: as they are written, in one language, which is recognised by its commonest words.
-    """
-    language, text = language_of(words), " ".join(words)
-    if language == "en" and not can_follow(text):
+    """For each English word its pronunciations, () for a word without any; None for other languages, and without
+    pocketsphinx, whose dictionary is used. words: as they are written."""
+    if language_of(words) != "en" or not can_follow(" ".join(words)) or not aligner_installed():
         return None
-    if language == "en" and aligner_installed():
-        return [_in_dictionary(word) for word in words]
-    if shutil.which("espeak-ng") is None:
-        return None
-    known = dict(_by_espeak(tuple(dict.fromkeys(words)), _VOICES[language]))
-    return [known[word] for word in words]
-
-
-def _merged(visemes: Sequence[int]) -> Pronunciation:
-    """The visemes with neighbours that are equal merged."""
-    return tuple(viseme for viseme, _ in itertools.groupby(visemes))
+    return [_in_dictionary(word) for word in words]
 
 
 @lru_cache(maxsize=20000)
@@ -244,28 +231,6 @@ def _in_dictionary(word: str) -> tuple[Pronunciation, ...]:
     if not parts:
         return ()
     ways = parts[0] if len(parts) == 1 else [[phone for part in parts for phone in part[0]]]
-    said = (_merged([viseme for phone in way for viseme in of_arpabet(phone)]) for way in ways)
-    return tuple(dict.fromkeys(way for way in said if way))
-
-
-def _by_espeak(words: Sequence[str], voice: str) -> Iterator[tuple[str, tuple[Pronunciation, ...]]]:
-    """Each word with its pronunciation by espeak-ng."""
-    for first in range(0, len(words), _ONCE):
-        batch = words[first:first + _ONCE]
-        plain = [" ".join(_LISTED.sub(" ", word).split()) for word in batch]
-        spoken = [word for word in plain if word]
-        lines = _printed(spoken, voice)
-        if len(lines) != len(spoken):  # the program took a word for several clauses
-            lines = [" ".join(_printed([word], voice)) for word in spoken]
-        phones = iter(lines)
-        for word, letters in zip(batch, plain, strict=True):
-            line = next(phones) if letters else ""
-            way = _merged([viseme for phone in line.split() for viseme in of_ipa(phone)])
-            yield word, (way,) if way else ()
-
-
-def _printed(words: Sequence[str], voice: str) -> list[str]:
-    """The IPA of each word, its phones separated by spaces."""
-    result = subprocess.run(["espeak-ng", "-q", "--ipa", "--sep= ", "-v", voice, "--stdin"], capture_output=True,
-                            input="\n\n".join(words) + "\n\n", text=True, timeout=120, encoding="utf-8")
-    return [line.strip() for line in result.stdout.split("\n") if line.strip()] if result.returncode == 0 else []
+    chains = (tuple(viseme for viseme, _ in itertools.groupby(viseme for phone in way for viseme in of_arpabet(phone)))
+              for way in ways)
+    return tuple(dict.fromkeys(chain for chain in chains if chain))

@@ -7,7 +7,7 @@ shapes of a character stand for them, and `jaw_angles` is for a character with a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -74,6 +74,7 @@ def arkit(face: FaceMotion) -> dict[str, Array]:
                 out[name] += share * face.visemes[:, number]
     smiles, frowns = np.maximum(face.smile, 0.0), np.maximum(-face.smile, 0.0)
     raised, drawn = np.maximum(face.brows, 0.0), np.maximum(-face.brows, 0.0)
+    # Each eye has four looks, relative to the nose: looking to the left is out for the left eye and in for the right.
     left, up = (face.gaze / _FULL_LOOK).T
     for side, outward in (("Left", left), ("Right", -left)):
         out[f"mouthSmile{side}"] += 0.7 * smiles
@@ -173,10 +174,12 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
                   if (curve := _ARKIT_NAMES.get(_plain(name)) or _METAHUMAN.get(_plain(name)))},
         "oculus": {name: (curve, 1.0) for name in known if (curve := _OCULUS_NAMES.get(_plain(name)))},
         "tools": {name: tool for name in known if (tool := _TOOLS.get(_plain(name) or name.lower()))}}
+    # A character often has shapes of several kinds; driving two of them at once would open the mouth twice.
     mouth = next((way for way, least in (("arkit", 3), ("oculus", 5), ("tools", 1))
                   if sum(is_lips(curve) for curve, _ in ways[way].values()) >= least
                   and (way != "arkit" or any(curve == "jawOpen" for curve, _ in ways[way].values()))), "")
     chosen = {name: driver for name, driver in ways.get(mouth, {}).items() if is_lips(driver[0])}
+    # Lids and brows come from whatever kind has them: those do not add up with the mouth.
     for way in ways.values():
         chosen |= {name: driver for name, driver in way.items() if not is_lips(driver[0]) and name not in chosen}
     return chosen
@@ -185,13 +188,6 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
 def is_lips(curve: str) -> bool:
     """True if a curve moves the mouth for speech; the others need the whole face."""
     return curve.startswith(_LIPS) and curve.partition("_")[2] not in VRM[5:]
-
-
-def summed(face: FaceMotion, shapes: Mapping[str, tuple[str, float]]) -> dict[str, Array]:
-    """Shape -> [T] its weights; without those of the eyes and brows where the lips alone move."""
-    all_curves = curves(face)
-    return {name: share * all_curves[curve] for name, (curve, share) in shapes.items()
-            if curve in all_curves and (is_lips(curve) or not face.lips_only)}
 
 
 def jaw_angles(face: FaceMotion) -> Array:

@@ -7,14 +7,12 @@ marks. The eyes hold their target while the body turns the head: the turn of the
 from __future__ import annotations
 
 import math
-import os
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from data_module.controls import MOOD, Curve, read_curve
 from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Samples, Word
 from gesticulator.body.life import eased
@@ -31,41 +29,16 @@ _MOUTH_SMILES = 0.5
 """Share of a smile that is left where the mouth is wide open."""
 
 
-@dataclass(frozen=True)
-class FaceSettings:
-    """The settings of a face. kind: "lips" or "full"; mouth: strength of the lips, 0 to 2; mood: -1 (sad) to 1 (a
-    smile), or a curve of it over media time; seed: of lids, brows and eyes."""
-
-    kind: str
-    mouth: float = 1.0
-    mood: float | Curve = 0.0
-    seed: int = 0
-
-    @classmethod
-    def of(cls, options: InferenceOptions) -> FaceSettings:
-        """The settings in the options of a performance; `InputError` for a broken file of a mood."""
-        mood = options.mood
-        if isinstance(mood, str | os.PathLike):
-            mood = read_curve(mood, MOOD)
-        return cls(options.face, float(options.mouth), mood if isinstance(mood, Curve) else float(mood),
-                   int(options.seed))
-
-    def mood_at(self, times: Array) -> Array:
-        """[T] the mood at media times [T], -1 to 1."""
-        if isinstance(self.mood, Curve):
-            return np.clip(self.mood.at(times), -1.0, 1.0)
-        return np.full(len(times), self.mood)
-
-
 class FaceTrack:
     """The face of one character; memory does not grow with time."""
 
-    def __init__(self, settings: FaceSettings, history: float = math.inf) -> None:
-        """history: seconds before the last frame to which `interrupt` may go back."""
-        self._settings, self.history = settings, history
+    def __init__(self, options: InferenceOptions, history: float = math.inf) -> None:
+        """options: of the performance, with a face. history: seconds before the last frame to which `interrupt` may go
+        back."""
+        self._options, self.history = options, history
         self._lips: deque[Lips] = deque()
         self._states: deque[tuple[float, str]] = deque([(0.0, "idle")])
-        self._life = FaceLife(settings.seed)
+        self._life = FaceLife(options.seed)
         self._steps: deque[tuple[float, float, float, float]] = deque()
         self._first = 0
         self._cues = FaceCues()
@@ -93,6 +66,7 @@ class FaceTrack:
         of a thinker turns to: positive to the left, negative to the right, 0 for either."""
         if side:
             name += " left" if side > 0 else " right"
+        # A state that is told again must not begin anew: a thinker would look aside again.
         if self._states[-1][1] != name:
             self._states.append((at, name))
 
@@ -100,7 +74,7 @@ class FaceTrack:
         """The next blocks of the body; brows rise on beats at which the hands gesture."""
         for block in blocks:
             if not block.silent:
-                self._life.accent(block.start, 1.0)
+                self._life.accent(block.start)
 
     def express(self, time: float, name: str, lasting: bool = False) -> None:
         """Add a cue of `plan.gestures.EXPRESSIONS` at media time `time`. lasting: an interruption keeps it."""
@@ -109,6 +83,7 @@ class FaceTrack:
     def interrupt(self, at: float) -> None:
         """The speech stops at media time `at`, which may be in the past: later sound is forgotten, and the character is
         idle."""
+        # What was said after the moment is gone as a whole; the utterance across it is cut.
         while self._lips and self._lips[-1].start >= at:
             self._lips.pop()
         if self._lips:
@@ -125,12 +100,14 @@ class FaceTrack:
         count = len(motion)
         times = (first + np.arange(count)) / motion.fps
         visemes = self._visemes(times) if count else np.zeros((0, len(VISEMES)))
-        visemes = with_strength(visemes, self._settings.mouth)
-        none, lips = np.zeros(count), self._settings.kind == "lips"
+        visemes = with_strength(visemes, self._options.mouth)
+        none, lips = np.zeros(count), self._options.face == "lips"
         if lips or not count:
             return FaceMotion(visemes, none, none, none, np.zeros((count, 2)), motion.fps, lips)
+        # The face of the lips alone ends above: its steps are neither needed nor paid for.
         steps = self._stepped(times)
-        mood, lifted = self._cues.at(times, self._settings.mood_at(times))
+        mood, lifted = self._cues.at(times, self._options.mood)
+        # A wide mouth cannot smile as much as a shut one.
         smile = mood * (1.0 - (1.0 - _MOUTH_SMILES) * (1.0 - visemes[:, SILENT]))
         brows = np.clip(steps[:, 1] + lifted + 0.25 * np.minimum(mood, 0.0), -1.0, 1.0)
         face = FaceMotion(visemes, np.clip(steps[:, 0], 0.0, 1.0), brows, smile, in_head(steps[:, 2:], motion),
@@ -142,6 +119,7 @@ class FaceTrack:
         """[T, 15] weights at rising times [T], each of the latest utterance that had begun by then."""
         out = np.zeros((len(times), len(VISEMES)))
         out[:, SILENT] = 1.0
+        # Utterances follow each other in time: each has the frames from its start to the next one's.
         edges = [*np.searchsorted(times, [lips.start for lips in self._lips]), len(times)]
         for lips, first, last in zip(self._lips, edges, edges[1:], strict=False):
             if last > first:
@@ -150,6 +128,7 @@ class FaceTrack:
 
     def _stepped(self, times: Array) -> Array:
         """[T, 4] the values of `FaceLife.step` at rising times, between steps in proportion."""
+        # One step beyond the last time, so that every time lies between two steps.
         last = math.floor(times[-1] * RATE) + 1
         while self._first + len(self._steps) <= last:
             now = self._life.time
@@ -186,16 +165,18 @@ def in_head(target: Array, motion: Motion) -> Array:
     skeleton = motion.skeleton
     world = kinematics.global_rotations(skeleton, motion.rotations)[:, skeleton.index("Head")]
     ahead = rotation.rotate(world, np.array([0.0, 0.0, 1.0]))
+    # The gaze is meant for the world, and the body has turned the head: what it turned is taken off.
     head = np.stack([np.arctan2(ahead[:, 0], ahead[:, 2]), np.arcsin(np.clip(ahead[:, 1], -1.0, 1.0))], axis=1)
     most = np.array([_MOST_ASIDE, _MOST_UP])
+    # Softly limited: eyes that stop at a hard limit would jerk while the head turns on.
     return np.asarray(most * np.tanh((target - head) / most))
 
 
-def face_of(settings: FaceSettings, samples: Samples, blocks: Iterable[Block], motion: Motion,
+def face_of(options: InferenceOptions, samples: Samples, blocks: Iterable[Block], motion: Motion,
             words: Sequence[Word] = (), cues: Iterable[tuple[float, str]] = ()) -> FaceMotion:
     """The face of a whole recording at 16 kHz, for the body's `motion`. words: with their times, if they are known;
     cues: time and name of expressions."""
-    track = FaceTrack(settings)
+    track = FaceTrack(options)
     track.feed(samples, 0.0)
     track.end(words)
     track.blocks(blocks)
@@ -253,15 +234,16 @@ class FaceCues:
 
     def forget(self, oldest: float) -> None:
         """Forget the expressions that no longer show at media time `oldest`: moments, and moods before the last."""
+        # The last mood that is fully there still shows, however old it is; those before it do not.
         moods = [time for time, name in self._cues if np.isinf(_EXPRESSIONS[name].lasts)
                  and time + _MOOD_CHANGES <= oldest]
         last = max(moods, default=-np.inf)
         self._cues = [(time, name) for time, name in self._cues
                       if (time >= last if np.isinf(_EXPRESSIONS[name].lasts) else _end(time, name) > oldest)]
 
-    def at(self, times: Array, mood: Array) -> tuple[Array, Array]:
-        """[T] the mood, -1 to 1, and [T] what is added to the brows, at media times [T]. mood: [T] of the settings."""
-        now, brows = mood, np.zeros(len(times))
+    def at(self, times: Array, mood: float) -> tuple[Array, Array]:
+        """[T] the mood, -1 to 1, and [T] what is added to the brows, at media times [T]. mood: without cues."""
+        now, brows = np.full(len(times), mood), np.zeros(len(times))
         # Moods first: a smile passes over the mood that lasts.
         for time, name in sorted(self._cues, key=lambda cue: np.isfinite(_EXPRESSIONS[cue[1]].lasts)):
             expression = _EXPRESSIONS[name]

@@ -19,6 +19,8 @@ from data_module.types import Array
 
 VISEMES = ("sil", "PP", "FF", "TH", "DD", "kk", "CH", "SS", "nn", "RR", "aa", "E", "ih", "oh", "ou")
 """Names of the mouth shapes in the order of Oculus lip sync: silence, ten consonants and five vowels."""
+RATE = 50
+"""Rows of viseme weights per second; row k is centred at (k + 0.5) / RATE."""
 SILENT, CLOSED = VISEMES.index("sil"), VISEMES.index("PP")
 VOWELS = tuple(VISEMES.index(name) for name in ("aa", "E", "ih", "oh", "ou"))
 OPENINGS = np.array([0.0, 0.0, 0.12, 0.3, 0.25, 0.3, 0.25, 0.15, 0.25, 0.25, 1.0, 0.65, 0.4, 0.75, 0.35])

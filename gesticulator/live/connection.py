@@ -74,12 +74,11 @@ class _Command:
 
 class ComputeThread:
     """The one thread that computes for all streams, first come first served. Python runs one thread at a time, so more
-    threads would compute no faster: use more processes for more cores."""
+    threads would compute no faster: start another server for another core."""
 
     def __init__(self) -> None:
         self._executor = ThreadPoolExecutor(1, "compute")
         self._turn = asyncio.Lock()  # wakes those that wait in the order of their arrival
-        self._started: float | None = None
 
     async def run(self, job: Callable[[], T]) -> T:
         """Wait for the thread, and for the job's result.
@@ -88,20 +87,7 @@ class ComputeThread:
         other without a gap would starve it on a busy machine, and sound that was not read is not known to be late.
         """
         async with self._turn:
-            return await asyncio.get_running_loop().run_in_executor(self._executor, self._timed, job)
-
-    def _timed(self, job: Callable[[], T]) -> T:
-        self._started = time.monotonic()
-        try:
-            return job()
-        finally:
-            self._started = None
-
-    @property
-    def stuck_seconds(self) -> float:
-        """Time since the running job began; 0 if none is running."""
-        started = self._started
-        return 0.0 if started is None else time.monotonic() - started
+            return await asyncio.get_running_loop().run_in_executor(self._executor, job)
 
     def stop(self) -> None:
         """Drop the jobs that wait; the running one ends by itself."""
@@ -171,7 +157,8 @@ class Connection:
         except InputError as error:
             await self.refuse(RefusedError(CloseCode.BAD_MESSAGE, str(error)))
         except ConnectionClosed as closed:
-            self._record_close(closed)
+            # 1006 of RFC 6455: closed without a close frame.
+            self.code = 1006 if closed.rcvd is None else closed.rcvd.code
         except Exception as error:  # noqa: BLE001 - one stream's failure must end that stream alone
             await self.refuse(RefusedError(CloseCode.FAILED, f"the stream failed ({type(error).__name__}: {error})"))
         finally:
@@ -299,7 +286,10 @@ class Connection:
             session.unplayed(max(self._pace.ahead, self._taken_back))
             if isinstance(item, _Sound):
                 await self._compute(session, session.feed(item.samples, item.other_voice, item.effort))
-                self._count_sound(item, len(item.samples) / session.request.sample_rate, time.monotonic() - begin)
+                now = time.monotonic()
+                self.place.metrics.answer_seconds.observe(now - item.arrived)
+                if item.effort != Effort.NONE:
+                    self._pace.worked(len(item.samples) / session.request.sample_rate, now - begin)
             elif item is None:
                 self._pace.arrived(IDLE_SECONDS)
                 await self._compute(session, session.wait(self._waits, IDLE_SECONDS))
@@ -324,17 +314,6 @@ class Connection:
             self._taken_back, self._cut_at = 0.0, math.inf
         if command.message in ({"type": "idle"}, {"type": "think"}):
             self._waits, self._idling = command.message["type"], begin
-
-    def _count_sound(self, sound: _Sound, seconds: float, elapsed: float) -> None:
-        """Count a processed piece of audio; elapsed: seconds it took, with the turns of others."""
-        metrics = self.place.metrics
-        metrics.answer_seconds.observe(time.monotonic() - sound.arrived)
-        if sound.effort == Effort.NONE:
-            metrics.passed_seconds.inc(seconds)
-            return
-        self._pace.worked(seconds, elapsed)
-        if sound.effort == Effort.LESS:
-            metrics.hurried_seconds.inc(seconds)
 
     def _ends(self, session: Session) -> bool:
         """Whether the wait that is being computed ends here."""
@@ -386,7 +365,6 @@ class Connection:
         """Up to half a second of queued audio of one voice; all of it, to be skipped, if it comes too late."""
         first = self._waiting[0]
         assert isinstance(first, _Sound)
-        self.place.metrics.late_seconds.observe(self._pace.late(self._waiting_seconds))
         paced = self._keeps_up and not first.other_voice
         # Another speaker's voice costs little, so only the avatar's is hurried or skipped.
         effort = self._pace.effort(self._waiting_seconds) if paced else Effort.FULL
@@ -442,9 +420,8 @@ class Connection:
             if self.place.output is not None:
                 self.place.output.take(self.name, frames)
         async with self._changed:
-            for message in answer.messages:
-                self._unread.append(message)
-                self._count_unread(len(message))
+            self._unread.extend(answer.messages)
+            self._count_unread(sum(map(len, answer.messages)))
             self._changed.notify_all()
 
     def _count_unread(self, size: int) -> None:
@@ -467,16 +444,6 @@ class Connection:
                 self._changed.notify_all()
             self.place.metrics.sent_bytes.inc(len(message))
 
-    def _record_close(self, closed: ConnectionClosed) -> None:
-        """Record why the connection ended."""
-        if closed.rcvd is not None and not (closed.sent is not None and closed.rcvd_then_sent is False):
-            self.code, self.reason = closed.rcvd.code, "closed by the client"
-        elif closed.sent is not None:
-            self.code, self.reason = closed.sent.code, closed.sent.reason or "closed by the server"
-        else:
-            # 1006 of RFC 6455: closed without a close frame.
-            self.code, self.reason = 1006, "the connection broke"
-
     async def refuse(self, refused: RefusedError) -> None:
         """Send the client the reason, if it is still connected, and close."""
         self.code, self.reason = refused.code, refused.reason
@@ -490,20 +457,17 @@ class Connection:
     async def _close(self, code: int, reason: str) -> None:
         """Close, or abort the connection of a client that does not answer the close frame."""
         short = reason.encode("utf-8", "replace")[:_REASON_BYTES].decode(errors="ignore")
-        # The client's answer comes after earlier messages, which must be read first.
-        swallowing = asyncio.create_task(self._swallow())
         try:
             async with asyncio.timeout(CLOSE_SECONDS):
-                await self.socket.close(code, short)
+                closing = asyncio.create_task(self.socket.close(code, short))
+                # The client's answer comes after earlier messages, which must be read first.
+                with contextlib.suppress(ConnectionClosed):
+                    while True:
+                        await self.socket.recv()
+                await closing
         except TimeoutError:
             self.socket.transport.abort()
-        finally:
-            swallowing.cancel()
 
-    async def _swallow(self) -> None:
-        with contextlib.suppress(ConnectionClosed):
-            while True:
-                await self.socket.recv()
 
 
 def _turn(work: Work) -> tuple[SessionAnswer, bool, float]:

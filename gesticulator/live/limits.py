@@ -13,19 +13,14 @@ MessageBytes = Annotated[int, SettingRange(1024, 2**26)]
 """From 30 ms of audio at 16 kHz to more than any client should send at once."""
 QueueBytes = Annotated[int, SettingRange(2**16, 2**32)]
 
-STREAMS_PER_CORE = 12
-"""Low-latency microphones that one core of the measured machine carries (docs/serve.md, "How fast")."""
-SOCKET_BYTES = 2**17
-"""The system's buffer of a connection in each direction (Linux doubles it). By default it grows to megabytes; this size
-carries 1.3 MB/s to a client 0.1 s away, 25 times what the poses need."""
-
 
 @dataclass(frozen=True)
 class ServerLimits:
-    """Limits of one process. Together they bound the memory per client: see `memory`."""
+    """Limits of a server. Together they bound the memory per client."""
 
-    streams: Count = STREAMS_PER_CORE
-    """Streams at the same time; another client is refused with the code 4429."""
+    streams: Count = 12
+    """Streams at the same time; another client is refused with the code 4429. Twelve low-latency microphones take 0.83
+    of one core of the measured machine (docs/serve.md, "How fast")."""
     stream_seconds: Seconds = 4 * 3600.0
     """Audio per stream."""
     message_bytes: MessageBytes = 2**20
@@ -45,9 +40,3 @@ class ServerLimits:
 
     def __post_init__(self) -> None:
         check(self, "limits")
-
-    @property
-    def memory(self) -> int:
-        """Largest memory that a client can fill, bytes, at the highest sampling rate, 192 kHz: queued audio as float32,
-        queued poses, messages read ahead, and the system's buffers."""
-        return int(self.waiting_seconds * 192_000 * 4) + self.unread_bytes + 6 * self.message_bytes + 4 * SOCKET_BYTES

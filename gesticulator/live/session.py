@@ -18,17 +18,9 @@ from gesticulator.live.protocol import VERSION, CloseCode, RefusedError, StreamR
 
 if TYPE_CHECKING:
     from data_module.types import Samples
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.live.limits import ServerLimits
-    from gesticulator.pipeline import Gesticulator
     from gesticulator.stream import Stream, StreamFrames
-
-
-@dataclass(frozen=True)
-class SessionFacts:
-    """Facts about a stream sent to the client. look_ahead: longest time that a pose waits for audio, seconds."""
-
-    look_ahead: float
-    limits: ServerLimits
 
 
 @dataclass
@@ -51,9 +43,9 @@ Work: TypeAlias = Generator[SessionAnswer, None, None]
 class Session:
     """One client's stream of gestures."""
 
-    def __init__(self, name: str, request: StreamRequest, stream: Stream, facts: SessionFacts) -> None:
-        self.name, self.request, self.facts = name, request, facts
-        self._stream = stream
+    def __init__(self, name: str, request: StreamRequest, stream: Stream, limits: ServerLimits) -> None:
+        self.name, self.request, self.limits = name, request, limits
+        self._stream, self._look_ahead = stream, stream.look_ahead
         self._received = 0.0
         self._state = "idle"
         self._effort, self._skipped = Effort.FULL, 0.0
@@ -82,11 +74,11 @@ class Session:
         """The server's hello."""
         from gesticulator.version import __version__
 
-        limits, request = self.facts.limits, self.request
+        limits, request = self.limits, self.request
         return {
             "type": "hello", "protocol": VERSION, "server": f"gesticulator {__version__}", "stream": self.name,
             "sample_rate": request.sample_rate, "format": request.format, "fps": request.fps,
-            "output": request.output, "look_ahead": round(self.facts.look_ahead, 4),
+            "output": request.output, "look_ahead": round(self._look_ahead, 4),
             "joints": joints(self._stream.skeleton) if request.output == "joints" else [],
             "limits": {"message_bytes": limits.message_bytes, "waiting_seconds": limits.waiting_seconds,
                        "stream_seconds": limits.stream_seconds},
@@ -103,6 +95,7 @@ class Session:
             self._skipped += seconds
             yield from self._pass_over(seconds)
         else:
+            # Hurried audio has a low look-ahead, too: what is late must not wait for the next block.
             self._stream.hurried = effort == Effort.LESS
             self._stream.latency = self._latency if effort == Effort.FULL else "low"
             yield from map(self._answer, self._stream.steps("feed", samples))
@@ -119,11 +112,12 @@ class Session:
         if kind in ("idle", "think"):
             yield from self.wait(kind, float(message.get("seconds", 0.0)))
         elif kind == "interrupt":
+            # Words after the moment were not spoken; without a moment none of the waiting ones will be.
             at = message.get("time")
             self._words = [word for word in self._words if at is not None and word.start < at]
             yield from map(self._answer, self._interrupt(None if at is None else float(at)))
             # The voice may have been heard further than there were poses; media time goes on from where it was heard.
-            unseen = 0.0 if at is None else min(float(at) - self._stream.time, self.facts.limits.waiting_seconds)
+            unseen = 0.0 if at is None else min(float(at) - self._stream.time, self.limits.waiting_seconds)
             if unseen > 0.5 / self.request.fps:
                 yield from self.wait("idle", unseen)
         elif kind == "words":
@@ -204,11 +198,11 @@ _MOST_WORDS = 20_000
 """Most pending words: two hours of speech."""
 
 
-def session_opener(system: Gesticulator, limits: ServerLimits) -> Callable[[str, StreamRequest], Session]:
+def session_opener(gesticulator: Gesticulator, limits: ServerLimits) -> Callable[[str, StreamRequest], Session]:
     """A function that opens a session for a stream's name and request; `InputError` for an unsupported request."""
     def open_session(name: str, request: StreamRequest) -> Session:
         options = {name: value for name, value in request.options.items() if name != "keep_up"}
-        stream = system.stream(sample_rate=request.sample_rate, seed=request.seed, fps=request.fps, **options)
-        return Session(name, request, stream, SessionFacts(stream.look_ahead, limits))
+        stream = gesticulator.stream(sample_rate=request.sample_rate, seed=request.seed, fps=request.fps, **options)
+        return Session(name, request, stream, limits)
 
     return open_session

@@ -3,17 +3,17 @@
 Each frame is some OSC bundles, each small enough for one packet of a network: the model's availability, the sender's
 time, the root, and every bone of the VRM humanoid under its Unity name, with position and rotation in the parent bone's
 frame. Unity's axes are left-handed: Y up, the character faces +Z, and its left is -X. Ours are their mirror image in X.
-Frames are sent from a thread of its own. It shares Python's lock with what the server computes, so frames are late by
+Frames are sent from the server's event loop, which shares Python's lock with the compute thread, so frames are late by
 some milliseconds beside many streams; each is sent at most once, and late ones are skipped.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
 import socket
 import struct
-import threading
 import time
 from bisect import bisect_right
 from functools import cached_property
@@ -102,6 +102,7 @@ class VmcFrames:
 
     def bundles(self, frame: int, seconds: float) -> list[bytes]:
         """A frame as bundles of at most `DATAGRAM` bytes; seconds: the sender's time."""
+        # Receivers that join later learn from each frame that there is a model.
         messages = [*_available(1, seconds), self._root]
         numbers = self._numbers[frame].astype(">f4").tobytes()
         # Seven big-endian floats of 4 bytes for each bone.
@@ -155,6 +156,7 @@ def _available(loaded: int, seconds: float) -> list[bytes]:
 
 def packed(messages: list[bytes]) -> list[bytes]:
     """OSC messages as bundles of at most `DATAGRAM` bytes, in their order."""
+    # In their order, and each packet by itself complete: packets may be lost or overtake each other.
     parts: list[list[bytes]] = [[]]
     size = len(_BUNDLE)
     for message in messages:
@@ -171,7 +173,7 @@ def _bundled(messages: list[bytes]) -> bytes:
 
 
 class _Part:
-    """Frames of a stream that were not sent yet; they become datagrams in the sender's thread."""
+    """Frames of a stream that were not sent yet."""
 
     def __init__(self, frames: StreamFrames) -> None:
         self.first, self.fps, self.count = frames.first, frames.fps, len(frames)
@@ -179,14 +181,15 @@ class _Part:
 
     @cached_property
     def bundles(self) -> VmcFrames:
-        """The frames as they are sent."""
+        """The frames as they are sent. Converted when the first of them is due: many are replaced before that."""
         return VmcFrames(self._frames.motion(), self._frames.face)
 
 
 class VmcOutput:
     """Plays the frames of one stream at their times, each once: poses may arrive long before they are due.
 
-    The first stream with frames has the output until it ends. A frame that is sent again replaces the earlier one.
+    The first stream with frames has the output until it ends. A frame that is sent again replaces the earlier one. All
+    methods are for the thread of the event loop.
     """
 
     def __init__(self, target: str) -> None:
@@ -194,9 +197,6 @@ class VmcOutput:
         self.host, self.port = read_target(target)
         self.stream: str | None = None
         self._parts: list[_Part] = []
-        self._lock = threading.Lock()
-        self._ended = threading.Event()
-        self._thread: threading.Thread | None = None
         self._start = time.monotonic()
         self._zero = 0.0
         """time.monotonic() of frame 0."""
@@ -211,19 +211,17 @@ class VmcOutput:
 
     def take(self, stream: str, frames: StreamFrames) -> None:
         """Add at least one frame of a stream."""
-        first, fps = frames.first, frames.fps
         if self.stream not in (None, stream):
             return
-        with self._lock:
-            now = time.monotonic()
-            # A new stream, or one that fell behind: its first frame is due now.
-            if self.stream is None or now > self._zero + first / fps + LATEST:
-                self._zero = now - first / fps
-            self.stream = stream
-            # Frames from `first` on are replaced: an interruption generates them again.
-            self._parts = [part for part in self._parts if part.first < first]
-            if first / fps < now - self._zero + MOST_SECONDS:
-                self._parts.append(_Part(frames))
+        due, now = frames.first / frames.fps, time.monotonic()
+        # A new stream, or one that fell behind: its first frame is due now.
+        if self.stream is None or now > self._zero + due + LATEST:
+            self._zero = now - due
+        self.stream = stream
+        # Frames from `first` on are replaced: an interruption generates them again.
+        self._parts = [part for part in self._parts if part.first < frames.first]
+        if due < now - self._zero + MOST_SECONDS:
+            self._parts.append(_Part(frames))
 
     def leave(self, stream: str) -> None:
         """End a stream. Its remaining frames are played unless another stream adds frames."""
@@ -232,45 +230,22 @@ class VmcOutput:
 
     def due(self, now: float) -> list[bytes] | None:
         """The bundles of the frame due at a time of time.monotonic(), or of the last frame."""
-        with self._lock:
-            if not self._parts:
-                return None
-            # The frame whose time is now; skipped ones are never sent late.
-            frame = int((now - self._zero) * self._parts[0].fps)
-            place = max(bisect_right([part.first for part in self._parts], frame) - 1, 0)
-            del self._parts[:place]
-            part = self._parts[0]
-            end = self._parts[1].first if len(self._parts) > 1 else part.first + part.count
+        if not self._parts:
+            return None
+        # The frame whose time is now; skipped ones are never sent late.
+        frame = int((now - self._zero) * self._parts[0].fps)
+        place = max(bisect_right([part.first for part in self._parts], frame) - 1, 0)
+        del self._parts[:place]
+        part = self._parts[0]
+        end = self._parts[1].first if len(self._parts) > 1 else part.first + part.count
         number = min(max(frame, part.first), end - 1) - part.first
         return part.bundles.bundles(min(number, part.count - 1), now - self._start)
 
-    def start(self) -> None:
-        """Send the bundles of each frame from a thread, until `stop`."""
-        self._thread = threading.Thread(target=self._run, name="vmc", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Close the socket of an output that was not started."""
-        self._socket.close()
-
-    def stop(self) -> None:
-        """End the thread."""
-        self._ended.set()
-        if self._thread is not None:
-            self._thread.join()
-
-    def _pause(self, now: float) -> float:
-        """Seconds until the next frame is due, or until one is looked for."""
-        with self._lock:
-            if not self._parts:
-                return 1 / RATE
-            period = 1 / self._parts[0].fps
-            return period - (now - self._zero) % period
-
-    def _run(self) -> None:
+    async def play(self) -> None:
+        """Send the bundles of each frame when it is due, until cancelled."""
         last_notice = -math.inf
-        try:
-            while not self._ended.is_set():
+        with self._socket:
+            while True:
                 now = time.monotonic()
                 bundles = self.due(now)
                 if bundles is None and now - last_notice >= 1.0:  # no model yet: said once a second
@@ -279,6 +254,5 @@ class VmcOutput:
                     # A missing receiver or a congested network must not end anything.
                     with contextlib.suppress(OSError):
                         self._socket.sendto(bundle, self._address)
-                self._ended.wait(self._pause(now))
-        finally:
-            self._socket.close()
+                period = 1 / self._parts[0].fps if self._parts else 1 / RATE
+                await asyncio.sleep(period - (time.monotonic() - self._zero) % period)

@@ -8,7 +8,7 @@ import json
 import tempfile
 import webbrowser
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,16 +23,15 @@ from gesticulator.arguments import (
     settings_of,
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import STDIN, Job, load, performed, retargeter_for
-from gesticulator.page.export import exported, formats
+from gesticulator.jobs import STDIN, Job, Worker, load
 from gesticulator.page.saved_edits import SavedEdits, place_of, put_aside, read_saved
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
+    from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.server import PageServer
     from gesticulator.performance import Performance
-    from gesticulator.pipeline import Gesticulator
 
 SHOWN = (".glb", ".gltf", ".vrm")
 """Suffixes of characters that the page can show."""
@@ -52,40 +51,25 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted."""
-    from gesticulator.page.page_place import served_again
     from gesticulator.page.server import PageServer
 
     settings = run_settings_of(args)
     if settings.listing:
-        from gesticulator.pipeline import Gesticulator
+        from gesticulator.gesticulator import Gesticulator
 
         with limited_threads(settings.threads):
             print_list(Gesticulator.from_pretrained(settings.bundle), settings.listing)
         return 0
+    # What can be wrong with the arguments is told before the models are loaded, which takes seconds.
     job = _job(args)
     check_choices(job.options, settings.bundle)
-    assert job.source is not None
-    name: str | None = None
-    if job.options.plan is not None or args.beside is not None:  # a page with edits that are not saved
-        server = PageServer(args.port)
-    else:
-        server, name = served_again(args.port, job.source, args.anew)
-    page = PageRequest(args.beside, args.anew, args.no_browser, name)
-    with server, our_warnings(), limited_threads(settings.threads):
-        _prepare(server, job, settings, page)
-        _serve(server, page)
+    with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):
+        saved = _prepare(server, job, settings, args.beside, args.anew)
+        _serve(server, args.no_browser)
+        if saved is not None:
+            saved.save()
+        server.rendering.acquire()  # a thread that is stopped within torch at the end of the process crashes it
     return 0
-
-
-@dataclass(frozen=True)
-class PageRequest:
-    """beside: the interpreter of a second take; None for one take. anew: begin without the saved edits. no_browser:
-    open no window. place: where browsers keep the edits; None: nowhere."""
-
-    beside: str | None = None
-    anew: bool = False
-    no_browser: bool = False
-    place: str | None = None
 
 
 def _job(args: argparse.Namespace) -> Job:
@@ -105,51 +89,55 @@ def _job(args: argparse.Namespace) -> Job:
     return replace(settings_of(args), source=Path(args.speech[0]), text=None if args.text is None else Path(args.text))
 
 
-def _prepare(server: PageServer, job: Job, settings: RunSettings, request: PageRequest) -> None:
-    """Generate one or two performances, and give the server its page and the renderer of edited plans."""
-    from gesticulator.export import html
-    from gesticulator.page.session import EditSession, directions_of, levels_of
-    from gesticulator.pipeline import Gesticulator
+def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | None, anew: bool) -> SavedEdits | None:
+    """Generate one or two performances, and give the server its page and the renderer of edited plans.
 
+    beside: the interpreter of a second take. anew: begin without the saved edits. Returns what saves the edits; None
+    for a page whose edits are not saved.
+    """
+    from gesticulator.export import html
+    from gesticulator.gesticulator import Gesticulator
+    from gesticulator.page.session import EditSession, levels_of
+
+    source = job.source
+    assert source is not None
+    # A character that stands on its legs in its file needs legs in the motion, too.
     chosen, stands = _character(job)
-    system = Gesticulator.from_pretrained(settings.bundle)
-    system.keeps_generations = True
-    job, since = _with_saved_edits(system, job, request)
+    gesticulator = Gesticulator.from_pretrained(settings.bundle)
+    gesticulator.keeps_generations = True
+    saved = None if beside is not None else SavedEdits(place_of(source))
+    # A plan that was given by name comes before the saved one, which it will replace.
+    if saved is not None and not anew and job.options.plan is None:
+        job = _with_saved_edits(gesticulator, job)
     job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
-    takes = _takes(system, job, request.beside, settings.quiet)
-    session = EditSession(system, *takes.values())
+    takes = _takes(gesticulator, job, beside, settings.quiet)
+    first = next(iter(takes.values()))
+    session = EditSession(gesticulator, *takes.values())
     scenes = {name: take.scene() for name, take in takes.items()}
-    numbers = [session.opened(take) for take in takes.values()]
-    assert job.source is not None
-    live = {"token": server.token, "renderings": numbers, "formats": formats(), "levels": levels_of(system.bundle),
-            "directions": directions_of(system), "since": since}
-    if request.place is not None:
-        live["place"] = request.place
+    live = {"token": server.token, "renderings": [session.opened(take) for take in takes.values()],
+            "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.speakers)}
     character = {} if chosen is None else html.character_data(*chosen, next(iter(scenes.values())).face)
-    moved = next(iter(takes.values())).retiming
-    report = {} if moved is None else {"notice": "The edits were moved onto the new sound. " + " ".join(moved.lines())}
-    more = {"live": live, **report, **character}
-    server.page = html.page(scenes, html.title_of(job.source), together=len(takes) > 1, more=more).encode()
-    if request.beside is None:
-        saved = server.saved = SavedEdits(place_of(job.source))
+    notice = {} if first.retiming is None else {
+        "notice": "The edits were moved onto the new sound. " + " ".join(first.retiming.lines())}
+    server.page = html.page(scenes, html.title_of(source), together=len(takes) > 1,
+                            more={"live": live, **notice, **character}).encode()
+    if saved is not None:
         # What is only tried is not saved.
-        session.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(lambda: plan)
-    server.render = session.answer
+        session.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(plan)
     # What stays for the whole session need not be looked through for garbage, which would delay edits by a third of a
     # second now and then.
     gc.collect()
     gc.freeze()
-    retargeter = retargeter_for(job.character, settings.quiet)
-    server.export = partial(exported, rendered=session.exported, retargeter=retargeter)
-    server.figures = cache(partial(_figures, system, takes))
+    server.render = session.answer
+    server.figures = cache(partial(_figures, gesticulator, first.decided.speaker))
+    return saved
 
 
-def _figures(system: Gesticulator, takes: dict[str, Performance]) -> bytes:
+def _figures(gesticulator: Gesticulator, speaker: str | None) -> bytes:
     """The figures of the palette as JSON."""
     from gesticulator.page.palette import moving_figures
 
-    speaker = system.speaker_index(next(iter(takes.values())).decided.speaker)
-    return json.dumps(moving_figures(system.bundle, speaker)).encode()
+    return json.dumps(moving_figures(gesticulator.bundle, gesticulator.resolver.speaker(speaker))).encode()
 
 
 def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]:
@@ -165,37 +153,38 @@ def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]
     return (character, joints), mapping.legs and not sits
 
 
-def _with_saved_edits(system: Gesticulator, job: Job, request: PageRequest) -> tuple[Job, float]:
+def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
     """The job, going on with the edits that were saved beside the sound, if there are any; if the sound was exported
-    again since, with those that have a place in it. And when they were saved, milliseconds since 1970, or 0."""
+    again since, with those that have a place in it."""
     from data_module.speech.audio import SAMPLE_RATE, amplified, resample
     from gesticulator.directing.directions import check_bundle_of, planned
     from gesticulator.plan.plan import sound_hash
 
-    if request.anew or job.options.plan is not None or request.beside is not None or job.source is None:
-        return job, 0.0
+    assert job.source is not None
     plan = read_saved(job.source)
     if plan is None:
-        return job, 0.0
-    place = place_of(job.source)
+        return job
+    options = replace(job.options, plan=plan)
     try:
-        check_bundle_of(system.bundle, plan)
-        options = replace(job.options, plan=plan)
+        check_bundle_of(gesticulator.bundle, plan)
         planned(options)
     except InputError as error:
         put_aside(job.source, str(error))
-        return job, 0.0
+        return job
+    # The hash of a plan is of the sound as the models take it: with its gain, at their rate.
     speech = resample(amplified(load(job), float(plan.made_by.get("settings", {}).get("gain", 0.0))), SAMPLE_RATE)
     moved = sound_hash(speech) != plan.sound.sha256
     how = "moved onto the new sound" if moved else "opened"
-    print(f"{place}: the saved edits are {how}; --anew begins without them", flush=True)
-    return replace(job, options=replace(options, retime=moved)), place.stat().st_mtime * 1000.0
+    print(f"{place_of(job.source)}: the saved edits are {how}; --anew begins without them", flush=True)
+    return replace(job, options=replace(options, retime=moved))
 
 
-def _takes(system: Gesticulator, job: Job, beside: str | None, quiet: bool) -> dict[str, Performance]:
+def _takes(gesticulator: Gesticulator, job: Job, beside: str | None, quiet: bool) -> dict[str, Performance]:
     """Name -> performance of each take. beside: the interpreter of the second one."""
     speech = load(job)
-    first = performed(job, speech, system, quiet=quiet)
+    worker = Worker(gesticulator, quiet=quiet)
+    # The takes share the sound; only the interpreter differs.
+    first = worker.performed(job, speech)
     if first.retiming is not None:
         print("\n".join(f"  {line}" for line in first.retiming.lines()), flush=True)
     name = first.decided.interpreter
@@ -204,21 +193,18 @@ def _takes(system: Gesticulator, job: Job, beside: str | None, quiet: bool) -> d
     # Word times are aligned once and reused.
     speech, job = replace(speech, words=first.speech.words), replace(job, text=None)
     job = replace(job, options=replace(job.options, interpreter=beside))
-    second = performed(job, speech, system, quiet=quiet).labelled(job.name, first.notes)
+    second = worker.performed(job, speech).labelled(job.name, first.notes)
     return {name: first, beside if beside != name else f"{name} again": second}
 
 
-def _serve(server: PageServer, request: PageRequest) -> None:
+def _serve(server: PageServer, no_browser: bool) -> None:
+    """Serve until Ctrl C."""
     print(f"{server.url}  (Ctrl C ends it)", flush=True)
     with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:
-        if not request.no_browser:
+        if not no_browser:
             webbrowser.open(_way_in(Path(folder), server.url))
         with suppress(KeyboardInterrupt):
             server.serve_forever()
-    if server.saved is not None:
-        server.saved.save()
-    server.rendering.acquire()  # after the one that is running
-    server.settle()
 
 
 def _way_in(folder: Path, url: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 from data_module.errors import InputError, complain
@@ -38,6 +37,7 @@ def read_saved(source: Path) -> GesturePlan | None:
 def put_aside(source: Path, why: str) -> None:
     """Rename the saved plan of a sound, and say so."""
     place = place_of(source)
+    # Never overwritten: it may be hours of work under another bundle.
     aside = place.with_name(place.name + ".old")
     place.replace(aside)
     complain(f"{place}: is not opened, and is now {aside.name}: {why}")
@@ -48,11 +48,11 @@ class SavedEdits:
 
     def __init__(self, place: Path, after: float = AFTER) -> None:
         self._place, self._after = place, after
-        self._plan: Callable[[], GesturePlan] | None = None
+        self._plan: GesturePlan | None = None
         self._timer: threading.Timer | None = None
         self._lock, self._writing = threading.Lock(), threading.Lock()
 
-    def keep(self, plan: Callable[[], GesturePlan]) -> None:
+    def keep(self, plan: GesturePlan) -> None:
         """Save a plan soon, unless another one comes before."""
         with self._lock:
             self._plan = plan
@@ -64,11 +64,12 @@ class SavedEdits:
     def save(self) -> None:
         """Save the latest plan now, if it was not saved yet. A file that cannot be written is reported."""
         with self._lock:
+            # Taken out under the lock, and written without it: a slow disk must not hold up an edit.
             plan, self._plan, self._timer = self._plan, None, None
         if plan is None:
             return
         with self._writing:
             try:
-                write_text(self._place, plan().to_json())
+                write_text(self._place, plan.to_json())
             except OSError as error:
                 complain(f"{self._place}: the edits are not saved ({error.strerror or error})")

@@ -1,11 +1,10 @@
 """A server for one page and one user: it listens on this machine only, and renders the plans sent by its page.
 
-`GET /SECRET/` is the page; `POST /SECRET/render` takes the page's request and answers with the messages of
-`gesticulator.page.session`, or with `{"error": ...}`; `POST /SECRET/export` answers with a file, and `GET
-/SECRET/figures` with the figures of the palette. Other users of this machine can find the port, so the address holds a
-secret. Any page open in a browser can send requests to a local server; so a request must name this server as its host
-(which a foreign name resolved to this machine does not), and a rendering must come from its own page and carry the
-page's token.
+`GET /SECRET/` is the page, and `GET /SECRET/figures` the figures of its palette; `POST /SECRET/render` takes the page's
+request and answers with the messages of `gesticulator.page.session`, or with `{"error": ...}`. Other users of this
+machine can find the port, so the address holds a secret. Any page open in a browser can send requests to a local
+server; so a request must name this server as its host (which a foreign name resolved to this machine does not), and a
+rendering must come from its own page and carry the page's token.
 """
 
 from __future__ import annotations
@@ -13,35 +12,25 @@ from __future__ import annotations
 import hmac
 import json
 import secrets
-import socket
 import sys
 import threading
-import time
 import traceback
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from data_module.errors import InputError, one_line
 from data_module.files import parse_json
-
-if TYPE_CHECKING:
-    from gesticulator.page.saved_edits import SavedEdits
 
 HOST = "127.0.0.1"
 TOKEN_HEADER = "X-Gesticulator-Token"
 MOST_BYTES = 16 << 20
 """Largest request, bytes: the plan of an hour is about 10 million."""
-MOST_CONNECTIONS = 16
-"""Concurrent connections; a browser opens up to 6."""
 PATIENCE = 30.0
 """Idle timeout of a connection, seconds."""
-MAKES_ROOM = 1.0
-"""Seconds in which a silent connection that is closed for a new one should end."""
-SETTLES = 5.0
-"""Seconds in which the threads of all connections should end with the page."""
+MOST_PAGES = 16
+"""Pages whose latest request is known; a page that is loaded again is another one."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",  # cannot be set by the policy in the page
@@ -52,8 +41,8 @@ HEADERS = {
 }
 
 Render = Callable[[dict[str, Any], Callable[[], bool], Callable[[bytes], object]], bytes]
-"""A request as JSON, whether it has been abandoned, and what takes messages of progress -> the last message of the
-answer; `InputError` for an invalid request, `AbandonedError` for an abandoned one."""
+"""A request with a plan, whether it has been abandoned, and what sends a first part of the answer -> the rest of it;
+`InputError` for an invalid request, `AbandonedError` for an abandoned one."""
 
 
 def message(header: Mapping[str, Any], data: bytes = b"") -> bytes:
@@ -68,18 +57,10 @@ class AbandonedError(Exception):
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a page until `shutdown`. Page and renderer are set after the port has been opened."""
+    """Serves a page until `shutdown`. The page and its renderer are set after the port has been opened."""
 
     daemon_threads = True
     block_on_close = False
-    page: bytes = b""
-    render: Render | None = None
-    export: Callable[[dict[str, Any]], bytes] | None = None
-    """Makes the answer to `POST /SECRET/export`: the file that a request asks for."""
-    figures: Callable[[], bytes] | None = None
-    """Makes the answer to `GET /SECRET/figures`: the figures of the palette as JSON."""
-    saved: SavedEdits | None = None
-    """Where edits are saved, if anywhere."""
     queue = 20.0
     """Seconds that a plan waits for another rendering before it is refused."""
 
@@ -91,12 +72,14 @@ class PageServer(ThreadingHTTPServer):
             reason = getattr(error, "strerror", None) or "no such port"
             raise InputError(f"--port {port}", f"cannot be used ({reason})",
                              "choose another, or leave it out") from None
+        self.page = b""
+        self.figures: Callable[[], bytes] = lambda: b"{}"
+        """Makes the figures of the palette as JSON."""
+        self.render: Render | None = None
+        """Answers requests with a plan, one at a time."""
         self.token, self.secret = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self.rendering = threading.Lock()
-        self._connections = threading.BoundedSemaphore(MOST_CONNECTIONS)
-        self._silent: dict[socket.socket, None] = {}  # connections without a valid request, the oldest first
         self._changing = threading.Lock()
-        self._answering: set[threading.Thread] = set()
         self._latest: dict[str, int] = {}  # page -> its last request
 
     @property
@@ -109,72 +92,15 @@ class PageServer(ThreadingHTTPServer):
         """Accepted values of the Host header."""
         return f"{HOST}:{self.server_port}", f"localhost:{self.server_port}"
 
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection in a new thread. If there are too many, the one that has been silent for the longest time
-        is closed; without a silent one, the new one."""
-        if not self._connections.acquire(blocking=False) and not self._made_room():
-            self.shutdown_request(request)
-            return
-        self.falls_silent(request)
-        super().process_request(request, client_address)
-
-    def _made_room(self) -> bool:
-        with self._changing:
-            oldest = next(iter(self._silent), None)
-        if oldest is None:
-            return False
-        self.speaks(oldest)
-        with suppress(OSError):
-            oldest.shutdown(socket.SHUT_RDWR)
-        return self._connections.acquire(timeout=MAKES_ROOM)
-
-    def falls_silent(self, request: socket.socket) -> None:
-        """A connection waits for a request."""
-        with self._changing:
-            self._silent.pop(request, None)
-            self._silent[request] = None
-
-    def speaks(self, request: socket.socket) -> None:
-        """A connection has sent a valid request, or has ended."""
-        with self._changing:
-            self._silent.pop(request, None)
-
     def abandons(self, page: str, number: int) -> Callable[[], bool]:
         """Note the latest request of a page; returns whether a later one has come."""
         with self._changing:
+            # Out and in again, so that the page that asked last is forgotten last.
             latest = self._latest.pop(page, 0)
             self._latest[page] = max(number, latest)
-            while len(self._latest) > MOST_CONNECTIONS:
+            while len(self._latest) > MOST_PAGES:
                 del self._latest[next(iter(self._latest))]
         return lambda: self._latest.get(page, number) > number
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        thread = threading.current_thread()
-        with self._changing:
-            self._answering.add(thread)
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self.speaks(request)
-            self._connections.release()
-            with self._changing:
-                self._answering.discard(thread)
-
-    def settle(self, seconds: float = SETTLES) -> None:
-        """End the connections that wait for a request, and wait for the threads of all, for a bounded time: a thread
-        that is stopped within torch at the end of the process crashes it."""
-        end, left = time.monotonic() + seconds, True
-        while left:
-            with self._changing:
-                silent, threads = list(self._silent), list(self._answering)
-            for connection in silent:
-                with suppress(OSError):
-                    connection.shutdown(socket.SHUT_RDWR)
-            alive, left = [thread for thread in threads if thread.is_alive()], time.monotonic() < end
-            if not alive:
-                return
-            # One that has just answered waits for a request from here on.
-            alive[0].join(min(0.05, max(0.0, end - time.monotonic())))
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore browsers that disconnect early."""
@@ -191,23 +117,16 @@ class _PageHandler(BaseHTTPRequestHandler):
     _begun = False
     """Whether a part of an answer was sent (`_part`)."""
 
-    def handle_one_request(self) -> None:
-        """Serve one request; the connection is silent until it has proven valid."""
-        self.server.falls_silent(self.connection)
-        super().handle_one_request()
-
     def do_GET(self) -> None:
         if not self._is_ours():
             return
         place = self._place()
-        if place not in ("", "figures") or (place == "figures" and self.server.figures is None):
-            self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
-            return
-        self.server.speaks(self.connection)
-        if place == "figures" and self.server.figures is not None:
+        if place == "figures":
             self._answer(HTTPStatus.OK, self.server.figures(), "application/json")
-        else:
+        elif place == "":
             self._answer(HTTPStatus.OK, self.server.page, "text/html; charset=utf-8")
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
 
     def do_POST(self) -> None:
         # An unread body would be parsed as the next request.
@@ -215,7 +134,7 @@ class _PageHandler(BaseHTTPRequestHandler):
         if not self._is_ours() or not self._is_from_page():
             return
         place = self._place()
-        if place not in ("render", "export") or (place == "export" and self.server.export is None):
+        if place != "render" or self.server.render is None:
             self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
             return
         length = self.headers.get("Content-Length", "")
@@ -224,11 +143,11 @@ class _PageHandler(BaseHTTPRequestHandler):
         elif int(length) > MOST_BYTES:
             self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the plan has more than {MOST_BYTES >> 20} MB")
         else:
-            self.server.speaks(self.connection)
-            self._render(self.rfile.read(int(length)), place)
+            self._render(self.rfile.read(int(length)), self.server.render)
 
     def _place(self) -> str | None:
         """The path below the secret one; None elsewhere."""
+        # In constant time: the time of a plain comparison tells how much of a guess is right.
         secret, _, place = self.path.partition("?")[0].removeprefix("/").partition("/")
         if not hmac.compare_digest(secret.encode("utf-8", "replace"), self.server.secret.encode()):
             return None
@@ -243,6 +162,7 @@ class _PageHandler(BaseHTTPRequestHandler):
     def _is_from_page(self) -> bool:
         token = self.headers.get(TOKEN_HEADER, "").encode()
         known = hmac.compare_digest(token, self.server.token.encode())
+        # The origin tells other pages off; the token tells off what sends no origin and guesses it.
         if self.headers.get("Origin") != f"http://{self.headers['Host']}" or not known:
             self._refuse(HTTPStatus.FORBIDDEN, "the request is not from this server's page: load the page again")
             return False
@@ -251,27 +171,26 @@ class _PageHandler(BaseHTTPRequestHandler):
             return False
         return True
 
-    def _render(self, body: bytes, place: str) -> None:
+    def _render(self, body: bytes, render: Render) -> None:
         try:
             request = parse_json(body, "the request", "")
         except InputError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
             return
         request = request if isinstance(request, dict) else {}
-        if not isinstance(request.get("plan"), dict) or self.server.render is None:
+        if not isinstance(request.get("plan"), dict):
             self._refuse(HTTPStatus.BAD_REQUEST, "the request holds no plan")
             return
+        # A request without them counts as the first of a page of its own.
         page, number = request.get("page"), request.get("number")
         abandoned = self.server.abandons(page if isinstance(page, str) else "",
                                          number if isinstance(number, int) else 0)
+        # One at a time: the models hold all cores, and the renderer remembers what it sampled.
         if not self.server.rendering.acquire(timeout=self.server.queue):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "another plan is being rendered")
             return
         try:
-            if place == "export" and self.server.export is not None:
-                self._answer(HTTPStatus.OK, self.server.export(request), "application/octet-stream")
-            else:
-                self._part(self.server.render(request, abandoned, self._part))
+            self._part(render(request, abandoned, self._part))
         except AbandonedError:
             self._refuse(HTTPStatus.CONFLICT, "the page has asked for something else")
         except (InputError, OSError) as error:

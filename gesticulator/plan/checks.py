@@ -171,11 +171,6 @@ def _check_curves(plan: GesturePlan) -> None:
             raise plan.error(("curves", at, "values"), f"hold {outside[0]:g}", f"give 0 to {highest:g}")
         if curve.knob in knobs[:at]:
             raise plan.error(("curves", at, "knob"), f"is {curve.knob} again", "give one curve per knob")
-    if plan.alignment is not None:
-        # The map is also used backwards, so both columns must rise.
-        times, there = plan.alignment.times, plan.alignment.there
-        _check_points(plan, ("alignment",), times=times, there=there)
-        _check_points(plan, ("alignment",), there=there, times=times)
 
 
 def _check_points(plan: GesturePlan, place: Place, **columns: Sequence[float]) -> None:

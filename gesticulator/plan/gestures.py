@@ -2,7 +2,7 @@
 
 `gestures.csv` is the table: a name, its category, the hands that make it, whether talk often calls for it (`core`),
 whether its picture alone says little (`weak`), whether it may offend, and what it means. How they move is in
-`gesticulator.directing.gesture_scripts`.
+`gesticulator.directing.gesture_phases`.
 """
 
 from __future__ import annotations

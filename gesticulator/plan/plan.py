@@ -366,20 +366,6 @@ class GenerationKnobs:
 
 
 @dataclass(frozen=True)
-class SoundAlignment:
-    """The map of the plan onto another export of its sound, with other pauses or another tempo."""
-
-    sha256: str
-    """SHA-256 of the samples of the other sound, as for `sound`."""
-    duration: Annotated[float, Meta(gt=0.0)]
-    """Seconds of the other sound."""
-    times: tuple[Seconds, ...]
-    """[M] seconds of this plan, rising."""
-    there: tuple[Seconds, ...]
-    """[M] the same moments in the other sound, seconds, rising; linear between them."""
-
-
-@dataclass(frozen=True)
 class GesturePlan:
     """The decisions for one recording, and their edits."""
 
@@ -426,8 +412,6 @@ class GesturePlan:
     """Fixed poses of joints at times."""
     curves: tuple[KnobCurve, ...] = ()
     """Knobs that change over time; at most one curve per knob."""
-    alignment: SoundAlignment | None = None
-    """The map of the plan onto another export of its sound."""
     fingerprint: Annotated[str, Meta(pattern="^([A-Za-z0-9+/]{8})+$")] | None = None
     """The fingerprint of the sound, by which the plan is moved onto another export of it (`--retime`)."""
     source: str = field(default="plan", compare=False, repr=False)

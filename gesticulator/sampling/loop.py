@@ -55,7 +55,8 @@ class Setup:
 
     speaker: index. temperature: of the choice of lexemes, 0 takes the best; top: number of best lexemes to sample from,
     0 for all (`interpreters.base.select`). seed: of the random numbers; variation: selects other motion for the same
-    lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the interpreter, or None.
+    lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the interpreter, or None. text: words
+    are read.
     """
 
     interpreter: Interpreter
@@ -67,6 +68,7 @@ class Setup:
     controls: Controls = field(default_factory=Controls.free)
     variation: int = 0
     beta: float | None = None
+    text: bool = False
 
     @property
     def score_is(self) -> str:

@@ -4,17 +4,13 @@ import { fault, planText, readJson } from "./plan.js";
 
 /** Milliseconds after an edit that it is kept. */
 const AFTER = 400;
-/** Milliseconds after an edit that the program may save what came before it. */
-const SAVED = 3000;
 const KEPT = "gesticulator edits ";
 
 export class Kept {
-  /** place: of this recording and program in the storage; say(text): what the user is told; since: when the plan that
-   *  the page began with was saved, milliseconds. */
-  constructor(session, place, say, since = 0) {
+  /** place: of this recording and program in the storage; say(text): what the user is told. */
+  constructor(session, place, say) {
     Object.assign(this, { session, place: `${KEPT}${place}`, say, waiting: 0, taking: false });
     this.lane = session.lanes[0];
-    if (this.keptAt() < since - SAVED) this.clear();
     this.take(this.read(), true);
     session.on("edited", () => {
       // What the renderer adds is not kept: it may come after an edit in another page, and would undo that.
@@ -34,13 +30,8 @@ export class Kept {
     try { return localStorage.getItem(this.place); } catch { return null; }
   }
 
-  /** When edits were kept here, milliseconds. */
-  keptAt() {
-    try { return Number(localStorage.getItem(`${this.place} at`) ?? 0); } catch { return 0; }
-  }
-
   clear() {
-    try { for (const name of [this.place, `${this.place} at`]) localStorage.removeItem(name); } catch { /* no storage */ }
+    try { localStorage.removeItem(this.place); } catch { /* no storage */ }
   }
 
   keep() {
@@ -48,15 +39,11 @@ export class Kept {
     this.waiting = 0;
     const plan = this.lane.history.present;
     if (plan === this.lane.history.original) { this.clear(); return; }
-    const put = () => {
-      localStorage.setItem(this.place, planText(plan));
-      localStorage.setItem(`${this.place} at`, String(Date.now()));
-    };
-    try { put(); } catch {
+    try { localStorage.setItem(this.place, planText(plan)); } catch {
       // It is full: what was kept of other pages goes.
       try {
-        for (const name of Object.keys(localStorage)) if (name.startsWith(KEPT) && !name.startsWith(this.place)) localStorage.removeItem(name);
-        put();
+        for (const name of Object.keys(localStorage)) if (name.startsWith(KEPT) && name !== this.place) localStorage.removeItem(name);
+        localStorage.setItem(this.place, planText(plan));
       } catch { /* a page without storage, or a plan larger than it: it can still be saved as a file */ }
     }
   }

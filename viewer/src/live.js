@@ -13,7 +13,7 @@ const BUSY = 503, CONFLICT = 409, STRANGE = [403, 404];
 /** The renderer does not answer. */
 class AwayError extends Error {}
 /** What is said while the renderer does not answer. */
-export const AWAY_TEXT = "gesticulator view does not answer: is it still running? The edits are kept, and rendered when it is back.";
+export const AWAY_TEXT = "gesticulator view does not answer: is it still running? The edits up to the last rendering are saved beside the sound.";
 
 /** What a network gives; `AwayError` where it fails. */
 async function reached(promise) {
@@ -51,32 +51,14 @@ async function* messagesOf(answer) {
   }
 }
 
-const base64Of = (bytes) => new Promise((resolve, reject) => {
-  const reader = new FileReader();
-  reader.onload = () => resolve(reader.result.slice(reader.result.indexOf(",") + 1));
-  reader.onerror = () => reject(reader.error);
-  reader.readAsDataURL(new Blob([bytes]));
-});
-
 export class Live {
   /** told: { token } from the server, or null for a page without one. say(state, text): shows the state of rendering. */
   constructor(session, told, say) {
-    Object.assign(this, { session, told, say, waiting: 0, number: 0, asking: null, away: false, broken: 0, path: "" });
+    Object.assign(this, { session, told, say, waiting: 0, number: 0, asking: null, away: false, broken: 0 });
     this.page = Math.random().toString(36).slice(2);
     session.lanes.forEach((lane, k) => { lane.known = { plan: lane.rendered, rendering: told?.renderings?.[k] ?? null, take: lane.take }; });
     session.on("edited", () => this.edited());
     this.edited();
-  }
-
-  /** Go on with a renderer at another path, which knows no rendering of this page. */
-  moved(path, token) {
-    this.path = path;
-    this.told = { ...this.told, token };
-    for (const lane of this.session.lanes) lane.known = { plan: null, rendering: null, take: lane.known?.take ?? lane.take };
-    this.away = false;
-    const { lane } = this.session;
-    if (lane.history.present === lane.rendered) this.say("same", "");
-    else this.send();
   }
 
   edited() {
@@ -169,20 +151,9 @@ export class Live {
     }
   }
 
-  /** The bytes of a file of a plan. character: { name, bytes } that the user dropped on the page, or null. */
-  async export(plan, format, character) {
-    const told = character && { name: character.name, data: await base64Of(character.bytes) };
-    const answer = await fetch(`${this.path}export`, {
-      method: "POST", headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
-      body: JSON.stringify({ plan, format, character: told ?? undefined }),
-    });
-    if (!answer.ok) throw new Error(readJson(await answer.text()).error ?? answer.statusText);
-    return new Uint8Array(await answer.arrayBuffer());
-  }
-
   /** Send a plan, with the number of the rendering that the page has. */
   ask(plan, { rendering }, signal, trial = false) {
-    return reached(fetch(`${this.path}render`, {
+    return reached(fetch("render", {
       method: "POST", signal, headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
       body: JSON.stringify({ page: this.page, number: ++this.number, trial, have: rendering, plan }),
     }));

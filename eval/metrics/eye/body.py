@@ -156,6 +156,16 @@ def unit(vectors: Array) -> Array:
     return vectors / np.maximum(lengths, _EPS)
 
 
+def bend(first: Array, second: Array) -> Array:
+    """[T] degrees between vectors [T, 3]."""
+    return np.asarray(np.degrees(np.arccos(np.clip((unit(first) * unit(second)).sum(axis=-1), -1.0, 1.0))))
+
+
+def chest_left(body: CommonBody) -> Array:
+    """[T, 3] the chest's own left."""
+    return rotation.rotate(body.chest, np.array([1.0, 0.0, 0.0]))
+
+
 def _heading(hips: Array) -> Array:
     """[T, 4] the turns about Y that bring the hips [T, 4] to face +Z."""
     ahead = rotation.rotate(hips, np.array([0.0, 0.0, 1.0]))
@@ -250,9 +260,7 @@ def _hand_angles(motion: Motion, joints: dict[str, int], places: Array
 
 def _angle(first: Array, second: Array) -> Array | None:
     """[T] degrees between vectors [T, 3]; None where one has no length."""
-    lengths = np.linalg.norm(first, axis=-1), np.linalg.norm(second, axis=-1)
     # A bone that shrinks to nothing in some frame has no direction there.
-    if min(float(length.min()) for length in lengths) <= 1e-6:
+    if min(float(np.linalg.norm(way, axis=-1).min()) for way in (first, second)) <= 1e-6:
         return None
-    cosine = (first * second).sum(axis=-1) / (lengths[0] * lengths[1])
-    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return bend(first, second)

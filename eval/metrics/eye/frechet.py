@@ -20,8 +20,8 @@ in a window is not seen; and so has a mirrored copy (12.7), as the space keeps n
 beside it in every table, with the figures of `hands`, which see the mirror. It does not hear the speech. Jitter (131),
 bobbing (299) and a frozen pose (687) are far. The reference is two people: who gestures as well but otherwise is "far".
 
-    >>> standard = Gaussian(np.zeros(2), np.eye(2), 100)
-    >>> round(frechet_distance(standard, Gaussian(np.array([3.0, 0.0]), 4.0 * np.eye(2), 100)), 6)
+    >>> standard = Gaussian(np.zeros(2), np.eye(2))
+    >>> round(frechet_distance(standard, Gaussian(np.array([3.0, 0.0]), 4.0 * np.eye(2))), 6)
     11.0
 """
 
@@ -50,8 +50,6 @@ _LEAST_SPREAD, _LEAST_SPEED = 0.003, 0.01
 """Metres and m/s under the logarithms: what is smaller is still."""
 _FEWEST = 3
 """Windows from which on a set has moments."""
-_UNKNOWN = 0
-"""The file of the reference does not tell of how many windows its moments are; no distance asks."""
 
 
 def windows(body: CommonBody) -> Array:
@@ -90,7 +88,7 @@ class ReferenceSpace:
         shapes = (mean.shape, sd.shape, axes.shape, center.shape, root.shape)
         if shapes != ((WIDTH,), (WIDTH,), (k, WIDTH), (k,), (k, k)) or (sd <= 0).any():
             raise InputError(path, "holds statistics of another shape", f"give {REFERENCE}")
-        return cls(mean, sd, axes, Gaussian(center, root @ root.T, _UNKNOWN))
+        return cls(mean, sd, axes, Gaussian(center, root @ root.T))
 
     @classmethod
     def found(cls) -> ReferenceSpace | None:

@@ -72,11 +72,9 @@ def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
     speed, height = body.hand_speed, body.hands[..., 1]
     hangs = height < HANGS
-    out = {"eye_hand_speed_correlation": correlation(speed), "eye_hand_height_correlation": correlation(height),
-           "eye_one_handed": one_handed(speed),
-           "eye_one_hanging": 100.0 * float((hangs.sum(axis=1) == 1).mean()),
-           "eye_both_hanging": 100.0 * float(hangs.all(axis=1).mean())}
-    for percent, value in zip(PERCENTILES, np.percentile(speed, PERCENTILES), strict=True):
-        out[f"eye_speed_{percent}"] = float(value)
-    out["eye_drift"] = drift(body.hands)
-    return out
+    percentiles = zip(PERCENTILES, np.percentile(speed, PERCENTILES).tolist(), strict=True)
+    return {"eye_hand_speed_correlation": correlation(speed), "eye_hand_height_correlation": correlation(height),
+            "eye_one_handed": one_handed(speed),
+            "eye_one_hanging": 100.0 * float((hangs.sum(axis=1) == 1).mean()),
+            "eye_both_hanging": 100.0 * float(hangs.all(axis=1).mean()),
+            **{f"eye_speed_{percent}": value for percent, value in percentiles}, "eye_drift": drift(body.hands)}

@@ -8,16 +8,16 @@ shoulder and b = wrist - elbow of an arm, and l the unit vector to the left of t
   in which both are.
 - azimuth of the forearm: degrees outward from straight ahead of the chest, seen from above; the median over arms that
   hang within 40 degrees of vertical with an elbow bent by 40 to 120 degrees.
-- elbow bend: mean angle between a and b, degrees, 0 for a straight arm; folded: percentage of time over 125 degrees.
+- elbow bend: mean angle between a and b, degrees, 0 for a straight arm.
 - before the face: percentage of time in which an arm, from the elbow to the middle of the hand, comes within 18 cm of
   the middle of the face.
 - hands apart: mean distance between the wrists, cm.
 - shoulder lift: standard deviation over time of the shoulder's height along the chest's own up axis, cm. Rigid
   clavicles give 0, however the trunk leans.
-- wrist bend: angle between the forearm and the line from the wrist to the first joint of the middle finger, degrees,
-  median and 95th percentile.
-- finger bend: mean angle at the joints of the four fingers, degrees; its standard deviation over time, mean of joints;
-  its standard deviation between joints, mean of times; and the correlation of the thumb's with the index finger's.
+- wrist bend: 95th percentile of the angle between the forearm and the line from the wrist to the first joint of the
+  middle finger, degrees.
+- finger bend: mean angle at the joints of the four fingers, degrees; its standard deviation between joints, mean of
+  times; and the correlation of the thumb's with the index finger's.
 
 Good: real speakers have splay 6 to 12 %, azimuth -22 to -3 degrees, an elbow bend of 58 to 81 degrees, an arm before
 the face in at most 1 % of the time (BEAT 0, CMU .9, Rocketbox .6), hands 53 to 69 cm apart, .6 to 1.1 cm of shoulder
@@ -25,7 +25,9 @@ lift, fingers bent by 26 to 28 degrees that differ by 10 to 20.
 
 What fools them: none of them knows the speech or the order of frames, so a motion played backwards or mirrored has all
 of them, and jitter changes none but the shoulder lift. A single posture held constant can satisfy splay, azimuth and
-elbow; read shoulder lift and the spread of the fingers over time beside them.
+elbow; read the shoulder lift beside them.
+
+A forearm at right angles to its upper arm:
 
     >>> bend(np.array([[0.0, -1.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
     array([90.])
@@ -36,48 +38,29 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.motion import rotation
 from data_module.types import Array
-from eval.metrics.eye.body import HZ, SIDES, CommonBody, unit
+from eval.metrics.eye.body import HZ, SIDES, CommonBody, bend, chest_left, unit
 from eval.metrics.eye.hands import correlation
+from eval.metrics.eye.trunk import off_line
 
 OUTSIDE = 0.08
 """Metres of a wrist outside its elbow from which a forearm is splayed: the depth of a forearm."""
 _HANGING_ARM, _BENT = 40.0, (40.0, 120.0)
 """Degrees: an upper arm this near to vertical, with an elbow bent within this range, has a forearm azimuth. A forearm
 that hangs or points up has none."""
-_FOLDED = 125.0
-"""Degrees: an elbow bent further is folded."""
 _FACE, _FACE_AT, _HAND = 0.18, np.array([0.0, 0.09, 0.08]), 0.36
 """Metres from the middle of the face, its place in the frame of the head, and how far the middle of a hand is beyond
 the wrist, as a share of the forearm."""
 _FEWEST = HZ / 2
 """Frames without which an azimuth is not defined."""
-_EPS = 1e-9
-
-
-def bend(first: Array, second: Array) -> Array:
-    """[T] degrees between vectors [T, 3]."""
-    cosine = (unit(first) * unit(second)).sum(axis=-1)
-    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-
-
-def chest_left(body: CommonBody) -> Array:
-    """[T, 3] the chest's own left."""
-    return rotation.rotate(body.chest, np.array([1.0, 0.0, 0.0]))
-
-
-def level(vectors: Array) -> Array:
-    """[T, 3] the horizontal direction of vectors."""
-    return unit(vectors * np.array([1.0, 0.0, 1.0]))
 
 
 def _arms(body: CommonBody) -> dict[str, float]:
     left, points = chest_left(body), body.points
     # Seen from above, so that a chest that leans does not turn the forearms outward.
-    across = level(left)
+    across = unit(left * np.array([1.0, 0.0, 1.0]))
     ahead = np.cross(across, np.array([0.0, 1.0, 0.0]))
     splayed, azimuths, bends = [], [], []
     for side, sign in zip(SIDES, (-1.0, 1.0), strict=True):
@@ -95,8 +78,7 @@ def _arms(body: CommonBody) -> dict[str, float]:
     apart = np.linalg.norm(points["LeftHand"] - points["RightHand"], axis=1)
     return {"eye_splay": 100.0 * float(np.mean(splayed)), "eye_splay_both": 100.0 * float(np.all(splayed, 0).mean()),
             "eye_azimuth": float(np.median(azimuth)) if len(azimuth) >= _FEWEST else math.nan,
-            "eye_elbow": float(np.mean(bends)), "eye_folded": 100.0 * float((np.array(bends) > _FOLDED).mean()),
-            "eye_hands_apart": 100.0 * float(apart.mean())}
+            "eye_elbow": float(np.mean(bends)), "eye_hands_apart": 100.0 * float(apart.mean())}
 
 
 def _before_face(body: CommonBody) -> float:
@@ -107,8 +89,7 @@ def _before_face(body: CommonBody) -> float:
         elbow = body.points[side + "ForeArm"]
         # The common body has no hand, so the forearm is made longer, to the middle of where one would be.
         arm = (1.0 + _HAND) * (body.points[side + "Hand"] - elbow)
-        along = np.clip(((face - elbow) * arm).sum(axis=1) / np.maximum((arm * arm).sum(axis=1), _EPS), 0.0, 1.0)
-        near |= np.linalg.norm(elbow + along[:, None] * arm - face, axis=1) < _FACE
+        near |= off_line(face, elbow, arm) < _FACE
     return 100.0 * float(near.mean())
 
 
@@ -121,36 +102,21 @@ def _shoulders(body: CommonBody) -> float:
                                   for side in SIDES]))
 
 
-def _mean(values: list[float]) -> float:
-    """The mean of those that are defined; NaN without any."""
-    defined = [value for value in values if math.isfinite(value)]
-    return float(np.mean(defined)) if defined else math.nan
-
-
 def _fingers(bends: dict[tuple[str, str], Array]) -> dict[str, float]:
-    out = dict.fromkeys(("eye_finger_bend", "eye_finger_over_time", "eye_finger_between", "eye_thumb_index"), math.nan)
+    out = {}
     joints = [angles for (_, finger), angles in bends.items() if finger != "thumb"]
     if joints:
         angles = np.concatenate(joints, axis=1)
-        out |= {"eye_finger_bend": float(angles.mean()), "eye_finger_over_time": float(angles.std(axis=0).mean()),
-                "eye_finger_between": float(angles.std(axis=1).mean())}
-    out["eye_thumb_index"] = _mean([
-        correlation(np.stack([bends[side, "thumb"].sum(axis=1), bends[side, "index"].sum(axis=1)], axis=1))
-        for side in SIDES if (side, "thumb") in bends and (side, "index") in bends])
-    return out
-
-
-def _wrists(wrists: NDArray[np.float64] | None) -> dict[str, float]:
-    median, high = (math.nan, math.nan) if wrists is None else np.percentile(wrists, (50, 95))
-    return {"eye_wrist_50": float(median), "eye_wrist_95": float(high)}
-
-
-FIGURES = ("eye_splay", "eye_splay_both", "eye_azimuth", "eye_elbow", "eye_folded", "eye_face", "eye_hands_apart",
-           "eye_shoulder", "eye_wrist_50", "eye_wrist_95", "eye_finger_bend", "eye_finger_over_time",
-           "eye_finger_between", "eye_thumb_index")
+        out = {"eye_finger_bend": float(angles.mean()), "eye_finger_between": float(angles.std(axis=1).mean())}
+    pairs = [np.stack([bends[side, finger].sum(axis=1) for finger in ("thumb", "index")], axis=1)
+             for side in SIDES if (side, "thumb") in bends and (side, "index") in bends]
+    # A hand whose fingers stay as they are has no correlation; the other one still counts.
+    defined = [value for value in map(correlation, pairs) if math.isfinite(value)]
+    return out | ({"eye_thumb_index": float(np.mean(defined))} if defined else {})
 
 
 def figures(body: CommonBody) -> dict[str, float]:
-    """Every figure of this chapter."""
-    return {**_arms(body), "eye_face": _before_face(body), "eye_shoulder": _shoulders(body),
-            **_wrists(body.wrists), **_fingers(body.finger_bends)}
+    """Every figure of this chapter; those of wrists and fingers only where the skeleton has them."""
+    wrists = {} if body.wrists is None else {"eye_wrist_95": float(np.percentile(body.wrists, 95))}
+    return {**_arms(body), "eye_face": _before_face(body), "eye_shoulder": _shoulders(body), **wrists,
+            **_fingers(body.finger_bends)}

@@ -26,12 +26,8 @@ CORPUS = "corpus"
 
 def rows() -> list[str]:
     """The figures of a table, top to bottom."""
-    out: list[str] = []
-    for name in eye.FIGURES:
-        out.append(name)
-        if name in ROLLED:
-            out.append(ROLLED[name])
-    return [*out, POOLED, TO_CORPUS]
+    # A figure of the shifted sound stands below that of the sound itself.
+    return [*(row for name in EYE_METRICS for row in (name, ROLLED.get(name)) if row), POOLED, TO_CORPUS]
 
 
 def heading(name: str) -> str:

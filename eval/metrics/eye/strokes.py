@@ -1,12 +1,11 @@
-"""Strokes: how large and how long are the movements, are they cut at the blocks, and do they come again?
+"""Strokes: how large are the movements, are they cut at the blocks, and do they come again?
 
 Theory: a stroke is a movement of one hand between two minima of its speed (prominent by 0.12 m/s; of the wrist seen
 from the chest, smoothed over 50 ms) whose fastest moment exceeds 0.3 m/s. Its amplitude is the distance between where
-it begins and ends, cm; its duration the time between, s; the figures are the medians and the 90th percentiles.
+it begins and ends, cm; the figures are the median and the 90th percentile.
 
-- attack: where in a stroke the hand is fastest, mean percentage of its duration; rising: percentage of time in which
-  the summed speed of both hands grows. Muscles start slowly and brake fast, so people are a little under 50 in both
-  (two takes: 48.2 and 47.6 for one of them). These alone see the arrow of time: backwards it is 51.8 and 52.4.
+- attack: where in a stroke the hand is fastest, mean percentage of its duration. Muscles start slowly and brake fast,
+  so people are a little under 50 (48.2 in one take). It alone sees the arrow of time: backwards that take has 51.8.
 - seams: mean acceleration of the faster-changing hand within 2 frames of the inner block edges, over that elsewhere; no
   unit. 1 is no seam; chance edges on two real takes gave 1.26 and .98.
 - repetition: for each window of 2 s (10 Hz, both wrists seen from the chest, every 0.2 s) the root mean square distance
@@ -14,12 +13,12 @@ it begins and ends, cm; its duration the time between, s; the figures are the me
   and .59. Lower is more repetitive. Undefined under about 7 s, and biased up in short clips, which have had no time to
   repeat.
 
-Good: amplitude and duration near a speaker's own (31 and 24 cm, .52 and .58 s), seams at most 1.2.
+Good: amplitude near a speaker's own (31 and 24 cm), seams at most 1.2.
 
 What fools them: a mirrored copy has all of them to within the difference of the two arms. A motion played backwards has
-the same sizes, durations and repetition to the digit; attack and rising refuse it. White jitter of 2 cm makes many
-short strokes of real ones and drowns seams. A frozen pose has no stroke (undefined), no seam, and no repetition to
-speak of. Edges must be those of the system's own blocks: at other edges the seam figure is 1 by chance.
+the same sizes and repetition to the digit; attack refuses it. White jitter of 2 cm makes many short strokes of real
+ones and drowns seams. A frozen pose has no stroke (undefined), no seam, and no repetition to speak of. Edges must be
+those of the system's own blocks: at other edges the seam figure is 1 by chance.
 
 A hand that goes 30 cm there and back, once in 2 s:
 
@@ -38,10 +37,9 @@ from scipy.signal import find_peaks
 
 from data_module.types import Array
 from eval.metrics.eye.body import HZ, CommonBody
+from eval.metrics.eye.hands import MOVES
 from eval.metrics.eye.trunk import smoothed_speed
 
-MOVES = 0.3
-"""m/s: the fastest moment of a stroke is above it."""
 _PROMINENCE = 0.12
 """m/s by which a minimum of speed must stand out."""
 _BESIDE = range(-2, 2)
@@ -54,7 +52,7 @@ _FEWEST = 25
 
 def strokes(path: Array) -> Array:
     """[n, 2] seconds and metres of each stroke of one wrist's path [T, 3] at 60 Hz."""
-    speed = smoothed_speed(path[:, None])[:, 0]
+    speed = smoothed_speed(path)
     # The first and last frame count as minima: a clip may begin or end within a stroke.
     minima = np.concatenate([[0], find_peaks(-speed, prominence=_PROMINENCE)[0], [len(path) - 1]])
     pairs = [((end - start) / HZ, float(np.linalg.norm(path[end] - path[start])))
@@ -65,18 +63,11 @@ def strokes(path: Array) -> Array:
 def attack(path: Array) -> Array:
     """[n] where each stroke of a wrist's path [T, 3] is fastest, as a share of it; strokes that the clip's begin or end
     cuts off do not count."""
-    speed = smoothed_speed(path[:, None])[:, 0]
+    speed = smoothed_speed(path)
     minima = find_peaks(-speed, prominence=_PROMINENCE)[0]
     fastest = [speed[start:end].argmax() / (end - start) for start, end in zip(minima[:-1], minima[1:], strict=True)
                if speed[start:end].max() > MOVES]
     return np.array(fastest, dtype=np.float64)
-
-
-def rising(hands: Array) -> float:
-    """Percentage of frames in which the summed speed of hands [T, 2, 3] grows; NaN where it never changes."""
-    # The sum of both hands, or a rise of one and a fall of the other would count twice.
-    change = np.diff(smoothed_speed(hands).sum(axis=1))
-    return 100.0 * float((change > 0).mean()) if (change != 0).any() else math.nan
 
 
 def seam(hands: Array, edges: Array) -> float:
@@ -117,16 +108,16 @@ def repetition(hands: Array) -> float:
 
 def figures(body: CommonBody, edges: Array | None = None) -> dict[str, float]:
     """Every figure of this chapter; edges: [N + 1] of the motion's own blocks, seconds."""
+    # Seen from the chest: a step or a lean of the whole body is no stroke.
     hands = body.hands - body.points["Chest"][:, None]
-    every = np.concatenate([strokes(hands[:, k]) for k in (0, 1)])
-    out = {}
-    for k, (name, scale) in enumerate((("duration", 1.0), ("amplitude", 100.0))):
-        for suffix, percent in (("", 50), ("_90", 90)):
-            out[f"eye_stroke_{name}{suffix}"] = (scale * float(np.percentile(every[:, k], percent)) if len(every)
-                                                 else math.nan)
-    begun = np.concatenate([attack(hands[:, k]) for k in (0, 1)])
-    out["eye_attack"] = 100.0 * float(begun.mean()) if len(begun) else math.nan
-    out["eye_rising"] = rising(hands)
-    out["eye_seam"] = math.nan if edges is None or len(edges) <= 4 else seam(body.hands, np.asarray(edges))
-    out["eye_repetition"] = repetition(hands)
+    lengths, fastest = (np.concatenate([measure(hands[:, k]) for k in (0, 1)]) for measure in (strokes, attack))
+    out = {"eye_repetition": repetition(hands)}
+    if len(lengths):
+        median, large = 100.0 * np.percentile(lengths[:, 1], (50, 90))
+        out |= {"eye_stroke_amplitude": float(median), "eye_stroke_amplitude_90": float(large)}
+    if len(fastest):
+        out["eye_attack"] = 100.0 * float(fastest.mean())
+    # Three inner edges at least: fewer are too few for a mean.
+    if edges is not None and len(edges) > 4:
+        out["eye_seam"] = seam(body.hands, np.asarray(edges))
     return out

@@ -3,19 +3,15 @@
 Theory: head, trunk and hands of a speaker share their effort, and the effort comes in phrases. With the hands' speed
 v (smoothed by 42 ms, m/s), the turning speed of a rotation in degrees a second, and places over the hips:
 
-- head with hands, chest with hands: correlation of the turning speed of the head on the chest, and of the chest, with
-  the mean speed of the hands; no unit.
-- chest turn with the side of the hands: correlation of the chest's turn to the left with how far left of the chest both
-  wrists are on average, across the chest, so that hands which are merely carried along do not count.
+- head with hands: correlation of the turning speed of the head on the chest with the mean speed of the hands; no unit.
 - head travel, chest travel: mean speed of their places, cm/s.
 - fast velocity: percentage of the power of the wrists' velocity about the chest between 3 and 6 Hz (Welch).
 - variation over 4 s: coefficient of variation of the mean hand speed of windows of 4 s.
 
-Good: real speakers have .25 to .54, .16 to .50, -.2 to .0, 6.9 to 9.6 and 4.5 to 5.0 cm/s, .7 to 12 %, .31 to .40.
+Good: real speakers have .25 to .54, 6.9 to 9.6 and 4.5 to 5.0 cm/s, .7 to 12 %, .31 to .40.
 
-What fools them: the head's and the chest's correlation are near that of any two parts that move in speech and stop in
-pauses. Jitter raises travel and the power between 3 and 6 Hz together. A motion played backwards, or mirrored, has all
-of them.
+What fools them: the head's correlation is near that of any two parts that move in speech and stop in pauses. Jitter
+raises travel and the power between 3 and 6 Hz together. A motion played backwards, or mirrored, has all of them.
 
     >>> variation(np.repeat([1.0, 3.0], 3 * 240), np.ones(6 * 240, bool))
     0.5
@@ -34,7 +30,7 @@ from data_module.motion import rotation
 from data_module.types import Array
 from eval.metrics.eye.body import HZ, SIDES, CommonBody
 from eval.metrics.eye.hands import correlation
-from eval.metrics.eye.posture import chest_left, level
+from eval.metrics.eye.trunk import smoothed_speed
 
 SMOOTHING = 2.5
 """Frames at 60 Hz: the standard deviation of the Gaussian before a speed is taken (42 ms)."""
@@ -48,9 +44,7 @@ WINDOW = 4.0
 
 def hand_speeds(body: CommonBody) -> Array:
     """[T, 2] m/s of both wrists over the hips, the right first, smoothed."""
-    # The places are smoothed, not the speed: a mean of speeds of noise stays above zero at rest.
-    velocity = np.gradient(gaussian_filter1d(body.hands, SMOOTHING, axis=0), 1.0 / HZ, axis=0)
-    return np.asarray(np.linalg.norm(velocity, axis=-1))
+    return smoothed_speed(body.hands, SMOOTHING)
 
 
 def turning(turns: Array) -> Array:
@@ -75,14 +69,6 @@ def variation(speed: Array, counts: NDArray[np.bool_]) -> float:
     return float(means.std() / means.mean()) if len(means) > 2 and means.mean() > 1e-9 else math.nan
 
 
-def _side(body: CommonBody) -> float:
-    left = level(chest_left(body))
-    # Without unwrapping a turn through 180 degrees would jump and decide the correlation.
-    turn = np.unwrap(np.arctan2(-left[:, 2], left[:, 0]))
-    aside = [((body.points[side + "Hand"] - body.points["Chest"]) * left).sum(axis=1) for side in SIDES]
-    return correlation(np.stack([turn, np.mean(aside, axis=0)], axis=1))
-
-
 def fast_share(body: CommonBody) -> float:
     """Percentage of the power of the wrists' velocity about the chest that lies between 3 and 6 Hz."""
     about = np.concatenate([body.points[side + "Hand"] - body.points["Chest"] for side in SIDES], axis=1)
@@ -96,16 +82,10 @@ def fast_share(body: CommonBody) -> float:
     return 100.0 * float(power[(frequencies >= _BAND[0]) & (frequencies < _BAND[1])].sum()) / total
 
 
-FIGURES = ("eye_head_with_hands", "eye_chest_with_hands", "eye_chest_side", "eye_head_travel", "eye_chest_travel",
-           "eye_fast", "eye_variation")
-
-
 def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
     speed = hand_speeds(body).mean(axis=1)
     head = rotation.multiply(rotation.conjugate(body.chest), body.head)
     return {"eye_head_with_hands": correlation(np.stack([turning(head), speed[1:]], axis=1)),
-            "eye_chest_with_hands": correlation(np.stack([turning(body.chest), speed[1:]], axis=1)),
-            "eye_chest_side": _side(body), "eye_head_travel": travel(body.points["Head"]),
-            "eye_chest_travel": travel(body.points["Chest"]), "eye_fast": fast_share(body),
-            "eye_variation": variation(speed, np.ones(len(speed), bool))}
+            "eye_head_travel": travel(body.points["Head"]), "eye_chest_travel": travel(body.points["Chest"]),
+            "eye_fast": fast_share(body), "eye_variation": variation(speed, np.ones(len(speed), bool))}

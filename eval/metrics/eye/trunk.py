@@ -5,8 +5,7 @@ of sum q q^T) is the root mean square of the rotation vectors from the mean, deg
 
 - head on chest: of the head's rotation relative to the chest; chest: of the chest's, relative to the facing hips.
 - head yaw: the 95th percentile of how far the face is turned from where the hips face, degrees.
-- longest freeze: seconds for which both hands and the head stay under 2 cm/s (smoothed over 50 ms); of the head alone,
-  under 2 cm/s; of both hands, under 5 cm/s.
+- longest freeze of the head: seconds for which it stays under 2 cm/s (smoothed over 50 ms).
 - hand, elbow in the torso: percentage of frames of the worse side in which a wrist lies within 11.5 cm, an elbow within
   13 cm, of the line from hips to chest.
 - elbow behind the trunk: percentage of frames in which, on the worse side, the elbow lies more than 8 cm behind the
@@ -29,19 +28,17 @@ freeze. A body that stands apart from its hands at all times is never in its tor
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion import rotation
 from data_module.types import Array
-from eval.metrics.eye.body import HZ, SIDES, CommonBody
+from eval.metrics.eye.body import HZ, SIDES, CommonBody, chest_left, unit
 from eval.stats import runs
 
-STILL, HANDS_STILL = 0.02, 0.05
-"""m/s: what is slower stands still; of both hands without the head."""
+STILL = 0.02
+"""m/s: what is slower stands still."""
 SMOOTHING = 3.0
 """Frames at 60 Hz: the standard deviation of the Gaussian before speeds are taken (50 ms)."""
 _HAND_RADIUS, _ELBOW_RADIUS = 0.115, 0.13
@@ -60,11 +57,11 @@ def spread(turns: Array) -> float:
     return float(np.degrees(np.sqrt((away ** 2).sum(axis=-1).mean())))
 
 
-def smoothed_speed(places: Array) -> Array:
-    """[T, J] m/s of places [T, J, 3] after the Gaussian, by central differences."""
-    velocity = np.gradient(gaussian_filter1d(places, SMOOTHING, axis=0), 1.0 / HZ, axis=0)
-    speed: Array = np.linalg.norm(velocity, axis=-1)
-    return speed
+def smoothed_speed(places: Array, smoothing: float = SMOOTHING) -> Array:
+    """[T, ...] m/s of places [T, ..., 3] after a Gaussian of so many frames, by central differences."""
+    # The places are smoothed, not the speed: a mean of speeds of noise stays above zero at rest.
+    velocity = np.gradient(gaussian_filter1d(places, smoothing, axis=0), 1.0 / HZ, axis=0)
+    return np.asarray(np.linalg.norm(velocity, axis=-1))
 
 
 def longest(mask: NDArray[np.bool_] | np.bool_) -> float:
@@ -72,21 +69,26 @@ def longest(mask: NDArray[np.bool_] | np.bool_) -> float:
     return float(np.diff(runs(mask)).max(initial=0)) / HZ
 
 
-def inside(points: Array, low: Array, high: Array, radius: float) -> float:
-    """Percentage of frames in which points [T, 3] lie nearer than `radius` to the line from low to high, [T, 3]."""
-    axis = high - low
+def off_line(points: Array, start: Array, way: Array) -> Array:
+    """[T] metres between points [T, 3] and the line from start [T, 3] along way [T, 3]."""
     # The nearest point of the segment, not of the endless line: a hand over the head is not in the torso.
-    share = np.clip(((points - low) * axis).sum(-1) / np.maximum((axis * axis).sum(-1), 1e-12), 0.0, 1.0)
-    return 100.0 * float((np.linalg.norm(points - low - share[:, None] * axis, axis=-1) < radius).mean())
+    share = np.clip(((points - start) * way).sum(-1) / np.maximum((way * way).sum(-1), 1e-12), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - start - share[:, None] * way, axis=-1))
+
+
+def inside(body: CommonBody, joint: str, radius: float) -> float:
+    """Percentage of frames in which a joint of the worse side lies nearer than so many metres to the line from the hips
+    to the chest."""
+    chest = body.points["Chest"]
+    return max(100.0 * float((off_line(body.points[side + joint], 0.0 * chest, chest) < radius).mean())
+               for side in SIDES)
 
 
 def elbow_behind(body: CommonBody, side: str) -> float:
     """Percentage of frames in which the elbow of a side is behind the trunk while the hand gestures."""
-    up = body.points["Chest"] / np.maximum(np.linalg.norm(body.points["Chest"], axis=1, keepdims=True), 1e-9)
-    left = rotation.rotate(body.chest, np.array([1.0, 0.0, 0.0]))
+    up, left = unit(body.points["Chest"]), chest_left(body)
     # Square to the trunk's line, so that a twist of the chest does not pass for leaning.
-    left = left - (left * up).sum(axis=1, keepdims=True) * up
-    left = left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-9)
+    left = unit(left - (left * up).sum(axis=1, keepdims=True) * up)
     ahead, sign = np.cross(left, up), 1.0 if side == "Left" else -1.0
     elbow, hand = body.points[side + "ForeArm"], body.points[side + "Hand"]
     hidden = ((elbow * ahead).sum(axis=1) < -_BEHIND) & (sign * (elbow * left).sum(axis=1) < _HIDDEN)
@@ -103,19 +105,16 @@ def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
     face = rotation.rotate(body.head, np.array([0.0, 0.0, 1.0]))
     yaw = np.degrees(np.abs(np.arctan2(face[:, 0], face[:, 2])))
-    speed = smoothed_speed(np.concatenate([body.hands, body.points["Head"][:, None]], axis=1))
-    hips, chest = np.zeros_like(body.points["Chest"]), body.points["Chest"]
-    moving = body.finger_speed
-    return {
+    out = {
         "eye_head": spread(rotation.multiply(rotation.conjugate(body.chest), body.head)),
         "eye_chest": spread(body.chest),
         "eye_head_yaw": float(np.percentile(yaw, 95)),
-        "eye_freeze": longest((speed < STILL).all(axis=1)),
-        "eye_freeze_head": longest(speed[:, 2] < STILL),
-        "eye_freeze_hands": longest((speed[:, :2] < HANDS_STILL).all(axis=1)),
-        "eye_hand_in_torso": max(inside(body.points[side + "Hand"], hips, chest, _HAND_RADIUS) for side in SIDES),
-        "eye_elbow_in_torso": max(inside(body.points[side + "ForeArm"], hips, chest, _ELBOW_RADIUS) for side in SIDES),
+        "eye_freeze_head": longest(smoothed_speed(body.points["Head"]) < STILL),
+        "eye_hand_in_torso": inside(body, "Hand", _HAND_RADIUS),
+        "eye_elbow_in_torso": inside(body, "ForeArm", _ELBOW_RADIUS),
         "eye_elbow_behind": max(elbow_behind(body, side) for side in SIDES),
         "eye_elbow_fastest": fastest_elbow(body),
-        "eye_fingers": math.nan if moving is None else 100.0 * float((moving > _FINGER_MOVES).mean()),
     }
+    if body.finger_speed is not None:
+        out["eye_fingers"] = 100.0 * float((body.finger_speed > _FINGER_MOVES).mean())
+    return out

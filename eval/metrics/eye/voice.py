@@ -1,4 +1,4 @@
-"""In time with the voice: beats against onsets by two detectors, loudness against speed, speech against silence.
+"""In time with the voice: beats against onsets by two detectors, speech against silence.
 
 Theory: one detector of beats can be pleased by accident, so there are two that share nothing.
 
@@ -11,8 +11,6 @@ For each, PMB above chance at 0.1 s: 100 (PMB - chance) / (100 - chance), one to
 the mean over 100 circular shifts. Percent. Beside it belongs what a system makes of the same sound with its blocks'
 features rolled by 60 blocks and its grid kept: a system that only moves on its grid loses nothing by that.
 
-- loudness: squared correlation, with the sign of the correlation, of half seconds' loudness (dB) and hand speed
-  (log(speed + 2 cm/s)); no unit. Real takes .29 and .00.
 - hand speed in speech and in silence, m/s, and their ratio. Silence is told by level against the recording's own
   quiet 5 % and loud 5 %.
 
@@ -20,11 +18,12 @@ Good: near a speaker's own (45 and -1 above chance; ratio 2.1 and 1.1).
 
 What fools them: bobbing at the onsets reaches 100 above chance and is no gesture. Jitter makes beats of noise, at
 chance. A motion played backwards, or with mirrored arms, keeps speeds and ratio, and where a speaker's own timing is
-near chance, as on one of two real takes, it passes by timing, too. Many pauses alone give a loudness correlation.
+near chance, as on one of two real takes, it passes by timing, too.
 
-    >>> level = np.tile(np.repeat([-60.0, -20.0], 50), 10)
-    >>> round(loudness_coupling(level, np.tile(np.repeat([0.1, 0.8], 30), 10)), 6)
-    1.0
+Half a second of voice after half a second without one:
+
+    >>> int(_silent(np.repeat([-60.0, -20.0], 50)).sum())
+    50
 """
 
 from __future__ import annotations
@@ -49,8 +48,6 @@ TRACK_HZ = 100
 """Levels and spectra a second."""
 _SHORTEST = 8
 """Frames of 10 ms between two onsets."""
-_HALF = 0.5
-"""Seconds over which loudness and speed are compared."""
 _FEW_SILENT = 30
 """Frames of silence at most for which a mean speed says nothing."""
 _FLOOR = 1e-12
@@ -155,21 +152,6 @@ def above_chance(beats: Array, onsets: Array, duration: float) -> float:
     return 100.0 * pmb.above_chance(pmb.pmb(beats, onsets, DELTA), by_chance)
 
 
-def loudness_coupling(level: Array, speed: Array) -> float:
-    """Signed r^2 of half seconds' loudness and hand speed, of level [F] at 100 Hz and speed [T] m/s at 60 Hz."""
-    count = int(min(len(level) / TRACK_HZ, len(speed) / HZ) / _HALF)
-    if count < 3:
-        return math.nan
-    # Power is averaged, not decibels: a half second with one loud vowel is loud.
-    loud = 10.0 ** (level[:count * round(_HALF * TRACK_HZ)] / 10.0)
-    fast = speed[:count * round(_HALF * HZ)]
-    pair = np.log(np.stack([loud.reshape(count, -1).mean(axis=1) + 1e-10, fast.reshape(count, -1).mean(axis=1) + 0.02]))
-    if (pair.std(axis=1) <= 1e-9).any():
-        return math.nan
-    r = float(np.corrcoef(pair)[0, 1])
-    return math.copysign(r * r, r)
-
-
 def figures(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
     """Every figure of this chapter."""
     speed = body.hand_speed
@@ -179,10 +161,7 @@ def figures(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
     talking = float(moved[~quiet].mean()) if (~quiet).any() else math.nan
     silence = float(moved[quiet].mean()) if quiet.sum() > _FEW_SILENT else math.nan
     duration = min(voice.duration, body.duration)
-    out = {"eye_speech_speed": talking, "eye_silence_speed": silence,
-           "eye_speech_over_silence": talking / silence if silence > 1e-6 else math.nan,
-           "eye_loudness": loudness_coupling(voice.level, speed.mean(axis=1))}
-    for name, beats, onsets in (("1", hand_beats(body.hands), voice.onsets[0]),
-                                ("2", summed_beats(body.hands), voice.onsets[1])):
-        out[f"eye_above_{name}"] = above_chance(beats, onsets, duration)
-    return out
+    return {"eye_speech_speed": talking, "eye_silence_speed": silence,
+            "eye_speech_over_silence": talking / silence if silence > 1e-6 else math.nan,
+            "eye_above_1": above_chance(hand_beats(body.hands), voice.onsets[0], duration),
+            "eye_above_2": above_chance(summed_beats(body.hands), voice.onsets[1], duration)}

@@ -139,7 +139,7 @@ def make(args: argparse.Namespace, sounds: dict[str, Path], like: Path | None) -
     """Gesture for each recording that has no file yet."""
     from tqdm import tqdm
 
-    from gesticulator.pipeline import Gesticulator
+    from gesticulator.gesticulator import Gesticulator
 
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 from gesticulator_performer.face.training import FaceTraining, LabelledRows, fit, with_long_pause
+from gesticulator_performer.face.viseme_net import VisemeNet, rows_of, stacked
 
-from gesticulator.face.network import stacked
+from gesticulator.face.lips import SAMPLE_RATE, STACKED, LipFeatures, VisemeStepper
 from gesticulator.face.visemes import SILENT
 
 
@@ -34,3 +35,22 @@ def test_a_longer_pause_is_silence_and_keeps_what_was_before() -> None:
     longer = with_long_pause(piece, np.random.default_rng(1))
     assert len(longer.labels) == 240 and (longer.labels == SILENT).sum() >= 35
     assert np.array_equal(longer.rows[:80], piece.rows[:80])
+
+
+def test_streamed_features_are_those_of_the_training() -> None:
+    sound = np.random.default_rng(1).normal(0.0, 0.05, 2 * SAMPLE_RATE).astype(np.float32)
+    streamed, whole = np.array(LipFeatures().feed(sound)), stacked(rows_of(sound))
+    np.testing.assert_allclose(streamed[5:60], whole[5:60], atol=2e-3)
+    assert streamed.shape[1] == STACKED
+
+
+def test_the_stepper_computes_what_the_network_was_trained_as() -> None:
+    torch.manual_seed(0)
+    net = VisemeNet().eval()
+    net.mean.copy_(torch.randn(STACKED))
+    net.deviation.copy_(torch.rand(STACKED) + 0.5)
+    frames = torch.randn(12, STACKED)
+    with torch.inference_mode():
+        expected = torch.softmax(net(frames[None])[0], -1).numpy()
+    step = VisemeStepper({name: value.numpy() for name, value in net.state_dict().items()})
+    np.testing.assert_allclose(np.array([step(frame) for frame in frames.numpy()]), expected, atol=2e-5)

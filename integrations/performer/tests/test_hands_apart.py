@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from gesticulator_performer import hands, play, styles, text, trunk, voices
 from gesticulator_performer.hands import HANGING_LEVEL, Manner, PhraseHands
-from gesticulator_performer.play import Staging, perform
 from gesticulator_performer.strokes import LEFT, RIGHT, StrokeSet
 from gesticulator_performer.takes import FPS
-from gesticulator_performer.trunk import Segment
 from gesticulator_performer.types import Played, Spoken
-from procedural import procedural_strokes
-from test_takes import moving
+from procedural import played as perform_by
+from procedural import procedural_strokes, segments
 
 from data_module.motion import kinematics, rotation
 from data_module.truth import Phrase
@@ -22,17 +20,6 @@ from data_module.types import Array
 
 MANNER = Manner(both=0.4, dominant=0.7, switch=0.7, hanging=0.5, falling=0.1, gain=1.15, hold=1.3, drift=0.6,
                 small_beats=0.2, eagerness=0.2, trunk=1.0)
-
-
-def _segments() -> tuple[Segment, ...]:
-    """Two busy people and one who waits."""
-    out = []
-    for seed, quiet in ((1, False), (2, False), (3, True)):
-        logs = moving(30.0, seed) * (0.3 if quiet else 1.5)
-        bends = np.stack([logs[:, 0], 3.0 * logs[:, 1], 3.0 * logs[:, 5]], axis=1)
-        arms = 0.02 * np.stack([logs[:, 12:16].reshape(len(logs), -1)] * 2)
-        out.append(Segment(f"person_{seed}", bends, arms, quiet))
-    return tuple(out)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +35,7 @@ def spoken() -> Spoken:
 
 @pytest.fixture(scope="module")
 def played(spoken: Spoken, strokes: StrokeSet) -> Played:
-    return perform(spoken, "puppet", strokes, np.random.default_rng(1), "train", Staging(MANNER, _segments()))
+    return perform_by(spoken, strokes, 1, MANNER)
 
 
 def _hands(played: Played) -> Array:
@@ -95,10 +82,8 @@ def test_two_hands_are_neither_together_nor_alike() -> None:
     assert np.allclose(np.prod(gain, axis=1), 1.0) and np.log(gain[:, 0]).std() == pytest.approx(0.13, abs=0.02)
 
 
-def test_hands_act_apart_and_no_hand_freezes(played: Played, spoken: Spoken, strokes: StrokeSet) -> None:
-    plain = perform(spoken, "puppet", strokes, np.random.default_rng(1))
-    together, apart = (np.corrcoef(_hands(p)[..., 1].T)[0, 1] for p in (plain, played))
-    assert apart < together - 0.1
+def test_hands_act_apart_and_no_hand_freezes(played: Played) -> None:
+    assert np.corrcoef(_hands(played)[..., 1].T)[0, 1] < 0.5
     joints = [played.motion.skeleton.index(name) for name in ("Head", "LeftHand", "RightHand")]
     positions = kinematics.positions_of(played.motion) - played.motion.root_positions[:, None]
     speed = np.linalg.norm(np.gradient(positions[:, joints], 1.0 / FPS, axis=0), axis=-1).max(axis=1)
@@ -107,9 +92,9 @@ def test_hands_act_apart_and_no_hand_freezes(played: Played, spoken: Spoken, str
 
 
 def test_a_performance_is_the_same_twice(played: Played, spoken: Spoken, strokes: StrokeSet) -> None:
-    again = perform(spoken, "puppet", strokes, np.random.default_rng(1), "train", Staging(MANNER, _segments()))
+    again = perform_by(spoken, strokes, 1, MANNER)
     assert np.array_equal(again.motion.rotations, played.motion.rotations)
-    other = perform(spoken, "puppet", strokes, np.random.default_rng(2), "train", Staging(MANNER, _segments()))
+    other = perform_by(spoken, strokes, 2, MANNER)
     assert not np.array_equal(other.motion.rotations, played.motion.rotations)
 
 
@@ -130,7 +115,7 @@ def test_holds_last_through_short_pauses(spoken: Spoken, strokes: StrokeSet, pla
 def test_the_trunk_goes_on_without_a_seam_and_calms_in_pauses(spoken: Spoken) -> None:
     frames = round(spoken.speech.duration * FPS)
     speaking = np.ones(frames)
-    track = trunk.trunk_track(_segments(), spoken, speaking, (1.0, 1.0), np.random.default_rng(0))
+    track = trunk.trunk_track(segments(), spoken, speaking, 1.0, np.random.default_rng(0))
     assert track.shape == (frames, 3, 3)
     acceleration = np.linalg.norm(np.diff(track[:, 2], 2, axis=0), axis=-1)
     assert acceleration.max() < 12.0 * np.median(acceleration)
@@ -160,7 +145,7 @@ def test_swaying_never_stands_still() -> None:
 
 
 def test_idle_arms_fidget_in_the_length_that_is_asked_for() -> None:
-    arms = trunk.idle_arms(_segments(), 4000, np.random.default_rng(0))
+    arms = trunk.idle_arms(segments(), 4000, np.random.default_rng(0))
     assert arms.shape == (2, 4000, 12) and arms.std() > 0
     assert trunk.idle_arms((), 100, np.random.default_rng(0)).max() == 0
 
@@ -211,8 +196,7 @@ def test_shelf_and_contrast_keep_the_energy() -> None:
 def test_amplitude_makes_movements_larger(spoken: Spoken, strokes: StrokeSet) -> None:
     sizes = []
     for amplitude in (-1.0, 0.0, 1.0):
-        staging = Staging(MANNER, _segments(), _constant(amplitude, 0.0))
-        out = perform(spoken, "puppet", strokes, np.random.default_rng(1), "train", staging)
+        out = perform_by(spoken, strokes, 1, MANNER, _constant(amplitude, 0.0))
         sizes.append(float(np.mean([stroke.gain for stroke in out.strokes])))
     assert sizes[0] < sizes[1] < sizes[2] and sizes[2] / sizes[0] > 1.25
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,40 +43,8 @@ def azimuth(rotations: Array, side: str) -> float:
     return float(np.median(np.degrees(np.arctan2(way[:, 0] * (1.0 if side == "Left" else -1.0), way[:, 2]))))
 
 
-REST = mended_arms.POSTURES[0]
-
-
-def at_home(angle: float) -> mended_arms.Posture:
-    """Rest, in which the forearm is usually turned `angle` degrees outward."""
-    return replace(REST, usual=angle)
-
-
-def test_arms_turned_outward_by_15_degrees_are_found_and_turned_back() -> None:
-    right = hanging(10.0)
-    turned = mended_arms.turned(right, dict.fromkeys(SIDES, -15.0))
-    assert azimuth(turned, "Left") > azimuth(right, "Left") + 10.0
-    found = mended_arms.fitted({"ann": [turned]}, [at_home(10.0)])["ann"]
-    for side in SIDES:
-        assert found[side] == pytest.approx(15.0, abs=0.1)
-        assert azimuth(mended_arms.turned(turned, found), side) == pytest.approx(azimuth(right, side), abs=0.1)
-
-
-def test_each_side_is_judged_by_itself_and_who_never_rests_gets_the_mean_of_the_others() -> None:
-    odd = mended_arms.turned(hanging(10.0, seconds=60.0), {"Left": -20.0, "Right": 0.0})
-    subjects = {"odd": [odd], "busy": [hanging(10.0, bend=90.0)]}
-    found = mended_arms.fitted(subjects, [at_home(10.0)])
-    believed = 60.0 / (60.0 + REST.prior)
-    assert found["odd"]["Left"] == pytest.approx(10.0 + 10.0 * believed, abs=0.1)
-    assert found["odd"]["Right"] == pytest.approx(10.0 - 10.0 * believed, abs=0.1)
-    assert found["busy"] == pytest.approx({"Left": 10.0, "Right": 10.0}, abs=0.1)
-    with pytest.raises(ValueError, match="no arm is seen"):
-        mended_arms.fitted({"busy": subjects["busy"]}, [at_home(10.0)])
-
-
 def test_a_right_take_is_left_alone() -> None:
     right = hanging(10.0)
-    found = mended_arms.fitted({"ann": [right]}, [at_home(10.0)])["ann"]
-    assert found == pytest.approx({"Left": 0.0, "Right": 0.0}, abs=0.1)
     assert mended_arms.mended("f_gestic_presentation_01", right) is right
     inward = hanging(-20.0, bend=80.0)
     assert np.allclose(mended_arms.narrowed(inward), inward, atol=1e-9)
@@ -138,17 +105,6 @@ def library(free_motion: Path) -> takes.Library:
     return takes.load_takes(free_motion)
 
 
-def test_the_constants_are_what_the_takes_say(free_motion: Path) -> None:
-    subjects: dict[str, list[Array]] = {}
-    for take, file in takes.list_takes(free_motion):
-        if mended_arms.subject_of(take.name):
-            subjects.setdefault(mended_arms.subject_of(take.name), []).append(takes.on_character(file).rotations)
-    found = mended_arms.fitted(subjects)
-    assert found.keys() == mended_arms.SUBJECTS.keys()
-    for subject, turns in found.items():
-        assert turns == pytest.approx(mended_arms.SUBJECTS[subject], abs=0.51)
-
-
 @pytest.mark.parametrize("subject", sorted(mended_arms.SUBJECTS))
 def test_every_subject_holds_arms_and_hands_as_speakers_do(library: takes.Library, subject: str) -> None:
     motions = _pooled(library, subject)
@@ -163,7 +119,7 @@ def test_every_subject_holds_arms_and_hands_as_speakers_do(library: takes.Librar
     assert seconds.sum() > 12 * FPS, "cmu_18 listens with hanging hands for most of the time"
     assert mean("eye_splay") <= 15.0 and -35.0 <= mean("eye_azimuth") <= 5.0 and 45.0 <= mean("eye_elbow") <= 100.0
     assert 0.45 <= mean("eye_shoulder") <= 1.1, "stretches of some seconds; whole talks have more"
-    assert 4.0 <= mean("eye_wrist_50") <= 18.0 and 25.0 <= mean("eye_wrist_95") <= 65.0
+    assert 25.0 <= mean("eye_wrist_95") <= 65.0
     assert 17.0 <= mean("eye_finger_bend") <= 35.0 and mean("eye_finger_between") >= 7.0
     assert mean("eye_thumb_index") <= 0.85
     assert all(torso_depth(facing_positions(motion.rotations)).max() < 0.01 for motion in motions)

@@ -18,11 +18,9 @@ from gesticulator_performer.voices import (
     TEST_VOICES,
     TRAIN_VOICES,
     VOICES,
-    VOICES_OF,
     nuclei_of,
     speak,
     synthesise,
-    without_tone,
 )
 
 from data_module.errors import InputError
@@ -214,9 +212,6 @@ def test_training_and_test_voices_differ_down_to_the_speaker() -> None:
         return {(VOICES[n].engine, VOICES[n].base) for n in names}
 
     assert not speakers(TRAIN_VOICES) & speakers(TEST_VOICES)
-    for language, (train, test) in VOICES_OF.items():
-        assert train and test and not speakers(train) & speakers(test)
-        assert {VOICES[name].language for name in train + test} == {language}
 
 
 def test_phones_find_their_words_through_changes() -> None:
@@ -249,7 +244,7 @@ def test_german_is_spoken_with_its_words() -> None:
 
 
 @needs_espeak
-@pytest.mark.parametrize("voice", VOICES_OF["cmn"][0] + VOICES_OF["cmn"][1])
+@pytest.mark.parametrize("voice", ["cmn_f2", "cmn_m5"])
 def test_mandarin_has_a_syllable_for_each_character(voice: str) -> None:
     text = compose(np.random.default_rng(0), 20, "train", language="cmn")
     spoken = speak("x", text, voice, np.random.default_rng(0))
@@ -261,21 +256,6 @@ def test_mandarin_has_a_syllable_for_each_character(voice: str) -> None:
     assert 4 < len(spoken.syllables) / talk < 5.5
     # The text was written for twenty seconds and the end of a sentence.
     assert 17 < spoken.speech.duration < 32
-
-
-def test_a_high_tone_is_no_stress() -> None:
-    """Of syllables that differ in pitch alone none stands out; louder and longer ones still do."""
-    at = np.arange(round(0.2 * RATE)) / RATE
-    samples = np.concatenate([np.concatenate([loud * np.sin(2 * np.pi * hertz * at), np.zeros(1600)]) for hertz, loud in
-                              ((120, 0.1), (170, 0.1), (120, 0.1), (170, 0.1), (120, 0.3), (170, 0.03))])
-    nuclei = [syllables.Nucleus(i * 0.3, i * 0.3, i * 0.3 + 0.2, -1) for i in range(6)]
-    heard = syllables.listen(Speech(samples.astype(np.float32), RATE), [Phrase(0, 1.8, 0.0)], nuclei, "cmn")
-    assert heard[1].prominence > heard[0].prominence + 0.5
-    level = without_tone(heard)
-    assert [s.prominence for s in level[:4]] == pytest.approx([level[0].prominence] * 4, abs=0.05)
-    assert level[4].prominence > level[0].prominence + 0.3 > level[5].prominence + 0.6
-    assert [replace(s, prominence=0.0) for s in level] == [replace(s, prominence=0.0) for s in heard]
-    assert without_tone(()) == ()
 
 
 def test_a_missing_program_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

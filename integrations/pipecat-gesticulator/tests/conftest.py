@@ -19,21 +19,20 @@ import pytest
 
 
 @contextmanager
-def started(*options: str, workers: int = 1) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """A server at a free port: its URL and its process, once all workers are ready."""
+def started(*options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """A server at a free port: its URL and its process, once it is ready."""
     command = os.environ.get("GESTICULATOR_COMMAND") or shutil.which("gesticulator")
     if command is None:
         pytest.skip("no server to test against: pip install gesticulator, or name its command in GESTICULATOR_COMMAND")
     place = os.environ.get("GESTICULATOR_ROOT")
-    server = subprocess.Popen([*shlex.split(command), "serve", "--port", "0", "--workers", str(workers), *options],
+    server = subprocess.Popen([*shlex.split(command), "serve", "--port", "0", *options],
                               stderr=subprocess.PIPE, text=True, cwd=place,
                               env={**os.environ, "PYTHONPATH": place} if place else None)
     assert server.stderr is not None
-    found, ready = None, 0
+    found = None
     for line in server.stderr:
         found = found or re.search(r"ws://\S+/stream", line)
-        ready += "is ready" in line
-        if ready == workers:
+        if line.rstrip().endswith("ready"):
             break
     if found is None:
         pytest.skip("the server did not start")

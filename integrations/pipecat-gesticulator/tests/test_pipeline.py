@@ -5,19 +5,15 @@ from __future__ import annotations
 import asyncio
 import io
 import json
-import os
 import shutil
-import signal
 import subprocess
 import time
 import wave
 from collections.abc import AsyncGenerator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import started
 
 pytest.importorskip("pipecat", reason="pipecat-ai is not installed")
 if shutil.which("espeak-ng") is None:
@@ -39,7 +35,6 @@ from pipecat_gesticulator.marks import spoken_text
 from pipecat_gesticulator.messages import LONGEST, MessageReader
 from pipecat_gesticulator.processor import GesticulatorProcessor, PoseFrame
 from pipecat_gesticulator.protocol import Welcome
-from pipecat_gesticulator.steady import SteadyPlayer
 
 RATE = 22050
 """Hertz of espeak-ng."""
@@ -176,66 +171,6 @@ def test_the_client_gets_the_poses_by_the_transports_messages(url: str) -> None:
                                np.concatenate([one.rotations for one in poses]), atol=4e-5)
     played = [message["data"]["now"] for message in said if "now" in message["data"]]
     assert played == sorted(played) and played[-1] > 2.0
-
-
-def worker_of(parent: int, port: int) -> int:
-    """The process that has the client's connection."""
-    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-    sockets = {f"socket:[{row[9]}]" for row in rows if row[1].endswith(f":{port:04X}") and row[3] == "01"}
-    for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
-        for one in Path(f"/proc/{pid}/fd").iterdir():
-            if str(one.readlink()) in sockets:
-                return int(pid)
-    raise AssertionError("no worker has the connection")
-
-
-class Killing(GesticulatorProcessor):
-    """Notes when poses come, and kills the worker that makes them in the middle of the sentence."""
-
-    def __init__(self, url: str, server: int) -> None:
-        super().__init__(url, seed=3)
-        self.came: list[tuple[float, PoseFrame]] = []
-        self._server, self._port = server, int(url.split(":")[2].split("/")[0])
-        self.killed = 0.0
-
-    async def push_frame(self, frame: Frame, *args: Any) -> None:
-        if isinstance(frame, PoseFrame):
-            self.came.append((time.monotonic(), frame))
-            if frame.poses.state == "speaking" and not self.killed:
-                self.killed = time.monotonic()
-                os.kill(worker_of(self._server, self._port), signal.SIGKILL)
-        await super().push_frame(frame, *args)
-
-
-@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads /proc, which Linux has")
-def test_the_server_is_killed_in_mid_sentence_and_no_hand_leaps() -> None:
-    with started("--drain-seconds", "1", workers=2) as (url, server):
-        processor = Killing(url, server.pid)
-        text = "I never said that we should leave, but there is a better way, and a much bigger one."
-        down = through(processor, TTSSpeakFrame(text), SleepFrame(7.0))
-    assert processor.killed and not any(isinstance(frame, ErrorFrame) for frame in down)
-    seconds = sum(len(frame.audio) for frame in down if isinstance(frame, TTSAudioRawFrame)) / 2 / RATE
-    poses = [frame for _, frame in processor.came]
-    numbers = np.concatenate([np.arange(one.poses.first, one.poses.first + len(one.poses)) for one in poses])
-    np.testing.assert_array_equal(numbers, np.arange(len(numbers)), "no frame lacks and none comes twice")
-    assert len(numbers) / 60 >= seconds > 4
-    assert {one.poses.source for one in poses} == {0, 1}, "another worker goes on, with a stream of its own"
-    # On screen, with poses shown as they come, .2 s late.
-    welcome, waiting = poses[0].welcome, list(processor.came)
-    player, shown = SteadyPlayer(welcome), []
-    begin = waiting[0][0]
-    for picture in range(round(60 * (seconds + 3))):
-        now = picture / 60
-        while waiting and waiting[0][0] <= begin + now:
-            player.add(waiting.pop(0)[1].poses)
-        pose = player.pose_at(now - 0.2)
-        if pose is not None:
-            shown.append(pose)
-    assert len(shown) >= 60 * (seconds + 2)
-    places = hand_places(welcome, np.stack([one[0] for one in shown]), np.stack([one[1] for one in shown]))
-    speeds = np.diff(places, axis=0) * 60
-    assert np.linalg.norm(speeds, axis=1).max() < 3.5
-    assert np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() * 60 < 100
 
 
 def test_without_a_server_the_agent_still_speaks() -> None:

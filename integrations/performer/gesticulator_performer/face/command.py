@@ -30,8 +30,6 @@ def run(args: argparse.Namespace) -> int:
     settings = FaceTraining(minutes=args.minutes, epochs=args.epochs, seed=args.seed)
     net = fit(recordings_of(settings, args.reading), settings, args.quiet)
     save(net, settings, args.reading, args.out)
-    if not args.quiet:
-        print(f"{args.out}: measure it with gesticulator probe face --weights {args.out}")
     return 0
 
 

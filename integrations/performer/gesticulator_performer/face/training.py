@@ -111,7 +111,7 @@ def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool 
     machine."""
     import torch
 
-    from gesticulator.face.network import VisemeNet, stacked
+    from gesticulator_performer.face.viseme_net import VisemeNet, stacked
 
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
@@ -141,7 +141,8 @@ def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool 
 
 def _batches(pieces: Sequence[LabelledRows], settings: FaceTraining, steps: int, rng: np.random.Generator
              ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.int64]]]:
-    from gesticulator.face.network import STACKED, stacked
+    from gesticulator.face.lips import STACKED
+    from gesticulator_performer.face.viseme_net import stacked
 
     order: list[int] = []
     for _ in range(steps):
@@ -160,8 +161,9 @@ def _batches(pieces: Sequence[LabelledRows], settings: FaceTraining, steps: int,
 def recordings_of(settings: FaceTraining, readings: Sequence[Path]) -> list[LabelledRows]:
     """Synthetic speech and the aligned readings (sound files beside their .txt), with their visemes."""
     from data_module.speech.audio import load_speech
-    from gesticulator.face.network import RATE, rows_of
+    from gesticulator.face.visemes import RATE
     from gesticulator_performer.face.known_phones import PhonedSpeech, aligned, synthetic
+    from gesticulator_performer.face.viseme_net import rows_of
 
     def row(one: PhonedSpeech) -> LabelledRows:
         rows, labels = rows_of(one.samples), one.labels(RATE)

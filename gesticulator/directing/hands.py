@@ -1,19 +1,22 @@
-"""Inverse kinematics of the arm for named gestures: from the place and the direction of a hand to its joints.
+"""The hand of a named gesture: inverse kinematics of the arm that carries it, and the shapes of its fingers.
 
-Everything is computed for the left arm; the right one is its mirror image. The upper arm can swing about the line from
+Everything is computed for the left side; the right one is its mirror image. The upper arm can swing about the line from
 shoulder to wrist, which leaves the hand where it is: that angle is chosen so that neither the forearm nor the wrist has
-to turn further than a person's.
+to turn further than a person's. A shape, such as "fist" or "victory", is a curl of each finger, from 0 (straight) to 1
+(in a fist), a spread between the fingers, and three angles of the thumb.
 """
 
 from __future__ import annotations
 
+import functools
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
-from data_module.motion.skeletons import CHARACTER
+from data_module.motion.skeletons import CHARACTER, FINGERED, FINGERS
 from data_module.types import Array
 
 _STRETCHED = 0.97
@@ -51,6 +54,7 @@ def arm_turns(places: Array, hand: Rotation, swings: Array) -> tuple[Array, Arra
     """
     arm, forearm = _bones(places, swings)
     twist, bend = _wrist(forearm, hand)
+    # A person twists the hand mostly by turning the forearm; the mesh would wring at the wrist otherwise.
     turned = Rotation.from_rotvec(_PRONATES * twist[:, None] * _BONE)
     left = Rotation.from_rotvec((1.0 - _PRONATES) * twist[:, None] * _BONE) * _limited(bend)
     return arm.as_rotvec(), (arm.inv() * forearm * turned).as_rotvec(), left.as_rotvec()
@@ -64,12 +68,15 @@ def best_swing(place: Array, hand: Rotation, lift: float = 0.0) -> float:
     twist, bend = _wrist(forearm, Rotation.concatenate([hand] * count))
     over = np.maximum(np.abs(twist) - math.radians(75.0), 0.0)
     angle = np.linalg.norm(bend.as_rotvec(), axis=-1)
+    # Radians squared. Twist beyond 75 degrees is forbidden almost, a bent wrist is unpleasant from .9 rad on, and
+    # among what is left the elbow hangs.
     cost = 12.0 * over ** 2 + 1.2 * angle ** 2 + 9.0 * np.maximum(angle - 0.9, 0.0) ** 2 + 0.5 * (_SWINGS - lift) ** 2
     return float(_SWINGS[int(np.argmin(cost))])
 
 
 def _bones(places: Array, swings: Array) -> tuple[Rotation, Rotation]:
     """World rotations of upper arm and untwisted forearm."""
+    # The triangle of upper arm, forearm and the line to the wrist; beyond its reach the hand stops short.
     length = np.linalg.norm(places, axis=-1, keepdims=True)
     far = np.clip(length, _NEAREST, _STRETCHED * (_UPPER + _FORE))
     along = places / np.maximum(length, 1e-9)
@@ -112,3 +119,88 @@ def _frames(rest_across: Array, along: Array, across: Array) -> Rotation:
     now = np.stack([along, across, np.cross(along, across)], axis=-1)
     rest = np.stack([_BONE, rest_across, np.cross(_BONE, rest_across)], axis=-1)
     return Rotation.from_matrix(now @ rest.T)
+
+
+# ---------------------------------------------------------------------------------------------------------- fingers
+
+_FULL = {"Thumb": (8.0, 34.0, 40.0), "Index": (72.0, 92.0, 55.0), "Middle": (74.0, 94.0, 56.0),
+         "Ring": (76.0, 94.0, 56.0), "Pinky": (76.0, 92.0, 54.0)}
+"""Bends of the joints of a closed finger, from the knuckle on, degrees."""
+_SIDE = {"Index": -1.0, "Middle": -0.25, "Ring": 0.4, "Pinky": 1.15}
+"""Share of the spread by which a finger turns away from the middle of the hand."""
+_UNDER_PALM = np.array([0.75, -0.55, -0.35])
+"""Direction towards which a thumb bends."""
+
+
+@dataclass(frozen=True)
+class HandShape:
+    """A shape. curls: of index, middle, ring and little finger, 0 to 1; spread: degrees between neighbours; thumb: its
+    curl (0 to 1), degrees away from the fingers, and degrees under the palm; knuckles: share of a curl that the
+    knuckles take part in (0: only the outer joints bend, as in quotes)."""
+
+    curls: tuple[float, float, float, float] = (0.1, 0.12, 0.15, 0.17)
+    spread: float = 3.0
+    thumb: tuple[float, float, float] = (0.1, 5.0, 0.0)
+    knuckles: float = 1.0
+
+
+_FOLDED = (0.75, -8.0, 55.0)
+"""A thumb across the palm."""
+SHAPES: dict[str, HandShape] = {
+    "relaxed": HandShape((0.2, 0.24, 0.28, 0.3)),
+    "open": HandShape((0.04, 0.05, 0.07, 0.08), 5.0, (0.0, 14.0, 0.0)),
+    "flat": HandShape((0.02, 0.02, 0.02, 0.03), 0.5, (0.15, -12.0, 5.0)),
+    "spread": HandShape((0.0, 0.0, 0.0, 0.0), 13.0, (0.0, 30.0, 0.0)),
+    "fist": HandShape((1.0, 1.0, 1.0, 1.0), 0.0, (0.8, -10.0, 60.0)),
+    "point": HandShape((0.0, 1.0, 1.0, 1.0), 0.0, (0.8, -10.0, 60.0)),
+    "two": HandShape((0.0, 0.0, 1.0, 1.0), 4.0, _FOLDED),
+    "victory": HandShape((0.0, 0.0, 1.0, 1.0), 16.0, _FOLDED),
+    "three": HandShape((0.0, 0.0, 0.0, 1.0), 9.0, _FOLDED),
+    "four": HandShape((0.0, 0.0, 0.0, 0.0), 9.0, (0.9, -25.0, 75.0)),
+    "thumb": HandShape((1.0, 1.0, 1.0, 1.0), 0.0, (0.0, 42.0, 0.0)),
+    "phone": HandShape((1.0, 1.0, 1.0, 0.0), 6.0, (0.0, 42.0, 0.0)),
+    "crossed": HandShape((0.08, 0.12, 1.0, 1.0), -11.0, _FOLDED),
+    "pinch": HandShape((0.52, 0.85, 0.95, 1.0), 0.0, (0.25, -4.0, 42.0)),
+    "gap": HandShape((0.42, 0.85, 0.95, 1.0), 0.0, (0.16, 8.0, 38.0)),
+    "ring": HandShape((0.56, 0.2, 0.1, 0.03), 9.0, (0.28, -4.0, 44.0)),
+    "zero": HandShape((0.55, 0.52, 0.52, 0.54), 0.0, (0.35, 0.0, 42.0)),
+    "bunch": HandShape((0.5, 0.5, 0.52, 0.55), -3.0, (0.25, -10.0, 48.0)),
+    "round": HandShape((0.34, 0.34, 0.34, 0.34), 7.0, (0.2, 24.0, 35.0)),
+    "claw": HandShape((0.45, 0.45, 0.45, 0.45), 11.0, (0.3, 25.0, 25.0), 0.3),
+    "cup": HandShape((0.25, 0.25, 0.27, 0.3), 0.0, (0.2, -5.0, 10.0)),
+    "quotes": HandShape((0.12, 0.12, 1.0, 1.0), 8.0, _FOLDED),
+    "hooked": HandShape((0.75, 0.75, 1.0, 1.0), 6.0, _FOLDED, 0.5),
+    "heart": HandShape((0.5, 0.5, 0.52, 0.55), 0.0, (0.0, 10.0, 20.0)),
+    "pen": HandShape((0.48, 0.6, 0.85, 0.95), 0.0, (0.3, -4.0, 40.0)),
+    "snap": HandShape((0.35, 0.62, 0.9, 0.95), 0.0, (0.3, -12.0, 44.0)),
+    "keys": HandShape((0.22, 0.24, 0.26, 0.28), 6.0, (0.1, 8.0, 20.0)),
+}
+
+
+@functools.cache
+def _axes() -> dict[str, Array]:
+    """Finger -> [3] axis about which a left hand's finger bends; at rest the palm faces down and the fingers left."""
+    out = {}
+    for finger in FINGERS:
+        along = FINGERED.offsets[FINGERED.index(f"LeftHand{finger}2")]
+        axis = np.cross(along, _UNDER_PALM if finger == "Thumb" else np.array([0.0, -1.0, 0.0]))
+        out[finger] = axis / np.linalg.norm(axis)
+    return out
+
+
+@functools.cache
+def finger_turns(shape: str) -> Array:
+    """[15, 3] exponential maps, radians, of the joints of a left hand in a shape, in the order of `FINGERS`."""
+    hand = SHAPES[shape]
+    rows = []
+    for finger in FINGERS:
+        thumb = finger == "Thumb"
+        curl = hand.thumb[0] if thumb else hand.curls[FINGERS.index(finger) - 1]
+        for place, degrees in enumerate(_FULL[finger]):
+            share = curl * (hand.knuckles if place == 0 else 1.0)
+            turn = share * degrees * _axes()[finger]
+            if place == 0:
+                turn = turn + (np.array([hand.thumb[2], -hand.thumb[1], 0.0]) if thumb
+                               else np.array([0.0, hand.spread * _SIDE[finger], 0.0]))
+            rows.append(np.radians(turn))
+    return np.array(rows)

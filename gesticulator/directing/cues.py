@@ -1,0 +1,127 @@
+"""Cues in time: when the stroke of a gesture at a word falls, and cues that a recording cannot satisfy."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from data_module.errors import InputError, shown
+from data_module.types import Word
+from gesticulator.options import InferenceOptions
+from gesticulator.plan.checks import plain_word
+from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
+from gesticulator.plan.plan import GestureCue, LexemeName
+
+_VOWEL_SHARE, _EARLY = 0.3, 0.11
+"""A stroke falls at this share of its word, less this many seconds. Measured on two read sonnets: the vowel of the
+loudest syllable begins there, and a beat of the hand leads the voice by .075 s in the median."""
+
+
+class OptionWarning(UserWarning):
+    """An option that has no effect on this recording."""
+
+
+@dataclass(frozen=True)
+class TimedCue:
+    """A cue and the time of its stroke, seconds. lexeme: the one it names, or None for a gesture of `GESTURES`;
+    broken_off: when an interruption ended it, seconds."""
+
+    cue: GestureCue
+    time: float
+    lexeme: int | None = None
+    broken_off: float | None = None
+
+
+def stroke_of_word(word: Word) -> float:
+    """Seconds at which the stroke of a word's gesture falls: just before its stressed vowel, as far as the times of the
+    word tell. `word_sound.WordSounds.stroke` knows it better where the sound is there."""
+    return max(word.start + _VOWEL_SHARE * (word.end - word.start) - _EARLY, 0.0)
+
+
+def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
+            names: Callable[[], Sequence[LexemeName]]) -> list[TimedCue]:
+    """The cues of the body with the times of their strokes. names: returns the lexicon's names; called only for
+    gestures that are not in `GESTURES`.
+
+    `InputError` for a word that is not spoken, a time beyond the end and an unknown gesture.
+    """
+    out, spoken = [], _spoken(words if cues else ())
+    lexemes: dict[str, int] | None = None
+    for cue in cues:
+        if cue.gesture in EXPRESSIONS:
+            continue
+        lexeme = None
+        if cue.gesture not in GESTURES:
+            # Naming the lexemes decodes all of them: only where a cue needs it.
+            lexemes = {entry.name: entry.lexeme for entry in names()} if lexemes is None else lexemes
+            lexeme = lexemes.get(cue.gesture)
+            if lexeme is None:
+                raise InputError(f"gesture {shown(cue.gesture)}", "is unknown", near_gestures(cue.gesture, lexemes))
+        out.append(TimedCue(cue, _time_of(cue, spoken, duration), lexeme))
+    return out
+
+
+def expressions_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float) -> list[tuple[float, str]]:
+    """(time, name) of the cues of the face, seconds; raises as `cues_at`."""
+    spoken = _spoken(words)
+    return [(_time_of(cue, spoken, duration), cue.gesture) for cue in cues if cue.gesture in EXPRESSIONS]
+
+
+def _spoken(words: Sequence[Word]) -> Mapping[str, Sequence[Word]]:
+    """Plain word -> where it is spoken."""
+    spoken = dict[str, list[Word]]()
+    for word in words:
+        spoken.setdefault(plain_word(word.text), []).append(word)
+    return spoken
+
+
+def _time_of(cue: GestureCue, spoken: Mapping[str, Sequence[Word]], duration: float) -> float:
+    if cue.time is not None:
+        if not 0 <= cue.time <= duration:
+            raise InputError(f"cue at {cue.time:g} s", f"is not within the {duration:.2f} s of the sound",
+                             "choose an earlier time")
+        return float(cue.time)
+    if not spoken:
+        raise InputError(f"cue at the word {shown(cue.word)}", "needs the words of the recording",
+                         "give them with --text, or a time instead of the word")
+    matches = spoken.get(plain_word(cue.word or ""), ())
+    if len(matches) < cue.occurrence:
+        near = [word for word in spoken if word]
+        raise InputError(f"cue at the word {shown(cue.word)}, occurrence {cue.occurrence}",
+                         f"is impossible: the word is spoken {len(matches)} times",
+                         "choose among " + ", ".join(near[:30]) + (" ..." if len(near) > 30 else ""))
+    return stroke_of_word(matches[cue.occurrence - 1])
+
+
+def without_mismatches(options: InferenceOptions, words: Sequence[Word], duration: float) -> InferenceOptions:
+    """The options without cues at words that are not among `words`. Warns (`OptionWarning`) about each such cue, and
+    about each range of stillness that ends after `duration` seconds.
+
+    Without any words the cues stay: they raise an `InputError` later.
+    """
+    for begin, end in options.hold_still:
+        if end > duration:
+            effect = "has no effect" if begin >= duration else "is cut there"
+            _warn(f"hold_still {begin:g}-{end:g} goes beyond the end of the recording ({duration:.2f} s) and {effect}")
+    spoken = _spoken([word for word in words if word.text.strip()])
+    if not spoken:
+        return options
+    counts = [cue.occurrence if cue.word is None else len(spoken.get(plain_word(cue.word), ())) for cue in options.cues]
+    for cue, count in zip(options.cues, counts, strict=True):
+        if count < cue.occurrence:
+            _warn(f"the cue {cue.word}={cue.gesture} is left out: " + (
+                f"the word is spoken {count} times, and occurrence {cue.occurrence} is asked for" if count
+                else "the word is never spoken"))
+    return replace(options, cues=tuple(cue for cue, count in zip(options.cues, counts, strict=True)
+                                       if count >= cue.occurrence))
+
+
+def warn_of_losses(lines: Sequence[str]) -> None:
+    """Warn (`OptionWarning`) of what a plan lost when it was moved onto another sound."""
+    for line in lines:
+        _warn(line)
+
+
+def _warn(line: str) -> None:
+    warnings.warn(OptionWarning(line), stacklevel=4)

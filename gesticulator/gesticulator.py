@@ -1,0 +1,336 @@
+"""The product in Python: `Gesticulator.from_pretrained()("speech.wav")` gives a `Performance`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from data_module.errors import InputError
+from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
+from data_module.types import Blocks, Speech
+from gesticulator.assembly import Assembler
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.bundle import load as load_bundle
+from gesticulator.bundle.features import SpeechFeatures, front_end_for
+from gesticulator.bundle.files import bundle_folder
+from gesticulator.options import InferenceOptions
+from gesticulator.performance import Performance
+from gesticulator.plan.plan import sound_hash
+from gesticulator.sampling import loop
+from gesticulator.sampling.cutter import BlockCutter, encode_speech
+from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, OnBlock, Request, Setup, controls_at
+from gesticulator.setup import SetupResolver
+
+if TYPE_CHECKING:
+    from data_module.text.transcript import Text
+    from data_module.text.word_vectors import WordEncoder
+    from gesticulator.directing.lexeme_names import LexemeName
+    from gesticulator.editing.render import Generation, PlanRenderer
+    from gesticulator.editing.retiming import Retimed
+    from gesticulator.plan.plan import GesturePlan
+    from gesticulator.stream import Stream
+
+__all__ = ["Gesticulator"]
+
+_WARM_SECONDS = 2
+"""Sound for warming up, seconds: several blocks."""
+
+
+class Gesticulator:
+    """A loaded bundle that turns speech into gesture, block by block (RG 6, Eq. 15)."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        self.bundle = bundle
+        self.resolver = SetupResolver(bundle)
+        self.keeps_generations = False
+        """Whether performances keep the state before each block (`Performance.generation`), from which edits start."""
+        self._front_end = front_end_for(bundle.config, bundle.encoder)
+        self._names: tuple[LexemeName, ...] | None = None
+        self._warm: set[bool] = set()
+
+    @classmethod
+    def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
+                        ) -> Gesticulator:
+        """Load a bundle: "default" (also if none is given), "paper", or a folder. device: "cpu" or "cuda".
+
+        Output is bit for bit reproducible on one machine with the same device and number of threads.
+        """
+        return cls(load_bundle(bundle_folder(path), device))
+
+    @property
+    def speakers(self) -> tuple[str, ...]:
+        """Names of the performers in the training data; each has a gesture style of its own."""
+        return self.bundle.speakers
+
+    @property
+    def interpreters(self) -> tuple[str, ...]:
+        """Names of the bundle's lexeme interpreters; the first is the default."""
+        return self.bundle.interpreters
+
+    @property
+    def reads_text(self) -> bool:
+        """True when the bundle has an interpreter that reads the words."""
+        return "interpreter_text" in self.bundle.parts
+
+    def lexeme_names(self) -> tuple[LexemeName, ...]:
+        """A name for each lexeme of the bundle (`gesticulator.directing.lexeme_names`), computed on the first call."""
+        from gesticulator.directing.lexeme_names import lexeme_names
+
+        if self._names is None:
+            self._names = lexeme_names(self.bundle)
+        return self._names
+
+    @cached_property
+    def word_encoder(self) -> WordEncoder:
+        """The word encoder that the bundle was trained with."""
+        self._check_reads_text()
+        assert self.bundle.text is not None
+        return self.bundle.text.open()
+
+    # ------------------------------------------------------------------------------------------------- recordings
+
+    def __call__(self, speech: SpeechInput, sample_rate: float | None = None, *, text: Text | None = None,
+                 encoded: SpeechFeatures | None = None, on_block: OnBlock | None = None, **options: Any) -> Performance:
+        """Gesture for a recording.
+
+        speech: the path of a sound file, samples [n] or [n, channels] with their `sample_rate` in hertz, or a `Speech`,
+        with or without words. text: the spoken text as a `str`, or the path of a transcript (plain text, TextGrid, SRT,
+        VTT, JSON). Without words the audio-only models are used (RG 6.3). encoded: the result of `encode_speech` for
+        this speech, to avoid encoding it again. on_block(done, total) is called after each block. options: the fields
+        of `InferenceOptions`. `InputError` for unusable input.
+
+        >>> g = Gesticulator.from_pretrained()
+        >>> g("speech.wav", text="Hello there", hand_height="low", seed=3).save("gesture.bvh")
+        """
+        checked = InferenceOptions(**options)
+        if checked.transcribe is not None and text is not None:
+            raise InputError("transcribe", "hears words, and text gives them", "leave one of them out")
+        recording = as_speech(speech, sample_rate)
+        name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
+        if checked.plan is not None:
+            performance = self._of_plan(recording, checked, text, on_block)
+            return performance.labelled(name, performance.notes)
+        recording, note = self._with_words(_prepared(recording, checked), text, checked.transcribe)
+        # The words are in the speech from here on, and in the plan.
+        checked = replace(checked, transcribe=None)
+        if checked.cues or checked.hold_still:
+            from gesticulator.directing.cues import without_mismatches
+
+            checked = without_mismatches(checked, recording.words or (), recording.duration)
+        performance = self._generate(recording, checked, encoded, on_block)
+        return performance.labelled(name, () if note is None else (note,))
+
+    def encode_speech(self, speech: Speech, blocks: Blocks | None = None, cutters: list[BlockCutter] | None = None
+                      ) -> SpeechFeatures:
+        """Cut a speech at 16 kHz into blocks, or into the given ones, and encode it, with its words if the bundle reads
+        text. cutters: see `cutter.encode_speech`."""
+        words = self.word_encoder if self._reads_words_of(speech) else None
+        return encode_speech(speech, self.bundle.config, self._front_end, words, blocks, cutters)
+
+    def assembler(self, speech: Speech, options: InferenceOptions) -> Assembler:
+        """What makes performances out of generated blocks of a speech at 16 kHz."""
+        return Assembler(self.bundle, speech, options, self._setup(speech, options))
+
+    def _setup(self, speech: Speech, options: InferenceOptions) -> Setup:
+        return self.resolver.setup(options, self._reads_words_of(speech))
+
+    def _reads_words_of(self, speech: Speech) -> bool:
+        return self.reads_text and any(word.text.strip() for word in speech.words or ())
+
+    def _check_reads_text(self) -> None:
+        if not self.reads_text:
+            raise InputError("text", "is not read by this bundle", "use a bundle trained with text, or leave it out")
+
+    def _with_words(self, speech: Speech, text: Text | None, model: str | os.PathLike[str] | None
+                    ) -> tuple[Speech, str | None]:
+        """The speech with the words of a text (`str`) or a transcript file, or those that a recogniser hears, and a
+        line on their times. model: of the recogniser, which a speech with words does not need."""
+        if text is None and (model is None or speech.words):
+            return speech, None
+        self._check_reads_text()
+        from data_module.text.transcript import as_transcript, with_transcript
+
+        if text is not None:
+            with_words, timing = with_transcript(speech, as_transcript(text, speech))
+            return with_words, timing.note
+        from data_module.text.transcription import transcribed
+
+        assert model is not None
+        transcript = transcribed(speech, model)
+        if transcript is None:
+            return speech, "no words heard"
+        with_words, timing = with_transcript(speech, transcript)
+        return with_words, timing.note.replace("times given", "heard with their times", 1)
+
+    def _generate(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
+                  on_block: OnBlock | None) -> Performance:
+        """A first generation, for speech at 16 kHz with its words."""
+        if any(word.marks for word in speech.words or ()):
+            from gesticulator.directing.marks import with_mark_cues
+
+            options = with_mark_cues(options, speech.words or ())
+        setup = self._setup(speech, options)
+        cutters: list[BlockCutter] | None = [] if self.keeps_generations else None
+        encoded = self.encode_speech(speech, cutters=cutters) if encoded is None else encoded
+        state = loop.begin(self.bundle, setup, encoded.text is not None)
+        states, blocks = [state], list[BlockMotion]()
+        for request in self._requests(speech, options, setup, encoded):
+            block, state = loop.step(self.bundle, setup, state, request)
+            blocks.append(block)
+            if self.keeps_generations:
+                states.append(state)
+            if on_block is not None:
+                on_block(len(blocks), len(encoded))
+        generated = GeneratedMotion(encoded.blocks, blocks, loop.motion_of(self.bundle, setup, blocks))
+        performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)
+        if not self.keeps_generations:
+            return performance
+        from gesticulator.editing.render import Generation
+
+        return replace(performance, generation=Generation(encoded, blocks, states, cutters or ()))
+
+    def _requests(self, speech: Speech, options: InferenceOptions, setup: Setup, encoded: SpeechFeatures
+                  ) -> list[Request]:
+        """A request for each of the N blocks of a first generation."""
+        times = encoded.blocks.knot_times.reshape(len(encoded), -1)
+        parts = [(encoded.block(i), controls_at(self.bundle.levels, setup.controls, times[i]))
+                 for i in range(len(encoded))]
+        if not options.directed:
+            return [Request(block, control) for block, control in parts]
+        from gesticulator.directing.directions import Director
+
+        director = Director(self.bundle, options, speech.words or (), float(encoded.blocks.edges[-1]))
+        return [director.request(block, knots, control)
+                for (block, control), knots in zip(parts, times, strict=True)]
+
+    def assemble(self, assembler: Assembler, generated: GeneratedMotion) -> Performance:
+        """The performance of generated blocks."""
+        return assembler.performance(generated, self.lexeme_names)
+
+    # ------------------------------------------------------------------------------------------------------ plans
+
+    def _of_plan(self, speech: Speech, options: InferenceOptions, text: Text | None, on_block: OnBlock | None
+                 ) -> Performance:
+        """The performance of the plan of the options, which is first moved onto this sound if they say so."""
+        from gesticulator.directing import directions as directing
+
+        assert options.plan is not None
+        report, notes = None, tuple[str, ...]()
+        if options.retime:
+            from gesticulator.directing.cues import warn_of_losses
+
+            moved = self.retimed(options.plan, speech, text=text)
+            report, notes = moved.report, moved.report.lines()[:1]
+            warn_of_losses(report.losses)
+            options = replace(options, plan=moved.plan, retime=False)
+        options = directing.planned(options)
+        assert options.plan is not None
+        performance = self.render(directing.with_planned_words(_prepared(speech, options), options.plan), options,
+                                  on_block=on_block)
+        return replace(performance, retiming=report).labelled("", notes or performance.notes)
+
+    def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
+               on_block: OnBlock | None = None) -> Performance:
+        """Render the plan of the options (as returned by `directing.planned`) for a speech at 16 kHz.
+
+        renderer: the `plan_renderer` of the same first generation; then only edited blocks are generated.
+        """
+        from gesticulator.directing.directions import check_plan_of
+
+        assert options.plan is not None
+        check_plan_of(self.bundle, options.plan, sound_hash(speech))
+        renderer = renderer or self.plan_renderer(speech, options)
+        performance = self.assemble(self.assembler(speech, options), renderer.render(options.plan, on_block))
+        return replace(performance, generation=renderer.generation()) if self.keeps_generations else performance
+
+    def plan_renderer(self, speech: Speech, options: InferenceOptions, generation: Generation | None = None
+                      ) -> PlanRenderer:
+        """A renderer for all plans of one first generation; each then costs only its edited blocks. speech: at 16 kHz.
+
+        options: with a plan of that generation, as returned by `directing.planned`; generation: the first one, if it
+        was kept.
+        """
+        from gesticulator.editing.render import PlanRenderer
+
+        plan = options.plan
+        assert plan is not None
+        for curve in plan.manner.curves:
+            for time in curve.times:
+                self.resolver.check_activity(plan.manner.share_at(time))
+        return PlanRenderer(self.bundle, self._setup(speech, options), speech.samples,
+                            partial(self.encode_speech, speech), plan, generation)
+
+    def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
+                text: Text | None = None, on_block: OnBlock | None = None) -> Retimed:
+        """A plan on another export of its sound, and a report of what was kept, moved, decided anew and lost
+        (`gesticulator.editing.retiming`).
+
+        speech, sample_rate: the new sound, as in `__call__`; text: its text or transcript, if its words are others.
+        `InputError` for a sound that has too little of the old speech, and for a plan of another bundle.
+        """
+        from gesticulator.directing import directions as directing
+        from gesticulator.directing.record import named, words_of
+        from gesticulator.editing import retiming
+
+        directing.check_bundle_of(self.bundle, plan)
+        recording = _prepared(as_speech(speech, sample_rate), directing.planned(InferenceOptions(plan=plan)))
+        recording = replace(recording, words=None)
+        words = None if text is None else words_of(self._with_words(recording, text, None)[0])
+        if words is None and sound_hash(recording) == plan.sound.sha256:
+            return retiming.unchanged(plan)
+        draft = retiming.drafted(plan, recording, self.encode_speech(recording), words)
+        if None not in draft.plan.drawn.lexemes:
+            return draft
+        renderer = self.plan_renderer(directing.with_planned_words(recording, draft.plan),
+                                      directing.planned(InferenceOptions(plan=draft.plan)))
+        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.generation(on_block).blocks),
+                                         self.lexeme_names()))
+
+    # ---------------------------------------------------------------------------------------------------- streams
+
+    def stream(self, sample_rate: float = SAMPLE_RATE, *, latency: str = "full", text: bool = False,
+               **options: Any) -> Stream:
+        """Gesture for speech as it arrives, see `gesticulator.stream.Stream`.
+
+        sample_rate: hertz of the sound that will be fed; latency: "full" or "low" (`BlockCutter`); text: words will be
+        added; options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`. The first one
+        takes seconds to open, see `warm`.
+        """
+        checked = InferenceOptions(**options)
+        if checked.transcribe is not None:
+            raise InputError("transcribe", "is not for streams", "give the words by add_words")
+        self.warm(text)
+        return self._stream(sample_rate, latency, text, checked)
+
+    def warm(self, text: bool = False) -> None:
+        """Load, compile and try everything that is needed on first use by a stream, so that no block waits for it:
+        one to three seconds, the first time. text: also what reads words. `stream` does it, if it has not been done."""
+        if text in self._warm:
+            return
+        self._warm.add(text)
+        noise = np.random.default_rng(0).normal(0, 0.05, _WARM_SECONDS * SAMPLE_RATE).astype(np.float32)
+        try:
+            for latency in ("full", "low"):
+                stream = self._stream(SAMPLE_RATE, latency, text, InferenceOptions())
+                stream.feed(noise)
+                stream.idle(0.5)
+                stream.finish()
+        except InputError:  # a bundle that cannot stream says so when a stream is opened
+            self._warm.discard(text)
+
+    def _stream(self, sample_rate: float, latency: str, text: bool, checked: InferenceOptions) -> Stream:
+        from gesticulator.stream import Stream
+
+        cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder if text else None, latency)
+        return Stream(self.bundle, self.resolver.setup(checked, text), checked, cutter, sample_rate)
+
+
+def _prepared(speech: Speech, options: InferenceOptions) -> Speech:
+    """The speech as the models need it: amplified by the gain, resampled to `SAMPLE_RATE`."""
+    return resample(amplified(speech, options.gain), SAMPLE_RATE)
