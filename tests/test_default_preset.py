@@ -26,6 +26,7 @@ from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.sampling import loop
 from gesticulator.sampling.loop import Request, Setup
+from gesticulator.systems import movement
 from gesticulator.training.stages.lexicon import token_labels
 from interpreters.planner import CODE, UnitStyleInterpreter
 from lexicon.movement import MovementLexicon
@@ -140,14 +141,15 @@ def test_levels_and_lexemes_tell_more_than_the_past_alone(context: EvalContext, 
     assert {"lstm", "statistical", "majority"} <= set(load(out)[1].rows)
 
 
-def test_the_motion_of_a_block_depends_on_its_lexeme(system: Gesticulator, recording: Recording) -> None:
+def test_the_motion_of_a_block_depends_on_its_lexeme(system: Gesticulator, recording: Recording,
+                                                     monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(movement, "LEXEME_GUIDANCE", 0.0)
+    monkeypatch.setattr(movement, "CANDIDATES", 1)  # nothing to choose
     encoded = system.encode_speech(recording.speech)
 
     def sampled(lexeme: int) -> np.ndarray:
-        config = dataclasses.replace(system.bundle.config, selection=dataclasses.replace(
-            system.bundle.config.selection, lexeme_guidance=0.0, candidates=1))  # nothing to choose
-        bundle = dataclasses.replace(system.bundle, config=config)
-        setup = Setup(system.bundle.interpreter_named("lstm"), 0, temperature=1.0, top=0, seed=0)
+        bundle = system.bundle
+        setup = Setup(system.bundle.interpreter_named("lstm"), 0, temperature=1.0, seed=0)
         requests = [Request(encoded.block(i), lexeme=lexeme) for i in range(len(encoded))]
         return loop.motion_of(bundle, setup, loop.run(bundle, setup, requests, encoded.text is not None))
 

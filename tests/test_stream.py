@@ -34,6 +34,7 @@ from gesticulator.live.protocol import StreamRequest, published
 from gesticulator.live.session import session_opener
 from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
+from gesticulator.systems import movement
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 FPS = 60.0
@@ -357,9 +358,8 @@ def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
             blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
         edges.append([block.end for block in blocks])
         calls.append(sum(rows) / len(blocks))
-    chosen = system().bundle.config.selection
     assert edges[0] == edges[1]
-    assert calls[0] >= (chosen.flow_steps + 1) * chosen.candidates and calls[1] == 3
+    assert calls[0] >= (movement.FLOW_STEPS + 1) * movement.CANDIDATES and calls[1] == 3
 
 
 def test_who_listens_nods_in_the_pauses_of_the_other() -> None:
