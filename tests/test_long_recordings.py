@@ -10,17 +10,12 @@ import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.errors import InputError
 from data_module.motion.bvh import Unwrap
-from data_module.motion.skeletons import CHARACTER
 from data_module.speech import sound_files
 from data_module.speech.audio import LevelMeter, load_speech, speech_pieces
 from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, loudness
-from data_module.types import Motion, Samples
+from data_module.types import Samples
 from gesticulator import infer
-from gesticulator.export.clip import EVERY_FRAME
-from gesticulator.export.glb import skeleton_glb
-from gesticulator.export.nodes import of_motion
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 
@@ -69,19 +64,6 @@ def test_sound_is_read_in_pieces_and_is_the_whole(monkeypatch: pytest.MonkeyPatc
     assert np.array_equal(np.concatenate(parts), whole)
 
 
-def frames(count: int, seed: int = 0) -> Motion:
-    """A motion of 16 joints whose quaternions have either sign."""
-    rng = np.random.default_rng(seed)
-    turns = rng.normal(size=(count, len(CHARACTER), 4))
-    return Motion(CHARACTER, turns / np.linalg.norm(turns, axis=-1, keepdims=True), np.zeros((count, 3)), 60.0)
-
-
-def test_a_motion_at_once_that_a_glb_cannot_hold_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.export.gltf.LARGEST", 30_000)
-    with pytest.raises(InputError, match="a GLB file holds"):
-        skeleton_glb(of_motion(frames(20)), EVERY_FRAME)
-
-
 def test_what_breaks_off_leaves_nothing_behind(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     samples, rate = example(6.0)
     samples[-rate // 2:] = np.nan
@@ -90,10 +72,3 @@ def test_what_breaks_off_leaves_nothing_behind(tmp_path: Path, capfd: pytest.Cap
         infer.main([str(tmp_path / "a.wav"), "-o", str(tmp_path / "out.bvh"), "-o", str(tmp_path / "out.glb")])
     assert stop.value.code == 2 and "not numbers" in capfd.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["a.wav"]
-
-
-def test_an_error_of_whoever_takes_the_pieces_is_not_the_recordings(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="the disk is full"), speech_pieces(EXAMPLE):
-        raise OSError(28, "the disk is full")
-    with pytest.raises(InputError, match="does not exist"), speech_pieces(tmp_path / "none.wav"):
-        pass

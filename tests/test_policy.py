@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ import torch
 
 from data_module.layers import freeze
 from eval.ablate import policy
-from eval.ablate.policy import Decisions, Policy, PolicyJudge
+from eval.ablate.policy import Decisions, PolicyJudge
 from eval.baselines.interpreters import ReplayInterpreter
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel
@@ -29,6 +30,12 @@ def test_the_return_is_the_mean_over_all_windows() -> None:
     assert policy.episode_return(rewards, 4) == 10.0
     assert math.isnan(policy.episode_return(rewards, 5))
     assert policy.episode_return(np.full(40, 0.5)) == 7.5, "15 steps"
+
+
+def test_what_is_allowed_is_never_nothing() -> None:
+    silent = np.array([False, True])
+    assert policy.allowed_lexemes(silent, np.array([1, 3]), SIZE).tolist() == [[True] * 4, [False, True, False, True]]
+    assert policy.allowed_lexemes(silent, np.array([], dtype=np.int64), SIZE).all()
 
 
 # --------------------------------------------------------------------------------------------------------- policies
@@ -58,11 +65,17 @@ class Next:
 
 def test_a_policy_lives_on_its_own_past_or_on_the_performers() -> None:
     own = decisions([0, 0, 3, 1, 1])
-    free, scores = policy.walk(Policy(Next()), own, own.takes[0])
-    assert free.tolist() == [0, 1, 2, 3, 0] and scores.argmax(1).tolist() == [1, 2, 3, 0]
-    forced, _ = policy.walk(Policy(Next()), own, own.takes[0], teacher=True)
+    assert policy.walk(Next(), own, own.takes[0]).tolist() == [0, 1, 2, 3, 0]
+    forced = policy.walk(Next(), own, own.takes[0], teacher=True)
     assert forced.tolist() == [0, 1, 1, 0, 2], "each after the performer's"
     assert own.takes[0].lexemes.tolist() == [0, 0, 3, 1, 1]
+
+
+def test_silence_leaves_silent_lexemes() -> None:
+    own = decisions([0, 0, 3, 1, 1], silent=[1, 4])
+    assert policy.walk(Next(), own, own.takes[0]).tolist() == [0, 2, 3, 0, 2]
+    unmasked = dataclasses.replace(own, masked=False)
+    assert policy.walk(Next(), unmasked, own.takes[0]).tolist() == [0, 1, 2, 3, 0]
 
 
 def test_what_is_told_is_played_in_turn() -> None:
@@ -91,17 +104,9 @@ def test_values_of_a_take_by_hand() -> None:
     assert values["lexeme_diversity"] == pytest.approx(-(2 / 3 * math.log(2 / 3) + 1 / 3 * math.log(1 / 3)))
     assert math.isnan(values["return"]), "three decisions are no episode"
     long = decisions([0, 1] * 8)
-    each = policy.every_reward(reward_of(long), long.takes[0], long.takes[0].lexemes)
+    each = reward_of(long).sequence_every(torch.as_tensor(long.takes[0].lexemes), torch.arange(16))[1:].numpy()
     values = PolicyJudge(long, {"": reward_of(long)}).lexeme_values(long.takes[0], long.takes[0].lexemes)
     assert values["return"] == pytest.approx(each[np.arange(15), [1, 0] * 7 + [1]].sum()) and values["accuracy"] == 100
-
-
-def test_a_matched_temperature_has_the_entropy_that_is_wanted() -> None:
-    scores = torch.as_tensor(np.random.default_rng(0).normal(size=(50, 6)))
-    for nats in (0.5, 1.2, 1.7):
-        at = policy.matched_temperature(scores, nats)
-        assert policy.entropy_of(scores / at) == pytest.approx(nats, abs=1e-3)
-    assert policy.entropy_of(torch.zeros(3, 8)) == pytest.approx(math.log(8))
 
 
 def test_accuracy_of_known_interpreters() -> None:

@@ -57,10 +57,10 @@ def test_every_row_changes_something_and_no_two_are_equal(preset: str) -> None:
         default = configs.with_settings(presets.preset("default"), RACER_PRESETS[preset])
         start = default if is_racer(name) else base
         variant = json.dumps([configs.to_dict(configs.with_settings(start, row.set)), row.play, row.style, row.split,
-                              row.train, row.scale, row.matched])
+                              row.train])
         assert variant not in variants, f"{name} is {variants.get(variant)} again"
         variants[variant] = name
-        assert row.ask and (row.train == "stages") != is_racer(name) and bool(row.network) == row.matched
+        assert row.ask and (row.train == "stages") != is_racer(name)
 
 
 def test_racers_rows_are_what_the_paper_says_and_train_equally_long() -> None:
@@ -75,7 +75,7 @@ def test_racers_rows_are_what_the_paper_says_and_train_equally_long() -> None:
     assert of["dqn"].cql == dataclasses.replace(base.cql, conservative=0.0)
     assert of["distance"].episodes == dataclasses.replace(base.episodes, reward="distance")
     assert of["literal"].episodes.shares == presets.LITERAL.shares
-    assert of["alpha=10"].cql.conservative == 10.0 and of["cql"] == base == of["cql-matched"]
+    assert of["alpha=10"].cql.conservative == 10.0 and of["cql"] == base
     assert TABLES["RACER Table 2"].printed("racer-distance", "return") == ()
 
 
@@ -208,6 +208,17 @@ def test_cells_come_back_and_a_broken_one_is_named(tmp_path: Path) -> None:
             store.read()
 
 
+def test_rows_that_stand_on_different_things_are_not_compared(tmp_path: Path) -> None:
+    store = CellStore(tmp_path)
+    store.add(cell("ours", 1, 1.0, shared="a"))
+    store.add(cell("racer-cql", 1, 1.0, shared="a bundle"))
+    assert set(store.read()) == {"ours", "racer-cql"}
+    store.add(cell("ours", 2, 1.0, shared="b"))
+    with pytest.raises(InputError, match="different presets"):
+        store.read()
+    assert set(store.read({False: "b"})["ours"]) == {2} and "racer-cql" in store.read({False: "b"})
+
+
 def test_figures_are_means_over_seeds_and_clips_by_their_weights() -> None:
     rows = summaries({**cells_of(ours=[1.0, 2.0, 3.0]), "racer-cql": {1: cell("racer-cql", 1, 1.0)}})
     assert rows["ours"]["figures"]["maje"].mean == 2.5 and rows["ours"]["decided"]
@@ -255,16 +266,26 @@ def test_tables_of_stored_cells_give_the_same_values() -> None:
 
 # ------------------------------------------------------------------------------------------------------------- tables
 
-def test_racers_table_pairs_seeds_and_compares_matched_rows_with_matched_ones() -> None:
+def test_tables_show_ours_beside_the_papers_and_mark_what_is_undecided() -> None:
+    rows = summaries(cells_of(ours=[1.0] * 3, no_style=[2.0]))
+    table = tables.paper_table("RG Table 1", rows)
+    one_seed = table.rows["Ours (w/o ZC) (undecided: 1 of 3 seeds)"]["maje"]
+    assert isinstance(one_seed, Interval) and one_seed.mean == 2.5 and one_seed.n == 2
+    assert table.rows["Ours (w/o ZC) (undecided: 1 of 3 seeds)"]["maje, paper"] == "52.85 / 21.33"
+    assert table.rows["Ours (w/o SC) (not run)"]["maje"] is None
+    assert table.rows["SG (no motion given)"]["maje, paper"] == "97.29 / -"
+
+
+def test_racers_table_pairs_seeds() -> None:
     cells = {"racer-supervised": {s: cell("racer-supervised", s, s) for s in (1, 2)},
              RACER_OURS: {s: cell(RACER_OURS, s, s + 2.0) for s in (1, 2, 3)},
-             "racer-dqn-matched": {1: cell("racer-dqn-matched", 1, 9.0)},
-             "racer-cql-matched": {1: cell("racer-cql-matched", 1, 4.0)}}
+             "racer-dqn": {1: cell("racer-dqn", 1, 9.0)}}
     first = tables.paper_table("RACER Table 2", summaries(cells))
-    assert list(first.rows)[:2] == ["racer-supervised (undecided: 2 of 3 seeds)", "racer-cql"]
+    assert list(first.rows) == ["racer-supervised (undecided: 2 of 3 seeds)", "racer-dqn (undecided: 1 of 3 seeds)",
+                                "racer-cql"]
     assert first.rows["racer-cql"]["return, paper"] == "9.34"
     apart = tables.racer_differences(cells)
-    assert list(apart.rows) == ["racer-cql - racer-supervised", "racer-cql-matched - racer-dqn-matched"]
+    assert list(apart.rows) == ["racer-cql - racer-supervised", "racer-cql - racer-dqn"]
     value: Any = apart.rows["racer-cql - racer-supervised"]["accuracy"]
     assert value.text(1) == "2.0 [2.0, 2.0]"
 
