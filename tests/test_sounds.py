@@ -31,18 +31,6 @@ def test_a_crop_never_runs_over_two_recordings(sizes: list[int], seed: int) -> N
     assert (drawn == drawn[:, :1]).all() and set(drawn[:, 0]) <= set(range(1, len(sizes) + 1))
 
 
-def test_every_beginning_is_drawn_and_none_more_often_than_another() -> None:
-    sizes, length = [5, 3, 9], 3
-    samples = np.arange(sum(sizes), dtype=np.float16)
-    own = end_to_end(sizes, length)
-    crops = Crops(samples, own.first, own.room, length)
-    starts = crops.sample(np.random.default_rng(0), 11_000)[:, 0].astype(int)
-    allowed = [0, 1, 2, 5, *range(8, 15)]  # 3 + 1 + 7
-    counts = np.bincount(starts, minlength=sum(sizes))
-    assert np.flatnonzero(counts).tolist() == allowed
-    np.testing.assert_allclose(counts[allowed], 1000, rtol=0.15)
-
-
 def test_of_a_store_and_of_folders(tiny_store: Path, tmp_path: Path) -> None:
     store = Store.open(tiny_store)
     (tmp_path / "below").mkdir()
@@ -91,9 +79,3 @@ def test_folders_that_hold_no_sound_are_refused_by_name(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=said) as error:
             sound_files(tmp_path / name)
         assert name in str(error.value)
-
-
-def test_a_file_that_is_not_sound_is_refused_by_name(tiny_store: Path, tmp_path: Path) -> None:
-    (tmp_path / "noise.wav").write_text("this is not sound\n" * 50)
-    with pytest.raises(InputError, match=r"noise\.wav"):
-        Crops.of_store(Store.open(tiny_store), [], [tmp_path], 100)

@@ -92,12 +92,6 @@ def test_words_sit_on_the_frames_at_which_they_sound() -> None:
     np.testing.assert_array_equal(heard.text, expected)
 
 
-def test_without_words_or_without_an_encoder_there_is_no_text() -> None:
-    config = configs.with_settings(presets.preset("tiny"), ["front_end.name=mel"])
-    assert encode_speech(Speech(babble(1.0), SAMPLE_RATE, WORDS[:1]), config).text is None
-    assert encode_speech(Speech(babble(1.0), SAMPLE_RATE), config, words=Numbers()).text is None  # type: ignore[arg-type]
-
-
 def test_a_long_recording_heard_in_pieces_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     config = configs.with_settings(presets.preset("tiny"), ["front_end.name=mel"])
     speech = Speech(babble(9.0), SAMPLE_RATE)

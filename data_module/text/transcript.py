@@ -361,7 +361,7 @@ def _piece(speech: Speech, cue: Word) -> Samples:
 def _in_cue(piece: Speech, text: str, written: Sequence[str]) -> tuple[tuple[Word, ...], bool]:
     """The words of a cue, seconds from its start, and whether the aligner heard them."""
     if aligner.can_follow(text) and aligner.aligner_installed():
-        result = aligner.alignment(piece, text, warn=False)
+        result = aligner.alignment(piece, text)
         if result.aligned:
             return result.words, True
     return aligner.shared_out(piece, written), False
@@ -381,6 +381,6 @@ def _without_times(speech: Speech, transcript: Transcript) -> tuple[tuple[Word, 
         words, late = with_marks(aligner.shared_out(speech, aligner.written_words(text)), text, transcript.marks,
                                  aligner.written_words)
         return _with_late(words, late), _ENGLISH_ONLY
-    result = aligner.alignment(speech, text, warn=False)
+    result = aligner.alignment(speech, text)
     words, late = with_marks(result.words, text, transcript.marks, aligner.spoken_words)
     return _with_late(words, late), result.doubt

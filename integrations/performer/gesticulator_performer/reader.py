@@ -483,7 +483,7 @@ class Performer:
             speech = replace(speech, samples=np.ascontiguousarray(samples))
         if item.info.language == "en":
             transcript = read_text(self._source / "speech" / f"{reading.stem}.txt", "save it as text in UTF-8")
-            speech = replace(speech, words=transcripts.align(speech, transcript))
+            speech = replace(speech, words=transcripts.alignment(speech, transcript).words)
         return find_syllables(item.info.name, speech, item.info.voice, item.info.language)
 
 

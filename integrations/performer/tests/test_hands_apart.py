@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gesticulator_performer import hands, play, styles, text, trunk, voices
+from gesticulator_performer import hands, styles, text, trunk, voices
 from gesticulator_performer.hands import HANGING_LEVEL, Manner, PhraseHands
 from gesticulator_performer.play import Staging, perform
 from gesticulator_performer.strokes import LEFT, RIGHT, StrokeSet
@@ -16,7 +16,7 @@ from gesticulator_performer.types import Played, Spoken
 from procedural import procedural_strokes
 from test_takes import moving
 
-from data_module.motion import kinematics, rotation
+from data_module.motion import kinematics
 from data_module.truth import Phrase
 from data_module.types import Array
 
@@ -89,12 +89,6 @@ def test_the_idle_hand_hangs_sits_low_or_stays() -> None:
     assert first == pytest.approx(1.0 - 0.7, abs=0.05)
 
 
-def test_two_hands_are_neither_together_nor_alike() -> None:
-    lag, gain = hands.unevenness(np.random.default_rng(0), 500)
-    assert (lag.min(axis=1) == 0).all() and ((lag.max(axis=1) >= 0.03) & (lag.max(axis=1) <= 0.08)).all()
-    assert np.allclose(np.prod(gain, axis=1), 1.0) and np.log(gain[:, 0]).std() == pytest.approx(0.13, abs=0.02)
-
-
 def test_hands_act_apart_and_no_hand_freezes(played: Played, spoken: Spoken, strokes: StrokeSet) -> None:
     plain = perform(spoken, "puppet", strokes, np.random.default_rng(1))
     together, apart = (np.corrcoef(_hands(p)[..., 1].T)[0, 1] for p in (plain, played))
@@ -147,24 +141,6 @@ def test_the_head_stays_with_the_listener() -> None:
     assert trunk.yaw_scale(0.1 * yaw) == 1.0
 
 
-def test_a_posture_is_held_and_then_changed() -> None:
-    bends = trunk.postures(round(60 * FPS), np.random.default_rng(3))
-    speed = np.degrees(np.linalg.norm(np.gradient(bends[:, 0], 1.0 / FPS, axis=0), axis=-1))
-    assert np.mean(speed < 0.01) > 0.7 and 4 <= len(np.flatnonzero(np.diff((speed > 0.01).astype(int)) == 1)) <= 7
-
-
-def test_swaying_never_stands_still() -> None:
-    bends = trunk.sway(1800, np.random.default_rng(0))
-    speed = np.degrees(np.linalg.norm(np.gradient(bends, 1.0 / FPS, axis=0), axis=-1))
-    assert speed[1:-1].min() > 1.0 and np.degrees(np.linalg.norm(bends, axis=-1)) == pytest.approx(1.7)
-
-
-def test_idle_arms_fidget_in_the_length_that_is_asked_for() -> None:
-    arms = trunk.idle_arms(_segments(), 4000, np.random.default_rng(0))
-    assert arms.shape == (2, 4000, 12) and arms.std() > 0
-    assert trunk.idle_arms((), 100, np.random.default_rng(0)).max() == 0
-
-
 # --- Styles
 
 
@@ -206,20 +182,3 @@ def test_shelf_and_contrast_keep_the_energy() -> None:
     halves = [np.log(out[8000:].std() / out[:8000].std())
               for out in (styles.contrasted(noise, -0.3), noise, styles.contrasted(noise, 0.3))]
     assert halves == sorted(halves) and halves[2] - halves[0] > 0.3
-
-
-def test_amplitude_makes_movements_larger(spoken: Spoken, strokes: StrokeSet) -> None:
-    sizes = []
-    for amplitude in (-1.0, 0.0, 1.0):
-        staging = Staging(MANNER, _segments(), _constant(amplitude, 0.0))
-        out = perform(spoken, "puppet", strokes, np.random.default_rng(1), "train", staging)
-        sizes.append(float(np.mean([stroke.gain for stroke in out.strokes])))
-    assert sizes[0] < sizes[1] < sizes[2] and sizes[2] / sizes[0] > 1.25
-
-
-def test_the_rotations_stay_unit_and_breath_is_slow(played: Played) -> None:
-    assert np.allclose(np.linalg.norm(played.motion.rotations, axis=-1), 1.0)
-    turns = rotation.angle_between(played.motion.rotations[1:], played.motion.rotations[:-1]) * FPS
-    assert turns.max() < 40.0
-    breath = play._breath(round(39 * FPS))
-    assert np.sum((breath[1:] > 0) & (breath[:-1] <= 0)) == 10

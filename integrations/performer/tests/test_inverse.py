@@ -84,18 +84,6 @@ def test_a_phrase_that_cannot_end_in_its_window_is_refused() -> None:
     assert assign(candidates, wanted, _plain(candidates, wanted)) is None
 
 
-def test_a_word_that_the_motion_shows_is_preferred() -> None:
-    vowels = np.array([[0.2, 0.7, 1.2], [0.2, 0.7, 1.2]])
-    pool = Pool("rms", ("a", "b"), np.array([1.5, 1.5]), vowels, np.ones((2, 3)),
-                np.array([[-1, -1, -1], [-1, 4, -1]]), 1.0)
-    for shown, best in ((1.5, 1), (-1.5, 0)):
-        wanted = _wanted(2.0, 3.5, [2.2, 2.7, 3.2])
-        wanted.movement[:, 4] = shown
-        chosen = np.array([0, 1])
-        match = assign(inverse.candidates_of(pool, chosen), wanted, inverse.rewards(pool, chosen, wanted))
-        assert match is not None and match.phrase == best
-
-
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000))
 def test_every_assignment_is_monotone_and_in_bounds(seed: int) -> None:
@@ -137,16 +125,6 @@ def test_stretched_sound_has_its_clicks_at_the_anchors() -> None:
         assert abs(found - target - 200 / RATE) < 0.02
 
 
-def test_phrases_never_repeat_and_grow_the_sentences_that_were_said() -> None:
-    said: set[str] = set()
-    first = phrase_texts(np.random.default_rng(1), 80, "train", said)
-    sentences = len(said)
-    second = phrase_texts(np.random.default_rng(1), 80, "train", said)
-    assert len(set(first)) == len(first) == 80 and len(said) > sentences
-    other = phrase_texts(np.random.default_rng(1), 80, "test", set())
-    assert not set(first) & set(second) and not {one for one in other if len(one) > 20} & set(first)
-
-
 def test_words_and_movements_have_the_same_names() -> None:
     words = ["a", "huge", "table", "and", "you", "to", "the", "left", "and", "never", "me"]
     kinds = list(meaning.MOVEMENTS)
@@ -168,15 +146,6 @@ def test_words_and_movements_have_the_same_names() -> None:
 def pool() -> Pool:
     texts = phrase_texts(np.random.default_rng(5), 220, "train", set())
     return make_pool("rms", texts, np.random.default_rng(6))
-
-
-def test_a_pool_knows_where_its_vowels_are(pool: Pool) -> None:
-    known = np.isfinite(pool.vowels)
-    assert (known.sum(axis=1) >= 1).all()
-    for row, duration in zip(pool.vowels, pool.durations, strict=True):
-        own = row[np.isfinite(row)]
-        assert (np.diff(own) > 0).all() and own[0] >= 0 and own[-1] < duration
-    assert (pool.asks >= 0).any()
 
 
 def test_speech_for_motion_stresses_its_beats_and_pauses_in_its_rests(pool: Pool) -> None:
@@ -208,16 +177,3 @@ def test_speech_for_motion_stresses_its_beats_and_pauses_in_its_rests(pool: Pool
     words = made.spoken.speech.words
     assert words and all(w.end >= w.start for w in words)
     assert all(any(p.start - 0.05 <= w.start <= p.end + 0.05 for p in phrases) for w in words)
-
-
-def test_effort_follows_energy_and_no_window_is_no_effort() -> None:
-    level = np.concatenate([np.full(300, -1.0), np.full(300, 1.0)] * 20)
-    windows = [Window(k * 5.0, k * 5.0 + 4.9) for k in range(40)]
-    efforts = np.array(inverse._efforts(level, windows, Energy(0.0, 1.0), np.random.default_rng(0)))
-    assert np.abs(efforts).max() <= 1.0
-    # Mildly: two of three real speakers show no such link.
-    assert 0.2 < efforts[1::2].mean() - efforts[::2].mean() < 0.7 and efforts.std() > 0.4
-    unlinked = inverse._efforts(level, windows, Energy(0.0, 1.0, links=0.0), np.random.default_rng(0))
-    other = inverse._efforts(-level, windows, Energy(0.0, 1.0, links=0.0), np.random.default_rng(0))
-    assert unlinked == other, "without links the sound does not tell the motion"
-    assert inverse._efforts(level, [], Energy(0.0, 1.0), np.random.default_rng(0)) == []

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import carriage, grammar, plan, repertoire, text
+from gesticulator_performer import carriage, grammar, plan, text
 from gesticulator_performer.called_cues import CalledCues
 from gesticulator_performer.cues import plain
 from gesticulator_performer.hands import STEADY
 from gesticulator_performer.play import Staging, perform
 from gesticulator_performer.repertoire import Repertoire, read_repertoire
-from gesticulator_performer.sources.gesture_takes import SIZES, TAKES, write_takes
+from gesticulator_performer.sources.gesture_takes import TAKES, write_takes
 from gesticulator_performer.strokes import SIDES, StrokeSet, standing_body
 from gesticulator_performer.styles import NEUTRAL
 from gesticulator_performer.types import Played, Spoken
@@ -123,14 +123,6 @@ def test_a_take_on_the_body_it_was_drawn_for_is_what_was_drawn(folder: Path, tak
         stroke.start, stroke.beat, stroke.hold_end, stroke.end)
 
 
-def test_sides_change_places_and_a_bow_moves_no_hand(takes: Repertoire) -> None:
-    labels = {(one.meaning, one.hand) for one in takes.outlines}
-    assert {("point_left", "left"), ("point_right", "right"), ("bow", "none")} <= labels
-    assert {one.size for one in takes.outlines} == set(SIZES.values())
-    free = {one.meaning for one in takes.outlines if not one.held_out}
-    assert free == takes.labels and any(one.held_out for one in takes.outlines)
-
-
 def _planned(strokes: StrokeSet, spoken: Spoken, seed: int, links: float = 1.0) -> tuple[plan.Planned, ...]:
     rng = np.random.default_rng(seed)
     casting = plan.cast(spoken, PUPPET, STEADY, NEUTRAL, rng, links)
@@ -159,24 +151,6 @@ def test_gestures_come_at_their_words_within_the_budget(strokes: StrokeSet) -> N
     assert at == {"thumbs_up": {"job", "excellent"}, "now_press": {"moment"}, "point_ahead": {"now"},
                   "point_left": {"left"}}
     assert count > 60
-
-
-def test_without_links_no_word_calls_for_a_gesture(strokes: StrokeSet) -> None:
-    spoken = _said(TALK, 4)
-    assert not any(p.meaning for seed in range(5) for p in _planned(strokes, spoken, seed, links=0.0))
-    half, full = (sum(bool(p.meaning) for seed in range(20) for p in _planned(strokes, spoken, seed, links))
-                  for links in (0.5, 1.0))
-    assert 0.4 * full < half < 0.8 * full
-
-
-def test_larger_takes_come_with_more_effort(strokes: StrokeSet) -> None:
-    quiet, loud = [], []
-    for seed in range(40):
-        for p in _planned(strokes, replace(_said(TALK), phrases=tuple(
-                replace(phrase, effort=1.0 if seed % 2 else -1.0) for phrase in _said(TALK).phrases)), seed):
-            if p.stroke.scripted:
-                (loud if seed % 2 else quiet).append(p.stroke.size)
-    assert min(len(quiet), len(loud)) > 30 and np.mean(loud) > np.mean(quiet) + 0.1
 
 
 def _performed(strokes: StrokeSet, links: float, strength: float) -> Played:
@@ -212,18 +186,6 @@ def test_carriage_raises_the_hands_with_effort_and_not_without_links(strokes: St
     for phrase in _said(TALK).phrases:
         change[int(np.sign(phrase.effort))].append(rise[round(60 * phrase.start):round(60 * phrase.end)].mean())
     assert np.mean(change[1]) > np.mean(change[-1]) + 0.02
-
-
-def test_phrases_with_effort_or_a_wide_pitch_are_driven_up() -> None:
-    phrases = tuple(Phrase(2.0 * k, 2.0 * k + 1.8, effort) for k, effort in enumerate((0.0, 1.0, 0.0, -1.0, 0.0)))
-    wide = (0.5, 0.5, 3.0, 0.5, 0.5)
-    syllables = [Syllable(t, t, t + 0.2, 0, 0.0, 5.0 + spread * (-1) ** k, 0.0)
-                 for phrase, spread in zip(phrases, wide, strict=True)
-                 for k, t in enumerate(np.linspace(phrase.start, phrase.end - 0.3, 6))]
-    drives = carriage.phrase_drives(phrases, syllables)
-    assert np.allclose(drives[[0, 4]], 0.0) and np.allclose(drives[1], [0.55, 0.8])
-    assert np.allclose(drives[2], [0.45, 0.2]) and np.allclose(drives[3], -drives[1])
-    assert not carriage.phrase_drives((), ()).size
 
 
 def test_the_hand_goes_straight_up_and_straight_out() -> None:
@@ -266,14 +228,6 @@ def test_a_bad_folder_is_named_with_its_line(tmp_path: Path, change: Callable[[s
         read_repertoire(_edited(tmp_path / "takes", change))
 
 
-def test_a_broken_clip_is_named_when_it_is_played(tmp_path: Path) -> None:
-    write_takes(tmp_path / "takes", 1, ("thumbs up",))
-    (tmp_path / "takes" / "thumbs_up_small_1.bvh").write_text("HIERARCHY")
-    takes = read_repertoire(tmp_path / "takes")
-    with pytest.raises(InputError, match="thumbs_up_small_1"):
-        takes.played(takes.outlines[0], procedural_strokes().figures[PUPPET])
-
-
 def test_the_build_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for more, message in ((["--carriage", "1.5"], "--carriage: is 1.5"),
                           (["--hours", "0"], "--hours: is 0"), (["--seed", "-1"], "--seed: is -1")):
@@ -283,13 +237,6 @@ def test_the_build_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFix
     with pytest.raises(InputError, match=r"holds no takes\.csv"):
         read_repertoire(tmp_path / "nothing")
     assert not (tmp_path / "store").exists()
-
-
-def test_captured_strokes_come_first(takes: Repertoire) -> None:
-    one = next(iter(procedural_strokes().strokes))
-    captured = [replace(one, meaning="thumbs_up", base=f"clip{k}") for k in range(repertoire.ENOUGH)]
-    assert "thumbs_up" in {s.meaning for s in takes.usable(captured[1:], "train")}
-    assert "thumbs_up" not in {s.meaning for s in takes.usable(captured, "train")}
 
 
 def test_every_gesture_has_sentences_whose_words_call_for_it() -> None:

@@ -60,12 +60,6 @@ def test_a_mirror_image_swaps_the_hands_and_twice_is_nothing() -> None:
     assert np.allclose(first[:, left] * [-1, 1, 1], second[:, right], atol=1e-9)
 
 
-@pytest.mark.parametrize(("length", "becomes"), [(0.01, 0.01), (0.3, 0.3 * np.tanh(1.0)), (50.0, 0.3)])
-def test_soft_limit(length: float, becomes: float) -> None:
-    out = takes.soft_limit(np.array([0.0, length, 0.0]), 0.3)
-    assert out == pytest.approx([0.0, becomes, 0.0], rel=1e-3)
-
-
 def test_a_calmed_pantomime_stays_within_its_limits() -> None:
     lib = library(1)
     wild = RealTake("wild", "ann", "story", "none", 6.0 * moving(4.0, 1))
@@ -115,16 +109,6 @@ def test_idling_and_hands_too_high_are_cut_out() -> None:
     assert places[:, list(takes.WRISTS), 1].max() < 0.45 + 0.16 + 0.1
 
 
-def test_hands_that_hang_for_long_are_cut_out() -> None:
-    places = np.zeros((600, 16, 3))
-    places[:, list(takes.WRISTS), 1] = 0.3
-    places[100:160, list(takes.WRISTS), 1] = 0.0
-    places[300:330, list(takes.WRISTS), 1] = 0.0
-    places[400:500, takes.WRISTS[0], 1] = 0.0
-    cut = np.flatnonzero(takes.hanging(places))
-    assert cut[0] == 115 and cut[-1] == 144 and len(cut) == 30, "one second of both hands, and no less"
-
-
 def test_one_hand_rests_in_some_stretches_whose_hands_do_the_same() -> None:
     lib = library(1)
     logs = moving(8.0, 5)
@@ -140,16 +124,6 @@ def test_one_hand_rests_in_some_stretches_whose_hands_do_the_same() -> None:
     assert all(talks._one_handed(lib, apart, np.random.default_rng(seed)) is apart for seed in range(20))
 
 
-def test_depth_in_the_torso() -> None:
-    places = np.zeros((3, 16, 3))
-    places[:, CHARACTER.index("Spine3")] = [0.0, 0.4, 0.0]
-    for name in ("LeftHand", "RightHand", "LeftForeArm", "RightForeArm"):
-        places[:, CHARACTER.index(name)] = [0.5, 0.2, 0.0]
-    places[1, CHARACTER.index("LeftHand")] = [0.0, 0.2, 0.10]
-    places[2, CHARACTER.index("RightForeArm")] = [0.0, 0.5, 0.02]
-    assert takes.torso_depth(places) == pytest.approx([0.0, 0.015, 0.13 - np.hypot(0.1, 0.02)])
-
-
 def test_splits_by_take_hold_whoever_else_is_there() -> None:
     many = [RealTake(f"cmu_138_{k}", "a", "story", "", np.zeros((0, 16, 3))) for k in range(40)]
     few = [RealTake(f"cmu_80_{k}", "b", "lesson", "", np.zeros((0, 16, 3))) for k in range(2)]
@@ -157,11 +131,6 @@ def test_splits_by_take_hold_whoever_else_is_there() -> None:
     assert [list(splits.values()).count(s) for s in ("train", "val", "test")] == [30, 4, 8]
     assert takes.split_of_takes(many) == {name: split for name, split in splits.items() if "138" in name}
     assert takes.split_of_takes(reversed([*many, *few])) == splits
-
-
-def test_groups_by_name() -> None:
-    assert takes.group_of("cmu_18_08") == "conversation" and takes.group_of("cmu_138_11") == "story"
-    assert takes.group_of("f_idle_neutral_01") == "idling" and takes.group_of("f_cheer_01") == ""
 
 
 def test_a_manifest_without_takes_is_refused(tmp_path: Path) -> None:
@@ -200,22 +169,6 @@ def test_a_chain_is_the_same_twice_and_needs_two_pieces() -> None:
     assert first.used != other.used or not np.array_equal(first.logs, other.logs)
     with pytest.raises(ValueError, match="two"):
         chain(pieces[:1], 20.0, np.random.default_rng(1))
-
-
-def test_fingers_go_with_the_stretches_they_belong_to() -> None:
-    """A chain of stretches with fingers has the arms of one without, and the fingers of the frames that it plays."""
-    bare = [moving(9.0, seed) for seed in range(4)]
-    fingers = [np.broadcast_to(np.float64(seed), (len(logs), 30, 3)) for seed, logs in enumerate(bare)]
-    whole = [np.concatenate([logs, own], axis=1) for logs, own in zip(bare, fingers, strict=True)]
-    one, two = (chain(pieces, 20.0, np.random.default_rng(2)) for pieces in (bare, whole))
-    assert two.used == one.used and np.array_equal(two.edges, one.edges)
-    assert np.allclose(two.logs[:, :16], one.logs) and two.logs.shape[1] == 46
-    last = [round(edge * FPS) - 1 for edge in two.edges[1:]]
-    # At its end each stretch has come to its own fingers: the old one's have died away.
-    assert [round(float(two.logs[at, 20, 0]), 3) for at in last] == [float(k) for k in two.used]
-    flipped = takes.mirrored(two.logs)
-    left, right = FINGERED.index("LeftHandRing2"), FINGERED.index("RightHandRing2")
-    assert np.array_equal(flipped[:, left], two.logs[:, right] * [1, -1, -1])
 
 
 def test_played_fingers_stay_within_a_hand_and_are_never_still() -> None:
