@@ -237,29 +237,6 @@ def test_beats_of_sound_that_arrives_are_those_of_the_recording(rule: str, secon
     assert [int(flag) for _, flag in found] == whole.flags.tolist()
 
 
-@pytest.mark.parametrize("rule", ["bounded", "strongest"])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_beat_that_is_certain_stays_whatever_follows(rule: str, seed: int) -> None:
-    """Also if the sound ends there, or an onset comes right after."""
-    sound, settings = babble(4.0, seed), BeatSettings(rule=rule)
-    loudness_of, onsets, beats = LoudnessTracker(), OnsetTracker(RATE), BeatTracker(settings)
-    step, certain = RATE // 50, 0
-    for start in range(0, len(sound), step):
-        heard = loudness_of.step(frame_levels(sound[start:start + step], RATE))
-        more = onsets.step(sound[start:start + step], heard)
-        so_far = sound[:start + step]
-        for time, flag in beats.step(more, heard.silent.tolist(), onsets.known_until, len(so_far) / RATE):
-            certain += 1
-            if start < RATE:  # the noise floor of the first second depends on all of it
-                continue
-            for following in (so_far[:0], clicks([0.005, 0.06], 0.3), np.zeros(RATE // 2, np.float32),
-                              babble(1.0, seed + 7)):
-                every = find_beats(Speech(np.concatenate([so_far, following]), RATE), settings)
-                at = np.abs(every.times - time).argmin()
-                assert (every.times[at], every.flags[at]) == (time, flag)
-    assert certain > 8
-
-
 def test_settings_that_cannot_hold_are_refused() -> None:
     for wrong in ({"d_min": 0.3, "d_max": 0.5}, {"d_min": 0.0}, {"d_max": float("inf")}, {"d_max": 0.1},
                   {"merge": -1.0}, {"d_min": float("nan")}, {"d_max": float("nan")}, {"d_min": -0.2}):

@@ -80,20 +80,6 @@ def test_cut_tiles_the_recording() -> None:
     assert not blocks.silent[blocks.edges[1:] < 1.9].any()
 
 
-@pytest.mark.parametrize("shortest", [0.2, 0.4])
-def test_even_beats_give_the_fixed_rate_of_racer(shortest: float) -> None:
-    """8 frames at 20 fps a block, and neither sound nor motion is stretched."""
-    settings = BlockSettings(BeatSettings(shortest, 0.4, rule="even"))
-    sound = buzz(6.0)
-    blocks = cut(Speech(sound, RATE), settings)
-    assert blocks.frames == settings.frames == 8
-    assert len(blocks) == 15
-    assert np.array_equal(stretch_speech(Speech(sound, RATE), blocks).ravel(), sound)
-    motion = smooth_motion(6.0, 20.0)
-    knots = normalise_motion(motion, blocks)
-    assert np.allclose(knots.reshape(120, 48), skeletons.to_vector(motion)[1:], atol=1e-9)
-
-
 @pytest.mark.parametrize("hertz", [110.0, 220.0, 440.0, 1000.0])
 @pytest.mark.parametrize("method", METHODS)
 def test_stretching_keeps_pitch_level_and_length(hertz: float, method: str) -> None:
@@ -172,18 +158,6 @@ def test_motion_comes_back_exactly_on_the_beats(durations: Array, seed: int) -> 
     beats = np.round(blocks.edges[:-1] * 20).astype(int)
     assert error[beats].max() < 1e-6
     assert error.max() < 0.002  # elsewhere within the error of interpolation
-
-
-def test_yaw_and_place_do_not_count_and_a_motion_that_ends_early_holds() -> None:
-    motion = smooth_motion(2.0, 60.0)
-    turn = rotation.from_euler(np.array([0.0, 1.1, 0.0]), "XYZ")
-    turned = motion.rotations.copy()
-    turned[:, 0] = rotation.multiply(turn, turned[:, 0])
-    moved = Motion(motion.skeleton, turned, motion.root_positions + np.array([1.0, 2.0, 3.0]), 60.0)
-    blocks = blocks_of(np.full(5, 0.4))
-    assert np.allclose(normalise_motion(moved, blocks), normalise_motion(motion, blocks), atol=1e-9)
-    held = normalise_motion(motion.crop(0, 61), blocks)
-    assert np.allclose(held[3:], held[3, 0], atol=1e-9)
 
 
 @given(gaps=st.lists(st.floats(0.02, 0.06), min_size=6, max_size=20), seed=st.integers(0, 99))

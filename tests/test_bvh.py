@@ -116,12 +116,6 @@ def test_any_order_of_channels(tmp_path: Path, order: str, places: tuple[int, in
     assert motion.root_positions[0, list(places)].tolist() == [1.0, 2.0, 3.0]
 
 
-def test_positions_of_an_inner_joint_are_its_offset(tmp_path: Path) -> None:
-    text = small(frames=1, rows="0 0 0 0 0 0 7 8 9 0 0 0").replace(
-        "CHANNELS 3 Zrotation", "CHANNELS 6 Xposition Yposition Zposition Zrotation")
-    assert read_bvh(stored(tmp_path, text), unit=1.0).skeleton.offsets[1].tolist() == [7.0, 8.0, 9.0]
-
-
 def test_our_files_mean_the_same_to_pymotion(tmp_path: Path) -> None:
     motion = lively(seed=2)
     write_bvh(tmp_path / "out.bvh", motion)

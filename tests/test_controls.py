@@ -24,7 +24,7 @@ from data_module.controls import (
     read_curve,
 )
 from data_module.errors import InputError
-from data_module.motion import bvh, kinematics, rotation, skeletons
+from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Blocks, Motion
 
@@ -62,16 +62,6 @@ def test_a_hand_on_a_circle_has_the_features_of_the_circle(fps: float, turns_per
     assert np.allclose(got[:, 1], chord * fps / 2, atol=1e-9), "the other hand is still"
     assert np.isclose(got[0, 1], np.pi * abs(turns_per_second) * ARM, rtol=0.01)
     assert np.allclose(got[:, 2], (np.hypot(hand[:, 0], hand[:, 2]) + LEFT_RADIUS) / 2, atol=1e-9)
-
-
-def test_only_the_right_hand_has_a_height_and_both_a_speed() -> None:
-    time = np.arange(120) / 60
-    maps = np.zeros((120, len(CHARACTER), 3))
-    maps[:, CHARACTER.index("LeftArm"), 2] = time
-    left = per_frame(Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((120, 3)), 60.0))
-    right = per_frame(arm(-time, 60.0))
-    assert np.allclose(left[:, 0], 0.49) and np.ptp(right[:, 0]) > 0.4
-    assert np.allclose(left[:, 1:], right[:, 1:], atol=1e-9), "the character is symmetric"
 
 
 def test_neither_heading_nor_walking_nor_standing_height_matters() -> None:
@@ -119,23 +109,6 @@ def test_knots_are_read_on_the_recordings_own_clock() -> None:
     assert np.allclose(at_knots(values[:16], 30.0, blocks)[2, -1], [0.5, -1.0, 1.5]), "held past the end"
 
 
-def test_a_real_take_measures_like_a_real_speaker(outside_data: Path) -> None:
-    """Heights and speeds against the joints' own positions, and within what is known of speakers."""
-    folder = outside_data / "takes" / "beat_scott"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", bvh.BvhWarning)
-        motion = skeletons.to_character(bvh.read_bvh(min(folder.glob("*.bvh")), fps=15.0))
-    raw = per_frame(motion)
-    positions = kinematics.positions_of(motion)
-    hands = positions[:, [CHARACTER.index("RightHand"), CHARACTER.index("LeftHand")]]
-    assert np.allclose(raw[:, 0], hands[:, 0, 1] - positions[:, 0, 1], atol=1e-9)
-    assert np.allclose(raw[:, 2], np.linalg.norm((hands - positions[:, :1])[..., [0, 2]], axis=-1).mean(1), atol=1e-9)
-    assert 0.2 < raw[:, 1].mean() < 1.2 and 0.1 < raw[:, 2].mean() < 0.6
-    smooth = measure(motion)
-    assert (smooth.std(axis=0) < raw.std(axis=0)).all()
-    assert np.allclose(smooth.mean(axis=0), raw.mean(axis=0), rtol=0.1, atol=0.02)
-
-
 # ---------------------------------------------------------------------------------------------------- levels
 
 def test_levels_are_the_15_50_and_85_per_cent_quantiles() -> None:
@@ -145,17 +118,6 @@ def test_levels_are_the_15_50_and_85_per_cent_quantiles() -> None:
     assert np.allclose(fitted.mean, [0.5, 100, -50])
     assert np.allclose(fitted.spread, np.sqrt((101 ** 2 - 1) / 12) * np.array([0.01, 2, 1]))
     assert fitted.value("speed", "high") == pytest.approx(170) and fitted.value("height", "low") == pytest.approx(0.15)
-
-
-def test_levels_come_back_from_a_file_of_arrays(tmp_path: Path) -> None:
-    before = Levels.fit(np.random.default_rng(0).normal(size=(50, 3)))
-    np.savez(tmp_path / "levels.npz", **before.to_dict())
-    with np.load(tmp_path / "levels.npz", allow_pickle=False) as arrays:
-        after = Levels.from_dict(arrays)
-    for name in ("table", "mean", "spread"):
-        assert np.array_equal(getattr(before, name), getattr(after, name))
-    with pytest.raises(KeyError):
-        Levels.from_dict({"table": before.table})
 
 
 @pytest.mark.parametrize("values", [np.zeros((0, 3)), np.zeros((5, 2)), np.full((5, 3), np.nan)])

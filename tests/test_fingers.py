@@ -24,7 +24,6 @@ from data_module.motion.skeletons import (
     resized,
     to_character,
     to_vector,
-    upper_body,
 )
 from data_module.motion.smplx import read_smplx
 from data_module.types import Array, Motion, Skeleton
@@ -137,16 +136,6 @@ def test_what_a_source_lacks_is_masked_and_at_rest() -> None:
     assert not told.vectors(small, np.arange(10) / 30.0)[:, 48:].any()
     assert told.present(("LeftHandIndex2",)).reshape(46, 3).all(axis=1).sum() == 45
     assert (representation("rotations", 46).width, representation("positions", 46).width) == (138, 30)
-
-
-def test_resizing_keeps_what_is_told_of_joints() -> None:
-    motion = Motion(WHOLE_BODY, waving(WHOLE_BODY).rotations, np.zeros((60, 3)), 30.0, LEG_JOINTS, ("LeftHandRing1",))
-    assert resized(motion, FINGERED).absent == () and resized(motion, FINGERED).filled == ("LeftHandRing1",)
-    assert resized(motion, CHARACTER).filled == () and resized(motion, WHOLE_BODY) is motion
-    other = Motion(Skeleton(("a", "b"), (-1, 0), np.ones((2, 3))), motion.rotations[:, :2], np.zeros((60, 3)), 30.0)
-    assert upper_body(other) is other
-    with pytest.raises(ValueError, match="16-joint"):
-        resized(other, CHARACTER)
 
 
 # ---------------------------------------------------------------------------------------------------- relaxed hands

@@ -156,16 +156,6 @@ def test_the_unit_is_guessed_from_hips_to_head(unit: float) -> None:
         assert skeletons.guess_unit(skeleton, own_table()) == unit
 
 
-def test_facing_takes_off_yaw_and_place_and_nothing_else() -> None:
-    motion = calm()
-    faced = skeletons.facing(motion)
-    heading = rotation.yaw_of(motion.rotations[:, 0])
-    positions = kinematics.positions_of(motion) - motion.root_positions[:, None]
-    expected = rotation.rotate(rotation.conjugate(heading)[:, None], positions)
-    assert np.allclose(kinematics.positions_of(faced), expected, atol=1e-9)
-    assert not faced.root_positions.any()
-
-
 @given(st.integers(0, 10_000))
 def test_vectors_and_motion_go_there_and_back(seed: int) -> None:
     faced = skeletons.facing(calm(30, seed))

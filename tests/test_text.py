@@ -9,7 +9,7 @@ import pytest
 
 from data_module.speech.audio import load_speech
 from data_module.text import alignment as text
-from data_module.types import Speech, Word
+from data_module.types import Speech
 
 RATE = 16000
 
@@ -101,33 +101,3 @@ def test_real_readings(outside_data: Path, name: str) -> None:
         assert whole is not None
         apart = np.abs(starts - np.array([a for a, _ in whole]))
         assert np.median(apart) <= 0.01 and (apart < 0.05).mean() > 0.95
-
-
-def test_words_begin_where_the_sound_rises(outside_data: Path) -> None:
-    """An oracle that knows no words: after a pause, the aligned word begins within 60 ms of the rise of the level."""
-    pytest.importorskip("pocketsphinx")
-    speech = load_speech(outside_data / "speech" / "en_sonnet_2.flac")
-    words = text.alignment(speech, (outside_data / "speech" / "en_sonnet_2.txt").read_text(encoding="utf-8")).words
-    loud = text._loud(text._aligner_samples(speech))
-    after = [w for before, w in zip(words, words[1:], strict=False) if w.start - before.end > 0.3]
-    assert len(after) >= 8
-    apart = []
-    for word in after:
-        near = np.flatnonzero(loud[int((word.start - 0.25) * 100):int((word.start + 0.4) * 100)])
-        apart.append(abs(near[0] / 100 - 0.25) if len(near) else 1.0)
-    assert np.median(apart) < 0.06
-
-
-def test_times_do_not_depend_on_what_was_aligned_before(outside_data: Path) -> None:
-    """The aligner adapts to a voice as it listens; each alignment begins from the state of a new aligner."""
-    pytest.importorskip("pocketsphinx")
-
-    def words(name: str) -> tuple[Word, ...]:
-        folder = outside_data / "speech"
-        return text.alignment(load_speech(folder / f"{name}.flac"),
-                              (folder / f"{name}.txt").read_text(encoding="utf-8")).words
-
-    text._loaded_decoder.cache_clear()
-    first = words("en_austen_0880")
-    assert words("en_austen_0870") != first
-    assert words("en_austen_0880") == first

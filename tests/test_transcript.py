@@ -326,15 +326,6 @@ def test_a_wrong_text_is_guessed_and_said_so(outside_data: Path, other: str) -> 
     assert all(0 <= w.start <= w.end <= speech.duration for w in found.words or ())
 
 
-@pytest.mark.parametrize("name", ["de_prose_1", "es_prose_1"])
-def test_real_readings_in_other_languages_are_guessed(outside_data: Path, name: str) -> None:
-    speech = load_speech(outside_data / "speech" / f"{name}.flac")
-    found, timing = with_transcript(speech, read_transcript(outside_data / "speech" / f"{name}.txt", speech))
-    assert timing.how == "guessed" and "the aligner supports English only" in timing.note
-    starts = np.array([w.start for w in found.words or ()])
-    assert len(starts) > 100 and (np.diff(starts) > 0).all() and starts[-1] > 0.9 * speech.duration
-
-
 def test_long_numbers_words_and_marks_cost_no_time(tmp_path: Path) -> None:
     """Every reader is linear: 16,000 digits took seconds, and so did a word with as many dots in it."""
     head = ('File type = "ooTextFile"\nObject class = "TextGrid"\n\n0\n1\n<exists>\n1\n"IntervalTier"\n"words"\n'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import re
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -57,19 +56,6 @@ def test_the_words_of_the_example_are_heard_at_their_times(model: str) -> None:
 
 def test_silence_has_no_words(model: str) -> None:
     assert transcribed(Speech(np.zeros(48000, np.float32), 16000), model) is None
-
-
-def test_the_command_hears_words_and_the_plan_holds_them(model: str, tmp_path: Path, capsys: Any) -> None:
-    assert main([str(SPEECH), "-o", str(tmp_path / "a.bvh"), "--plan-out", str(tmp_path / "a.json"), "--transcribe",
-                 model]) == 0
-    assert "words, heard with their times" in capsys.readouterr().out
-    plan = json.loads((tmp_path / "a.json").read_text())
-    assert [word["text"] for word in plan["words"]][-1] == "listening."
-    assert {one["word"] for one in plan["meanings"]} >= {"here"}, "meaning works from sound alone"
-    performance = Gesticulator.from_pretrained()(SPEECH, transcribe=model)
-    performance.save(tmp_path / "b.bvh")
-    assert (tmp_path / "b.bvh").read_bytes() == (tmp_path / "a.bvh").read_bytes()
-    assert performance.options.transcribe is None, "its words are in the speech"
 
 
 # ---------------------------------------------------------------- what is missing or wrong

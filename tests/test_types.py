@@ -50,13 +50,6 @@ def test_a_motion_refuses_wrong_shapes_no_frames_no_rate_and_nan() -> None:
             Motion(TWO, rotations, root, fps)
 
 
-def test_crop_keeps_the_frames_asked_for_and_duration_counts_each() -> None:
-    root = np.arange(30.0).reshape(10, 3)
-    motion = Motion(TWO, still(10), root, 20.0)
-    assert motion.duration == pytest.approx(0.5)
-    assert motion.crop(2, 5).root_positions.tolist() == root[2:5].tolist()
-
-
 def test_speech_without_samples_or_with_nan_is_the_users_error() -> None:
     with pytest.raises(InputError, match="no samples"):
         Speech(np.zeros(0, dtype=np.float32), 16000)

@@ -19,7 +19,7 @@ from gesticulator_performer.types import Spoken
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Split, StoreWriter
-from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
+from data_module.truth import JOIN, REST, Mark, Phrase, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
 from eval.acceptance.bounds import Verdict
 from eval.baselines import controls as baselines
@@ -116,24 +116,6 @@ def test_a_source_is_refused_though_all_together_are_not(figure: str, value: flo
     assert _refused([replace(talk, part="style") for talk in talks]) == set(), "styles are not judged"
 
 
-def test_forearms_that_were_turned_outward_are_refused_as_a_source() -> None:
-    talks = [replace(_measured(motion), source=name, part="talk")
-             for name, make in (("right", list), ("turned", lambda clips: baselines.splayed(clips, degrees=60.0)))
-             for motion in make([_ahead(seed) for seed in range(2)])]
-    refused = _refused(talks)
-    assert ("eye_splay", "turned") in refused and ("eye_splay", "right") not in refused
-
-
-def _ahead(seed: int) -> Motion:
-    """Arms that hang, forearms that swing about straight ahead."""
-    time = np.arange(1200) / 60
-    maps = np.zeros((1200, len(CHARACTER), 3))
-    for side, sign in (("Left", -1.0), ("Right", 1.0)):
-        maps[:, CHARACTER.index(side + "Arm"), 2] = 1.3 * sign
-        maps[:, CHARACTER.index(side + "ForeArm"), 1] = sign * (1.4 + 0.1 * np.sin((2 + seed) * time))
-    return Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((1200, 3)), 60.0)
-
-
 # --- From motion
 
 
@@ -203,17 +185,6 @@ def test_joins_that_jump_are_seams_and_smooth_ones_are_none() -> None:
     assert _measured(_jumping(times + 1.0), truth).figures[SEAM] < 1.35
     assert math.isnan(_measured(_jumping(times)).figures[SEAM])
     assert math.isnan(_measured(_motion(40.0), Truth(marks=truth.marks[:2])).figures[SEAM])
-
-
-def test_of_strokes_the_begin_and_the_end_of_the_hold_are_seams() -> None:
-    starts = np.arange(4.0, 36.0, 3.1)
-    strokes = tuple(PlayedStroke("Beat", "c", "right", s, s + 0.5, s + 0.9, s + 1.4, s + 0.5, 1.0, False)
-                    for s in starts.tolist())
-    for at in (0.0, 0.9):
-        assert _measured(_jumping(starts + at), Truth(strokes)).figures[SEAM] > 2.0
-    # A jump on the beat is the strokes' own, one between strokes is nobody's.
-    assert _measured(_jumping(starts + 0.5), Truth(strokes)).figures[SEAM] < 1.0
-    assert _measured(_jumping(starts + 2.2), Truth(strokes)).figures[SEAM] < 1.35
 
 
 def test_a_held_pose_of_a_real_take_does_not_freeze() -> None:

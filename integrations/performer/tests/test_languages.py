@@ -4,19 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from gesticulator_performer import espeak, voices
-from gesticulator_performer.plan import plan
+from gesticulator_performer import voices
 from gesticulator_performer.reader import Performer, PerformerOptions, Script
-from gesticulator_performer.text import compose
-from procedural import procedural_strokes
 
 from data_module.corpora.base import Reader
 from data_module.errors import InputError
-
-needs_espeak = pytest.mark.skipif(not espeak.available(), reason="libespeak-ng is not installed")
-
 
 # ---------------------------------------------------------------------------------------------------- corpora
 
@@ -60,17 +53,3 @@ def test_without_languages_talks_are_english_and_every_reading_is_used(outside_d
 def test_languages_that_nobody_speaks_are_refused(outside_data: Path) -> None:
     with pytest.raises(InputError, match=r"--languages de,xx: no voice speaks xx.*cmn, de, en, es"):
         _plan(outside_data, "de", "xx")
-
-
-@needs_espeak
-def test_mandarin_gets_beats_and_nothing_that_asks_for_words() -> None:
-    strokes = procedural_strokes()
-    who = strokes.performers[0]
-    assert not all(stroke.lexeme.startswith("Beat") for stroke in strokes.of(who, "train")), "others could be chosen"
-    text = compose(np.random.default_rng(0), 15, "train", language="cmn")
-    spoken = voices.speak("x", text, "cmn_f2", np.random.default_rng(0))
-    planned = plan(spoken, who, strokes, np.random.default_rng(0))
-    assert len(planned) > 5 and all(one.stroke.lexeme.startswith("Beat") for one in planned)
-    taken = {one.syllable for one in planned}
-    prominent = [s.prominence for s in spoken.syllables if s.vowel in taken]
-    assert np.mean(prominent) > np.mean([s.prominence for s in spoken.syllables]) + 0.2

@@ -10,8 +10,6 @@ import pytest
 from gesticulator_performer import mended_arms, takes
 from gesticulator_performer.takes import FPS, MotionRange
 from gesticulator_performer.torso import facing_positions, torso_depth
-from hypothesis import given
-from hypothesis import strategies as st
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED
@@ -60,37 +58,6 @@ def test_arms_turned_outward_by_15_degrees_are_found_and_turned_back() -> None:
     for side in SIDES:
         assert found[side] == pytest.approx(15.0, abs=0.1)
         assert azimuth(mended_arms.turned(turned, found), side) == pytest.approx(azimuth(right, side), abs=0.1)
-
-
-def test_each_side_is_judged_by_itself_and_who_never_rests_gets_the_mean_of_the_others() -> None:
-    odd = mended_arms.turned(hanging(10.0, seconds=60.0), {"Left": -20.0, "Right": 0.0})
-    subjects = {"odd": [odd], "busy": [hanging(10.0, bend=90.0)]}
-    found = mended_arms.fitted(subjects, [at_home(10.0)])
-    believed = 60.0 / (60.0 + REST.prior)
-    assert found["odd"]["Left"] == pytest.approx(10.0 + 10.0 * believed, abs=0.1)
-    assert found["odd"]["Right"] == pytest.approx(10.0 - 10.0 * believed, abs=0.1)
-    assert found["busy"] == pytest.approx({"Left": 10.0, "Right": 10.0}, abs=0.1)
-    with pytest.raises(ValueError, match="no arm is seen"):
-        mended_arms.fitted({"busy": subjects["busy"]}, [at_home(10.0)])
-
-
-@given(st.floats(-40.0, 40.0), st.floats(5.0, 130.0), st.floats(-30.0, 30.0))
-def test_a_turned_elbow_keeps_its_bend_the_upper_arm_and_the_roll_of_the_hand(turn: float, bend: float, out: float
-                                                                              ) -> None:
-    before = hanging(out, 0.1, bend)
-    after = mended_arms.turned(before, {"Left": turn})
-    elbow = CHARACTER.index("LeftForeArm")
-    along = np.array([1.0, 0.0, 0.0])
-    assert np.allclose(rotation.rotate(before[:, elbow], along)[:, 0], rotation.rotate(after[:, elbow], along)[:, 0])
-    assert np.allclose(rotation.yaw_of(before[:, elbow], axis=0), rotation.yaw_of(after[:, elbow], axis=0))
-    rest = [j for j in range(16) if j != elbow]
-    assert np.array_equal(before[:, rest], after[:, rest])
-
-
-def test_arms_lifted_to_the_side_come_down_and_stay_in_their_plane() -> None:
-    before = hanging(0.0, bend=40.0, lift=70.0)
-    after = mended_arms._arm(mended_arms.narrowed(before), "Right")
-    assert 20.0 < after.lifted.max() < 35.5 and np.abs(after.upper[:, 2]).max() < 1e-6
 
 
 def test_a_hand_in_the_trunk_comes_out_of_it_and_other_hands_stay() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,7 +21,6 @@ from gesticulator_performer.voices import (
     nuclei_of,
     speak,
     synthesise,
-    without_tone,
 )
 
 from data_module.errors import InputError
@@ -79,16 +77,6 @@ def test_vowels_lie_on_rises_of_the_sound(voice: str) -> None:
 
 
 @ENGLISH
-def test_the_words_are_the_text(voice: str) -> None:
-    text, spoken = compose(np.random.default_rng(1), 25, "train"), _spoken(voice)
-    assert spoken.speech.words is not None
-    expected = [t.strip(".,?!") for u in text for p in u.parts for t in p.text.split()]
-    assert [w.text for w in spoken.speech.words] == [t for t in expected if t]
-    assert {s.word for s in spoken.syllables} == set(range(len(spoken.speech.words)))
-    assert all(s.start <= s.vowel <= s.end for s in spoken.syllables)
-
-
-@ENGLISH
 def test_effort_raises_loudness_range_and_rate_together(voice: str) -> None:
     line = "the banker carried a wonderful yellow melon over the long wall."
     made = synthesise(_said((line, -0.8), (line, 0.8)), VOICES[voice], np.random.default_rng(0))
@@ -118,30 +106,6 @@ def test_the_same_seed_gives_the_same_bytes(voice: str) -> None:
     assert first.speech.samples.tobytes() != other.speech.samples.tobytes()
 
 
-def test_pitch_track_follows_a_glide_and_is_silent_on_noise() -> None:
-    time = np.arange(2 * RATE) / RATE
-    hertz = 110 * 2 ** (time / 2)
-    wave = np.sign(np.sin(2 * np.pi * np.cumsum(hertz) / RATE)).astype(np.float32) * 0.1
-    track = syllables.pitch_track(wave, RATE)[10:190]
-    truth = 110 * 2 ** (np.arange(10, 190) / 200)
-    assert np.abs(12 * np.log2(track / truth)).max() < 0.3
-    noise = np.random.default_rng(0).normal(0, 0.1, RATE).astype(np.float32)
-    assert np.mean(syllables.pitch_track(noise, RATE) > 0) < 0.1
-
-
-@ENGLISH
-def test_syllables_are_found_without_being_told(voice: str) -> None:
-    spoken = _spoken(voice)
-    deaf = replace(spoken.speech, words=None)
-    heard = syllables.find_syllables("x", deaf, "unknown", "xx")
-    truth, found = (np.array([s.vowel for s in x.syllables]) for x in (spoken, heard))
-    gaps = np.abs(truth[:, None] - found)
-    # Evenly spaced guesses of the same number would score about half of this.
-    assert np.mean(gaps.min(axis=0) < 0.05) > 0.75 and np.mean(gaps.min(axis=1) < 0.05) > 0.6
-    quiet = [s for s in heard.syllables if not any(p.start - 0.1 < s.vowel < p.end + 0.1 for p in spoken.phrases)]
-    assert len(quiet) <= 0.05 * len(heard.syllables)
-
-
 def test_training_and_test_voices_differ_down_to_the_speaker() -> None:
     assert len(TRAIN_VOICES) >= 6 and set(TRAIN_VOICES) | set(TEST_VOICES) <= set(VOICES)
     assert len({(v.engine, v.base, v.pitch, v.tract) for v in VOICES.values()}) == len(VOICES)
@@ -168,36 +132,6 @@ def test_syllables_of_phones() -> None:
     phones = [sound.Phone(n, i / 10, (i + 1) / 10, n == "a", w) for i, (n, w) in enumerate(names)]
     assert [(n.start, n.vowel, n.end, n.word) for n in nuclei_of(phones)] == \
         [(0.0, 0.1, 0.3, 0), (0.3, 0.4, 0.5, 0), (0.5, 0.5, 0.7, 1)]
-
-
-@needs_espeak
-@pytest.mark.parametrize("voice", VOICES_OF["cmn"][0] + VOICES_OF["cmn"][1])
-def test_mandarin_has_a_syllable_for_each_character(voice: str) -> None:
-    text = compose(np.random.default_rng(0), 20, "train", language="cmn")
-    spoken = speak("x", text, voice, np.random.default_rng(0))
-    words = [w.strip("，。？.") for u in text for p in u.parts for w in p.text.split()]
-    assert spoken.speech.words is not None and [w.text for w in spoken.speech.words] == words
-    assert Counter(s.word for s in spoken.syllables) == {i: len(word) for i, word in enumerate(words)}
-    assert abs(np.median(_rise_errors(spoken))) <= 0.02
-    talk = sum(p.end - p.start for p in spoken.phrases)
-    assert 4 < len(spoken.syllables) / talk < 5.5
-    # The text was written for twenty seconds and the end of a sentence.
-    assert 17 < spoken.speech.duration < 32
-
-
-def test_a_high_tone_is_no_stress() -> None:
-    """Of syllables that differ in pitch alone none stands out; louder and longer ones still do."""
-    at = np.arange(round(0.2 * RATE)) / RATE
-    samples = np.concatenate([np.concatenate([loud * np.sin(2 * np.pi * hertz * at), np.zeros(1600)]) for hertz, loud in
-                              ((120, 0.1), (170, 0.1), (120, 0.1), (170, 0.1), (120, 0.3), (170, 0.03))])
-    nuclei = [syllables.Nucleus(i * 0.3, i * 0.3, i * 0.3 + 0.2, -1) for i in range(6)]
-    heard = syllables.listen(Speech(samples.astype(np.float32), RATE), [Phrase(0, 1.8, 0.0)], nuclei, "cmn")
-    assert heard[1].prominence > heard[0].prominence + 0.5
-    level = without_tone(heard)
-    assert [s.prominence for s in level[:4]] == pytest.approx([level[0].prominence] * 4, abs=0.05)
-    assert level[4].prominence > level[0].prominence + 0.3 > level[5].prominence + 0.6
-    assert [replace(s, prominence=0.0) for s in level] == [replace(s, prominence=0.0) for s in heard]
-    assert without_tone(()) == ()
 
 
 def test_a_missing_program_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

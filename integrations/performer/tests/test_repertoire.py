@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import carriage, grammar, plan, text
+from gesticulator_performer import grammar, plan, text
 from gesticulator_performer.called_cues import CalledCues
 from gesticulator_performer.cues import plain
 from gesticulator_performer.hands import STEADY
 from gesticulator_performer.play import Staging, perform
 from gesticulator_performer.repertoire import Repertoire, read_repertoire
 from gesticulator_performer.sources.gesture_takes import TAKES, write_takes
-from gesticulator_performer.strokes import SIDES, StrokeSet, standing_body
+from gesticulator_performer.strokes import StrokeSet, standing_body
 from gesticulator_performer.styles import NEUTRAL
 from gesticulator_performer.types import Played, Spoken
 from procedural import procedural_strokes
@@ -24,10 +24,10 @@ from procedural import procedural_strokes
 from data_module.build import main
 from data_module.errors import InputError
 from data_module.files import read_table
-from data_module.motion import kinematics, rotation
+from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
 from data_module.truth import SCRIPTED, Phrase, Syllable
-from data_module.types import Array, Motion, Speech, Word
+from data_module.types import Speech, Word
 from gesticulator.directing.meaning_cues import meaning_cues
 from gesticulator.plan.gestures import REPERTOIRE
 
@@ -85,26 +85,6 @@ def test_the_same_seed_draws_the_same_bytes_and_no_two_takes_are_alike(folder: P
     assert drawn == {name: (tmp_path / "again" / name).read_bytes() for name in files}
     assert all((tmp_path / "other" / name).read_bytes() != drawn[name] for name in files)
     assert len(set(drawn.values())) == len(files) == 24
-
-
-def _hands(motion: Motion) -> Array:
-    """[T, 2, 3] metres of the hands from the hips."""
-    places = kinematics.positions_of(motion) - motion.root_positions[:, None]
-    return places[:, [motion.skeleton.index(side + "Hand") for side in SIDES]]
-
-
-def test_phases_are_where_their_marks_say(folder: Path) -> None:
-    """The hand hangs before the start and after the end, stops at the apex, and was fast in between."""
-    for _, row in read_table(folder / TAKES, ""):
-        if row["label"] not in ("thumbs_up", "point_ahead"):
-            continue
-        hand = _hands(read_bvh(folder / str(row["file"]), unit=1.0))[:, 1]
-        speed = np.linalg.norm(np.gradient(hand, axis=0), axis=-1) * 30.0
-        start, stroke, apex, hold_end, end = (round(30.0 * float(row[name] or 0)) for name in (
-            "start", "stroke", "apex", "hold_end", "end"))
-        assert max(speed[:start].max(), speed[end + 2:].max()) < 0.02
-        assert speed[start:stroke].max() > 0.5 and speed[hold_end:end].max() > 0.5
-        assert speed[apex + 1:hold_end].max() < 0.2 * speed[start:apex].max()
 
 
 def test_a_take_on_the_body_it_was_drawn_for_is_what_was_drawn(folder: Path, takes: Repertoire) -> None:
@@ -175,35 +155,6 @@ def test_a_played_take_shows_its_pose_at_the_apex(strokes: StrokeSet) -> None:
             apart = [np.degrees(rotation.angle_between(played.motion.rotations[round(60 * time)][joints], wanted)).max()
                      for time in (stroke.beat + 0.1, stroke.start)]
             assert apart[0] < 15.0 < apart[1]
-
-
-def test_carriage_raises_the_hands_with_effort_and_not_without_links(strokes: StrokeSet) -> None:
-    without, with_it = (_performed(strokes, 1.0, strength) for strength in (0.0, 1.0))
-    unlinked = [_performed(strokes, 0.0, strength).motion.rotations for strength in (0.0, 1.0)]
-    assert np.array_equal(*unlinked)
-    change = {1: [], -1: []}  # type: ignore[var-annotated]
-    rise = (_hands(with_it.motion) - _hands(without.motion))[..., 1].mean(axis=1)
-    for phrase in _said(TALK).phrases:
-        change[int(np.sign(phrase.effort))].append(rise[round(60 * phrase.start):round(60 * phrase.end)].mean())
-    assert np.mean(change[1]) > np.mean(change[-1]) + 0.02
-
-
-def test_the_hand_goes_straight_up_and_straight_out() -> None:
-    body = procedural_strokes().figures[PUPPET]
-    for side in (0, 1):
-        ways = carriage._ways(body, side)
-        places = []
-        for add in (np.zeros((2, 3)), 0.02 * ways[0], 0.02 * ways[1]):
-            logs = body.home[side].copy()
-            logs[1:3] += add
-            rotations = body.rest.copy()
-            joints = list(body.arms[side])
-            rotations[joints] = rotation.multiply(rotations[joints], rotation.from_exponential_map(logs))
-            hand = body.skeleton.index(SIDES[side] + "Hand")
-            places.append(kinematics.joint_positions(body.skeleton, rotations)[hand])
-        up, out = places[1] - places[0], places[2] - places[0]
-        assert up == pytest.approx([0.0, 0.02, 0.0], abs=0.002)
-        assert np.linalg.norm(out) == pytest.approx(0.02, abs=0.002) and abs(out[1]) < 0.002
 
 
 def _edited(folder: Path, change: Callable[[str], str]) -> Path:

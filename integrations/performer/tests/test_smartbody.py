@@ -134,15 +134,6 @@ def published(tmp_path: Path, outside_data: Path) -> Path:
     return source
 
 
-def test_a_clip_cut_short_is_named_and_nothing_is_left(published: Path, tmp_path: Path) -> None:
-    clip = published / "Gestures" / "motions" / "ChrBrad@Idle01_Shrug01.skm"
-    text = clip.read_text()
-    clip.write_text(text[:len(text) // 2])
-    with pytest.raises(InputError, match=r"Shrug01\.skm: has a frame that is not a time and \d+ values"):
-        SmartBody(published).write(tmp_path / "out")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["behaviorsets"]
-
-
 @pytest.mark.parametrize(("part", "content", "message"), [
     ("motions/ChrBrad@Idle01_Shrug01.skm", b"hello\n", r"Shrug01\.skm: is not a SmartBody motion"),
     ("motions/ChrBrad@Idle01_Shrug01.skm", b"\xfa\xfe\x00\x81", r"Shrug01\.skm: line 1: is not text"),

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import takes, talks
+from gesticulator_performer import takes
 from gesticulator_performer.chaining import chain, seam_ratio
-from gesticulator_performer.living_fingers import living_fingers
 from gesticulator_performer.takes import FPS, HIPS, SKULL, SPINE, Library, MotionRange, RealTake
 
 from data_module.errors import InputError
@@ -60,28 +59,6 @@ def test_a_mirror_image_swaps_the_hands_and_twice_is_nothing() -> None:
     assert np.allclose(first[:, left] * [-1, 1, 1], second[:, right], atol=1e-9)
 
 
-def test_a_calmed_pantomime_stays_within_its_limits() -> None:
-    lib = library(1)
-    wild = RealTake("wild", "ann", "story", "none", 6.0 * moving(4.0, 1))
-    out = takes.calmed(lib, wild, 0.5, 1.0)
-    for joints, degrees, least in ((HIPS, 7.0, 0.0), (SPINE, 16.0, 0.0), (SKULL, 30.0, 0.8)):
-        bend = np.degrees(np.linalg.norm(out[:, list(joints)].sum(axis=1), axis=-1))
-        assert bend.max() <= degrees + 1e-6 and bend.max() > least * degrees
-    chest = takes.facing_positions(lib.rotations(out))[:, SPINE[-1]]
-    assert 4.5 < 100 * FPS * np.linalg.norm(np.diff(chest, axis=0), axis=1).mean() < 6.5, "no one's chest rocks faster"
-    # The elbow keeps nearly all of its bend: scaling it would straighten the arm.
-    assert np.allclose(out[:, LEFT_ARM + 1], 0.925 * wild.logs[:, LEFT_ARM + 1])
-
-
-def test_a_calm_trunk_keeps_its_travel() -> None:
-    lib = library(1)
-    calm = RealTake("calm", "ann", "story", "none", 0.1 * moving(4.0, 1))
-    out = takes.calmed(lib, calm, 1.0, 1.0)
-    bends = [logs[:, list(SPINE), 0].sum(axis=1) for logs in (out, calm.logs)]
-    assert np.allclose(*bends, atol=0.02 * np.abs(bends[1]).max())
-    assert np.allclose(takes.calmed(lib, calm, 1.0, 0.5)[:, SPINE[0]], 0.5 * out[:, SPINE[0]])
-
-
 def test_a_calmed_upper_arm_swings_less_and_keeps_its_turn() -> None:
     lib, swing, turn = library(1), np.array([0.0, -0.8, 0.3]), 0.6
     logs = np.zeros((3, 16, 3))
@@ -107,21 +84,6 @@ def test_idling_and_hands_too_high_are_cut_out() -> None:
     low = takes.stretches(lib, high, MotionRange(0.45, 1.0))
     places = takes.facing_positions(lib.rotations(np.concatenate(low)))
     assert places[:, list(takes.WRISTS), 1].max() < 0.45 + 0.16 + 0.1
-
-
-def test_one_hand_rests_in_some_stretches_whose_hands_do_the_same() -> None:
-    lib = library(1)
-    logs = moving(8.0, 5)
-    logs[:, list(takes.ARM_SIDES[1])] = takes.mirrored(logs)[:, list(takes.ARM_SIDES[1])]
-    played = [talks._one_handed(lib, logs, np.random.default_rng(seed)) for seed in range(60)]
-    rests = [np.linalg.norm(out[:, list(side)]) < 0.5 * np.linalg.norm(logs[:, list(side)])
-             for out in played for side in takes.ARM_SIDES]
-    assert 4 <= sum(rests) <= 22
-    assert not any(a and b for a, b in zip(rests[::2], rests[1::2], strict=True)), "never both"
-    apart = moving(8.0, 5)
-    heights = takes.facing_positions(lib.rotations(apart))[:, list(takes.WRISTS), 1]
-    assert np.corrcoef(heights.T)[0, 1] < talks._ALIKE
-    assert all(talks._one_handed(lib, apart, np.random.default_rng(seed)) is apart for seed in range(20))
 
 
 def test_splits_by_take_hold_whoever_else_is_there() -> None:
@@ -169,25 +131,6 @@ def test_a_chain_is_the_same_twice_and_needs_two_pieces() -> None:
     assert first.used != other.used or not np.array_equal(first.logs, other.logs)
     with pytest.raises(ValueError, match="two"):
         chain(pieces[:1], 20.0, np.random.default_rng(1))
-
-
-def test_played_fingers_stay_within_a_hand_and_are_never_still() -> None:
-    rng = np.random.default_rng(0)
-    times = np.arange(600) / FPS
-    wild = 3.0 * np.sin(2 * np.pi * 0.5 * times)[:, None, None] * rng.uniform(-1, 1, (1, 15, 3))
-    wild[300] += 2.0
-    out = living_fingers(wild, 0)
-    assert np.degrees(np.linalg.norm(out, axis=-1)).max() < 97.5
-    assert np.abs(np.diff(out, axis=0)).max() < 0.5, "a frame that jumps is smoothed"
-    gentle = 0.3 * np.sin(2 * np.pi * 0.5 * times)[:, None, None] * np.ones((1, 15, 3)) / np.sqrt(3)
-    played = living_fingers(gentle, 1)
-    assert np.abs(played - gentle).max() < np.radians(13.0), "an ordinary hand is nearly left as it is"
-    more = np.degrees((played - gentle).mean(axis=0)[:, 2]).reshape(5, 3)
-    assert np.all(np.diff(more[1:, 1]) > 2.0) and np.abs(more[:, [0, 2]]).max() < 1.5, "it closes to the little finger"
-    rest = living_fingers(np.zeros((600, 15, 3)), 1)
-    speed = np.degrees(np.linalg.norm(np.diff(rest, axis=0), axis=-1)).max(axis=1) * FPS
-    assert speed.min() > 0.3 and speed.max() < 5.0
-    assert living_fingers(np.zeros((10, 0, 3)), 0).shape == (10, 0, 3)
 
 
 def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:
