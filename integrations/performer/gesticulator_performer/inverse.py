@@ -414,6 +414,5 @@ def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]
         words += [Word(w.text, float(a), float(b)) for w, (a, b) in zip(sounded.words, spans, strict=True)]
         phrases.append(Phrase(start, end, effort))
     speech = Speech(recorded(dry, active, rng), RATE, tuple(words), pool.voice)
-    language = voices.VOICES[pool.voice].language
-    syllables = listen(speech, phrases, nuclei, language)
-    return Spoken(name, speech, syllables, tuple(phrases), pool.voice, language)
+    syllables = listen(speech, phrases, nuclei, "en")
+    return Spoken(name, speech, syllables, tuple(phrases), pool.voice, "en")

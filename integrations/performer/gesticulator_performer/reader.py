@@ -9,7 +9,7 @@ Nothing leaks between splits: the test split has separate topics, sentence templ
 readings; the validation split has separate takes and sentences. Recording `i` depends on (seed, i) alone, so it is the
 same in any order and with any number of workers.
 
-The synthetic talks are in English and all readings are used, unless --languages names the languages of both.
+The synthetic talks are in English; the readings are in English, German and Spanish.
 """
 
 from __future__ import annotations
@@ -72,6 +72,8 @@ _DETECTOR = ("meaning_cues.py", "meaning_cues.json")
 """Files of `gesticulator.directing` on which the words that call for named gestures depend."""
 _ADDED = 10_000
 """Five and six times this is added to that index for the recordings of `ADDED`."""
+_POOL_PLACES = {"awb": 22, "rp_m7": 24}
+"""Numbers that seed the pools of the test voices: their places in the table when the shipped corpus was made."""
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
 _TEXT, _VOICE, _PLAY, _STYLE, _POOL = 0, 1, 2, 3, 4
 CREDITS = {
@@ -113,13 +115,12 @@ class Reading:
 @dataclass(frozen=True)
 class PerformerOptions(Options):
     """The options of a synthetic corpus. data: the folder of the source where --source is not given. hours: of
-    synthetic speech; languages: of talks and readings, empty for English talks and all readings. links: strength of
-    the links between speech and motion that are planted by rule, 0 to 1; carriage: of a further one, from effort and
-    pitch range to the height and reach of the hands. repertoire: folder of takes of named gestures, or None."""
+    synthetic speech. links: strength of the links between speech and motion that are planted by rule, 0 to 1; carriage:
+    of a further one, from effort and pitch range to the height and reach of the hands. repertoire: folder of takes of
+    named gestures, or None."""
 
     data: Path | None = None
     hours: float = 4.2
-    languages: tuple[str, ...] = ()
     links: float = 1.0
     carriage: float = 0.0
     repertoire: Path | None = None
@@ -143,9 +144,6 @@ class Performer:
         parser.add_argument("--repertoire", type=Path, metavar="DIR",
                             help="takes of named gestures, which are played at words that call for them; they are "
                             "drawn if DIR does not exist (see gesticulator gesture-takes)")
-        parser.add_argument("--languages", default="", metavar="de,es",
-                            help="only talks and readings in these languages: cmn, de, en, es (default: English talks "
-                            "and all readings)")
 
     @staticmethod
     def options(arguments: argparse.Namespace) -> PerformerOptions:
@@ -160,8 +158,7 @@ class Performer:
         data = os.environ.get("GESTICULATOR_DATA")
         return PerformerOptions(
             arguments.fps, arguments.unit, arguments.seed, Path(data) if data else None, arguments.hours,
-            tuple(filter(None, arguments.languages.split(","))), arguments.links, arguments.carriage,
-            arguments.repertoire)
+            arguments.links, arguments.carriage, arguments.repertoire)
 
     def __init__(self, source: Path | None, options: Options) -> None:
         options = options if isinstance(options, PerformerOptions) else PerformerOptions(seed=options.seed)
@@ -178,12 +175,8 @@ class Performer:
                 raise InputError(source / needed, "does not exist",
                                  "--source is the folder that holds strokes/ and speech/")
         self._source = source
-        unknown = sorted(set(options.languages) - set(voices.VOICES_OF))
-        if unknown:
-            raise InputError(f"--languages {','.join(options.languages)}", f"no voice speaks {', '.join(unknown)}",
-                             f"choose among {', '.join(voices.VOICES_OF)}")
         used = {"speech": True, "readings": bool(self._stems), "strokes": True,
-                "free_motion": self._moved or (self._meant and (source / "free_motion" / "manifest.csv").is_file()),
+                "free_motion": self._moved,
                 "austen": any(stem.startswith("en_austen") for stem in self._stems)}
         if options.repertoire is not None:
             from gesticulator_performer.repertoire import read_repertoire
@@ -215,8 +208,6 @@ class Performer:
             detector = [Path(meaning_cues.__file__).with_name(name) for name in _DETECTOR]
             settings["repertoire"] = _hash_of(sorted(self._options.repertoire.iterdir()), self._options.repertoire)
             settings["detector"] = _hash_of(detector, detector[0].parent)
-        if self._options.languages:
-            settings["languages"] = sorted(set(self._options.languages))
         return settings
 
     def items(self) -> Sequence[Item]:
@@ -292,9 +283,8 @@ class Performer:
 
     @property
     def _moved(self) -> bool:
-        """Whether part A exists: there is real motion, and English is among the languages."""
-        there = (self._source / "free_motion" / "manifest.csv").is_file()
-        return there and (not self._options.languages or "en" in self._options.languages)
+        """Whether part A exists: there is real motion."""
+        return (self._source / "free_motion" / "manifest.csv").is_file()
 
     @property
     def _meant(self) -> bool:
@@ -352,7 +342,8 @@ class Performer:
         if (voice, split) not in self._pools:
             from gesticulator_performer.sentence_pool import make_pool
 
-            rng = self._rng(_FIRST["motion"] + list(voices.VOICES).index(voice), _POOL)
+            place = _POOL_PLACES.get(voice, list(voices.VOICES).index(voice))
+            rng = self._rng(_FIRST["motion"] + place, _POOL)
             self._pools[voice, split] = make_pool(voice, self._phrases[0][voice, split], rng)
         return self._pools[voice, split]
 
@@ -383,9 +374,7 @@ class Performer:
 
     @functools.cached_property
     def _stems(self) -> tuple[str, ...]:
-        stems = sorted(file.stem for file in (self._source / "speech").glob("*.flac"))
-        wanted = self._options.languages
-        return tuple(stem for stem in stems if not wanted or stem.split("_")[0] in wanted)
+        return tuple(sorted(file.stem for file in (self._source / "speech").glob("*.flac")))
 
     def _motion_talks(self) -> list[Item]:
         """Part A: in each split the groups with takes there, in turns."""
@@ -428,26 +417,19 @@ class Performer:
             turn = turns[split]
             turns[split] += 1
             performer = self._performers[turn % len(self._performers)]
-            choice = self._voices(split)
+            choice = voices.TEST_VOICES if split == "test" else voices.TRAIN_VOICES
             # Each round of the performers begins with another voice, so that every pair occurs.
             voice = choice[(turn + turn // len(self._performers)) % len(choice)]
             index = _FIRST[part] + place
             rng = self._rng(index, _TEXT)
             seconds = float(rng.uniform(*lengths))
             source = "test" if split == "test" else "train"
-            language = voices.VOICES[voice].language
-            written = text.compose(rng, seconds, source, used[source], language, self._repertoire is not None)
+            written = text.compose(rng, seconds, source, used[source], "en", self._repertoire is not None)
             script = Script(tuple(written), part == "style")
             name = f"{part}_{place:04d}_{performer}"
-            info = RecordingInfo(name, split, performer, voice, language, group=name, part=part)
+            info = RecordingInfo(name, split, performer, voice, "en", group=name, part=part)
             items.append(Item(info, index, script, seconds))
         return items
-
-    def _voices(self, split: Split) -> tuple[str, ...]:
-        side = 1 if split == "test" else 0
-        names = [voices.VOICES_OF[language][side] for language in sorted(set(self._options.languages)) or ("en",)]
-        # Languages take turns, so that each gets its share however many voices it has.
-        return tuple(of[rank % len(of)] for rank in range(max(map(len, names))) for of in names)
 
     def _readings(self) -> list[Item]:
         """Every reading for training by three performers, in turns; readings for test by one performer each."""

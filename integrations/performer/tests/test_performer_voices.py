@@ -17,7 +17,6 @@ from gesticulator_performer.voices import (
     TEST_VOICES,
     TRAIN_VOICES,
     VOICES,
-    VOICES_OF,
     nuclei_of,
     speak,
     synthesise,
@@ -114,9 +113,6 @@ def test_training_and_test_voices_differ_down_to_the_speaker() -> None:
         return {(VOICES[n].engine, VOICES[n].base) for n in names}
 
     assert not speakers(TRAIN_VOICES) & speakers(TEST_VOICES)
-    for language, (train, test) in VOICES_OF.items():
-        assert train and test and not speakers(train) & speakers(test)
-        assert {VOICES[name].language for name in train + test} == {language}
 
 
 def test_phones_find_their_words_through_changes() -> None:
