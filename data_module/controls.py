@@ -36,10 +36,10 @@ WINDOW = 4.0
 _HANDS = ("RightHand", "LeftHand")
 LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}
 """Smallest and greatest values of the features: no body does more."""
+# Spreads from the mean beyond which a value is far from the training data.
 _FAR = 3.0
-"""Spreads from the mean beyond which a value is far from the training data."""
+# Spread below which a feature counts as constant, in its unit.
 _LEAST_SPREAD = 1e-3
-"""Spread below which a feature counts as constant, in its unit."""
 
 
 class ControlWarning(UserWarning):
@@ -261,6 +261,7 @@ def _warn_if_far(what: str, values: ArrayLike, feature: str, levels: Levels) -> 
     index = FEATURES.index(feature)
     mean, spread = float(levels.mean[index]), float(levels.spread[index])
     numbers = np.asarray(values, dtype=np.float64)
+# One warning for a curve, with its value that lies farthest out.
     furthest = float(numbers[np.argmax(np.abs(numbers - mean))])
     if abs(furthest - mean) > _FAR * spread:
         # Attributed to this module, because commands show only the warnings of our packages.

@@ -24,17 +24,17 @@ __all__ = ["BvhWarning", "read_bvh", "write_bvh"]
 _AXES = {"Xrotation": "X", "Yrotation": "Y", "Zrotation": "Z"}
 _PLACES = {"Xposition": 0, "Yposition": 1, "Zposition": 2}
 _WRITTEN_ORDER = "ZXY"
+# Orders of the joints of an arm, which lies along X at rest. The middle angle of an order must stay away from 90
+# degrees: around there, a small detour lets the other two angles turn by 360 degrees. A palm turns about X by more than
+# that, so X is the last axis of hand and forearm. In takes of nine speakers with random poses laid over 540 stretches,
+# the hands' angles ended 360 degrees off three times; with `_WRITTEN_ORDER` it was twenty times.
 _ORDERS_OF_ARMS = {"Arm": "YXZ", "ForeArm": "YZX", "Hand": "YZX"}
-"""Orders of the joints of an arm, which lies along X at rest. The middle angle of an order must stay away from 90
-degrees: around there, a small detour lets the other two angles turn by 360 degrees. A palm turns about X by more than
-that, so X is the last axis of hand and forearm. In takes of nine speakers with random poses laid over 540 stretches,
-the hands' angles ended 360 degrees off three times; with `_WRITTEN_ORDER` it was twenty times."""
 CENTIMETRES = 0.01
 """Metres."""
+# Largest plausible number of degrees or units of length, of at least a millimetre.
 _LARGEST = 1e9
-"""Largest plausible number of degrees or units of length, of at least a millimetre."""
+# Bytes (1 GiB): an hour of a body with fingers at 120 frames a second.
 _LARGEST_FILE = 1 << 30
-"""Bytes (1 GiB): an hour of a body with fingers at 120 frames a second."""
 FRAME_RATE_ADVICE = "give the frame rate"
 """Advice for a file of doubtful frame rate, which commands replace by their option."""
 

@@ -59,19 +59,18 @@ SOUNDS = (".flac", ".wav", ".mp3", ".ogg", ".opus", ".m4a", ".aac", ".webm", ".m
 LOW_LEVEL = -45.0
 """Level of speech, dBFS, below which a recording is about 20 dB too low and quiet syllables get lost."""
 
+# Range of sample rates, hertz: below the first there is no intelligible speech, and no sound card exceeds the second.
 _LOWEST_RATE, _HIGHEST_RATE = 1000, 768_000
-"""Range of sample rates, hertz: below the first there is no intelligible speech, and no sound card exceeds the second.
-"""
+# Largest sample in floating point, times full scale (24 dB), that is clipped; more indicates another unit.
 _FULL_SCALE = 16.0
-"""Largest sample in floating point, times full scale (24 dB), that is clipped; more indicates another unit."""
+# Most channels; more indicate that samples and channels are swapped.
 _MOST_CHANNELS = 1024
-"""Most channels; more indicate that samples and channels are swapped."""
+# Channels (7.1) above which as few samples indicate the same.
 _USUAL_CHANNELS = 8
-"""Channels (7.1) above which as few samples indicate the same."""
+# Samples (two years) above which a decoder's length means that it is unknown.
 _OPEN_END = 1 << 40
-"""Samples (two years) above which a decoder's length means that it is unknown."""
+# Bytes that are read from a pipe at a time.
 _STREAM_PIECE = 1 << 20
-"""Bytes that are read from a pipe at a time."""
 
 
 class AudioWarning(UserWarning):

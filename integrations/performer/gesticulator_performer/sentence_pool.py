@@ -14,10 +14,10 @@ from gesticulator_performer.sound import RATE, Sounded
 from gesticulator_performer.syllables import Nucleus, listen
 
 _LEAST_LETTERS, _LONGEST_LETTERS = 6, 70
+# Probability that a phrase is joined with the next of its sentence, because motion has phrases of up to 6 s.
 _JOINED = 0.55
-"""Probability that a phrase is joined with the next of its sentence, because motion has phrases of up to 6 s."""
+# Silence between the phrases while their prominence is measured, seconds.
 _PAUSE = 0.3
-"""Silence between the phrases while their prominence is measured, seconds."""
 NO_VOWEL = np.inf
 
 

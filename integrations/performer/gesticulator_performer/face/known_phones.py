@@ -29,19 +29,19 @@ VARIANTS = ("m1", "m2", "m3", "m4", "m6", "m8", "f1", "f2", "f3", "f5", "Andy", 
             "linda", "michael", "klatt2", "steph", "victor")
 """Timbres of espeak-ng for training."""
 FLITE = ("slt", "rms", "kal16")
+# Languages whose sentences are composed; nonsense is spoken in all but the tonal one.
 _SENTENCES = ("en", "de", "es", "cmn")
-"""Languages whose sentences are composed; nonsense is spoken in all but the tonal one."""
 _STARTS = ("p", "b", "m", "f", "v", "w", "s", "z", "sh", "ch", "j", "t", "d", "k", "g", "n", "l", "r", "h", "y", "pl",
            "br", "st")
 _MIDDLES = ["a", "e", "i", "o", "u", "ai", "ou", "ee", "oo"]
 _ENDS = ("", "", "", "n", "m", "s", "p", "r", "l", "k", "t", "b", "f")
+# Shortest and longest silence between two phrases, seconds; every sixth lasts up to `_LONG_PAUSE`.
 _PAUSES = (0.12, 0.9)
-"""Shortest and longest silence between two phrases, seconds; every sixth lasts up to `_LONG_PAUSE`."""
 _LONG_PAUSE = 3.0
+# Shortest and longest breath, seconds; one in four pauses has one.
 _BREATH = (0.15, 0.5)
-"""Shortest and longest breath, seconds; one in four pauses has one."""
+# Playing speeds: they change pitch, formants and tempo together.
 _SPEEDS = (0.88, 1.14)
-"""Playing speeds: they change pitch, formants and tempo together."""
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from gesticulator.face.visemes import SILENT
 
 WEIGHTS, RECORD = "visemes.safetensors", "face.json"
+# Frames of a training sequence: 4.8 s.
 _LENGTH = 240
-"""Frames of a training sequence: 4.8 s."""
+# Decibels per unit of natural logarithm of power.
 _NATURAL = 4.342944819
-"""Decibels per unit of natural logarithm of power."""
 _FLOOR = float(np.log(1e-8))
 
 
