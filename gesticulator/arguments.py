@@ -162,9 +162,9 @@ def infer_arguments(p: argparse.ArgumentParser) -> None:
     _clip_arguments(p)
     many = p.add_argument_group("many recordings", "A manifest records what was done; a second run processes only "
                                                    "what is missing or changed.")
-    many.add_argument("--manifest", metavar="FILE",
-                      help="the manifest (.parquet or .jsonl); default with --shard and --ray: manifest.parquet in "
-                      "the folder of -o")
+    many.add_argument("--manifest", metavar="FILE.jsonl",
+                      help="the manifest, JSON lines; default with --shard and --ray: manifest.jsonl in the folder of "
+                      "-o")
     many.add_argument("--shard", metavar="I/N",
                       help="process shard I of N, of equal duration; gesticulator manifest joins their manifests")
     many.add_argument("--ray", metavar="WHERE",

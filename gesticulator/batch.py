@@ -23,7 +23,7 @@ from data_module.files import remove_unfinished_of
 from data_module.settings import whole_number
 from gesticulator.bundle.files import INDEX, bundle_folder, read_index
 from gesticulator.cli import PROGRAM
-from gesticulator.jobs import BatchRequest, Job
+from gesticulator.jobs import BatchRequest, Job, file_hash
 from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, check_manifest, default_name, table
 from gesticulator.version import __version__
 
@@ -80,11 +80,6 @@ class TaskOutcome:
     error: str
     time: float
     worker: str
-
-
-def file_hash(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def estimated_seconds(path: Path) -> float:

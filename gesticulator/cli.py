@@ -16,7 +16,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
@@ -162,9 +161,7 @@ def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
     if DEFAULT in known:
         text += f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n"
         lines += f"\n\nFor a recording named like a verb, include its folder: ./{DEFAULT}"
-    ends = (f"\n{program} --version prints the version; eval \"$({program} --completion bash)\" completes verbs and "
-            "options in a shell (bash, zsh, fish)") if DEFAULT in known else ""
-    return f"{text}\n{lines}\n{ends}\n" if ends else f"{text}\n{lines}\n"
+    return f"{text}\n{lines}\n\n{program} --version prints the version\n"
 
 
 def _usable() -> dict[str, Command]:
@@ -190,33 +187,6 @@ def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
                          + f"verbs are {', '.join(known)}")
 
 
-SHELLS = ("bash", "zsh", "fish")
-
-
-def _completion(arguments: Sequence[str]) -> str:
-    """Shell code that completes verbs and options; `InputError` for an unknown shell, or without argcomplete."""
-    if len(arguments) != 1 or arguments[0] not in SHELLS:
-        raise InputError("--completion", "needs the name of a shell", f"choose among {', '.join(SHELLS)}")
-    if find_spec("argcomplete") is None:
-        raise InputError("--completion", "needs argcomplete, which is not installed",
-                         'pip install "gesticulator[completion]"')
-    import argcomplete
-
-    return str(argcomplete.shellcode([PROGRAM], shell=arguments[0]))
-
-
-def _complete() -> None:
-    """Answer a shell's completion request; does not return if argcomplete is installed."""
-    if find_spec("argcomplete") is not None:
-        import argcomplete
-
-        parser = Parser(PROGRAM, allow_abbrev=False)
-        subparsers = parser.add_subparsers()
-        for name, command in _usable().items():
-            command.arguments(subparsers.add_parser(name))
-        argcomplete.autocomplete(parser)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the verb named by the first argument."""
     steady_streams()
@@ -227,11 +197,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     with one_line_errors(PROGRAM):
-        if "_ARGCOMPLETE" in os.environ:
-            _complete()
-        if arguments[:1] == ["--completion"]:
-            print(_completion(arguments[1:]), end="")
-            return 0
         if not arguments or arguments[0] in ("-h", "--help"):
             print(usage(_usable()), end="", flush=True)
             return 0 if arguments else 2

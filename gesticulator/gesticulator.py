@@ -108,7 +108,7 @@ class Gesticulator:
         >>> g = Gesticulator.from_pretrained()
         >>> g("speech.wav", text="Hello there", hand_height="low", seed=3).save("gesture.bvh")
         """
-        checked = InferenceOptions.of(options)
+        checked = InferenceOptions(**options)
         if checked.transcribe is not None and text is not None:
             raise InputError("transcribe", "hears words, and text gives them", "leave one of them out")
         recording = as_speech(speech, sample_rate)
@@ -302,7 +302,7 @@ class Gesticulator:
         added; options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`. The first one
         takes seconds to open, see `warm`.
         """
-        checked = InferenceOptions.of(options)
+        checked = InferenceOptions(**options)
         if checked.transcribe is not None:
             raise InputError("transcribe", "is not for streams", "give the words by add_words")
         self.warm(text)

@@ -63,7 +63,7 @@ class SetupResolver:
             # Q values and log-probabilities have different scales, so each has a default of its own.
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
         interpreter = interpreter.steered(options.beta, temperature)
-        return Setup(interpreter, self.speaker(options.speaker), temperature, defaults.top, int(options.seed), activity,
+        return Setup(interpreter, self.speaker(options.speaker), temperature, int(options.seed), activity,
                      hand_controls(bundle, options), int(options.variation), interpreter.beta, text)
 
     def check_activity(self, activity: float) -> None:

@@ -14,7 +14,7 @@ from data_module.text.word_vectors import WordEncoder
 from data_module.types import Speech, Word
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
-from gesticulator.bundle.features import front_end_for, tempo_column, three_blocks, word_table
+from gesticulator.bundle.features import front_end_for, tempo_column, three_blocks
 from gesticulator.sampling.cutter import encode_speech
 from gesticulator.training import presets
 from gesticulator.training.stages.corpus import Corpus, prepare
@@ -52,12 +52,6 @@ def test_three_blocks_by_hand() -> None:
     assert three_blocks(np.array([[7]]), np.zeros(())).tolist() == [[0, 7, 0]], "one block has no neighbours"
     vectors = three_blocks(np.arange(4.0).reshape(2, 1, 2), np.array([8.0, 9.0]))
     assert vectors.tolist() == [[[8, 9], [0, 1], [2, 3]], [[0, 1], [2, 3], [8, 9]]]
-
-
-def test_the_empty_word_is_zeros_and_a_flag() -> None:
-    table = word_table(np.array([[1.0, 2.0], [3.0, 4.0]]), 2)
-    assert table.tolist() == [[0, 0, 1], [1, 2, 0], [3, 4, 0]]
-    assert word_table(np.zeros((0, 2)), 2).tolist() == [[0, 0, 1]], "no words: there is still silence"
 
 
 def test_the_tempo_column_is_the_logarithm_of_each_blocks_own_duration() -> None:

@@ -127,7 +127,7 @@ def read_motion(lexicon: BlockLexicon, config: Config, statistics: Statistics, m
 
 def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:
     """The latents and nearest lexemes of a motion in given blocks."""
-    return read_motion(bundle.block_models.lexicon, bundle.config, bundle.statistics, motion, blocks, speaker)
+    return read_motion(bundle.block_lexicon, bundle.config, bundle.statistics, motion, blocks, speaker)
 
 
 @torch.no_grad()
@@ -142,7 +142,6 @@ def judged_reward(bundle: Bundle, encoded: EncodedMotion, speech: SpeechBlocks) 
     # Windows that begin before the clip are padded and marked as not valid.
     at = torch.arange(len(encoded.poses))[:, None] + torch.arange(1 - model.config.window, 1)
     valid, at = (at >= 0).float(), at.clamp_min(0)
-    times = torch.as_tensor(np.log(speech.blocks.durations)).float()
-    cosines = model.window_rewards(encoded.poses[at], times[at], speech.audio[at], valid)
+    cosines = model.window_rewards(encoded.poses[at], speech.audio[at], valid)
     audible = ((valid > 0) & ~torch.as_tensor(speech.blocks.silent)[at]).any(dim=1)
     return float(cosines[audible].double().mean()) if audible.any() else float("nan")

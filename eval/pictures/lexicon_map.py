@@ -177,7 +177,7 @@ def decoded(bundle: Bundle) -> list[Motion]:
 
     A movement begins where the training block nearest to it began: its first frame is the pose before that block.
     """
-    lexicon = bundle.block_models.lexicon
+    lexicon = bundle.block_lexicon
     blocks = lexicon.shown()
     if isinstance(lexicon, MovementLexicon):
         blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)

@@ -37,7 +37,7 @@ from gesticulator.bundle.files import (
     replace_folder,
     write_index,
 )
-from gesticulator.bundle.models import JUDGES, ChangedParts, StoredParts, part_table
+from gesticulator.bundle.models import JUDGES, changed_parts, part_table, stored_parts
 from gesticulator.systems import System, system_of
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
@@ -68,7 +68,6 @@ P = TypeVar("P")
 SHIPPED = NAMED["default"]
 """The shipped bundle that is used unless another is given; `gesticulator.bundle.files.bundle_folder` finds the others
 by name."""
-_NO_BLOCKS = "holds RACER's own codec, without lexicon, generator and style"
 _STATISTICS = "statistics"
 
 
@@ -94,16 +93,6 @@ class TextSource:
             raise InputError(self.encoder, "is not the word encoder that the bundle was trained with",
                              "install the same version")
         return words
-
-
-@dataclass(frozen=True)
-class BlockModels:
-    """The models that a bundle of beat-aligned blocks requires."""
-
-    lexicon: BlockLexicon
-    generator: Generator | FlowGenerator
-    interpreter: LstmInterpreter
-    style: StyleInterpreter | UnitStyleInterpreter | None
 
 
 class _Part(Generic[P]):
@@ -145,10 +134,13 @@ class Bundle:
         """The gesture vocabulary: a lexicon of blocks, or RACER's codec."""
         return cast("Tokens", self.parts["lexicon"])
 
+    @property
+    def interpreter(self) -> LstmInterpreter:
+        """The audio-only lexeme interpreter; KeyError in a bundle of RACER's codec."""
+        return cast("LstmInterpreter", self.parts["interpreter"])
+
     generator: ClassVar[_Part[Generator | FlowGenerator]] = _Part()
     """Generates blocks at the beat; None in a bundle of RACER's codec."""
-    interpreter: ClassVar[_Part[LstmInterpreter]] = _Part()
-    """The audio-only lexeme interpreter."""
     interpreter_text: ClassVar[_Part[LstmInterpreter]] = _Part()
     """The lexeme interpreter that also reads the words."""
     style: ClassVar[_Part[StyleInterpreter | UnitStyleInterpreter]] = _Part()
@@ -172,14 +164,15 @@ class Bundle:
 
     def with_parts(self, **changes: nn.Module | None) -> Bundle:
         """A copy with other parts; None removes one. Parts that are not loaded yet stay so."""
-        return replace(self, parts=ChangedParts(self.parts, changes))
+        return replace(self, parts=changed_parts(self.parts, changes))
 
     @property
-    def block_models(self) -> BlockModels:
-        """Lexicon, generator and interpreters of Rhythmic Gesticulator; InputError for a bundle of RACER's codec."""
-        if not self.system.BLOCKS or not (self.generator and self.interpreter):
-            raise InputError("the bundle", _NO_BLOCKS, "use one of blocks at the beat (--preset default)")
-        return BlockModels(cast("BlockLexicon", self.lexicon), self.generator, self.interpreter, self.style)
+    def block_lexicon(self) -> BlockLexicon:
+        """The lexicon of blocks at the beat; InputError for a bundle of RACER's codec."""
+        if not self.system.BLOCKS:
+            raise InputError("the bundle", "holds RACER's own codec, without lexicon, generator and style",
+                             "use one of blocks at the beat (--preset default)")
+        return cast("BlockLexicon", self.lexicon)
 
     @cached_property
     def system(self) -> System:
@@ -191,11 +184,6 @@ class Bundle:
         """Whether rest is decided phrase by phrase, with idle motion; such a bundle can rest without speech, so that a
         stream can go on for ever."""
         return self.config.rests_by_phrase
-
-    @property
-    def code_width(self) -> int:
-        """d_z; 0 if the generator takes no style codes."""
-        return self.config.generator.style_width if self.config.generator.styled else 0
 
     @property
     def frames(self) -> int:
@@ -234,7 +222,7 @@ class Bundle:
         """The speech-independent interpreter over the same lexicon."""
         from interpreters.statistical import StatisticalInterpreter
 
-        return StatisticalInterpreter(self.frequencies, self.transitions, self.config.statistical)
+        return StatisticalInterpreter(self.frequencies, self.transitions)
 
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose, normalised."""
@@ -319,7 +307,6 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     folder, device = Path(path), _usable(device)
     index = read_index(folder)
     config = from_dict(Config, index["config"])
-    system = system_of(config)
     weights = Weights(folder, index["files"])
     table = part_table()
     lacking = [name for name in required(config) if table[name].file not in weights]
@@ -331,13 +318,13 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
                   index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
                   silent=tuple(silent.tolist()))
-    vectors = weights.tensor(table["lexicon"].file, system.CODEBOOK, system.codebook_shape(config))
+    vectors = _codebook(folder, weights, config)
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
                          "copy the bundle again")
     return Bundle(config, statistics, silent, tensors["frequencies"], tensors["transitions"], vectors.to(device),
                   tensors["rest_distances"].astype(np.float32),
-                  StoredParts(weights, replace(sizes, vectors=vectors), device), index["provenance"], index["figures"],
+                  stored_parts(weights, replace(sizes, vectors=vectors), device), index["provenance"], index["figures"],
                   text)
 
 
@@ -350,6 +337,17 @@ def _usable(device: str | torch.device) -> torch.device:
         raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
                          'choose "cpu", or "cuda" where torch finds a GPU') from None
     return usable
+
+
+def _codebook(folder: Path, weights: Weights, config: Config) -> Tensor:
+    """[S, D_s] the vectors of the lexemes, from the file of the lexicon."""
+    system, name = system_of(config), part_table()["lexicon"].file
+    vectors = weights.read(name, None).get(system.CODEBOOK)
+    if vectors is None or tuple(vectors.shape) != system.codebook_shape(config):
+        raise InputError(folder / f"{name}{ENDING}", f"does not fit the settings ({system.CODEBOOK}: "
+                         f"{None if vectors is None else tuple(vectors.shape)} instead of "
+                         f"{system.codebook_shape(config)})", "train it again")
+    return vectors
 
 
 def _text_source(folder: Path, entry: dict[str, Any] | None) -> TextSource | None:

@@ -191,8 +191,7 @@ class Sizes:
 @dataclass(frozen=True)
 class SpeechFeatures:
     """The speech of N blocks. low, high: [N, 3K, d + 1] features of the block before, the block and the block after;
-    the
-    last column is the logarithm of each block's duration over the longest allowed (time-scaling hides the tempo).
+    the last column is the logarithm of each block's duration over the longest allowed (time-scaling hides the tempo).
     text: [N, 3K, d_t + 1] word vectors on the same windows, the last column the flag of the empty word; None for audio
     only. quiet: [N, K] whether each frame lies in a pause; None if silence is known per block only. onsets: of each
     block, [n] seconds from its start to its end, inclusive; None if they were not detected. pitch: [N, K] octaves over
@@ -319,11 +318,3 @@ def encode(stretched: Samples, reference: Array, durations: Array, config: Confi
     if levels[0].low is levels[0].high:
         return low, low
     return low, np.concatenate([np.concatenate([level.high for level in levels]), tempo], axis=-1)
-
-
-def word_table(vectors: NDArray[np.floating], width: int) -> Features:
-    """[W + 1, d + 1]: row 0 is the empty word (zeros and the flag 1), row w + 1 the vector of word w and the flag 0."""
-    table = np.zeros((len(vectors) + 1, width + 1), np.float32)
-    table[0, -1] = 1.0
-    table[1:, :-1] = vectors
-    return table

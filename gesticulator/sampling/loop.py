@@ -53,16 +53,14 @@ _CONTIGUOUS = 1e-3
 class Setup:
     """Everything about a performance that was resolved and checked once, before its first block.
 
-    speaker: index. temperature: of the choice of lexemes, 0 takes the best; top: number of best lexemes to sample from,
-    0 for all (`interpreters.base.select`). seed: of the random numbers; variation: selects other motion for the same
-    lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the interpreter, or None. text: words
-    are read.
+    speaker: index. temperature: of the choice of lexemes, 0 takes the best. seed: of the random numbers; variation:
+    selects other motion for the same lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the
+    interpreter, or None. text: words are read.
     """
 
     interpreter: Interpreter
     speaker: int
     temperature: float
-    top: int
     seed: int
     activity: float = 1.0
     controls: Controls = field(default_factory=Controls.free)
@@ -338,7 +336,7 @@ def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.i
     # A variation has the lexemes of the first performance, unless the block was edited.
     keys = request.keys or Keys(setup.seed)
     return select(scores if request.bias is None else scores + request.bias, allowed=allowed,
-                  temperature=setup.temperature, top=setup.top or None,
+                  temperature=setup.temperature,
                   noise=keys.gumbel(request.speech.keyed_at, len(scores)))
 
 

@@ -63,12 +63,9 @@ def with_meanings(strokes: StrokeSet, source: Path) -> StrokeSet:
     return replace(strokes, strokes=_playable(out), cues=cues)
 
 
-def with_repertoire(strokes: StrokeSet, takes: Repertoire, source: Path | None) -> StrokeSet:
+def with_repertoire(strokes: StrokeSet, takes: Repertoire, source: Path) -> StrokeSet:
     """The strokes with takes of named gestures, which come at the words that the detector finds. source: with the
-    folder `meaning`, whose table tells which labels suit a standing speaker; None without it."""
-    captured = {stroke.meaning for stroke in strokes.strokes} - {""}
-    if source is None:
-        return replace(strokes, repertoire=takes, cues=CalledCues(takes.labels | captured))
+    folder `meaning`, whose table tells which labels suit a standing speaker."""
     allowed = read_cues(source / FOLDER, takes.labels)
     return replace(strokes, repertoire=takes, cues=CalledCues(allowed.wanted, allowed))
 

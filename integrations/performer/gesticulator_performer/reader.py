@@ -72,8 +72,6 @@ _FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
 _DETECTOR = ("meaning_cues.py", "meaning_cues.json")
 # Five and six times this is added to that index for the recordings of `ADDED`.
 _ADDED = 10_000
-# Numbers that seed the pools of the test voices: their places in the table when the shipped corpus was made.
-_POOL_PLACES = {"awb": 22, "rp_m7": 24}
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
 _TEXT, _VOICE, _PLAY, _STYLE, _POOL = 0, 1, 2, 3, 4
 CREDITS = {
@@ -115,14 +113,10 @@ class Reading:
 @dataclass(frozen=True)
 class PerformerOptions(Options):
     """The options of a synthetic corpus. data: the folder of the source where --source is not given. hours: of
-    synthetic speech. links: strength of the links between speech and motion that are planted by rule, 0 to 1; carriage:
-    of a further one, from effort and pitch range to the height and reach of the hands. repertoire: folder of takes of
-    named gestures, or None."""
+    synthetic speech. repertoire: folder of takes of named gestures, or None."""
 
     data: Path | None = None
     hours: float = 4.2
-    links: float = 1.0
-    carriage: float = 0.0
     repertoire: Path | None = None
 
 
@@ -134,13 +128,6 @@ class Performer:
         """The options of the corpus; --source may be left out where GESTICULATOR_DATA is set."""
         parser.add_argument("--seed", type=int, default=1, help="random seed of the corpus (default 1)")
         parser.add_argument("--hours", type=float, default=4.2, help="hours of synthetic speech (default 4.2)")
-        parser.add_argument("--links", type=float, default=1.0, metavar="SHARE",
-                            help="strength of the links between speech and motion that are planted by rule (stroke "
-                            "size and trunk by vocal effort, chest by pitch, gestures by meaning, styles), from 0 to 1 "
-                            "(default 1)")
-        parser.add_argument("--carriage", type=float, default=0.0, metavar="SHARE",
-                            help="strength of a further link, by which the hands are carried higher and farther out "
-                            "with vocal effort and pitch range, from 0 to 1, times --links (default 0)")
         parser.add_argument("--repertoire", type=Path, metavar="DIR",
                             help="takes of named gestures, which are played at words that call for them; they are "
                             "drawn if DIR does not exist (see gesticulator gesture-takes)")
@@ -150,15 +137,12 @@ class Performer:
         """The options in parsed arguments; `InputError` for one out of range."""
         if not 0 < arguments.hours < float("inf"):
             raise InputError("--hours", f"is {arguments.hours:g}", "give a number above 0")
-        for name in ("links", "carriage"):
-            if not 0 <= getattr(arguments, name) <= 1:
-                raise InputError(f"--{name}", f"is {getattr(arguments, name):g}", "give a number from 0 to 1")
         if arguments.seed < 0:
             raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
         data = os.environ.get("GESTICULATOR_DATA")
         return PerformerOptions(
             arguments.fps, arguments.unit, arguments.seed, Path(data) if data else None, arguments.hours,
-            arguments.links, arguments.carriage, arguments.repertoire)
+            arguments.repertoire)
 
     def __init__(self, source: Path | None, options: Options) -> None:
         options = options if isinstance(options, PerformerOptions) else PerformerOptions(seed=options.seed)
@@ -170,14 +154,11 @@ class Performer:
         if source is None:
             raise InputError("--source", "is missing", "name the folder that holds strokes/ and speech/, or "
                              "set GESTICULATOR_DATA")
-        for needed in ("strokes/manifest.csv", "speech"):
+        for needed in ("strokes/manifest.csv", "free_motion/manifest.csv", "meaning", "speech"):
             if not (source / needed).exists():
                 raise InputError(source / needed, "does not exist",
-                                 "--source is the folder that holds strokes/ and speech/")
+                                 "--source is the folder that holds strokes/, free_motion/, meaning/ and speech/")
         self._source = source
-        used = {"speech": True, "readings": bool(self._stems), "strokes": True,
-                "free_motion": self._moved,
-                "austen": any(stem.startswith("en_austen") for stem in self._stems)}
         if options.repertoire is not None:
             from gesticulator_performer.repertoire import read_repertoire
 
@@ -188,7 +169,7 @@ class Performer:
                 print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
             self._repertoire = read_repertoire(options.repertoire)
         licences = [f"named gestures: {licence}" for licence in self._repertoire.licences] if self._repertoire else []
-        self.licence = "; ".join([*(line for name, line in CREDITS.items() if used[name]), *licences])
+        self.licence = "; ".join([*CREDITS.values(), *licences])
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
             raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",
                              "pip install 'gesticulator[align]'")
@@ -200,10 +181,6 @@ class Performer:
                    for file in sorted((self._source / folder).rglob("*"))]
         settings: dict[str, Any] = {"code": code, "hours": self._options.hours,
                                     "source": _hash_of(sources, self._source)}
-        if self._options.links != 1.0:
-            settings["links"] = self._options.links
-        if self._options.carriage:
-            settings["carriage"] = self._options.carriage
         if self._options.repertoire is not None:
             detector = [Path(meaning_cues.__file__).with_name(name) for name in _DETECTOR]
             settings["repertoire"] = _hash_of(sorted(self._options.repertoire.iterdir()), self._options.repertoire)
@@ -212,7 +189,7 @@ class Performer:
 
     def items(self) -> Sequence[Item]:
         # Sentences that are used already, by grammar; those of part A come first.
-        used = {source: set(self._phrases[1][source]) if self._moved else set() for source in text.SPLITS}
+        used = {source: set(self._phrases[1][source]) for source in text.SPLITS}
         return [*self._motion_talks(), *self._talks("talk", used), *self._talks("style", used), *self._readings()]
 
     def read(self, item: Item) -> Recording:
@@ -234,10 +211,9 @@ class Performer:
         else:
             spoken = self._reading(item)
         manner = STEADY if item.info.part == "style" else draw_manner(rng)
-        staging = play.Staging(manner, self._segments(item.info.split), style, self._options.links,
-                               self._options.carriage)
-        played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
-                              staging)
+        staging = play.Staging(manner, self._segments(item.info.split), style)
+        played = play.perform(spoken, item.info.speaker, self._strokes, staging, self._rng(item.index, _PLAY),
+                              item.info.split)
         knots = zip(style.times.tolist(), style.values.tolist(), strict=True) if style is not styles.NEUTRAL else ()
         truth = Truth(played.strokes, spoken.syllables, spoken.phrases,
                       rests_of(spoken.phrases, spoken.speech.duration),
@@ -252,8 +228,7 @@ class Performer:
         script: MotionScript = item.content
         takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
         pool = self._pool(item.info.voice, item.info.split)
-        request = TalkRequest(item.info.name, script.group, script.seconds, self._options.links,
-                              self._options.carriage)
+        request = TalkRequest(item.info.name, script.group, script.seconds)
         talk = talk_for_motion(request, self._library, takes, pool, self._rng(item.index, _PLAY))
         spoken = talk.fitted.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
@@ -272,24 +247,11 @@ class Performer:
             takes = self._repertoire.outlines
             lines.append(f"named gestures: {len(takes)} takes of {len(self._repertoire.labels)} gestures from scripts, "
                          "including mirror images")
-        if self._moved:
-            minutes = dict.fromkeys(POOL, 0.0)
-            for take in self._library.talks():
-                minutes[self._take_splits[take.name]] += len(take) / 3600.0
-            lines.append("continuous real motion: " + ", ".join(f"{split} {m:.1f} min" for split, m in minutes.items()))
-        else:
-            lines.append("no free_motion/manifest.csv: no part A, and the trunk sways by formula")
+        minutes = dict.fromkeys(POOL, 0.0)
+        for take in self._library.talks():
+            minutes[self._take_splits[take.name]] += len(take) / 3600.0
+        lines.append("continuous real motion: " + ", ".join(f"{split} {m:.1f} min" for split, m in minutes.items()))
         return lines
-
-    @property
-    def _moved(self) -> bool:
-        """Whether part A exists: there is real motion."""
-        return (self._source / "free_motion" / "manifest.csv").is_file()
-
-    @property
-    def _meant(self) -> bool:
-        """Whether there are tables of gestures with a meaning."""
-        return (self._source / "meaning").is_dir()
 
     def _rng(self, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self._options.seed, index, purpose])
@@ -297,18 +259,13 @@ class Performer:
     @functools.cached_property
     def _strokes(self) -> Any:
         from gesticulator_performer.borrowed import load_borrowed, with_borrowed
-        from gesticulator_performer.meant_strokes import with_meanings
+        from gesticulator_performer.meant_strokes import with_meanings, with_repertoire
         from gesticulator_performer.strokes import load_strokes
 
         strokes = load_strokes(self._source / "strokes")
-        if self._moved:
-            strokes = with_borrowed(strokes, *load_borrowed(self._source / "free_motion"))
-        strokes = with_meanings(strokes, self._source) if self._meant else strokes
-        if self._repertoire is None:
-            return strokes
-        from gesticulator_performer.meant_strokes import with_repertoire
-
-        return with_repertoire(strokes, self._repertoire, self._source if self._meant else None)
+        strokes = with_borrowed(strokes, *load_borrowed(self._source / "free_motion"))
+        strokes = with_meanings(strokes, self._source)
+        return strokes if self._repertoire is None else with_repertoire(strokes, self._repertoire, self._source)
 
     @functools.cached_property
     def _library(self) -> Any:
@@ -329,8 +286,6 @@ class Performer:
         return [take for take, _ in list_takes(self._source / "free_motion")]
 
     def _segments(self, split: Split) -> tuple[Any, ...]:
-        if not self._moved:
-            return ()
         if split not in self._trunks:
             from gesticulator_performer.trunk import trunk_segments
 
@@ -342,8 +297,7 @@ class Performer:
         if (voice, split) not in self._pools:
             from gesticulator_performer.sentence_pool import make_pool
 
-            place = _POOL_PLACES.get(voice, list(voices.VOICES).index(voice))
-            rng = self._rng(_FIRST["motion"] + place, _POOL)
+            rng = self._rng(_FIRST["motion"] + list(voices.VOICES).index(voice), _POOL)
             self._pools[voice, split] = make_pool(voice, self._phrases[0][voice, split], rng)
         return self._pools[voice, split]
 
@@ -378,8 +332,6 @@ class Performer:
 
     def _motion_talks(self) -> list[Item]:
         """Part A: in each split the groups with takes there, in turns."""
-        if not self._moved:
-            return []
         mean = (SHORTEST_MOTION + LONGEST_MOTION) / 2
         items = []
         turns = dict.fromkeys(POOL, 0)
@@ -409,8 +361,7 @@ class Performer:
     def _talks(self, part: str, used: dict[str, set[str]]) -> list[Item]:
         """Parts B and C with their texts; no sentence of `used` (by grammar, updated) is repeated."""
         mean = (SHORTEST + LONGEST) / 2
-        wanted = self._options.hours * (SHARES[part] if self._moved else SHARES[part] / (1.0 - SHARES["motion"]))
-        count = max(1, round(wanted * 3600 / mean))
+        count = max(1, round(self._options.hours * SHARES[part] * 3600 / mean))
         turns = dict.fromkeys(("train", "val", "test"), 0)
         items = []
         for place, split, lengths in self._places(part, count, (SHORTEST, LONGEST)):
@@ -424,7 +375,7 @@ class Performer:
             rng = self._rng(index, _TEXT)
             seconds = float(rng.uniform(*lengths))
             source = "test" if split == "test" else "train"
-            written = text.compose(rng, seconds, source, used[source], "en", self._repertoire is not None)
+            written = text.compose(rng, seconds, source, used[source], repertoire=self._repertoire is not None)
             script = Script(tuple(written), part == "style")
             name = f"{part}_{place:04d}_{performer}"
             info = RecordingInfo(name, split, performer, voice, "en", group=name, part=part)

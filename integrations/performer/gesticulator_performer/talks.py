@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -71,34 +71,27 @@ class MadeTalk:
 
 @dataclass(frozen=True)
 class TalkRequest:
-    """What a talk should be. group: its manner, a key of `takes.GROUPS`; seconds: its length; links: strength of what
-    ties the sound to the motion beyond the times of beats and phrases (0 none, 1 full); carriage: how strongly effort
-    tells the height and the reach of the hands, besides."""
+    """What a talk should be. group: its manner, a key of `takes.GROUPS`; seconds: its length."""
 
     name: str
     group: str
     seconds: float
-    links: float = 1.0
-    carriage: float = 0.0
 
 
 def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[RealTake], pool: Pool,
                     rng: np.random.Generator) -> MadeTalk:
     """A talk from the given takes alone, with speech for it from `pool`."""
-    group, seconds, links = request.group, request.seconds, request.links
     limits = MotionRange(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
-    slower = 1.0 if group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
-    named = _named_stretches(library, takes, group, limits, rng)
+    slower = 1.0 if request.group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
+    named = _named_stretches(library, takes, request.group, limits, rng)
     mixed, flip = rng.random() < 1.0 / 3.0, rng.random() < 0.5
     pieces = []
     for _, logs in named:
         turned = bool(rng.random() < 0.5) if mixed else flip
         pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
-    joined, places = _smoothest(library, pieces, seconds, rng)
-    synthesis = inverse.speech_for(request.name, places, pool,
-                                   replace(ENERGY, links=links, carriage=links * request.carriage),
-                                   movements.features_of(places), rng)
-    logs = with_life(joined.logs, synthesis.spoken, rng, links)
+    joined, places = _smoothest(library, pieces, request.seconds, rng)
+    synthesis = inverse.speech_for(request.name, places, pool, ENERGY, movements.features_of(places), rng)
+    logs = with_life(joined.logs, synthesis.spoken, rng)
     rotations = library.rotations(logs)
     root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
     used = tuple(sorted({named[k][0] for k in joined.used}))
@@ -190,7 +183,7 @@ def _slowed(logs: Array, times: float) -> Array:
     return rotation.unroll(rotation.to_exponential_map(rotation.interpolate(rotation.from_exponential_map(logs), at)))
 
 
-def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator, links: float = 1.0) -> Array:
+def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
     """Add life to logs [T, J, 3]: the head dips on stresses, the trunk calms in pauses, and postures change. The
     recorded head motion is not tied to the new speech, real heads are. The yaw of the head stays within 20 degrees in
     95 % of the frames. The body sways, so that held poses do not freeze."""
@@ -201,7 +194,7 @@ def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator, links: floa
     out[:, list(SKULL)] = calm(out[:, list(SKULL)], speaking)
     out[:, list(SKULL), 0] += (_dips(spoken, frames, rng) / len(SKULL))[:, None]
     posture = postures(frames, rng)
-    weight = sway(frames, rng) + pitch_accents(spoken.syllables, frames, links, rng)
+    weight = sway(frames, rng) + pitch_accents(spoken.syllables, frames, rng)
     for joints, bends in ((SPINE, posture[:, 0] + weight), (SKULL, posture[:, 1])):
         out[:, list(joints)] += (bends / len(joints))[:, None]
     trunk = [*HIPS, *SPINE, *SKULL]

@@ -83,11 +83,10 @@ def trunk_segments(library: Library, splits: Mapping[str, str], split: str) -> t
     return tuple(out)
 
 
-def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array,
-                strength: tuple[float, float], rng: np.random.Generator) -> Array:
-    """Bends [T, 3, 3] for a talk. speaking: [T] 0 in pauses, 1 in speech, with soft edges; strength: a factor on the
-    motion, and how strongly it follows the effort of the phrases (0 to 1)."""
-    gain, links = strength
+def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array, gain: float,
+                rng: np.random.Generator) -> Array:
+    """Bends [T, 3, 3] for a talk. speaking: [T] 0 in pauses, 1 in speech, with soft edges; gain: a factor on the
+    motion."""
     frames = len(speaking)
     stressed = np.array([s.vowel * FPS for s in spoken.syllables if s.prominence > _STRESSED])
     out = np.zeros((frames, 3, 3))
@@ -101,7 +100,7 @@ def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array,
     effort = np.zeros(frames)
     for phrase in spoken.phrases:
         effort[round(phrase.start * FPS):round(phrase.end * FPS)] = phrase.effort
-    vigour = np.exp(0.35 * links * gaussian_filter1d(effort, 0.4 * FPS))
+    vigour = np.exp(0.35 * gaussian_filter1d(effort, 0.4 * FPS))
     return gain * _GAINS[:, None] * calm(out, speaking, vigour)
 
 
@@ -128,21 +127,21 @@ def sway(frames: int, rng: np.random.Generator) -> Array:
     return _SWAY * np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=-1)
 
 
-def pitch_accents(syllables: Sequence[Syllable], frames: int, strength: float, rng: np.random.Generator) -> Array:
+def pitch_accents(syllables: Sequence[Syllable], frames: int, rng: np.random.Generator) -> Array:
     """[T, 3] log rotations of the spine that go with the pitch: the higher an accented syllable, the farther the chest
-    leans or turns with it. strength: 0 for none, 1 for `_ACCENT`."""
+    leans or turns with it."""
     out, times = np.zeros((frames, 3)), np.arange(frames) / FPS
     turns = rng.normal(0.0, 1.0, (len(syllables), 3)) * [1.0, 1.2, 0.6]
     for syllable, turn in zip(syllables, turns, strict=True):
         height = min(syllable.pitch, _ACCENT_MOST)
-        if strength <= 0.0 or height <= 0.0 or syllable.prominence <= 0.0:
+        if height <= 0.0 or syllable.prominence <= 0.0:
             continue
         top = 0.5 * (syllable.vowel + syllable.end)
         first, last = (int(np.clip(np.ceil(at * FPS), 0, frames)) for at in (top - _ACCENT_RISE, top + _ACCENT_FALL))
         near = times[first:last] - top
         rises = minimum_jerk(np.clip(near / _ACCENT_RISE + 1.0, 0.0, 1.0))
         falls = minimum_jerk(np.clip(near / _ACCENT_FALL, 0.0, 1.0))
-        out[first:last] += (strength * _ACCENT * height * (rises - falls))[:, None] * turn
+        out[first:last] += (_ACCENT * height * (rises - falls))[:, None] * turn
     return out
 
 

@@ -27,7 +27,7 @@ LEAD = 0.4
 class Voice:
     """A voice. engine: "flite" or "espeak"; base: the engine's name for it. pitch: Hz (espeak: 0 to 99); spread: the
     engine's measure of pitch range (flite: Hz; espeak: 0 to 99); tract: factor on the formants (flite); rate: factor on
-    the engine's normal speed."""
+    the engine's normal speed; language: ISO 639-1, or 639-3 if there is none (cmn)."""
 
     name: str
     engine: str
@@ -36,13 +36,12 @@ class Voice:
     spread: float
     tract: float = 1.0
     rate: float = 1.0
+    language: str = "en"
 
 
 VOICES = {name: Voice(name, **settings) for name, settings in table("voices.toml")["voices"].items()}
 TRAIN_VOICES = ("slt", "rms", "kal", "us_f3", "slt_deep", "rms_light", "gb_m3", "slt_high", "rms_deep", "scot_f2")
 TEST_VOICES = ("awb", "rp_m7", "awb_high")
-
-
 @dataclass(frozen=True)
 class Synthesis:
     """Synthesised speech: words in `speech`, phones and phrases in seconds."""
@@ -73,8 +72,9 @@ def speak(name: str, utterances: Sequence[Utterance], voice: str, rng: np.random
 
 def with_syllables(name: str, synthesis: Synthesis, voice: str) -> Spoken:
     """Synthesised speech of a voice of `VOICES` with its measured syllables."""
-    syllables = listen(synthesis.speech, synthesis.phrases, nuclei_of(synthesis.phones), "en")
-    return Spoken(name, synthesis.speech, syllables, synthesis.phrases, voice, "en")
+    language = VOICES[voice].language
+    syllables = listen(synthesis.speech, synthesis.phrases, nuclei_of(synthesis.phones), language)
+    return Spoken(name, synthesis.speech, syllables, synthesis.phrases, voice, language)
 
 
 def nuclei_of(phones: Sequence[Phone]) -> list[Nucleus]:

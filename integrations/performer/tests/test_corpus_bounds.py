@@ -205,20 +205,7 @@ def test_pauses_that_are_long_enough_are_marked_as_rest() -> None:
     assert rests_of([], 10.0) == (Mark(REST, 0.0, 10.0),)
 
 
-# --- Styles
-
-
 # --- The command
-
-
-def test_talks_are_chosen_evenly_and_styles_whole() -> None:
-    class _Listed:
-        recordings = tuple(RecordingInfo(f"{part}{k}", "train", "a", "b", "en", part=part)
-                           for part, count in (("motion", 9), ("talk", 2), ("style", 5)) for k in range(count))
-
-    names = [info.name for info in corpus.chosen(_Listed(), 3)]  # type: ignore[arg-type]
-    assert names == ["motion0", "motion4", "motion8", "talk0", "talk1", *(f"style{k}" for k in range(5))]
-    assert len(corpus.chosen(_Listed(), None)) == 16  # type: ignore[arg-type]
 
 
 def test_the_command_names_what_is_no_store(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -242,11 +229,8 @@ def test_a_store_is_measured_and_judged(tmp_path: Path) -> None:
     writer.finish(names)
     out = tmp_path / "corpus.json"
     assert PROBE.main("gesticulator probe", ["corpus", "--data", str(tmp_path / "s"), "--out", str(out)]) == 0
-    bounds, sources, styles = load(out)
+    bounds, sources = load(out)
     assert list(sources.columns) == ["bound", "ann"] and len(sources.facts["clauses"]) == len(by_source.EVERY)
     assert bounds.rows["L/R hand height correlation"]["holds"] == "NO"
     assert "L/R hand height correlation" in bounds.notes[1] and "acceleration at seams" in bounds.notes[1]
-    # Every sound is the same here, so it can say nothing of how fast the hands of others go.
-    assert styles.rows["log hand speed"]["holds"] == "NO"
-    assert [own["low"] for own in styles.facts["bounds"]] == [0.6, 0.3, 0.4]
     assert out.with_suffix(".md").read_text().count("| L/R hand height correlation | 0.25 to 0.55 |") == 1

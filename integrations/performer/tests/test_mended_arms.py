@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,24 +39,6 @@ def azimuth(rotations: Array, side: str) -> float:
     places = kinematics.joint_positions(CHARACTER, rotations)
     way = places[:, CHARACTER.index(side + "Hand")] - places[:, CHARACTER.index(side + "ForeArm")]
     return float(np.median(np.degrees(np.arctan2(way[:, 0] * (1.0 if side == "Left" else -1.0), way[:, 2]))))
-
-
-REST = mended_arms.POSTURES[0]
-
-
-def at_home(angle: float) -> mended_arms.Posture:
-    """Rest, in which the forearm is usually turned `angle` degrees outward."""
-    return replace(REST, usual=angle)
-
-
-def test_arms_turned_outward_by_15_degrees_are_found_and_turned_back() -> None:
-    right = hanging(10.0)
-    turned = mended_arms.turned(right, dict.fromkeys(SIDES, -15.0))
-    assert azimuth(turned, "Left") > azimuth(right, "Left") + 10.0
-    found = mended_arms.fitted({"ann": [turned]}, [at_home(10.0)])["ann"]
-    for side in SIDES:
-        assert found[side] == pytest.approx(15.0, abs=0.1)
-        assert azimuth(mended_arms.turned(turned, found), side) == pytest.approx(azimuth(right, side), abs=0.1)
 
 
 def test_a_hand_in_the_trunk_comes_out_of_it_and_other_hands_stay() -> None:

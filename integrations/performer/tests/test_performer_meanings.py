@@ -11,13 +11,13 @@ import pytest
 from gesticulator_performer import cues as tables
 from gesticulator_performer.cues import Cues, mirrored, plain, read_cues
 from gesticulator_performer.lending import lent
-from gesticulator_performer.plan import HABITS, Planned, plan
+from gesticulator_performer.plan import HABITS, Planned
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, mirror
 from gesticulator_performer.text import Utterance, compose, sentence_key
 from gesticulator_performer.types import Spoken
 from hypothesis import given
 from hypothesis import strategies as st
-from procedural import procedural_strokes
+from procedural import planned, procedural_strokes
 
 from data_module.errors import InputError
 from data_module.files import read_table
@@ -116,7 +116,7 @@ def _played(strokes: StrokeSet, text: str, language: str = "en", seeds: int = 40
     spoken = _said(text, language)
     words = [word.text for word in spoken.speech.words or ()]
     return [(words[p.word], p) for seed in range(seeds)
-            for p in plan(spoken, PUPPET, strokes, np.random.default_rng(seed))]
+            for p in planned(spoken, strokes, seed)]
 
 
 def test_over_there_is_pointed_at_with_the_performers_probability(strokes: StrokeSet) -> None:

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer.plan import plan
-from gesticulator_performer.play import perform
+from gesticulator_performer.play import FPS
 from gesticulator_performer.strokes import (
     LEFT,
     RIGHT,
@@ -17,6 +16,8 @@ from gesticulator_performer.strokes import (
     mirror,
 )
 from gesticulator_performer.types import Played, Spoken
+from procedural import planned as planned_by
+from procedural import played as perform_by
 from procedural import procedural_strokes
 
 from data_module.errors import InputError
@@ -61,13 +62,21 @@ def talk() -> Spoken:
 
 @pytest.fixture(scope="module")
 def played(talk: Spoken, strokes: StrokeSet) -> Played:
-    return perform(talk, PUPPET, strokes, np.random.default_rng(1))
+    return perform_by(talk, strokes, 1)
 
 
 def _hand_speed(motion: Motion) -> Array:
     positions = kinematics.positions_of(motion)
     hands = positions[:, [motion.skeleton.index("LeftHand"), motion.skeleton.index("RightHand")]]
     return np.linalg.norm(np.diff(hands, axis=0), axis=-1) * motion.fps
+
+
+def _misses(played: Played, shift: float = 0.0) -> Array:
+    """Seconds from each planned beat (plus `shift`) to the nearest motion beat of its acting arms, [strokes]."""
+    positions = acting_positions(played.motion)
+    joints = {"right": [0, 1], "left": [2, 3], "both": [0, 1, 2, 3]}
+    beats = {hand: beats_of_speed(acting_speed(positions[:, acting], FPS), FPS) for hand, acting in joints.items()}
+    return np.array([np.abs(beats[stroke.hand] - stroke.beat - shift).min() for stroke in played.strokes])
 
 
 def test_the_truth_is_in_order_and_near_its_syllables(played: Played, talk: Spoken) -> None:
@@ -88,7 +97,8 @@ def test_long_pause_is_rest_and_home_is_reached_before_speech(played: Played, st
     motion = played.motion
     figure = strokes.figures[PUPPET]
     pause = slice(int(13.8 * 60), int(15.0 * 60))
-    assert np.percentile(_hand_speed(motion)[pause], 95) < 0.05
+    # The trunk of a living person sways, and the hanging hands with it.
+    assert np.percentile(_hand_speed(motion)[pause], 95) < 0.1
     arms = [motion.skeleton.index(side + part) for side in ("Left", "Right") for part in ("Arm", "ForeArm")]
     away = rotation.angle_between(figure.rest[arms], motion.rotations[:, arms])
     assert away[pause].max() < np.radians(6.0)
@@ -98,28 +108,28 @@ def test_long_pause_is_rest_and_home_is_reached_before_speech(played: Played, st
 
 
 def test_same_seed_same_motion_other_seed_other_motion(talk: Spoken, played: Played, strokes: StrokeSet) -> None:
-    again = perform(talk, PUPPET, strokes, np.random.default_rng(1))
+    again = perform_by(talk, strokes, 1)
     assert np.array_equal(again.motion.rotations, played.motion.rotations)
     assert again.strokes == played.strokes
-    other = perform(talk, PUPPET, strokes, np.random.default_rng(2))
+    other = perform_by(talk, strokes, 2)
     assert other.strokes != played.strokes
 
 
 def test_held_out_strokes_play_in_test_alone(talk: Spoken, strokes: StrokeSet) -> None:
-    train = [p for seed in range(6) for p in plan(talk, PUPPET, strokes, np.random.default_rng(seed), "train")]
-    test = [p for seed in range(6) for p in plan(talk, PUPPET, strokes, np.random.default_rng(seed), "test")]
+    train = [p for seed in range(6) for p in planned_by(talk, strokes, seed, "train")]
+    test = [p for seed in range(6) for p in planned_by(talk, strokes, seed, "test")]
     assert not any(p.stroke.held_out for p in train)
     assert {p.stroke.held_out for p in test} == {True, False}
 
 
 def test_unknown_performer_is_named(talk: Spoken, strokes: StrokeSet) -> None:
     with pytest.raises(InputError, match=r"nobody.*puppet"):
-        perform(talk, "nobody", strokes, np.random.default_rng(0))
+        perform_by(talk, strokes, 0, performer="nobody")
 
 
 def test_meaningful_words_take_their_strokes(strokes: StrokeSet) -> None:
     spoken = _spoken([(0.5, 30.0, 0.0)], 31.0, words="stone river you table lamp wood")
-    planned = plan(spoken, PUPPET, strokes, np.random.default_rng(0))
+    planned = planned_by(spoken, strokes, 0)
     words = {s.vowel: spoken.speech.words[s.word].text for s in spoken.syllables}  # type: ignore[index]
     of_you = [p for p in planned if words[p.syllable] == "you"]
     assert sum(p.stroke.lexeme == "You" for p in of_you) > 5
@@ -203,14 +213,8 @@ def test_retargeted_clips_stay_on_one_side_of_the_split(recorded: StrokeSet) -> 
 
 
 def test_recorded_strokes_play_in_time_and_out_of_the_body(recorded: StrokeSet, talk: Spoken) -> None:
-    out, misses = perform(talk, "connor", recorded, np.random.default_rng(0)), list[float]()
-    # Each planned beat is where its acting arms brake hardest, found anew on the motion.
-    positions = acting_positions(out.motion)
-    for stroke in out.strokes:
-        arms = {"right": slice(0, 2), "left": slice(2, 4)}.get(stroke.hand, slice(0, 4))
-        beats = beats_of_speed(acting_speed(positions[:, arms], out.motion.fps), out.motion.fps)
-        misses.append(np.abs(beats - stroke.beat).min(initial=np.inf))
-    assert (np.array(misses) < 0.02).mean() >= 0.95
+    out = perform_by(talk, recorded, 0, performer="connor")
+    assert (_misses(out) < 0.02).mean() >= 0.95
     assert figures(common_body(out.motion))["eye_hand_in_torso"] < 0.5
     table = {name: k for k, name in enumerate(out.motion.skeleton.names)}
     toes = kinematics.positions_of(out.motion)[:, table["LeftToeBase"]]

@@ -82,18 +82,6 @@ def test_no_sentence_and_no_take_crosses_a_split(outside_data: Path) -> None:
     assert set(takes.values()) == {"train", "val", "test"} and len(takes) > 90
 
 
-def test_without_real_motion_the_rest_is_still_played(outside_data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("pocketsphinx")
-    for name in ("strokes", "speech"):
-        (tmp_path / name).symlink_to(outside_data / name)
-    reader = Performer(tmp_path, PerformerOptions(hours=1.0))
-    assert {item.info.part for item in reader.items()} == {"talk", "style", "reading"}
-    assert "CMU" not in reader.licence and "cmu" not in reader.licence and "SmartBody" in reader.licence
-    german = Performer(outside_data, PerformerOptions(hours=1.0, languages=("de",)))
-    assert {item.info.language for item in german.items()} == {"de"}
-    assert "motion" not in {item.info.part for item in german.items()}
-
-
 def test_licences_of_what_a_corpus_is_made_of(outside_data: Path) -> None:
     licence = Performer(_full_source(outside_data), PerformerOptions()).licence
     credit = ("The data used in this project was obtained from mocap.cs.cmu.edu. "

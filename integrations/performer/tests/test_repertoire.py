@@ -9,17 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import grammar, plan, text
+from gesticulator_performer import grammar, text
 from gesticulator_performer.called_cues import CalledCues
-from gesticulator_performer.cues import plain
-from gesticulator_performer.hands import STEADY
-from gesticulator_performer.play import Staging, perform
+from gesticulator_performer.cues import Cues, plain
 from gesticulator_performer.repertoire import Repertoire, read_repertoire
 from gesticulator_performer.sources.gesture_takes import TAKES, write_takes
 from gesticulator_performer.strokes import StrokeSet, standing_body
-from gesticulator_performer.styles import NEUTRAL
-from gesticulator_performer.types import Played, Spoken
-from procedural import procedural_strokes
+from gesticulator_performer.types import Spoken
+from procedural import planned, played, procedural_strokes
 
 from data_module.build import main
 from data_module.errors import InputError
@@ -51,7 +48,7 @@ def takes(folder: Path) -> Repertoire:
 
 @pytest.fixture(scope="module")
 def strokes(takes: Repertoire) -> StrokeSet:
-    return replace(procedural_strokes(), repertoire=takes, cues=CalledCues(takes.labels))
+    return replace(procedural_strokes(), repertoire=takes, cues=CalledCues(takes.labels, Cues({}, {})))
 
 
 def _said(said: str, repeat: int = 1) -> Spoken:
@@ -103,20 +100,13 @@ def test_a_take_on_the_body_it_was_drawn_for_is_what_was_drawn(folder: Path, tak
         stroke.start, stroke.beat, stroke.hold_end, stroke.end)
 
 
-def _planned(strokes: StrokeSet, spoken: Spoken, seed: int, links: float = 1.0) -> tuple[plan.Planned, ...]:
-    rng = np.random.default_rng(seed)
-    casting = plan.cast(spoken, PUPPET, STEADY, NEUTRAL, rng, links)
-    return plan.plan(spoken, PUPPET, strokes, rng, "train", casting)
-
-
 def test_gestures_come_at_their_words_within_the_budget(strokes: StrokeSet) -> None:
     spoken = _said(TALK, 4)
     words = [word.text for word in spoken.speech.words or ()]
     at = defaultdict(set)
     count = 0
     for seed in range(12):
-        planned = _planned(strokes, spoken, seed)
-        meant = [p for p in planned if p.meaning]
+        meant = [p for p in planned(spoken, strokes, seed) if p.meaning]
         count += len(meant)
         for p in meant:
             assert p.stroke.scripted and p.gain == 1.0
@@ -133,14 +123,9 @@ def test_gestures_come_at_their_words_within_the_budget(strokes: StrokeSet) -> N
     assert count > 60
 
 
-def _performed(strokes: StrokeSet, links: float, strength: float) -> Played:
-    staging = Staging(STEADY, (), NEUTRAL, links, strength)
-    return perform(_said(TALK), PUPPET, strokes, np.random.default_rng(2), "train", staging)
-
-
 def test_a_played_take_shows_its_pose_at_the_apex(strokes: StrokeSet) -> None:
-    played = _performed(strokes, 1.0, 0.0)
-    meant = [stroke for stroke in played.strokes if stroke.clip.startswith(SCRIPTED) and stroke.hand != "none"]
+    performance = played(_said(TALK), strokes, 2)
+    meant = [stroke for stroke in performance.strokes if stroke.clip.startswith(SCRIPTED) and stroke.hand != "none"]
     assert len(meant) >= 2 and all(stroke.meaning in ("thumbs_up", "now_press", "point_ahead", "point_left")
                                    for stroke in meant)
     body = strokes.figures[PUPPET]
@@ -152,8 +137,9 @@ def test_a_played_take_shows_its_pose_at_the_apex(strokes: StrokeSet) -> None:
             joints = list(body.arms[side][1:3])
             wanted = rotation.multiply(body.rest[joints], rotation.from_exponential_map(
                 drawn.arm_at(side, np.array([drawn.beat])).reshape(-1, 3)[1:3]))
-            apart = [np.degrees(rotation.angle_between(played.motion.rotations[round(60 * time)][joints], wanted)).max()
-                     for time in (stroke.beat + 0.1, stroke.start)]
+            frames = [round(60 * time) for time in (stroke.beat + 0.1, stroke.start)]
+            shown = (performance.motion.rotations[frame][joints] for frame in frames)
+            apart = [np.degrees(rotation.angle_between(pose, wanted)).max() for pose in shown]
             assert apart[0] < 15.0 < apart[1]
 
 
@@ -180,8 +166,7 @@ def test_a_bad_folder_is_named_with_its_line(tmp_path: Path, change: Callable[[s
 
 
 def test_the_build_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for more, message in ((["--carriage", "1.5"], "--carriage: is 1.5"),
-                          (["--hours", "0"], "--hours: is 0"), (["--seed", "-1"], "--seed: is -1")):
+    for more, message in ((["--hours", "0"], "--hours: is 0"), (["--seed", "-1"], "--seed: is -1")):
         with pytest.raises(SystemExit) as stopped:
             main(["performer", "--out", str(tmp_path / "store"), *more])
         assert stopped.value.code == 2 and message in capsys.readouterr().err

@@ -1,8 +1,9 @@
-"""What a corpus of gestures must be like, as bounds: of its talks, its seams and stillness.
+"""The bounds that a corpus of gestures must keep: of its talks, its seams and its stillness.
 
 Theory: a figure for the eye (`eval.metrics.eye`) is one value of a talk. Pooled over the talks of parts A and B it is
 their mean, each talk counted by its seconds, or for a rule that holds "everywhere" (seams, freezes) the worst talk.
-A bound holds where the pooled value lies in it; a value is never rounded first.
+A bound holds where the pooled value lies in it; a value is never rounded first. Part C and
+the readings are shown, not judged.
 
 - seams: acceleration of the hands within 2 frames of a place where the motion was put together, over that elsewhere. Of
   part A that is where two stretches of real motion were joined; of the others where a stroke begins and where its hold

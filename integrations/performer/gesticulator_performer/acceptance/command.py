@@ -1,7 +1,8 @@
 """Is a built corpus good enough to learn from? `gesticulator probe corpus --data STORE [--talks 32]`
 
-Its talks against bounds of human likeness (`bounds`), and every source by itself (`by_source`). Everything is measured
-on the finished motion and sound; from the truth come only where the corpus was put together and where rest is meant.
+Its talks are judged by bounds of human likeness (`bounds`), and every source by itself (`by_source`). Everything is
+measured on the finished motion; only the places where the corpus was put together and the marked rests come from the
+truth.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """A store, and how much of it."""
     parser.add_argument("--data", required=True, metavar="STORE", help="a store built by `gesticulator build`")
     parser.add_argument("--talks", type=int, metavar="N",
-                        help="number of talks per part, evenly chosen (default: all; styles always use all)")
+                        help="number of talks per part, evenly chosen (default: all)")
 
 
 def run(arguments: argparse.Namespace) -> list[Table]:
@@ -50,11 +51,11 @@ def run(arguments: argparse.Namespace) -> list[Table]:
 
 
 def chosen(store: Store, talks: int | None) -> list[RecordingInfo]:
-    """All recordings, or `talks` of each part, evenly over the store; style always whole."""
+    """All recordings, or `talks` of each part, evenly over the store."""
     out: list[RecordingInfo] = []
     for part in dict.fromkeys(info.part for info in store.recordings):
         own = [info for info in store.recordings if info.part == part]
-        if talks is not None and talks < len(own) and part != "style":
+        if talks is not None and talks < len(own):
             own = [own[k] for k in np.linspace(0, len(own) - 1, talks).round().astype(int)]
         out += own
     return out
@@ -66,7 +67,7 @@ def _measured(store: Store, talks: int | None) -> tuple[list[MeasuredTalk], int]
     marked = 0
     for info in tqdm(chosen(store, talks), desc="measuring", unit="recording", disable=not sys.stderr.isatty()):
         recording = store.load(info.name, len(FINGERED))
-        # What was not made in parts is judged as talks of one part.
+        # Recordings without parts are judged as talks of one part.
         talk = corpus_bounds.measure(recording, common_body(recording.motion))
         measured.append(talk if talk.part else replace(talk, part=POOLED[-1]))
         marked += bool(recording.truth and any(mark.what == REST for mark in recording.truth.marks))
