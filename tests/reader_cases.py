@@ -616,9 +616,6 @@ def _read_token(file: Path) -> object:
     return read_token(Namespace(token_file=file, no_token=False, host="0.0.0.0"))
 
 
-_TABLE = {"tables": [{"title": "T", "columns": ["a"], "rows": [["b", 1.5]]}]}
-
-
 def _results(folder: Path) -> Path:
     from test_table import ABOUT, TABLE
 
@@ -781,5 +778,3 @@ _SHARE = st.floats(0, 1, exclude_max=True)
 def damages(draw: st.DrawFn) -> list[tuple[Callable[..., None], float, float, int]]:
     one = st.tuples(st.sampled_from(DAMAGE), _SHARE, _SHARE, st.integers(0, 15))
     return draw(st.lists(one, min_size=1, max_size=4))
-
-

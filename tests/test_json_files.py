@@ -126,8 +126,6 @@ def test_what_python_writes_beyond_the_standard_is_read_where_it_wrote_it() -> N
 
 _OTHERS = {
     "data_module/files.py": "the reader itself",
-    "gesticulator/characters/blender.py": "the outcome of a job that its own Blender has just written",
-    "gesticulator/characters/blender_jobs.py": "runs in Blender, on the job that its parent has just written",
 }
 
 

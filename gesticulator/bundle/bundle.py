@@ -224,7 +224,7 @@ class Bundle:
         """The speech-independent interpreter over the same lexicon."""
         from interpreters.statistical import StatisticalInterpreter
 
-        return StatisticalInterpreter(self.frequencies, self.transitions, self.config.statistical)
+        return StatisticalInterpreter(self.frequencies, self.transitions)
 
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose, normalised."""

@@ -36,7 +36,7 @@ def encoder(sizes: Sizes) -> SpeechEncoder:
     """The speech encoder (RG 4.1.3)."""
     from data_module.speech.speech_encoder import SpeechEncoder
 
-    return SpeechEncoder(sizes.config.encoder)
+    return SpeechEncoder(sizes.config.encoder.width)
 
 
 def gate(sizes: Sizes) -> ActivityGate:

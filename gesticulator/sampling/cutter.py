@@ -134,7 +134,7 @@ class BlockCutter:
         self._config, self._front, self.latency = config, front or front_end_for(config), latency
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
-        self._words = None if words is None else WordTrack(words, config.text.bridge, config.selection.words_so_far)
+        self._words = None if words is None else WordTrack(words, config.selection.words_so_far)
         self._loudness, self._voice, self._start = LoudnessTracker(), VoiceLevel(), SteadyStart()
         self._pauses, self._quiet = _PauseFlags(), _PauseFlags()
         self._onsets, self._beats = OnsetTracker(SAMPLE_RATE), BeatTracker(config.rhythm.beats, start)
@@ -362,9 +362,9 @@ class BlockCutter:
 class WordTrack:
     """The words that were added so far, and their vectors."""
 
-    def __init__(self, encoder: WordEncoder, bridge: float, so_far: bool = False) -> None:
-        """bridge: see `word_frames`; so_far: see `WordEncoder.encode`."""
-        self._encoder, self._bridge, self._so_far = encoder, bridge, so_far
+    def __init__(self, encoder: WordEncoder, so_far: bool = False) -> None:
+        """so_far: see `WordEncoder.encode`."""
+        self._encoder, self._so_far = encoder, so_far
         self._words: list[tuple[float, int, Word]] = []  # by their start
         self._vectors: dict[int, Features] = {}
         self._next = 0
@@ -395,7 +395,7 @@ class WordTrack:
         # A word may begin before the block and sound into it.
         near = self._words[first:last]
         blocks = Blocks(np.array([block.start, block.end]), np.zeros(1, np.int8), np.zeros(1, bool), frames, fps)
-        words = word_frames([word for *_, word in near], blocks, self._bridge)[0]
+        words = word_frames([word for *_, word in near], blocks)[0]
         for row in np.flatnonzero(words >= 0):
             out[row] = self._vectors[near[words[row]][1]]
         return out
