@@ -255,6 +255,7 @@ class Config:
     """Each stage derives its seed from this one and its name, so adding a stage changes no other."""
 
     def __post_init__(self) -> None:
+        # Read here, because their classes belong to packages that may not be installed.
         object.__setattr__(self, "others", {name: _other(name, value) for name, value in self.others.items()})
         check(self)
         if not self.lexicon.widths:
@@ -279,6 +280,7 @@ def section(config: Config, name: str) -> Any:
 
 def _other(name: str, value: Any) -> Any:
     """The settings of an interpreter in `Config.others` as an instance of its class; InputError if it is unknown."""
+    # Sections of our own interpreters are fields, and checked like all others.
     kinds = {entry.settings: entry for entry in entries().values()
              if entry.part and entry.settings not in {known.name for known in fields(Config)}}
     if name not in kinds:
