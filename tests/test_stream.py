@@ -22,7 +22,6 @@ from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from generator.flow import Guidance, SamplingHead
-from gesticulator import stream as stream_module
 from gesticulator.bundle.features import representation_of
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.sampling.cutter import BlockCutter
@@ -393,10 +392,10 @@ def test_what_was_played_stays_and_speech_goes_on_after_an_interruption() -> Non
 # ---------------------------------------------------------------------------------------------------- for ever
 
 @pytest.mark.parametrize("what", ["speech", "idling", "interruptions", "face"])
-def test_memory_does_not_grow(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream_module, "HISTORY", 2.0)
+def test_memory_does_not_grow(what: str) -> None:
     sound = example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]
-    stream, sizes = system().stream(face="full" if what == "face" else "off"), []
+    stream, sizes = system().stream(face="full" if what == "face" else "off"), list[int]()
+    stream.history = 2.0
     tracemalloc.start()
     try:
         for second in range(16):
