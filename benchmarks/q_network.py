@@ -67,7 +67,7 @@ def main() -> None:
                             network.lexemes, network.speakers))
     rows = {"Q-network, cached": row(network, blocks, window, 5), "Q-network, full": row(full, blocks, window, 5),
             "Q-network of the paper's size, cached": row(paper, blocks, window, 1),
-            "lstm": row(bundle.block_models.interpreter, blocks, window, 5)}
+            "lstm": row(bundle.interpreter, blocks, window, 5)}
     publish([table(rows, window)], a.out,
             Provenance.now(shlex.join(["python", "benchmarks/q_network.py", *sys.argv[1:]])))
 

@@ -130,7 +130,7 @@ class EvalContext:
         """[N] lexemes of all blocks by the bundle, silent blocks with the silent lexeme nearest to their own (RG
         6.4.1)."""
         bundle = self.bundle
-        labels = token_labels(bundle.block_models.lexicon, self.corpus)
+        labels = token_labels(bundle.block_lexicon, self.corpus)
         nearest = nearest_silent(bundle.vectors.double().numpy(), bundle.silent)
         return np.where(self.corpus.silent, nearest[labels], labels) if bundle.config.silence.hint else labels
 

@@ -56,7 +56,7 @@ def tables(arguments: argparse.Namespace) -> Sequence[Table]:
     """Reconstruction by the lexicon, and accuracy of the interpreters."""
     context = EvalContext.of(arguments)
     bundle = context.bundle
-    interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.block_models.interpreter}
+    interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.interpreter}
     if bundle.interpreter_text is not None:
         interpreters["lstm with text"] = bundle.interpreter_text
     interpreters |= {
@@ -102,7 +102,7 @@ def reconstructions(bundle: bundles.Bundle, motion: torch.Tensor, past: Pasts) -
     """Squared error of each block [N] through the lexicon, for blocks [N, K, D_m] and what came before each."""
     commonest = int(bundle.frequencies.mean(axis=0).argmax())
     return {name: ((decoded - motion) ** 2).mean(dim=(1, 2)).numpy()
-            for name, decoded in retold(bundle.block_models.lexicon, motion, past, commonest)}
+            for name, decoded in retold(bundle.block_lexicon, motion, past, commonest)}
 
 
 def use_of_codes(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts) -> dict[str, float]:
@@ -145,7 +145,7 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
                  reconstructions(bundle, normalised, past).items()}
     note = (" Movements are decoded from the true frames before each block."
             if isinstance(bundle.lexicon, MovementLexicon) else "")
-    used = use_of_codes(bundle.block_models.lexicon, corpus.motion[test], corpus.pasts[test])
+    used = use_of_codes(bundle.block_lexicon, corpus.motion[test], corpus.pasts[test])
     variance = float(unknown.var(0).mean())
     return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")}, rows,
                  "through", [f"Lexemes used on the test split: {100 * used['usage']:.0f} %; perplexity "

@@ -16,7 +16,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
@@ -39,6 +38,7 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise the message as an `InputError` instead of printing the usage."""
         subject, colon, wrong = message.partition(": ")
+        # argparse says what is wrong with an option, but does not guess what was meant.
         near = self._nearest(wrong) if subject == "unrecognized arguments" else ""
         raise InputError(subject if colon else "arguments", wrong or message,
                          (f"did you mean {near}? " if near else "") + f"see {self.prog} --help")
@@ -75,9 +75,11 @@ class Command:
 
     def main(self, program: str, argv: Sequence[str] | None = None) -> int:
         """Parse and run; exit code 2 with one line for bad input."""
+        # Before anything is printed, also where a verb is run without the program.
         steady_streams()
         with one_line_errors(PROGRAM):
             arguments = self.parser(program).parse_args(argv)
+            # Warnings of the product go through this logger's level, see `_say_warning`.
             logging.getLogger("gesticulator").setLevel(LOG_LEVELS[arguments.log_level])
             try:
                 code = self.run(arguments)
@@ -114,6 +116,7 @@ def steady_streams() -> None:
 def our_warnings() -> Iterator[None]:
     """Show only warnings of this package, one line each; suppress those of libraries."""
     with warnings.catch_warnings():
+        # Libraries warn of deprecations that a user of the command can do nothing about.
         warnings.simplefilter("ignore")
         for name in ("data_module", "gesticulator"):
             warnings.filterwarnings("default", module=name)
@@ -162,13 +165,12 @@ def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
     if DEFAULT in known:
         text += f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n"
         lines += f"\n\nFor a recording named like a verb, include its folder: ./{DEFAULT}"
-    ends = (f"\n{program} --version prints the version; eval \"$({program} --completion bash)\" completes verbs and "
-            "options in a shell (bash, zsh, fish)") if DEFAULT in known else ""
-    return f"{text}\n{lines}\n{ends}\n" if ends else f"{text}\n{lines}\n"
+    return f"{text}\n{lines}\n\n{program} --version prints the version\n"
 
 
 def _usable() -> dict[str, Command]:
     """The commands that can be loaded; an error line is printed for each of the others."""
+    # A broken third-party package must not make the help of the others unusable.
     known = {}
     for name in verbs():
         try:
@@ -180,6 +182,7 @@ def _usable() -> dict[str, Command]:
 
 def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
     """`InputError` if the first word is neither an option nor could name a recording."""
+    # A word with a dot, a slash or a wildcard is a path, even if nothing is there.
     plain = word and not word.startswith("-") and not set(word) & set("./\\*?[")
     if plain and not os.path.lexists(word):
         if word in ELSEWHERE:
@@ -188,33 +191,6 @@ def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
         near = difflib.get_close_matches(word, known, 1)
         raise InputError(word, "is neither a verb nor a file", (f"did you mean {near[0]}? " if near else "")
                          + f"verbs are {', '.join(known)}")
-
-
-SHELLS = ("bash", "zsh", "fish")
-
-
-def _completion(arguments: Sequence[str]) -> str:
-    """Shell code that completes verbs and options; `InputError` for an unknown shell, or without argcomplete."""
-    if len(arguments) != 1 or arguments[0] not in SHELLS:
-        raise InputError("--completion", "needs the name of a shell", f"choose among {', '.join(SHELLS)}")
-    if find_spec("argcomplete") is None:
-        raise InputError("--completion", "needs argcomplete, which is not installed",
-                         'pip install "gesticulator[completion]"')
-    import argcomplete
-
-    return str(argcomplete.shellcode([PROGRAM], shell=arguments[0]))
-
-
-def _complete() -> None:
-    """Answer a shell's completion request; does not return if argcomplete is installed."""
-    if find_spec("argcomplete") is not None:
-        import argcomplete
-
-        parser = Parser(PROGRAM, allow_abbrev=False)
-        subparsers = parser.add_subparsers()
-        for name, command in _usable().items():
-            command.arguments(subparsers.add_parser(name))
-        argcomplete.autocomplete(parser)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -227,14 +203,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     with one_line_errors(PROGRAM):
-        if "_ARGCOMPLETE" in os.environ:
-            _complete()
-        if arguments[:1] == ["--completion"]:
-            print(_completion(arguments[1:]), end="")
-            return 0
         if not arguments or arguments[0] in ("-h", "--help"):
             print(usage(_usable()), end="", flush=True)
             return 0 if arguments else 2
+        # What is no verb is the first argument of the default one.
         verb, program = DEFAULT, f"{PROGRAM} {DEFAULT}"
         if arguments[0] in VERBS:
             verb = arguments.pop(0)

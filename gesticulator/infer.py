@@ -24,7 +24,7 @@ from gesticulator.arguments import (
     run_settings_of,
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import Job, check_job, perform, perform_together, prepare_blender, retargeter_for
+from gesticulator.jobs import Job, Worker, check_job, retargeter_for
 
 if TYPE_CHECKING:
     from gesticulator.batch import BatchRequest
@@ -44,21 +44,22 @@ def run(args: argparse.Namespace) -> int:
     check_choices(jobs[0].options, settings.bundle)
     if batch is not None:
         return _run_batch(jobs, settings, batch)
-    prepare_blender(jobs)
     retargeter = retargeter_for(jobs[0].character, settings.quiet)
+    # The error of a single recording is that of the command: exit code 2, and no summary.
     alone, done = len(jobs) == 1, 0
     with our_warnings():
+        # Recordings that cannot be read fail before the models are loaded.
         ready = [job for job in jobs if _succeeded(partial(check_job, job), alone)]
         if ready:
             with limited_threads(settings.threads):
-                gesticulator = _loaded(settings)
-                check_options(gesticulator, jobs[0].options)
+                worker = Worker(_loaded(settings), retargeter, settings.quiet)
+                check_options(worker.gesticulator, jobs[0].options)
                 if args.one_file:
-                    _say(perform_together(jobs, gesticulator, retargeter, settings.quiet), settings)
+                    _say(worker.perform_together(jobs), settings)
                     return 0
 
                 def process(job: Job) -> None:
-                    _say(perform(job, gesticulator, retargeter, settings.quiet), settings)
+                    _say(worker.perform(job), settings)
 
                 done = sum(_succeeded(partial(process, job), alone) for job in ready)
     return 0 if alone else _conclude(len(jobs), done, settings.quiet)
@@ -79,6 +80,7 @@ def _run_batch(jobs: Sequence[Job], settings: RunSettings, request: BatchRequest
     """Process recordings that are not done yet and record them in a manifest; the exit code of `run`."""
     from gesticulator import batch
 
+    # A function that can be pickled: with Ray it is called on other machines.
     make = partial(_worker, jobs, settings)
     outcomes = partial(batch.done_here, make)
     if request.ray is not None:
@@ -93,16 +95,15 @@ def _run_batch(jobs: Sequence[Job], settings: RunSettings, request: BatchRequest
 
 def _worker(jobs: Sequence[Job], settings: RunSettings) -> Callable[[int], float]:
     """Load the models; returns a function that processes a job by its number and returns its duration in seconds."""
-    prepare_blender(jobs)
     retargeter = retargeter_for(jobs[0].character, settings.quiet)
     with limited_threads(settings.threads):
-        gesticulator = _loaded(settings)
-    check_options(gesticulator, jobs[0].options)
+        # In a batch the bar of the whole batch is shown, not one for each recording.
+        worker = Worker(_loaded(settings), retargeter, quiet=True)
+    check_options(worker.gesticulator, jobs[0].options)
 
     def process(number: int) -> float:
-        check_job(jobs[number])
         with limited_threads(settings.threads):
-            return perform(jobs[number], gesticulator, retargeter, quiet=True).seconds
+            return worker.perform(jobs[number]).seconds
 
     return process
 
@@ -126,6 +127,7 @@ def _conclude(count: int, done: int, quiet: bool) -> int:
     if done < count:
         complain(f"{PROGRAM}: {done} of {count} recordings done, {count - done} failed")
         return EXIT_PART_FAILED if done else EXIT_BAD_INPUT
+    # One line at the end, because lines of single recordings scroll away.
     if not quiet:
         print(f"{count} recordings done", flush=True)
     return 0
@@ -148,7 +150,7 @@ COMMAND = Command(
         "infer speech2.wav -o gesture.bvh --plan plan.json --retime --plan-out plan2.json",
         "infer speech.wav -o gesture.bvh --text speech.txt --cue bread=wave --hold-still 3.2-5.0",
         "infer recordings/ -o out/ --preview out/ --text texts/",
-        "infer recordings/ -o out/ --manifest out/manifest.parquet",
+        "infer recordings/ -o out/ --manifest out/manifest.jsonl",
         "infer recordings/ -o out/ --shard 2/8",
         "infer recordings/ -o out/ --ray local:4",
         "infer - -o gesture.bvh < speech.wav",

@@ -1,4 +1,4 @@
-"""The recordings to process and the files to write for each (`jobs_for`), and how one is processed (`perform`): read,
+"""The recordings to process and the files to write for each (`jobs_for`), and how one is processed (`Worker`): read,
 generate, write.
 
 Names, suffixes, folders and permissions are checked before any work. An error of the command is an `InputError`; an
@@ -13,7 +13,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -82,6 +82,7 @@ class Job:
     def digest(self) -> str:
         """SHA-256 of what decides the bytes of the output, but for the recording itself and the names of the files. A
         file that a setting names counts by its content, so that a moved folder changes nothing."""
+        # A digest instead of the values: rows of a manifest stay short, and hold no paths.
         parts = [(entry.name, _content(getattr(self, entry.name))) for entry in fields(self)
                  if entry.name not in ("source", "targets", "any_length", "fault")]
         return hashlib.sha256(repr(parts).encode()).hexdigest()
@@ -104,13 +105,18 @@ def _content(value: Any) -> object:
     if isinstance(value, str | os.PathLike) and Path(value).is_file():
         # Time and size in the key of the cache: a changed file is hashed again.
         status = Path(value).stat()
-        return _file_hash(Path(value), status.st_mtime_ns, status.st_size)
+        return _cached_hash(Path(value), status.st_mtime_ns, status.st_size)
     return value
 
 
 @lru_cache(maxsize=64)
-def _file_hash(path: Path, _modified: int, _size: int) -> str:
-    """SHA-256 of a file. A character of many megabytes is read once for all recordings, unless it changes."""
+def _cached_hash(path: Path, _modified: int, _size: int) -> str:
+    """A character of many megabytes is read once for all recordings, unless it changes."""
+    return file_hash(path)
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -154,6 +160,7 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
     if not outputs:
         raise InputError("output", "is missing", "name a file or a folder with -o")
     for suffix, given in outputs.items():
+        # A file of clips has one name; a folder would need one for each recording.
         if together and is_folder(given):
             raise InputError(given, "is a folder, and --one-file writes one file", f"name a file that ends in {suffix}")
         _check_output(given, suffix, 1 if together else len(sources))
@@ -195,6 +202,7 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
         if name == STDIN:
             unique[None] = None
             continue
+        # A folder is not searched for more folders: what lies deeper is often a copy or an export.
         path = Path(name)
         if path.is_dir():
             inside = sorted(file for file in path.iterdir()
@@ -209,6 +217,7 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
                 raise InputError(name, "matches no file", "check the pattern")
         else:
             inside = [path]
+        # The first name that a recording was given under stays, so messages show what was typed.
         unique.update({file.resolve(): file for file in inside if file.resolve() not in unique})
     return list(unique.values())
 
@@ -217,6 +226,7 @@ def _check_output(given: str, suffix: str, count: int) -> None:
     if is_folder(given):
         return
     ending = suffix_of(given)
+    # The advice names the path that was most likely meant.
     stem = given[:-len(ending)] if ending else given
     if count > 1:
         raise InputError(given, f"is one file for {count} recordings", f"name a folder: {stem}/")
@@ -270,23 +280,6 @@ def check_job(job: Job) -> None:
                          f"pipe a recording into {PROGRAM}, or name a file")
 
 
-def prepare_blender(jobs: Sequence[Job]) -> None:
-    """If the jobs need Blender, start it, and let it read the character, while this process loads its libraries."""
-    character = jobs[0].character if jobs else None
-    if character is not None and character.file.lower().endswith(".fbx"):
-        from gesticulator.characters.fbx_rig import read_ahead
-
-        read_ahead(character.file)
-    elif any(target.suffix.lower() == ".fbx" for job in jobs for target in job.targets):
-        from gesticulator.characters.blender import start_blender
-
-        with suppress(InputError):  # reported when it is needed
-            start_blender(jobs[0].targets[0])
-    else:
-        return
-    import gesticulator.gesticulator  # noqa: F401 - torch takes as long to load as Blender
-
-
 def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> Retargeter | None:
     """The retargeter for the requested character; None for the default skeleton. quiet: print no remarks about it.
 
@@ -298,11 +291,13 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import note_of
 
+    # An unclear rig is an error here, before any sound is read.
     rig, mapping = choose(character.file, character.mapping, character.save_mapping)
     note = note_of(rig, mapping.joints["Hips"])
     retargeter = Retargeter(rig, mapping, contacts=character.contacts, legs=character.legs)
     remarks = [note] if note else []
     remarks += [f"{doubt}; look at the result" for doubt in retargeter.doubts]
+    # A chair cannot be seen in a skeleton, so legs of a seated character are not moved by default.
     if character.legs is None and not retargeter.legs:
         remarks.append("is seated, so hips and legs stay as they are; --legs makes it stand")
     for remark in () if quiet else remarks:
@@ -310,45 +305,81 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
     return retargeter
 
 
-def perform(job: Job, gesticulator: Gesticulator, retargeter: Retargeter | None = None, quiet: bool = False) -> Outcome:
-    """Process one recording: read it, generate its gestures and write the files. quiet: show no progress bar."""
-    speech = load(job)
-    # Without reading: the factor compares computing with the duration.
-    begin = time.perf_counter()
-    performance = laid_out(job, performed(job, speech, gesticulator, retargeter, quiet), retargeter)
-    spent = time.perf_counter() - begin
-    written = tuple(performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
-                    for target in job.targets)
-    notes, retiming = performance.notes, performance.retiming
-    if retiming is not None:
-        notes += tuple(retiming.lines()[1:])
-    lexemes = performance.lexemes.tolist()
-    return Outcome(job.name, speech.duration, len(lexemes) - 1, len(set(lexemes)), len(gesticulator.bundle.vectors),
-                   spent / speech.duration, written, notes)
+@dataclass(frozen=True)
+class Worker:
+    """What the jobs of a command are processed with. retargeter: None for the default skeleton; quiet: show no progress
+    bar."""
 
+    gesticulator: Gesticulator
+    retargeter: Retargeter | None = None
+    quiet: bool = False
 
-def perform_together(jobs: Sequence[Job], gesticulator: Gesticulator, retargeter: Retargeter | None = None,
-                     quiet: bool = False) -> str:
-    """Process recordings and write them as clips of one file each target; returns the summary. An error of one is an
-    error of all, and nothing is written."""
-    from gesticulator.export.glb import write_clips
-
-    clips: list[Performance] = []
-    for job, name in zip(jobs, clip_names(jobs), strict=True):
+    def perform(self, job: Job) -> Outcome:
+        """Process one recording: read it, generate its gestures and write the files."""
         check_job(job)
-        # A clip of a shared file is named after its recording.
-        named = replace(job, clip=replace(job.clip or ClipLayout(), name=name))
-        clips.append(laid_out(named, performed(named, load(named), gesticulator, retargeter, quiet), retargeter))
-    seconds = sum(clip.duration for clip in clips)
-    names = ", ".join(clip_names(jobs))
-    for target in jobs[0].targets:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_clips(target, [clip.scene() for clip in clips])
-    return "\n".join(f"{len(jobs)} recordings, {seconds:.1f} s -> {target}: {names}" for target in jobs[0].targets)
+        speech = load(job)
+        # Without reading: the factor compares computing with the duration.
+        begin = time.perf_counter()
+        performance = self._laid_out(job, self.performed(job, speech))
+        spent = time.perf_counter() - begin
+        written = tuple(performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
+                        for target in job.targets)
+        notes = performance.notes
+        if performance.retiming is not None:
+            notes += tuple(performance.retiming.lines()[1:])
+        lexemes = performance.lexemes.tolist()
+        return Outcome(job.name, speech.duration, len(lexemes) - 1, len(set(lexemes)),
+                       len(self.gesticulator.bundle.vectors), spent / speech.duration, written, notes)
+
+    def perform_together(self, jobs: Sequence[Job]) -> str:
+        """Process recordings and write them as clips of one file for each target; returns the summary. An error of one
+        is an error of all, and nothing is written."""
+        from gesticulator.export.glb import write_clips
+
+        clips: list[Performance] = []
+        names = clip_names(jobs)
+        for job, name in zip(jobs, names, strict=True):
+            check_job(job)
+            # A clip of a shared file is named after its recording.
+            named = replace(job, clip=replace(job.clip or ClipLayout(), name=name))
+            clips.append(self._laid_out(named, self.performed(named, load(named))))
+        seconds = sum(clip.duration for clip in clips)
+        for target in jobs[0].targets:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            write_clips(target, [clip.scene() for clip in clips])
+        return "\n".join(f"{len(jobs)} recordings, {seconds:.1f} s -> {target}: {', '.join(names)}"
+                         for target in jobs[0].targets)
+
+    def performed(self, job: Job, speech: Speech) -> Performance:
+        """The performance of a recording, on the default skeleton, with a progress bar on the terminal; with legs, too,
+        where the character stands."""
+        from tqdm import tqdm
+
+        # Legs cost time, so they are generated only where something shows them.
+        stands = self.retargeter is not None and self.retargeter.mapping.legs and self.retargeter.legs
+        options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
+        with closing(tqdm(desc=job.name, unit=" blocks", leave=False,
+                          disable=self.quiet or not sys.stderr.isatty())) as bar:
+            def on_block(done: int, total: int) -> None:
+                bar.total = total
+                bar.update()
+
+            performance = self.gesticulator(speech, text=job.text, on_block=on_block, **options)
+        return performance.labelled(job.name, performance.notes)
+
+    def _laid_out(self, job: Job, performance: Performance) -> Performance:
+        """The performance as the clip of the job, on the character."""
+        if job.clip is not None:
+            # The sound beside an output must not replace the recording itself.
+            beside = job.source is not None and any(target.with_suffix(".wav").resolve() == job.source.resolve()
+                                                    for target in job.targets)
+            performance = performance.as_clip(replace(job.clip, sound=job.clip.sound and not beside))
+        return performance if self.retargeter is None else performance.moved_by(self.retargeter)
 
 
 def clip_names(jobs: Sequence[Job]) -> list[str]:
     """The names of recordings without suffix, with a number appended to repeated ones."""
+    # Animation tools find clips by name, so names in one file must differ.
     names: list[str] = []
     for job in jobs:
         stem = "stdin" if job.source is None else Path(job.name).stem[:90] or NAME
@@ -358,43 +389,10 @@ def clip_names(jobs: Sequence[Job]) -> list[str]:
 
 def load(job: Job) -> Speech:
     """The recording; warns if it is too quiet even after the requested gain."""
-    from data_module.speech.audio import amplified, level_note, speech_pieces
+    from data_module.speech.audio import amplified, level_note, load_speech
 
-    with speech_pieces(job.source or sys.stdin.buffer, job.any_length) as sound:
-        speech = sound.whole()
+    speech = load_speech(job.source or sys.stdin.buffer, job.any_length)
     note = level_note(amplified(speech, job.options.gain))
     if note is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")
     return speech
-
-
-def performed(job: Job, speech: Speech, gesticulator: Gesticulator, retargeter: Retargeter | None = None,
-              quiet: bool = False) -> Performance:
-    """The performance of a recording, with a progress bar on the terminal; with legs, too, where the character of the
-    retargeter stands."""
-    from tqdm import tqdm
-
-    # Legs cost time, so they are generated only where something shows them.
-    stands = retargeter is not None and retargeter.mapping.legs and retargeter.legs
-    options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
-    with closing(tqdm(desc=job.name, unit=" blocks", leave=False,
-                      disable=quiet or not sys.stderr.isatty())) as bar:
-        def on_block(done: int, total: int) -> None:
-            bar.total = total
-            bar.update()
-
-        performance = gesticulator(speech, text=job.text, on_block=on_block, **options)
-    return performance.labelled(job.name, performance.notes)
-
-
-def laid_out(job: Job, performance: Performance, retargeter: Retargeter | None) -> Performance:
-    """The performance as the clip of the job, on the character of the retargeter."""
-    if job.clip is not None:
-        performance = performance.as_clip(replace(job.clip, sound=job.clip.sound and not _is_beside(job)))
-    return performance if retargeter is None else performance.moved_by(retargeter)
-
-
-def _is_beside(job: Job) -> bool:
-    """Whether the sound beside an output is the recording itself, which must not be replaced."""
-    return job.source is not None and any(target.with_suffix(".wav").resolve() == job.source.resolve()
-                                          for target in job.targets)

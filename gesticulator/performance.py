@@ -32,10 +32,6 @@ if TYPE_CHECKING:
 __all__ = ["Performance"]
 
 
-_END_TOLERANCE = 0.05
-"""Seconds between the end of the blocks and the end of the sound that a cut on the frame grid may leave."""
-
-
 @dataclass(frozen=True)
 class Performance:
     """Gesture for one recording: the speech, its gesture plan, and the motion.
@@ -67,22 +63,6 @@ class Performance:
     """How files for animation tools are laid out (`as_clip`); None: by default."""
     rest: Callable[[], Motion] | None = None
     """Returns the speaker's resting pose, a motion of one frame."""
-
-    def __post_init__(self) -> None:
-        import numpy as np
-
-        n = len(self.blocks)
-        if self.lexemes.shape != (n,) or len(self.codes) != n or len(self.decided.blocks) != n:
-            raise ValueError(f"{self.lexemes.shape} lexemes, {len(self.codes)} codes and {len(self.decided.blocks)} "
-                             f"planned blocks do not fit {n} blocks")
-        scores = self.scores
-        if self.best.ndim != 2 or self.best.shape[1] == 0 or not np.isfinite(scores).all():
-            raise ValueError("each block needs as many alternatives as the others, with finite scores")
-        if (np.diff(scores, axis=1) > 0).any():
-            raise ValueError("scores must fall: the best candidate first")
-        if self.blocks.edges[0] != 0 or abs(self.blocks.edges[-1] - self.speech.duration) > _END_TOLERANCE:
-            raise ValueError(f"blocks from {self.blocks.edges[0]} to {self.blocks.edges[-1]} s do not tile "
-                             f"{self.speech.duration} s of sound")
 
     @property
     def best(self) -> NDArray[np.int64]:
@@ -248,6 +228,7 @@ class Performance:
 
         rig = character if isinstance(character, Character) else read_character(character)
         joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
+        # A clip of the upper body must not key the legs, or it could not be laid over a walk.
         legs = False if self.clip is not None and self.clip.bare else None
         return self.moved_by(Retargeter(rig, joints, contacts=contacts, legs=legs))
 
@@ -258,9 +239,7 @@ class Performance:
         if self.clip is not None and self.clip.bare:
             moved = replace(moved, translations=None)
         if self.clip is not None and self.clip.additive:
-            from gesticulator.characters.additive import added_to_rest
-
-            moved = added_to_rest(moved, retargeter(self._rest_of(self.motion)))
+            moved = moved.added_to_rest(retargeter(self._rest_of(self.motion)))
         return replace(self, character=moved)
 
     def plan(self) -> GesturePlan:

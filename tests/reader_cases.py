@@ -331,13 +331,6 @@ def _read_bundle(file: Path) -> object:
     return bundle.load(file.parent)
 
 
-def _read_silent(file: Path) -> object:
-    from gesticulator.bundle.files import read_index
-    from gesticulator.bundle.silent import silent_of
-
-    return silent_of(read_index(file.parent), file.parent)
-
-
 def _with_index(file: Path, data: bytes) -> None:
     """Weights that were damaged, and the list of hashes made to fit."""
     file.write_bytes(data)
@@ -480,7 +473,7 @@ def _read_request(file: Path) -> object:
 
     server = SimpleNamespace(
         hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0,
-        rendering=threading.Lock(), answers={"render": render}, abandons=lambda page, number: lambda: False)
+        rendering=threading.Lock(), render=render, abandons=lambda page, number: lambda: False)
     client = _Client(file)
     _PageHandler(client, ("127.0.0.1", 1), server)  # type: ignore[arg-type]
     assert b" 500 " not in client.answer, client.answer[:1000]
@@ -493,21 +486,18 @@ def _manifest(name: str) -> Callable[[Path], Path]:
 
         rows = [ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, "cut short", 0.125, "1", "2", "3", "h"),
                 ManifestRow("b.wav", "13", 1.0, ("b.bvh",))]
-        write_manifest(folder / name.removesuffix(".journal"), rows)
-        if name.endswith(".journal"):
-            (folder / name.removesuffix(".journal")).rename(folder / name)
+        write_manifest(folder / name, rows)
         return folder / name
 
     return write
 
 
 def _read_manifest(file: Path) -> object:
-    """The rows, written back in both formats."""
+    """The rows, written back."""
     from gesticulator.manifest import read_manifest, table, write_manifest
 
-    rows = read_manifest(file.with_name(file.name.removesuffix(".journal")))
-    for suffix in (".jsonl", ".parquet"):
-        write_manifest(file.with_name(f"back{suffix}"), rows.values())
+    rows = read_manifest(file)
+    write_manifest(file.with_name("back.jsonl"), rows.values())
     return table(list(rows.values()))
 
 
@@ -548,13 +538,6 @@ def _read_lips(file: Path) -> object:
     return load_weights(file.parent)
 
 
-def _read_sent_character(file: Path) -> object:
-    from data_module.files import read_json
-    from gesticulator.page.export import _character
-
-    return _character(read_json(file, "send it again"), file.parent)
-
-
 def _read_tables(file: Path) -> object:
     from eval import table
 
@@ -568,8 +551,7 @@ def _report(name: str) -> Callable[[Path], Path]:
         text = (folder / "claims.json").read_text().replace('"facts": {', '"facts": {"count": {"holds": 3}, ', 1)
         (folder / "claims.json").write_text(text)
         (folder / "ablation" / "figures.json").write_text(json.dumps({"figure-1": {
-            "figure": "RG Fig. 18", "title": "a", "caption": "b", "numbers": {"size-10": {"fgd": 1.5}, "x": [1, 2]}}}))
-        (folder / "limits.md").write_text("# Limits\n\nIt was made by rule, see [the corpus](corpus.md).\n")
+            "figure": "RG Fig. 18", "title": "a", "caption": "b"}}))
         return folder / name
 
     return write
@@ -579,7 +561,7 @@ def _read_report(file: Path) -> object:
     from eval.report import document
 
     folder = file.parents[file.parent.name == "ablation"]
-    return document(folder, folder / "out", "Results")
+    return document(folder, folder / "out")
 
 
 def _read_words_of_a_command(file: Path) -> object:
@@ -588,7 +570,7 @@ def _read_words_of_a_command(file: Path) -> object:
     from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch import parse_shard
-    from gesticulator.bundle.silent import numbers
+    from gesticulator.bundle.command import lexemes
     from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES
     from interpreters.settings import LstmConfig
@@ -597,7 +579,7 @@ def _read_words_of_a_command(file: Path) -> object:
     readers: tuple[Callable[[str], object], ...] = (
         read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
-        _seconds, numbers, lambda text: _positive("--seconds", text))
+        _seconds, lambda text: lexemes(text, 24), lambda text: _positive("--seconds", text))
     refusals = []
     for read, line in zip(readers, lines, strict=False):
         try:
@@ -632,9 +614,6 @@ def _read_token(file: Path) -> object:
     from gesticulator.live.command import read_token
 
     return read_token(Namespace(token_file=file, no_token=False, host="0.0.0.0"))
-
-
-_TABLE = {"tables": [{"title": "T", "columns": ["a"], "rows": [["b", 1.5]]}]}
 
 
 def _results(folder: Path) -> Path:
@@ -672,7 +651,7 @@ READERS: dict[str, Case] = {
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
                                      examples=0.3)
        for name, (suffix, write) in recogniser_samples.FILES.items()},
-    "control curve": Case(_written("a.csv", "# from a tool\ntime;height;speed\n0;0,1;0,3\n1,5;0,2;0,4\n"),
+    "control curve": Case(_written("a.csv", "time,height,speed\n0,0.1,0.3\n1.5,0.2,0.4\n"),
                           lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
     "store, listing": Case(_store("store.json"), _read_store),
     "store, edited listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
@@ -694,7 +673,6 @@ READERS: dict[str, Case] = {
     "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
     "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
     "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
-    "bundle, silent lexemes": Case(_bundle("bundle.json"), _read_silent),
     "glb character": Case(_glb("a.glb"), _read_character),
     "glb character, its JSON": Case(_glb("a.glb"), _read_character, _gltf_text, _with_gltf_text, 2.0),
     "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _gltf_text, _with_gltf_text),
@@ -707,14 +685,12 @@ READERS: dict[str, Case] = {
     "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
-    **{f"manifest {name}": Case(_manifest(name), _read_manifest)
-       for name in ("m.jsonl", "m.parquet", "m.jsonl.journal")},
+    "manifest": Case(_manifest("m.jsonl"), _read_manifest),
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
     "weights of the lips": Case(_lips, _read_lips),
-    "character sent by a page": Case(_written("a.json", '{"name": "a.glb", "data": "Z2xURg=="}'), _read_sent_character),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (
-        "claims.json", "ablation/figures.json", "limits.md")},
+        "claims.json", "ablation/figures.json")},
     "words of a command": Case(_written("a.txt", "\n".join((
         "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5", "3.2-5.0", "3, 7,9", "2"))),
                                _read_words_of_a_command, examples=2.0),
@@ -802,5 +778,3 @@ _SHARE = st.floats(0, 1, exclude_max=True)
 def damages(draw: st.DrawFn) -> list[tuple[Callable[..., None], float, float, int]]:
     one = st.tuples(st.sampled_from(DAMAGE), _SHARE, _SHARE, st.integers(0, 15))
     return draw(st.lists(one, min_size=1, max_size=4))
-
-

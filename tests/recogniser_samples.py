@@ -214,16 +214,16 @@ def mfa(words: Words) -> Any:
 
 
 JSON: dict[str, tuple[str, Callable[[Words], Any]]] = {
-    "openai": ("words", openai_words), "whisper": ("whisper", whisper), "faster-whisper": ("list", faster_whisper),
+    "openai": ("whisper", openai_words), "whisper": ("whisper", whisper), "faster-whisper": ("list", faster_whisper),
     "whisperx": ("whisper", whisperx), "whisper.cpp": ("whisper.cpp", whisper_cpp),
     "whisper.cpp -ml 1": ("whisper.cpp", whisper_cpp_words), "vosk": ("vosk", vosk),
     "vosk, results": ("vosk", vosk_results), "vosk, alternatives": ("vosk", vosk_alternatives),
     "transformers": ("transformers", transformers), "deepgram": ("Deepgram", deepgram),
-    "assemblyai": ("AssemblyAI", assemblyai), "assemblyai, words": ("words", assemblyai_words),
+    "assemblyai": ("AssemblyAI", assemblyai), "assemblyai, words": ("whisper", assemblyai_words),
     "google": ("Google", google), "google, version 2": ("Google", google_2),
     "google, speakers": ("Google", google_speakers), "google, protobuf": ("Google", google_protobuf),
     "azure": ("Azure", azure), "azure, batch": ("Azure", azure_batch), "azure, fast": ("Azure", azure_fast),
-    "gentle": ("gentle", gentle), "mfa": ("MFA", mfa), "list": ("list", lambda words: _plain(words, "text")),
+    "gentle": ("whisper", gentle), "mfa": ("MFA", mfa), "list": ("list", lambda words: _plain(words, "text")),
     "text": ("text", lambda words: {"text": _text(words)}),
 }
 """Sample -> the reader of `RECOGNISERS` that is meant, and what writes it; all but "text" have the times of words."""

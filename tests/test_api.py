@@ -25,7 +25,7 @@ from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import HIP_HEIGHT
-from data_module.speech.audio import amplified, as_speech
+from data_module.speech.audio import amplified
 from data_module.types import Speech, Word
 from gesticulator.arguments import infer_arguments
 from gesticulator.gesticulator import Gesticulator
@@ -90,21 +90,6 @@ def test_a_path_samples_and_a_speech_are_one(g: Gesticulator, tmp_path: Path) ->
                  g(voice().astype(np.float64), float(RATE)), g(np.stack([voice(), voice()], axis=1), RATE),
                  g(torch.as_tensor(voice()), RATE)):
         assert same(made, base)
-
-
-@pytest.mark.parametrize(("kind", "full"), [("int16", 2**15), ("int32", 2**31), ("uint8", 2**7), ("int8", 2**7)])
-def test_whole_numbers_are_divided_by_full_scale(kind: str, full: int) -> None:
-    wave = np.linspace(-1, 0.99, RATE)
-    offset = full if kind.startswith("u") else 0
-    given = (np.round(wave * full) + offset).astype(kind)
-    np.testing.assert_allclose(as_speech(given, RATE).samples, wave, atol=0.51 / full + 1e-7)
-    assert as_speech(np.full(RATE, np.iinfo(kind).min, kind), RATE).samples.min() == -1.0
-
-
-def test_channels_are_averaged_and_loud_samples_clipped() -> None:
-    stereo = np.stack([np.full(RATE, 0.5), np.full(RATE, -0.1)], axis=1)
-    np.testing.assert_allclose(as_speech(stereo, RATE).samples, 0.2, atol=1e-7)
-    assert as_speech(np.full(RATE, 1.5, np.float32), RATE).samples.max() == 1.0
 
 
 @pytest.mark.parametrize(("samples", "rate", "said"), [
@@ -230,13 +215,6 @@ def test_positions_are_those_of_the_file(tmp_path: Path) -> None:
     where = dict(zip(still.joints, still.positions()[0], strict=True))
     assert where["LeftHand"][0] > 0.6 and where["RightHand"][0] < -0.6
     assert where["Head"][1] - where["Hips"][1] == pytest.approx(0.615)
-
-
-def test_saving_picks_the_format_and_makes_no_folder_for_an_unknown_one(tmp_path: Path) -> None:
-    assert json.loads(perform().save(tmp_path / "g.JSON").read_text())["score_is"] == "log-probability"
-    with pytest.raises(InputError, match="fbx"):
-        perform().save(tmp_path / "new" / "g.fbx")
-    assert not (tmp_path / "new").exists()
 
 
 def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:

@@ -18,7 +18,7 @@ import pytest
 import soundfile
 
 from data_module.errors import InputError
-from gesticulator import batch, infer
+from gesticulator import infer
 from gesticulator import manifest as manifests
 from gesticulator.batch import BatchTask, TaskOutcome, done_here, parse_shard, run_batch, sharded
 from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
@@ -49,12 +49,11 @@ def test_shards_share_all_tasks_evenly_whatever_their_order_and_their_folder() -
 
 # ----------------------------------------------------------------------------------------------------- manifests
 
-@pytest.mark.parametrize("suffix", manifests.SUFFIXES)
-def test_a_manifest_is_read_as_it_was_written(suffix: str, tmp_path: Path) -> None:
+def test_a_manifest_is_read_as_it_was_written(tmp_path: Path) -> None:
     rows = [ManifestRow("b,ä\n.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, 'cut "short"', 0.125, "1", "2", "3", "h"),
-            ManifestRow("a.wav")]
-    write_manifest(tmp_path / f"m{suffix}", rows)
-    assert read_manifest(tmp_path / f"m{suffix}") == {row.input: row for row in rows}
+            ManifestRow("a.wav"), ManifestRow("caf\udce9.wav")]
+    write_manifest(tmp_path / "m.jsonl", rows)
+    assert read_manifest(tmp_path / "m.jsonl") == {row.input: row for row in rows}, "names that are no text, too"
 
 
 def test_what_a_killed_process_noted_is_there_and_half_a_line_is_not(tmp_path: Path) -> None:
@@ -66,8 +65,8 @@ def test_what_a_killed_process_noted_is_there_and_half_a_line_is_not(tmp_path: P
             "    notes.add(ManifestRow('b.wav')); notes.add(ManifestRow('a.wav', status='failed'))\n"
             "    os.kill(os.getpid(), 9)")
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
-    with (tmp_path / "m.jsonl.journal").open("ab") as journal:
-        journal.write(b'{"input": "c.wav", "sta')
+    with path.open("ab") as file:
+        file.write(b'{"input": "c.wav", "sta')
     assert {name: row.status for name, row in read_manifest(path).items()} == {"a.wav": FAILED, "b.wav": DONE}
     with Manifest(path) as notes:
         notes.add(ManifestRow("d.wav"))
@@ -82,7 +81,7 @@ def test_a_manifest_is_held_by_one_process_and_must_be_one(tmp_path: Path) -> No
         Manifest(tmp_path / "m.csv")
     with pytest.raises(InputError, match="does not exist"):
         read_manifest(tmp_path / "none.jsonl")
-    for broken in (b"{", b"[1]\n", b'{"input": 3}\n', b'{"input": "a", "status": "maybe"}\n', b"\xff\n"):
+    for broken in (b"{\n", b"[1]\n", b'{"input": 3}\n', b'{"input": "a", "status": "maybe"}\n', b"\xff\n"):
         (tmp_path / "x.jsonl").write_bytes(broken)
         with pytest.raises(InputError, match="is not a manifest"):
             read_manifest(tmp_path / "x.jsonl")
@@ -101,29 +100,6 @@ def test_a_row_of_other_kinds_is_refused(line: bytes, tmp_path: Path) -> None:
     assert len(str(error.value)) < 400
 
 
-@pytest.mark.parametrize("column", ["input", "seconds", "output", "error", "status"])
-@pytest.mark.parametrize("kind", ["int64", "timestamp", "binary", "list", "struct", "bool"])
-def test_parquet_of_other_columns_is_refused_or_written_back(column: str, kind: str, tmp_path: Path) -> None:
-    pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
-
-    values = {"int64": pyarrow.array([1]), "timestamp": pyarrow.array([1], pyarrow.timestamp("s")),
-              "binary": pyarrow.array([b"\xff"]), "list": pyarrow.array([[1]]), "struct": pyarrow.array([{"a": 1}]),
-              "bool": pyarrow.array([True])}
-    columns = {"input": pyarrow.array(["a.wav"]), "status": pyarrow.array(["done"])} | {column: values[kind]}
-    parquet.write_table(pyarrow.table(columns), tmp_path / "m.parquet")
-    with pytest.raises(InputError, match=f"its column {column} holds"):
-        read_manifest(tmp_path / "m.parquet")
-
-
-def test_a_name_that_is_no_text_does_not_stop_the_manifest(tmp_path: Path) -> None:
-    for suffix, name in ((".jsonl", "caf\udce9.wav"), (".parquet", r"caf\udce9.wav")):
-        if suffix == ".parquet":
-            pytest.importorskip("pyarrow")
-        write_manifest(tmp_path / f"m{suffix}", [ManifestRow("caf\udce9.wav")])
-        assert list(read_manifest(tmp_path / f"m{suffix}")) == [name]
-
-
 @pytest.mark.parametrize("asked", ["9" * 5000 + "/" + "9" * 5000, "1/" + "9" * 400, "\u00b2/3", "0/1", "-1/2", "1/1/1"])
 def test_a_shard_of_other_digits_is_refused(asked: str) -> None:
     with pytest.raises(InputError, match="is not a shard"):
@@ -133,48 +109,18 @@ def test_a_shard_of_other_digits_is_refused(asked: str) -> None:
 def test_manifests_of_shards_are_joined_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_manifest(tmp_path / "1.jsonl", [ManifestRow("a.wav", seconds=1800.0, time=180.0), ManifestRow(
         "b.wav", status=FAILED, error="b.wav: is empty")])
-    write_manifest(tmp_path / "2.parquet", [ManifestRow("c.wav", seconds=1800.0, time=180.0),
+    write_manifest(tmp_path / "2.jsonl", [ManifestRow("c.wav", seconds=1800.0, time=180.0),
                                             ManifestRow("a.wav", status=FAILED, error="died")])
-    rows = merged([tmp_path / "1.jsonl", tmp_path / "2.parquet"])
+    rows = merged([tmp_path / "1.jsonl", tmp_path / "2.jsonl"])
     assert {name: row.status for name, row in rows.items()} == {"a.wav": DONE, "b.wav": FAILED, "c.wav": DONE}
     assert manifests.COMMAND.main("gesticulator manifest", [
-        str(tmp_path / "1.jsonl"), str(tmp_path / "2.parquet"), "-o", str(tmp_path / "all.parquet"), "--failed"]) == 0
+        str(tmp_path / "1.jsonl"), str(tmp_path / "2.jsonl"), "-o", str(tmp_path / "all.jsonl"), "--failed"]) == 0
     out = capsys.readouterr().out
     assert "b.wav: b.wav: is empty" in out and "1.00 h" in out and "0.100" in out and "a.wav" not in out
-    assert read_manifest(tmp_path / "all.parquet") == rows
+    assert read_manifest(tmp_path / "all.jsonl") == rows
 
 
 # ------------------------------------------------------------------------------------------- what is read before
-
-def test_a_folder_that_answers_late_is_asked_for_many_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    together = threading.Barrier(batch.READERS, timeout=30)
-
-    def late(path: Path) -> str:
-        together.wait()  # until as many ask: one after the other they would wait in vain
-        return path.name
-
-    monkeypatch.setattr(batch, "file_hash", late)
-    tasks = [task(number) for number in range(4 * batch.READERS)]
-    run_batch(tasks, tmp_path / "m.jsonl", lambda numbers: iter([TaskOutcome(n, 1.0, "", 1.0, "") for n in numbers]),
-              quiet=True)
-    rows = read_manifest(tmp_path / "m.jsonl")
-    assert len(rows) == len(tasks) and all(row.sha256 == Path(name).name for name, row in rows.items())
-
-
-def test_what_fails_while_it_is_read_does_not_wait_for_the_rest(tmp_path: Path,
-                                                                monkeypatch: pytest.MonkeyPatch) -> None:
-    read: list[str] = []
-
-    def failing(path: Path) -> str:
-        read.append(path.name)
-        time.sleep(0.02)
-        raise RuntimeError("no folder")
-
-    monkeypatch.setattr(batch, "file_hash", failing)
-    with pytest.raises(RuntimeError, match="no folder"):
-        run_batch([task(number) for number in range(2000)], tmp_path / "m.jsonl", lambda numbers: iter(()), quiet=True)
-    assert len(read) < 1000
-
 
 # ------------------------------------------------------------------------------------------- what is done again
 
@@ -213,7 +159,7 @@ def tasks(tmp_path: Path) -> list[BatchTask]:
 def again(tasks: Sequence[BatchTask], tmp_path: Path) -> list[int]:
     """The numbers that another run does."""
     copier = Copier(tasks)
-    run_batch(tasks, tmp_path / "m.parquet", partial(done_here, copier), quiet=True)
+    run_batch(tasks, tmp_path / "m.jsonl", partial(done_here, copier), quiet=True)
     return copier.done
 
 
@@ -231,7 +177,7 @@ def test_what_was_half_written_goes_and_nothing_else(tasks: list[BatchTask], tmp
 def test_only_what_is_missing_or_changed_is_done_again(tasks: list[BatchTask], tmp_path: Path,
                                                        capfd: pytest.CaptureFixture[str]) -> None:
     assert again(tasks, tmp_path) == [4, 3, 2, 1, 0], "the longest first"
-    rows = read_manifest(tmp_path / "m.parquet")
+    rows = read_manifest(tmp_path / "m.jsonl")
     assert [rows[str(one.source)].status for one in tasks] == [DONE, DONE, DONE, FAILED, DONE]
     assert "is bad" in rows[str(tasks[3].source)].error and capfd.readouterr().err.count("\n") == 1
     assert rows[str(tasks[2].source)].seconds == 204.0
@@ -310,32 +256,6 @@ def _marker(folder: Path) -> Callable[[int], float]:
     return partial(_marking, folder)
 
 
-@pytest.mark.parametrize("late", [0, 2, 3])
-def test_a_cluster_that_a_busy_machine_does_not_start_is_started_again(late: int) -> None:
-    from gesticulator import ray_pool
-
-    class LateRay:
-        begun, ended = 0, 0
-
-        def init(self, **options: object) -> None:
-            assert options == {"num_cpus": 2, "address": "local", "include_dashboard": False}
-            assert self.begun == self.ended, "what is left of the one before is ended first"
-            self.begun += 1
-            if self.begun <= late:
-                raise Exception("The current node timed out during startup.\nIt may be overloaded.")
-
-        def shutdown(self) -> None:
-            self.ended += 1
-
-    ray = LateRay()
-    if late < 3:
-        ray_pool._start_here(ray, {"num_cpus": 2})
-    else:
-        with pytest.raises(InputError, match=r"does not start on this machine \(The current node timed out"):
-            ray_pool._start_here(ray, {"num_cpus": 2})
-    assert ray.begun == min(late + 1, 3) and ray.ended == late
-
-
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[None]:
     """A Ray cluster of two workers on this machine."""
@@ -380,3 +300,46 @@ def test_a_folder_on_ray_makes_the_same_bytes(talks: Path, plain: dict[str, byte
     assert motions(out) == plain
     (manifest,) = out.glob("manifest.*")
     assert sorted(row.status for row in read_manifest(manifest).values()) == [DONE, DONE, DONE, FAILED]
+
+
+def _cannot(folder: Path) -> Callable[[int], float]:
+    raise InputError(folder, "is not on this machine", "mount it")
+
+
+@pytest.mark.usefixtures("cluster")
+def test_a_worker_that_cannot_load_the_models_is_one_error(tmp_path: Path) -> None:
+    from gesticulator.ray_pool import done_on_ray
+
+    with pytest.raises(InputError, match=r"a worker: cannot do its work .*is not on this machine"):
+        list(done_on_ray("local:2", partial(_cannot, tmp_path), range(100)))
+
+
+def _dying(number: int) -> float:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return float(number)
+
+
+def _dies() -> Callable[[int], float]:
+    return _dying
+
+
+@pytest.mark.usefixtures("cluster")
+def test_a_recording_whose_worker_always_dies_fails_alone() -> None:
+    from gesticulator.ray_pool import done_on_ray
+
+    (outcome,) = done_on_ray("local:2", _dies, [7])
+    assert outcome.number == 7 and "its worker died 3 times" in outcome.error
+
+
+def test_a_head_that_is_killed_is_one_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'gesticulator[scale]'")
+    from gesticulator import ray_pool
+
+    if ray.is_initialized():
+        ray.shutdown()
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[1])]))
+    monkeypatch.setattr(ray_pool, "_head_answers", lambda ray, given: not (tmp_path / "killed").exists())
+    outcomes = ray_pool.done_on_ray("local:2", partial(_marker, tmp_path), range(4))
+    (tmp_path / "killed").touch()
+    with pytest.raises(InputError, match="the cluster is lost"):
+        list(outcomes)

@@ -10,9 +10,7 @@ import pytest
 import soundfile
 
 from data_module.motion.kinematics import positions_of_some
-from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
-from eval.baselines import controls as baselines
 from eval.renderings import ListeningGesticulator
 from gesticulator.bundle.bundle import SHIPPED, Bundle, load
 from gesticulator.bundle.config import with_settings
@@ -20,9 +18,7 @@ from gesticulator.bundle.features import SpeechBlock, control_rows, representati
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.sampling.candidates import (
     FASTEST,
-    WEIGHTS,
     CandidateChooser,
-    CandidateMotion,
     CandidateWeights,
     apart_from_hands,
     behind_trunk,
@@ -31,8 +27,6 @@ from gesticulator.sampling.candidates import (
     retimings,
     slow_enough,
 )
-from gesticulator.sampling.cutter import encode_speech
-from gesticulator.systems import movement
 from tests.untrained import MOVING, PLAIN, untrained
 
 SHOULDERS = np.array([[-0.17, 0.6, 0.0], [0.17, 0.6, 0.0]])
@@ -68,11 +62,6 @@ def choice(chooser: CandidateChooser, speech: SpeechBlock, past: Array, blocks: 
            control: Array | None = None, *, shift: Array | None = None) -> int:
     """The index of the candidate that is kept."""
     return chooser.choose(speech, chooser.motion(past, blocks, shift), apart, control)
-
-
-def all_too_fast(chooser: CandidateChooser, speech: SpeechBlock, past: Array, blocks: Array,
-                 shift: Array | None = None) -> bool:
-    return chooser.too_fast(speech, chooser.motion(past, blocks, shift))
 
 
 def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(bundle: Bundle) -> None:
@@ -181,60 +170,6 @@ def test_a_hand_that_is_thrown_counts_only_where_all_are() -> None:
     assert slow_enough(hands(9.0, 5.0, 7.0), times).tolist() == [1], "the slowest of them"
 
 
-def test_a_throw_is_one_in_every_candidate(bundle: Bundle) -> None:
-    """An arm of half a metre or more that turns by five radians in half a second, and by one."""
-    statistics = bundle.statistics
-    skeleton = representation_of(bundle.config).motion(statistics.rest_pose[:1], 1.0).skeleton
-    rest = np.repeat(statistics.rest_pose[:1], FRAMES, axis=0)
-    raised = np.zeros_like(rest)
-    raised[:, 3 * skeleton.index("LeftArm") + 2] = np.arange(1, FRAMES + 1) / FRAMES
-    past, slow, fast = (statistics.normalise(rest + turned * raised, 0) for turned in (0.0, 1.0, 5.0))
-    chooser, speech = CandidateChooser(bundle, 0, FEW), block_of(np.zeros(0))
-    assert not all_too_fast(chooser, speech, past, slow[None]) and all_too_fast(chooser, speech, past, fast[None])
-    assert not all_too_fast(chooser, speech, past, np.stack([fast, slow]))
-
-
-def test_how_the_hands_came_here_decides_nothing_but_what_would_be_too_fast(bundle: Bundle) -> None:
-    """Two takes of nearly the same sound that have parted choose alike as soon as the hands set out anew."""
-    chooser, speech, apart = CandidateChooser(bundle, 0, FEW), block_of(np.array([2.2])), np.array([1.0, 1.02, 1.01])
-    past, still = swing(bundle, 0.0)
-    blocks = np.stack([still, swing(bundle, 0.4)[1], swing(bundle, 0.8)[1]])
-    skeleton = representation_of(bundle.config).motion(bundle.statistics.rest_pose[:1], 1.0).skeleton
-    zeros = np.zeros((2 * FRAMES, len(still[0])), np.float32)
-    chosen = choice(chooser, speech, past, blocks, apart)
-    assert chosen == choice(chooser, speech, past, blocks, apart, shift=zeros)
-    elsewhere = zeros.copy()  # the right arm comes down from over the head
-    elsewhere[:, 3 * skeleton.index("RightArm") + 2] = np.linspace(2.0, 1.0, 2 * FRAMES)
-    assert chosen == choice(chooser, speech, past, blocks, apart, shift=elsewhere) == 1, "the one that stops in time"
-    # A throw, 5 rad in half a second, leaves only the candidate that goes against it.
-    rest = np.repeat(bundle.statistics.rest_pose[:1], FRAMES, axis=0)
-    raised = rest.copy()
-    raised[:, 3 * skeleton.index("LeftArm") + 2] += 5.0 * np.arange(1, FRAMES + 1) / FRAMES
-    thrown = zeros.copy()
-    thrown[FRAMES:] = bundle.statistics.normalise(raised, 0) - bundle.statistics.normalise(rest, 0)
-    assert all_too_fast(chooser, speech, past, blocks, thrown)
-    assert not all_too_fast(chooser, speech, past, blocks, elsewhere)
-    against = np.concatenate([blocks, (still - thrown[FRAMES:])[None]])
-    assert choice(chooser, speech, past, against, np.array([*apart, 9.0])) != 3
-    assert choice(chooser, speech, past, against, np.array([*apart, 9.0]), shift=thrown) == 3
-
-
-def test_an_arm_that_swings_back_is_not_chosen(bundle: Bundle) -> None:
-    statistics = bundle.statistics
-    skeleton = representation_of(bundle.config).motion(statistics.rest_pose[:1], 1.0).skeleton
-    rest, steps = np.repeat(statistics.rest_pose[:1], FRAMES, axis=0), np.arange(1, FRAMES + 1) / FRAMES
-    careful = CandidateChooser(bundle, 0, replace(FEW, body=8.0))
-    careless = CandidateChooser(bundle, 0, FEW)
-    behind = rest.copy()
-    behind[:, 3 * skeleton.index("RightArm") + 1] -= 1.6 * steps
-    past, still, back = (statistics.normalise(poses, 0) for poses in (rest, rest, behind))
-    places = careful._places(np.stack([rest, behind]))
-    assert behind_trunk(places)[1, -1, 0] > 0.0 > behind_trunk(places)[0, -1, 0]
-    blocks, shown = np.stack([back, still]), np.array([1.0, 1.2])
-    assert choice(careful, block_of(np.zeros(0)), past, blocks, shown) == 1
-    assert choice(careless, block_of(np.zeros(0)), past, blocks, shown) == 0
-
-
 def test_braking_counts_from_the_start_of_the_block_on_and_by_its_share() -> None:
     times = np.arange(-3, 11) * 0.05
 
@@ -300,7 +235,7 @@ def first_block(monkeypatch: pytest.MonkeyPatch, chosen: int, **asked: str) -> t
     sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
     system = ListeningGesticulator(bundle)
     system(Speech(sound[:5 * rate], rate), seed=1, **asked)
-    parts = bundle.block_models.lexicon.basis.parts
+    parts = bundle.block_lexicon.basis.parts
     trunk = sorted(column for name in ("torso", "head") for column in parts[name])
     return system.drawn[0][:, trunk], np.delete(system.drawn[0], trunk, axis=1)
 
@@ -315,15 +250,6 @@ def test_candidates_share_their_arms_but_where_controls_ask_for_a_choice(
     assert (np.abs(arms - other_arms).max() < 0.01) == alike
 
 
-def test_where_an_arm_is_before_the_face_other_ways_of_the_arms_are_sampled_too(monkeypatch: pytest.MonkeyPatch
-                                                                                 ) -> None:
-    """After the four candidates and their calmer twins come those with the arms of the second."""
-    monkeypatch.setattr(CandidateChooser, "before_face", lambda *_: True)
-    first, calm, other, twin = (first_block(monkeypatch, chosen)[1] for chosen in (0, 4, 8, 9))
-    assert np.abs(first - other).max() > 0.05 and np.abs(calm - other).max() > 0.05
-    assert np.abs(other - twin).max() < 0.2 * np.abs(other - first).max()
-
-
 def test_more_reach_takes_the_hands_farther_from_the_body() -> None:
     bundle = load(SHIPPED)
     sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
@@ -336,56 +262,3 @@ def test_more_reach_takes_the_hands_farther_from_the_body() -> None:
         return float(np.linalg.norm((places[:, :2] - places[:, 2:])[..., [0, 2]], axis=-1).mean())
 
     assert reached(2.0) > reached(-2.0) + 0.01
-
-
-def test_a_livelier_style_gives_the_arms_more_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    def arms(lively: float, waxing: float) -> Array:
-        monkeypatch.setattr(movement, "LIVELY_NOISE", lively)
-        monkeypatch.setattr(movement, "WAXING", waxing)
-        return first_block(monkeypatch, 0)[1]
-
-    assert np.abs(arms(0.0, 2.0) - arms(0.5, 2.0)).max() > 0.05
-
-
-def test_every_onset_belongs_to_the_blocks_it_lies_in(bundle: Bundle) -> None:
-    time = np.arange(6 * RATE) / RATE
-    noise = np.random.default_rng(1).normal(size=len(time))
-    speech = Speech((0.2 * noise * np.maximum(np.sin(2 * np.pi * 2.7 * time), 0.02)).astype(np.float32), RATE)
-    encoded = encode_speech(speech, bundle.config)
-    edges, onsets = encoded.blocks.edges, detect_onsets(speech.samples, RATE, merge=0.0)
-    assert len(onsets) > 10 and encoded.onsets is not None
-    for i, own in enumerate(encoded.onsets):
-        expected = onsets[(onsets > edges[i] - 1e-6) & (onsets < edges[i + 1] + 1e-6)]
-        np.testing.assert_allclose(own, expected, atol=1e-9)
-    late = baselines.rolled(encoded, 5)
-    assert late.onsets is not None
-    share = (encoded.onsets[2] - edges[2]) / (edges[3] - edges[2])
-    np.testing.assert_allclose((late.onsets[7] - edges[7]) / (edges[8] - edges[7]), share)
-
-
-def test_what_is_chosen_is_more_in_time_than_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The shipped bundle, with a choice among 16. The choice of a block affects the next one's candidates, too."""
-    bundle, choose, rows = load(SHIPPED), CandidateChooser.choose, list[tuple[float, float]]()
-
-    def seen(self: CandidateChooser, speech: SpeechBlock, motion: CandidateMotion, apart: Array,
-             *rest: Array | None) -> int:
-        chosen = choose(self, speech, motion, apart, *rest)
-        if len(speech.onsets):
-            times = self._times(speech, bundle.frames)
-            shares = in_time(motion.places[:, :, :2], times, speech.start, speech.onsets)
-            rows.append((shares[chosen], shares.mean()))
-        return chosen
-
-    monkeypatch.setattr(CandidateChooser, "choose", seen)
-    sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
-    gains = []
-    for weight in (0.0, 4.0):
-        config = with_settings(bundle.config, ["selection.candidates=16"])
-        monkeypatch.setattr(movement, "CandidateChooser", lambda *given, weight=weight: CandidateChooser(
-            *given, replace(WEIGHTS, timing=weight)))
-        rows.clear()
-        # A bias on the choice of lexemes lets the candidates differ in their arms, too.
-        Gesticulator(replace(bundle, config=config))(Speech(sound[:20 * rate], rate), seed=1, handedness="right")
-        chosen, others = np.mean(rows, axis=0)
-        gains.append(chosen / others)
-    assert len(rows) > 30 and gains[0] < 1.15 < 1.3 < gains[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import os
@@ -18,9 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_module import registry
-from data_module.errors import InputError
 from gesticulator import __version__, cli
-from gesticulator.cli import Command
 from gesticulator.infer import COMMAND
 from gesticulator.options import RANGES
 
@@ -97,26 +94,6 @@ def test_help_lists_the_verbs_on_one_screen_and_tells_of_broken_ones(verbs: Call
     assert "nowhere_to_be_found" in error
 
 
-def test_a_broken_verb_is_refused_in_a_line_and_harms_no_other(verbs: Callable[..., None],
-                                                               capfd: pytest.CaptureFixture[str]) -> None:
-    verbs(works="others_verbs:WORKS", infer="gesticulator.infer:COMMAND", raising="raising_verb:COMMAND")
-    assert "RuntimeError: no luck" in stopped(["raising"], capfd)
-    assert cli.main(["works"]) == 3
-
-
-def test_our_own_verb_wins_over_one_of_the_same_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Owner:
-        def __init__(self, name: str) -> None:
-            self.name = name
-
-    ours, theirs = (EntryPoint("infer", value, cli.VERBS.group) for value in ("gesticulator.infer:COMMAND", "x:Y"))
-    vars(ours)["dist"], vars(theirs)["dist"] = Owner("gesticulator"), Owner("another")
-    for order in ([ours, theirs], [theirs, ours]):
-        monkeypatch.setattr(registry, "entry_points", lambda group, order=order: order)
-        monkeypatch.setattr(cli.VERBS, "_points", None)
-        assert cli.VERBS["infer"].where == ours.value
-
-
 def test_an_unknown_verb_is_told_and_the_nearest_named(capfd: pytest.CaptureFixture[str]) -> None:
     assert "did you mean infer?" in stopped(["infre"], capfd)
     assert "is neither a verb nor a file" in stopped(["zzzz", "--help"], capfd)
@@ -176,15 +153,6 @@ def test_numbers_out_of_range_are_refused_before_anything_is_read(name: str, tex
                                                                  capfd: pytest.CaptureFixture[str]) -> None:
     said = stopped(["infer", "speech.wav", "-o", "o.bvh", f"--{name}={text}"], capfd)
     assert said.startswith(f"gesticulator: --{name} ") and RANGES[name].advice in said and len(said) < 200
-
-
-def test_the_ends_of_a_range_belong_to_it() -> None:
-    for name, numbers in RANGES.items():
-        for end in (numbers.low, numbers.high):
-            assert numbers.parse(name, str(end)) == end
-        for beyond in (numbers.low - 1, numbers.high + max(1, 1e-9 * numbers.high)):
-            with pytest.raises(InputError):
-                numbers.check(name, beyond)
 
 
 ODD = ["", " ", "-", "--", ".", "..", "/", "a/", "*", "[", "**/x.wav", "no.wav", "x.bvh", "x.html", "é", "\udce9", "\n",
@@ -251,10 +219,3 @@ def test_a_full_disk_behind_standard_output_is_one_line(tmp_path: Path) -> None:
         done = subprocess.run([sys.executable, "code.py"], stdout=full, stderr=subprocess.PIPE, cwd=tmp_path,
                               timeout=60)
     assert done.returncode == 2 and b"No space left" in done.stderr and b"Traceback" not in done.stderr
-
-
-def test_wrong_usage_is_one_line() -> None:
-    parser = Command("does nothing", lambda p: None, lambda asked: 0).parser("gesticulator nothing")
-    assert isinstance(parser, argparse.ArgumentParser)
-    with pytest.raises(InputError, match=r"unrecognized arguments: --what; see gesticulator nothing --help"):
-        parser.parse_args(["--what"])

@@ -19,7 +19,7 @@ def shipped() -> bundles.Bundle:
 
 
 def temperature(system: Gesticulator, **asked: object) -> float:
-    options = InferenceOptions.of(dict(asked))  # type: ignore[arg-type]
+    options = InferenceOptions(**asked)  # type: ignore[arg-type]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InterpreterWarning)
         return system.resolver.setup(options, text=False).temperature
@@ -40,11 +40,11 @@ def test_the_published_presets_keep_the_greedy_choice() -> None:
 
 def test_a_policy_that_is_no_better_is_remarked_upon_once(shipped: bundles.Bundle) -> None:
     system = Gesticulator(shipped)
-    options = InferenceOptions.of({"interpreter": "cql"})
+    options = InferenceOptions(interpreter="cql")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for name in ("lstm", "statistical", "advantage"):
-            system.resolver.setup(InferenceOptions.of({"interpreter": name}), text=False)
+            system.resolver.setup(InferenceOptions(interpreter=name), text=False)
         assert not caught
         for _ in range(3):
             system.resolver.setup(options, text=False)

@@ -25,8 +25,6 @@ GUIDE = [README, *sorted(DOCS.glob("*.md")), *sorted((DOCS / "api").glob("*.md")
 PAGES = [*GUIDE, ROOT / "CHANGELOG.md", *sorted((DOCS / "results").rglob("*.md"))]
 OF_PERFORMER = re.compile(r"(build performer|probe (corpus|face)|smartbody|gesture-takes|train-face)\b")
 """Commands of the distribution in integrations/performer."""
-MODULES = {"gesticulator", "gesticulator.infer", "data_module.build"}
-OTHER_MODULES = {"venv", "pip", "pytest"}
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
 SPAN = re.compile(r"`([^`]+)`")
@@ -111,17 +109,6 @@ def test_files_that_are_named_are_there(page: Path) -> None:
     for span in SPAN.findall(FENCE.sub("", text(page))):
         if re.fullmatch(r"[\w/.-]+/[\w.-]+\.(py|md|json|flac|txt)", span) and not span.startswith(("out/", "study/")):
             assert (ROOT / span).exists(), f"{of(page)}: {span}"
-
-
-@pytest.mark.parametrize("page", GUIDE, ids=of)
-def test_python_commands_are_there(page: Path) -> None:
-    for line in shell_lines(text(page)):
-        if called := re.match(r"(?:\S*/)?python3? (-m )?(\S+)", line):
-            module, name = called.groups()
-            if module:
-                assert name in MODULES | OTHER_MODULES, f"{of(page)}: {line}"
-            else:
-                assert (ROOT / name).is_file(), f"{of(page)}: {line}"
 
 
 @pytest.mark.parametrize(("page", "line"), CALLS, ids=[f"{page}: {line}" for page, line in CALLS])

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 from data_module.errors import InputError
 from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator import Gesticulator
-from gesticulator.body.life import Shifts, ShiftStyle
 from gesticulator.directing.knobs import LONGEST_GESTURE
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.editing.recut import Recutter
@@ -357,49 +356,11 @@ def test_activity_falls_where_its_curve_does(system: Gesticulator, speech: Speec
     np.testing.assert_array_equal(page.frames, before)
 
 
-def test_energy_acts_on_size_and_on_activity(system: Gesticulator, first: Performance) -> None:
-    page = Page(system, first)
-    original = page.plan
-    curves = {"energy": [(2.0, 1.0), (4.0, 2.0)], "intensity": [(2.0, 1.0), (4.0, 1.5)],
-              "calms": [(2.0, 1.0), (4.0, 0.0)], "both": [(2.0, 1.0), (4.0, 0.6)]}
-    page.edit(_curved(original, "energy", *curves["energy"]))
-    lively = page.frames.copy()
-    page.edit(_curved(original, "intensity", *curves["intensity"]))
-    np.testing.assert_array_equal(page.frames, lively, "lively gestures are larger, and as many")
-    page.edit(_curved(original, "energy", *curves["calms"]))
-    calm = page.frames.copy()
-    both = _curved(original, "intensity", *curves["both"])
-    page.edit({**both, "curves": both["curves"] + _curved(original, "activity", *curves["both"])["curves"]})
-    assert np.abs(page.frames.astype(int) - calm).max() <= 2, "calm ones are smaller, and fewer"
-
-
 @pytest.mark.parametrize(("knob", "value", "most"), [("activity", 1.2, "1"), ("energy", 2.5, "2")])
 def test_a_curve_beyond_its_knob_is_refused(first: Performance, knob: str, value: float, most: str) -> None:
     plan = _curved(first.plan().to_dict(), knob, (0.0, value))
     with pytest.raises(InputError, match=f"hold {value:g}.*give 0 to {most}"):
         parse_plan(json.dumps(plan))
-
-
-def test_curves_of_the_hands_draw_the_recording_again_with_its_lexemes(
-        system: Gesticulator, speech: Speech, first: Performance, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = Page(system, first)
-    original, before = page.plan, page.frames.copy()
-    hand, heights = first.joints.index("RightHand"), {}
-    for value in (0.0, 0.35):
-        page.edit({**page.plan, "curves": [{"knob": "height", "times": [0.0], "values": [value]}]})
-        made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(page.plan)))
-        np.testing.assert_array_equal(page.frames, frames_of_take(made))
-        heights[value] = made.positions()[60:, hand, 1].mean()
-        assert [one["lexeme"] for one in page.plan["blocks"]] == [one["lexeme"] for one in original["blocks"]]
-    assert heights[0.35] > heights[0.0] + 0.1, "metres above the hips, about"
-    drawn = _counted(monkeypatch)
-    page.edit(edited(page.plan, "swap", 8, 77))
-    assert drawn[0] <= 2, "under a curve too, an edit costs its block"
-    page.edit(original)
-    np.testing.assert_array_equal(page.frames, before)
-    assert drawn[0] <= 2
-    with pytest.raises(InputError, match="outside of 0 to 2 m"):
-        page.edit({**page.plan, "curves": [{"knob": "radius", "times": [0.0], "values": [7.0]}]})
 
 
 def test_a_whole_take_reports_its_progress_and_goes_on_where_it_was_abandoned(
@@ -414,75 +375,6 @@ def test_a_whole_take_reports_its_progress_and_goes_on_where_it_was_abandoned(
     assert page.progress == sorted(page.progress) and 0.3 < page.progress[0] < page.progress[-1] < 1.0
     with pytest.raises(InputError):
         page.edit({**asked, "blocks": asked["blocks"][:-1]})
-
-
-def test_performer_variation_interpreter_and_legs_are_edits(system: Gesticulator, speech: Speech, first: Performance
-                                                            ) -> None:
-    page = Page(system, first)
-    original, before = page.plan, page.frames.copy()
-    lexemes = [block["lexeme"] for block in original["blocks"]]
-    other = next(name for name in system.speakers if name != original["speaker"])
-
-    def is_the_plan_rendered_anew() -> Performance:
-        made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(page.plan)))
-        np.testing.assert_array_equal(page.frames, frames_of_take(made))
-        return made
-
-    page.edit({**page.plan, "speaker": other})
-    assert (page.frames != before).any()
-    assert [block["lexeme"] for block in page.plan["blocks"]] == lexemes
-    is_the_plan_rendered_anew()
-    page.edit(original)
-    np.testing.assert_array_equal(page.frames, before)
-    # Another manner: what the page sends, and what the plan of that variation gives.
-    varied = copy.deepcopy(original)
-    varied["variation"] = 2
-    for block in varied["blocks"]:
-        block["draw"]["variation"] = 2
-    page.edit(varied)
-    assert (page.frames != before).any() and [block["lexeme"] for block in page.plan["blocks"]] == lexemes
-    is_the_plan_rendered_anew()
-    # Another interpreter chooses all lexemes but the locked ones; size and side of the others stay.
-    page.edit(original)
-    asked = copy.deepcopy(original)
-    anew = system(speech, seed=SEED, interpreter="statistical").plan().to_dict()
-    locked = next(at for at, block in enumerate(anew["blocks"]) if at != 5 and block["lexeme"] != lexemes[at])
-    asked["blocks"][locked].update(locked=True)
-    asked["blocks"][5].update(intensity=0.6)
-    page.edit(asked)
-    page.edit({**page.plan, "interpreter": "statistical"})
-    chosen = page.plan
-    assert [block["lexeme"] for at, block in enumerate(chosen["blocks"]) if at != locked] == [
-        block["lexeme"] for at, block in enumerate(anew["blocks"]) if at != locked]
-    assert chosen["blocks"][locked]["lexeme"] == lexemes[locked]
-    assert chosen["blocks"][5]["intensity"] == 0.6 and chosen["drawn"] == anew["drawn"]
-    is_the_plan_rendered_anew()
-    page.edit(original)
-    np.testing.assert_array_equal(page.frames, before)
-    assert page.plan["interpreter"] == original["interpreter"], "undo chooses nothing"
-    page.edit(chosen)
-    assert page.plan["drawn"] == anew["drawn"]
-    with pytest.raises(InputError, match="nobody"):
-        page.edit({**page.plan, "interpreter": "nobody"})
-    with pytest.raises(InputError, match="nobody"):
-        page.edit({**page.plan, "speaker": "nobody"})
-
-
-def test_legs_are_an_edit_and_sample_nothing(system: Gesticulator, first: Performance, monkeypatch: pytest.MonkeyPatch
-                                             ) -> None:
-    page = Page(system, first)
-    original, before = page.plan, page.frames.copy()
-    drawn = _counted(monkeypatch)
-    for legs in ("standing", "seated"):
-        settings_of = {**original["made_by"]["settings"], "legs": legs}
-        page.edit({**original, "made_by": {**original["made_by"], "settings": settings_of}})
-        assert page.frames.shape[1] == 54
-        whole = page.session.perform(parse_plan(json.dumps(page.plan)))
-        np.testing.assert_array_equal(page.frames, frames_of_take(whole))
-        np.testing.assert_array_equal(page.roots, roots_of_take(whole))
-    page.edit(original)
-    np.testing.assert_array_equal(page.frames, before)
-    assert drawn == [0]
 
 
 def test_moved_beats_are_encoded_as_if_all_were(system: Gesticulator, speech: Speech) -> None:
@@ -503,15 +395,6 @@ def test_moved_beats_are_encoded_as_if_all_were(system: Gesticulator, speech: Sp
             np.testing.assert_array_equal(found[at].quiet, there.quiet)
             np.testing.assert_array_equal(found[at].onsets, there.onsets)
             assert found[at].durations == there.durations and (found[at].ahead is None) == (there.ahead is None)
-
-
-def test_postures_can_be_asked_for_in_any_order_over_an_hour() -> None:
-    style = ShiftStyle(every=0.62, jitter=0.14, tau=0.085, spread=(1.5, 1.5), least=1.4, most=2.2)
-    ahead, back = Shifts(3, 0, style), Shifts(3, 0, style)
-    times = [np.array([second, second + 0.3]) for second in (0.0, 400.0, 900.0, 1800.0, 3600.0)]
-    there = [ahead.at(time) for time in times]
-    np.testing.assert_array_equal([back.at(time) for time in times[::-1]][::-1], there)
-    np.testing.assert_array_equal(ahead.at(times[2]), there[2])
 
 
 def test_no_gesture_is_longer_than_what_is_looked_for() -> None:

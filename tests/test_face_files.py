@@ -171,18 +171,6 @@ def test_a_character_without_a_face_is_written_with_one_line(tmp_path: Path) -> 
     assert not any(kind == "weights" for _, kind in tracks)
 
 
-def test_the_body_of_a_character_is_the_same_with_a_face(tmp_path: Path) -> None:
-    path = add_shapes(write_character(tmp_path / "a.glb"), list(ARKIT))
-    shown = written(tmp_path, path)
-    performance = perform(1.0)
-    moved = replace(performance, character=still(path, performance))
-    file = read_gltf(moved.save(tmp_path / "plain.glb"))
-    animation = file.rows("animations")[-1]
-    for channel in animation["channels"]:
-        key = file.rows("nodes")[channel["target"]["node"]].get("name", "mesh"), channel["target"]["path"]
-        assert np.array_equal(shown[key], file.array(animation["samplers"][channel["sampler"]]["output"]))
-
-
 def _document(path: Path) -> dict[str, Any]:
     data = path.read_bytes()
     size = struct.unpack_from("<I", data, 12)[0]
@@ -218,15 +206,6 @@ def test_live_links_table_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose([float(row[column]) for row in rows], arkit(made.face)["jawOpen"], atol=1e-6)
     assert float(rows[0][head.index("LeftEyeYaw")]) == pytest.approx(np.radians(10), abs=1e-6)
     assert rows[0][0] == "00:00:00:00.000" and timecode(3661.5, 60.0) == "01:01:01:30.000"
-
-
-def test_parquet_has_the_same_numbers(tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    made = with_face(perform(1.0))
-    table = parquet.read_table(made.save(tmp_path / "talk.face.parquet")).to_pydict()
-    assert made.face is not None
-    np.testing.assert_allclose(table["EyeBlinkLeft"], arkit(made.face)["eyeBlinkLeft"], atol=1e-6)
-    np.testing.assert_allclose(table["time"], made.face.times)
 
 
 def test_smplx_has_the_jaw_and_the_eyes(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import json
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,21 +15,20 @@ import pytest
 from browser import OpenedPage, chromium
 from face_samples import FPS, PAUSE, posed, spoken, still, syllables
 from javascript import printed_by
-from live_double import served
-from performances import perform, write
+from performances import write
 
 from data_module.types import Array, Speech
 from gesticulator.export import film
-from gesticulator.export.figure import LIP, MOUTH, face_points, figure_points
+from gesticulator.export.figure import MOUTH, face_points, figure_points
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.mouth import lip_curves
 from gesticulator.face.shapes import vrm
 from gesticulator.face.visemes import OPENINGS, VISEMES, VisemeSpan
-from gesticulator.live.limits import ServerLimits
-from gesticulator.live.server import live_pages
 from gesticulator.performance import Performance
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
 @pytest.fixture(scope="module")
 def talk() -> tuple[Performance, list[VisemeSpan]]:
     return spoken()
@@ -126,12 +124,6 @@ def test_a_films_mouth_opens() -> None:
     assert _near(wide, MOUTH)[0] > 3 * _near(shut, MOUTH)[0] > 0, "a shut one is a line"
 
 
-def test_a_mouth_is_drawn_only_with_a_face() -> None:
-    pytest.importorskip("PIL")
-    plain = np.asarray(next(iter(film.pictures(figure_points(still(0.1), np.zeros(1)))))).astype(int)[None]
-    assert not _near(plain, LIP, 12)[0] and _near(_drawn(posed()), LIP, 12)[0]
-
-
 # ---------------------------------------------------------------------------------------------------------------- pages
 
 @pytest.fixture(scope="module")
@@ -190,69 +182,6 @@ def test_the_page_shuts_the_mouth_on_m_and_f_and_opens_it_on_vowels(
     silent = inside_of_mouth(look(shown, PAUSE / 2))
     bitten = inside_of_mouth(look(shown, moments["bite"][0]))
     assert min(opened) > 20 and max(*closed, silent, bitten) < 5
-    if os.environ.get("SCREENSHOT"):
-        _save(shown, [PAUSE / 2, moments["shut"][0], moments["open"][0], moments["open"][-1], moments["bite"][0]])
-
-
-def _save(page: OpenedPage, moments: list[float]) -> None:
-    from PIL import Image
-
-    page.page.set_viewport_size({"width": 900, "height": 900})
-    page.page.wait_for_timeout(500)
-    pictures = [Image.fromarray(look(page, at).astype(np.uint8)) for at in moments]
-    side = min(pictures[0].size)
-    sheet = Image.new("RGB", (side * len(pictures), side), "#ece6db")
-    for place, one in enumerate(pictures):
-        left, top = (one.width - side) // 2, (one.height - side) // 2
-        part = one.crop((left, top, left + side, top + side))
-        sheet.paste(part, (side * place, 0), part)
-    sheet.save(os.environ["SCREENSHOT"])
-
-
-def test_a_figure_without_a_face_stays_as_it_was(browser: Any, tmp_path: Path, shown: OpenedPage) -> None:
-    page = OpenedPage(browser, write(tmp_path / "plain.html", perform(1.0)).as_uri(), 420, 560)
-    look(page, 0.5)
-    state = ("() => { const { face, dots } = preview.stage.performers[0].figure; "
-             "return [!face, dots.every((dot) => dot.visible)]; }")
-    assert page.page.evaluate(state) == [True, True]
-    look(shown, 0.5)
-    assert shown.page.evaluate(state) == [False, False]
-    page.check_quiet()
-    page.page.close()
-
-
-def test_lids_eyes_and_brows_move_as_the_numbers_say(shown: OpenedPage) -> None:
-    values = posed(blink=1.0, brows=1.0, left=0.3, up=0.2).values()[0].tolist()
-    got = shown.page.evaluate("""(values) => {
-        const { figure } = preview.stage.performers[0], { eyes, brows } = figure.face;
-        const state = () => [eyes[0].lid.rotation.x, brows[0].bar.position.y];
-        figure.express(new Float32Array([1, ...Array(19).fill(0)]));
-        const rest = state();
-        figure.express(new Float32Array(values));
-        const { x, y, z, w } = eyes[0].ball.quaternion;
-        return { rest, moved: state(), ahead: [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)] };
-    }""", values)
-    assert got["moved"][0] > got["rest"][0] + 0.5 and got["moved"][1] > got["rest"][1] + 0.004
-    assert np.arctan2(got["ahead"][0], got["ahead"][2]) == pytest.approx(0.3, abs=1e-6)
-    assert np.arcsin(got["ahead"][1]) == pytest.approx(0.2, abs=1e-6)
-
-
-def test_the_live_page_shows_a_face_where_it_is_asked_for(browser: Any) -> None:
-    with served(ServerLimits(), live_pages()) as (_, port):
-        page = browser.new_page(viewport={"width": 640, "height": 480})
-        page.set_default_timeout(240_000)
-        page.goto(f"http://127.0.0.1:{port}/")
-        page.wait_for_selector("body[data-ready=true]")
-        page.wait_for_function("() => live.stream.total > 20")
-        assert page.evaluate("() => !live.performer.figure.face")
-        page.click("#face")
-        page.wait_for_function("() => live.performer.figure.face && live.performer.poser.face?.[10] > 0.2")
-        assert page.get_attribute("#face", "aria-pressed") == "true"
-        page.click("#face")
-        page.wait_for_function("() => live.performer.poser.face === null")
-        assert page.evaluate("() => live.performer.figure.dots[0].visible || live.performer.show() || "
-                             "live.performer.figure.dots[0].visible")
-        page.close()
 
 
 # ---------------------------------------------------------------------------------------------------- mouth and sound

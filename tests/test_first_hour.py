@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -14,13 +13,11 @@ import pytest
 from untrained import untrained
 
 from data_module.errors import InputError
-from data_module.text.transcript import TranscriptWarning, as_transcript, with_transcript
 from data_module.types import Speech, Word
 from gesticulator import cli
 from gesticulator.directing.cues import OptionWarning
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.infer import COMMAND
-from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import GestureCue
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -57,13 +54,6 @@ def test_a_misspelt_option_suggests_the_right_one_and_names_the_help_of_the_verb
     with pytest.raises(SystemExit):
         cli.main([EXAMPLE, "--intesity", "0.5", "-o", "x.bvh"])
     assert "gesticulator infer --help" in capsys.readouterr().err
-
-
-def test_a_misspelt_argument_of_python_suggests_the_right_one(g: Gesticulator) -> None:
-    with pytest.raises(TypeError, match=r"intesity is not an option; did you mean intensity\?"):
-        g(voice(), RATE, intesity=0.5)  # type: ignore[call-arg]
-    with pytest.raises(TypeError, match="choose among speaker"):
-        InferenceOptions.of({"qqqqq": 1})
 
 
 def test_choices_are_checked_before_models_load(capsys: pytest.CaptureFixture[str], tmp_path: Path,
@@ -107,40 +97,6 @@ def test_a_cue_at_a_word_without_words_is_refused(g: Gesticulator) -> None:
         g(voice(), RATE, cues=(GestureCue("wave", "bread"),))
 
 
-def words_file(folder: Path, count: int, step: float) -> Path:
-    """Words of one length, one after the other."""
-    file = folder / "words.json"
-    file.write_text(json.dumps({"words": [
-        {"word": "a", "start": step * n, "end": step * (n + 1)} for n in range(count)]}))
-    return file
-
-
-@pytest.mark.parametrize(("count", "step", "doubt"), [(30, 0.099, "too many for speech"), (10, 0.3, "")])
-def test_a_transcript_of_another_recording_is_a_warning(count: int, step: float, doubt: str, tmp_path: Path) -> None:
-    speech = Speech(voice(), RATE)
-    with warnings.catch_warnings(record=True) as given:
-        warnings.simplefilter("always")
-        with_transcript(speech, as_transcript(words_file(tmp_path, count, step), speech))
-    lines = [str(one.message) for one in given if issubclass(one.category, TranscriptWarning)]
-    assert any(doubt in line for line in lines) if doubt else not lines
-
-
-@pytest.mark.parametrize(("count", "step", "said"), [
-    (90, 0.1, "of its 90 words come after the end"), (58, 0.05, "58 words in 2.90 s are more than anybody speaks")])
-def test_a_transcript_with_impossible_times_is_refused(count: int, step: float, said: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=said):
-        as_transcript(words_file(tmp_path, count, step), Speech(voice(), RATE))
-
-
-def test_a_performance_is_one_line_and_a_figure_in_a_notebook(g: Gesticulator) -> None:
-    made = g(voice(), RATE)
-    line = repr(made)
-    assert "\n" not in line and len(line) < 200
-    assert "3.0 s" in line and f"{len(made.blocks)} blocks" in line
-    frame = made._repr_html_()
-    assert frame.startswith("<iframe srcdoc=") and "audio" in frame
-
-
 def test_what_data_sets_of_hugging_face_give_is_taken(g: Gesticulator) -> None:
     given = g({"array": voice(), "sampling_rate": RATE, "path": "x.wav"})
     assert np.array_equal(given.rotations, g(voice(), RATE).rotations)
@@ -148,16 +104,6 @@ def test_what_data_sets_of_hugging_face_give_is_taken(g: Gesticulator) -> None:
         g({"samples": voice()})
     with pytest.raises(InputError, match="sample_rate"):
         g({"array": voice(), "sampling_rate": RATE}, RATE)
-
-
-def test_the_summary_ends_with_the_page_to_open(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import soundfile
-
-    soundfile.write(tmp_path / "short.wav", voice(2.0), RATE)
-    page = tmp_path / "page.html"
-    assert COMMAND.main("gesticulator infer", [str(tmp_path / "short.wav"), "-o", str(tmp_path / "o.bvh"),
-                                               "--preview", str(page)]) == 0
-    assert capsys.readouterr().out.splitlines()[-1].strip() == f"open {page} in a browser to watch it"
 
 
 def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -172,17 +118,3 @@ def test_log_levels_and_colours(tmp_path: Path) -> None:
     assert plain.stderr.count("\n") == 1 and "\x1b" not in plain.stderr
     assert "Traceback" in debug.stderr and debug.stderr.splitlines()[-1] == plain.stderr.strip()
     assert "\x1b" not in python("-m", "gesticulator", "infer", "--help", NO_COLOR="1").stdout
-
-
-def test_a_shell_completes_verbs_and_options() -> None:
-    pytest.importorskip("argcomplete")
-    assert "gesticulator" in python("-m", "gesticulator", "--completion", "bash").stdout
-    refusal = python("-m", "gesticulator", "--completion", "tcl")
-    assert refusal.returncode == 2 and "bash, zsh, fish" in refusal.stderr
-    # argcomplete answers on file descriptor 8.
-    asked = ("import os, subprocess, sys; read, write = os.pipe(); os.dup2(write, 8); os.set_inheritable(8, True);"
-             "subprocess.run([sys.executable, '-m', 'gesticulator'], close_fds=False, stderr=subprocess.DEVNULL);"
-             "os.close(write); os.close(8); print(os.read(read, 65536).decode())")
-    line = "gesticulator infer --inten"
-    answer = python("-c", asked, _ARGCOMPLETE="1", COMP_LINE=line, COMP_POINT=str(len(line)), _ARGCOMPLETE_IFS="\n")
-    assert answer.stdout.split() == ["--intensity"]

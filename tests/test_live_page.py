@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from browser import chromium
 from live_double import TURN, served
-from small_characters import write_character
 
 from data_module.motion.skeletons import CHARACTER
 from gesticulator.live.limits import ServerLimits
@@ -124,8 +123,6 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
 
     assert complaints == []
     assert all(url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "blob:", "data:")) for url in requests)
-    if os.environ.get("SCREENSHOT"):
-        page.screenshot(path=os.environ["SCREENSHOT"])
 
 
 def test_the_page_tells_that_the_machine_is_too_slow_and_that_it_keeps_up_again(window: Any) -> None:
@@ -140,8 +137,6 @@ def test_the_page_tells_that_the_machine_is_too_slow_and_that_it_keeps_up_again(
         page.wait_for_function("() => /slower than the sound: [0-9.]+ s were passed over/.test("
                                "document.querySelector('#pace').textContent)", timeout=_PATIENCE)
         assert page.is_visible("#pace")
-        if os.environ.get("SCREENSHOT"):
-            page.screenshot(path=os.environ["SCREENSHOT"])
         assert "keeps up" not in page.inner_text("#pace")
         work[0] = 0.01
         page.wait_for_function("() => /keeps up again; [0-9.]+ s/.test(document.querySelector('#pace').textContent)",
@@ -149,30 +144,6 @@ def test_the_page_tells_that_the_machine_is_too_slow_and_that_it_keeps_up_again(
         page.click("#stop")
         page.wait_for_function("() => document.querySelector('#pace').hidden")
         page.close()
-
-
-def test_a_character_is_dropped_on_the_page(opened: tuple[Any, list[str], list[str]], tmp_path: Path) -> None:
-    page, complaints, _ = opened
-    vrm = write_character(tmp_path / "small.vrm", vrm="1.0").read_bytes()
-    page.evaluate("""(bytes) => {
-        const transfer = new DataTransfer();
-        transfer.items.add(new File([new Uint8Array(bytes)], "small.vrm"));
-        dispatchEvent(new DragEvent("drop", { dataTransfer: transfer }));
-    }""", list(vrm))
-    page.wait_for_function("() => live.performer.character !== null", timeout=_PATIENCE)
-    assert "small.vrm (VRM 1.0)" in page.inner_text("#character")
-    page.wait_for_function("() => live.stream.total > 120", timeout=_PATIENCE)
-    # The character's hips turn as the figure's do.
-    turned = page.evaluate("""() => {
-        const { character, poser } = live.performer;
-        character.show(poser);
-        const q = character.vrm.humanoid.getNormalizedBoneNode("hips").quaternion;
-        return [2 * Math.atan2(q.y, q.w), 2 * Math.atan2(poser.local[2], poser.local[0])];
-    }""")
-    assert turned[0] == pytest.approx(turned[1], abs=1e-3) and abs(turned[1]) > 0.05
-    page.click("#undress")
-    assert page.evaluate("() => live.performer.character") is None
-    assert complaints == []
 
 
 def test_the_committed_script_is_the_build_of_its_sources(tmp_path: Path) -> None:

@@ -17,9 +17,7 @@ from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.bundle.bundle import load
 from gesticulator.bundle.files import read_index
-from gesticulator.bundle.models import part_table
 from gesticulator.training.command import main as train
-from gesticulator.training.stages import every_stage
 from interpreters import INTERPRETERS
 
 MODEL = '''
@@ -65,7 +63,7 @@ class LoudInterpreter(nn.Module, InterpreterDefaults):
 
     def losses(self, batch, progress=1.0):
         scores = self.logits(batch["audio_high"])
-        return {"nll": functional.cross_entropy(scores.flatten(0, 1), batch["lexeme_index"].flatten())}
+        return {"nll": functional.cross_entropy(scores.flatten(0, 1), batch["lexeme"].flatten())}
 
     def start(self, speaker, first_lexeme):
         return None
@@ -144,11 +142,6 @@ def trained(package: None, tiny_store: Path, tiny_bundle: Path, tmp_path_factory
     return out
 
 
-def test_it_is_known_everywhere(package: None) -> None:
-    assert part_table()["loud"].file == "loud" and part_table()["loud"].tied
-    assert every_stage()["loud"].part == "loud" and list(every_stage())[-1] == "loud"
-
-
 def test_its_weights_learn_and_stand_in_the_bundle_beside_the_others(trained: Path, tiny_bundle: Path) -> None:
     index, other = read_index(trained), read_index(tiny_bundle)
     assert index["format"] == other["format"]
@@ -179,16 +172,3 @@ def test_a_bundle_whose_interpreter_is_not_installed_says_so(trained: Path, monk
     install(monkeypatch)
     with pytest.raises(InputError, match=r"others\.loud"):
         load(trained)
-
-
-@pytest.mark.parametrize(("setting", "wrong"), [
-    ("others.loud.width=0", r"others\.loud\.width"), ("others.loud.depth=1", "depth"), ("others.quiet={}", "quiet"),
-    ("others.loud=3", "others"), ("schedules.others.loud.steps=-1", "steps"),
-    ("schedules.others.loud.stpes=1", "stpes"),
-])
-def test_settings_that_cannot_be_are_refused_by_name(package: None, tiny_store: Path, tmp_path: Path, setting: str,
-                                                     wrong: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        train(["--data", str(tiny_store), "--out", str(tmp_path / "b"), "--preset", "tiny", "--quiet", "--set",
-               "others.loud={}", "--set", setting])
-    assert wrong.replace("\\", "") in capsys.readouterr().err

@@ -1,20 +1,45 @@
-"""Gestures that are dragged along the timeline or moved with keys, what snaps, and what is read aloud."""
+"""Gestures that are dragged along the timeline or moved with keys, and the palette."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
+import json
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+import soundfile
 from browser import opened_page
-from test_story import PATIENCE, _is, _rendered, _rotations, first, served  # noqa: F401
+from test_story import PATIENCE, SPEECH, _is, _rendered, _rotations
 
+from data_module.types import Speech
+from gesticulator import Gesticulator
+from gesticulator.export import html
+from gesticulator.page.palette import moving_figures
 from gesticulator.page.server import PageServer
-from gesticulator.page.session import EditSession
+from gesticulator.page.session import EditSession, levels_of
 
-PICTURES = Path(os.environ["PICTURES"]) if "PICTURES" in os.environ else None
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[tuple[PageServer, EditSession]]:
+    """The page of six seconds of the example, with its renderer."""
+    samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
+    gesticulator = Gesticulator.from_pretrained()
+    gesticulator.keeps_generations = True
+    performance = gesticulator(Speech(samples, rate), seed=1)
+    server, session = PageServer(), EditSession(gesticulator, performance)
+    live = {"token": server.token, "renderings": [session.opened(performance)],
+            "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.speakers)}
+    server.page = html.page({"lstm": performance.scene()}, "talk", more={"live": live}).encode()
+    server.render = session.answer
+    server.figures = lambda: json.dumps(moving_figures(gesticulator.bundle, 0)).encode()
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    yield server, session
+    server.shutdown()
+    server.server_close()
+    thread.join(10)
 
 
 def _at(page: Any, seconds: float, row: str) -> tuple[float, float]:
@@ -25,16 +50,12 @@ def _at(page: Any, seconds: float, row: str) -> tuple[float, float]:
     return box["x"] + x, box["y"] + y
 
 
-def _drag(page: Any, begin: tuple[float, float], right: float, *held: str) -> None:
+def _drag(page: Any, begin: tuple[float, float], right: float) -> None:
     page.mouse.move(*begin)
     page.mouse.down()
-    for key in held:
-        page.keyboard.down(key)
     page.mouse.move(begin[0] + right / 2, begin[1])
     page.mouse.move(begin[0] + right, begin[1])
     page.mouse.up()
-    for key in held:
-        page.keyboard.up(key)
 
 
 def _gestures(blocks: list[dict[str, Any]], begin: int, end: int) -> list[tuple[int, bool]]:
@@ -42,8 +63,8 @@ def _gestures(blocks: list[dict[str, Any]], begin: int, end: int) -> list[tuple[
 
 
 def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
-        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
-    server, plans, folder = served
+        served: tuple[PageServer, EditSession]) -> None:
+    server, plans = served
     with opened_page(server.url, 1280, 860) as opened:
         page = opened.page
         opened.go_to(1.0)
@@ -85,7 +106,6 @@ def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
         assert left and all(after[at]["silent"] for at in left)
         assert page.evaluate("() => preview.session.selection") == [place, place + count - 1]
         _is(page, plans, opened.plan())
-        page.screenshot(path=(PICTURES or folder) / "dragged.png")
         page.keyboard.press("Control+z")
         _rendered(page)
         np.testing.assert_array_equal(_rotations(page), frames)
@@ -106,64 +126,9 @@ def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
         opened.check_quiet(server.url)
 
 
-def test_what_is_dragged_snaps_to_beats_and_with_alt_it_does_not(
-        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
-    server, _, _ = served
-    with opened_page(server.url, 1280, 860) as opened:
-        page = opened.page
-        opened.go_to(2.0)
-        found = opened.plan()["blocks"][10]["start"]
-        _drag(page, _at(page, found, "beats"), 14)
-        _rendered(page)
-        away = opened.plan()["blocks"][10]["start"]
-        assert away > found + 0.05
-        _drag(page, _at(page, away, "beats"), -10, "Alt")
-        _rendered(page)
-        near = opened.plan()["blocks"][10]["start"]
-        assert found + 0.01 < near < found + 0.07, "near the beat that was found, and not on it"
-        _drag(page, _at(page, near, "beats"), -1)
-        _rendered(page)
-        assert opened.plan()["blocks"][10]["start"] == pytest.approx(found, abs=6e-4)
-
-
-def test_a_curve_is_set_with_keys_and_what_plays_is_read_aloud(
-        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
-    server, plans, _ = served
-    with opened_page(server.url, 1280, 860) as opened:
-        page = opened.page
-        opened.go_to(2.0)
-        for _ in range(3):
-            page.keyboard.press("Shift+ArrowUp")
-        opened.go_to(4.0)
-        for _ in range(6):
-            page.keyboard.press("Shift+ArrowDown")
-        _rendered(page)
-        (curve,) = opened.plan()["curves"]
-        assert curve["times"] == [2.0, 4.0] and curve["values"] == pytest.approx([1.3, 0.7])
-        _is(page, plans, opened.plan())
-        page.keyboard.press("Shift+Delete")
-        _rendered(page)
-        (curve,) = opened.plan()["curves"]
-        assert curve["times"] == [2.0]
-        # A screen reader hears the gesture by its name, the phase, the block, and what was locked.
-        unit = max(opened.plan()["units"], key=lambda one: one["end"] - one["start"])
-        opened.go_to((unit["start"] + unit["end"]) / 2)
-        page.keyboard.press("k")
-        block = next(one for one in opened.plan()["blocks"] if one["end"] > opened.time())
-        page.wait_for_function("() => document.getElementById('timeline').getAttribute('aria-valuetext')"
-                               ".endsWith('locked')")
-        heard = page.get_attribute("#timeline", "aria-valuetext")
-        names = {one["lexeme"]: one["name"] for one in opened.plan()["lexicon"]}
-        assert f"{names[block['lexeme']]}, " in heard and f"lexeme {block['lexeme']}" in heard
-        opened.go_to(0.0)
-        page.keyboard.press(" ")
-        page.wait_for_function("() => document.getElementById('spoken').textContent.length > 3", timeout=60_000)
-        page.keyboard.press(" ")
-
-
 def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
-        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
-    server, plans, folder = served
+        served: tuple[PageServer, EditSession]) -> None:
+    server, plans = served
     with opened_page(server.url, 1280, 900) as opened:
         page = opened.page
         page.set_default_timeout(PATIENCE)
@@ -182,7 +147,6 @@ def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
         few = page.locator("#palette-figures li:not([hidden]) .called")
         found = few.all_inner_texts()
         assert {"shrug", "cut off"} <= set(found) and any(" · " in name for name in found), "gestures and lexemes"
-        page.screenshot(path=(PICTURES or folder) / "open.png")
         page.fill("#palette-search", "")
         page.select_option("#palette-kind", "gesture")
         page.select_option("#palette-hand", "left")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,48 +92,10 @@ def test_the_words_themselves_matter_and_when_they_are_said(system: Gesticulator
     assert not np.array_equal(scores(WORDS), scores(other)) and not np.array_equal(scores(WORDS), scores(later))
 
 
-def transcripts(folder: Path) -> dict[str, Path]:
-    """The same words in every format; the plain text is one that no English aligner can follow."""
-    def stamp(seconds: float, mark: str) -> str:
-        return f"00:00:{int(seconds):02d}{mark}{round(seconds % 1 * 1000):03d}"
-
-    intervals = "".join(f"{w.start}\n{w.end}\n\"{w.text}\"\n" for w in WORDS)
-    texts = {
-        "words.json": json.dumps([{"word": w.text, "start": w.start, "end": w.end} for w in WORDS]),
-        "words.TextGrid": f'File type = "ooTextFile"\nObject class = "TextGrid"\n\n0\n4.6\n<exists>\n1\n'
-                          f'"IntervalTier"\n"words"\n0\n4.6\n{len(WORDS)}\n{intervals}',
-        "words.srt": "".join(f"{i}\n{stamp(w.start, ',')} --> {stamp(w.end, ',')}\n{w.text}\n\n"
-                             for i, w in enumerate(WORDS, 1)),
-        "words.vtt": "WEBVTT\n\n" + "".join(f"{stamp(w.start, '.')} --> {stamp(w.end, '.')}\n{w.text}\n\n"
-                                            for w in WORDS),
-        "words.txt": "тяжёлый хлеб медленно поднимается",
-    }
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return {name.partition(".")[2]: folder / name for name in texts}
-
-
-def test_a_transcript_is_read_like_words_that_the_speech_carries(system: Gesticulator, tmp_path: Path) -> None:
-    files = transcripts(tmp_path)
-    carried = system(dataclasses.replace(SPEECH, words=WORDS))
-    for kind in ("json", "TextGrid"):
-        made = system(SPEECH, text=files[kind])
-        assert same(made, carried), kind
-        assert len(made.notes) == 1 and "4 words, times given" in made.notes[0]
-        assert made.speech.words is not None and [w.text for w in made.speech.words if w.text] == [
-            w.text for w in WORDS]
-    heard = system(SPEECH)
-    for kind in ("srt", "vtt", "txt"):
-        made = system(SPEECH, text=files[kind])
-        assert not np.array_equal(made.scores, heard.scores), kind
-        assert "4 words" in made.notes[0]
-    assert "estimates" in made.notes[0], "the plain text has no times"
-
-
 def test_a_bundle_that_cannot_read_refuses_a_transcript_and_takes_spoken_words_in_its_stride(
-        plain: Gesticulator, tmp_path: Path) -> None:
+        plain: Gesticulator) -> None:
     with pytest.raises(InputError, match="text"):
-        plain(SPEECH, text=transcripts(tmp_path)["json"])
+        plain(SPEECH, text="heavy bread")
     assert same(plain(SPEECH), plain(dataclasses.replace(SPEECH, words=WORDS), meaning="off"))
 
 
@@ -166,22 +126,6 @@ def test_no_activity_is_stillness_with_or_without_a_gate(system: Gesticulator, p
         made = own(SPEECH, activity=0.0, temperature=3.0, seed=1)
         assert set(made.lexemes.tolist()) <= set(SILENT)
         assert same(own(SPEECH, activity=1.0), own(SPEECH)), "the bundle's own activity is 1"
-
-
-def test_a_still_performer_does_not_move_to_the_voice(system: Gesticulator) -> None:
-    # One silent lexeme leaves no choice, so whatever is said, what is done is the same.
-    one = Gesticulator(dataclasses.replace(system.bundle, silent=np.array([SILENT[0]])))
-    loud = Speech(np.clip(SPEECH.samples * np.linspace(0.2, 3, len(SPEECH.samples)), -1, 1).astype(np.float32), RATE)
-    a, b = (one(speech, activity=0.0) for speech in (SPEECH, loud))
-    count = min(len(a.blocks), len(b.blocks))
-    assert not np.array_equal(a.scores[:count], b.scores[:count]), "the voices are told apart"
-    np.testing.assert_array_equal(a.codes[:count], b.codes[:count])
-
-
-@pytest.mark.parametrize("activity", [-0.1, 1.1, float("nan")])
-def test_activity_is_a_share(system: Gesticulator, activity: float) -> None:
-    with pytest.raises(InputError, match="activity"):
-        system(SPEECH, activity=activity)
 
 
 def test_a_bundle_without_a_gate_knows_all_and_nothing_only(plain: Gesticulator) -> None:

@@ -21,9 +21,8 @@ from gesticulator.training import command as train
 from gesticulator.training import presets
 from gesticulator.training.stages.corpus import Corpus, prepare
 from gesticulator.training.stages.lexicon import decoded_blocks, token_labels
-from gesticulator.training.stages.q_network import q_batch, takes_of
+from gesticulator.training.stages.q_network import takes_of
 from gesticulator.training.stages.reward import RewardWindows, block_audio, groups, reward_table
-from interpreters.episodes import Episodes
 from interpreters.reward import RewardConfig
 from lexicon.racer import RacerCodec
 
@@ -59,7 +58,7 @@ def test_reward_windows_hold_what_belongs_together(corpus: Corpus, tiny_bundle: 
     audio = block_audio(corpus)
     frames = corpus.motion.shape[1]
     windows = RewardWindows(corpus, audio, shown, corpus.recordings("train"),
-                            RewardConfig(shortest=2, window=4, longest=6), labels)
+                            RewardConfig(window=4, longest=6), labels)
     batch = windows.sample(np.random.default_rng(0), 64)
     again = windows.sample(np.random.default_rng(0), 64)
     assert all(torch.equal(batch[key], again[key]) for key in batch)
@@ -74,8 +73,6 @@ def test_reward_windows_hold_what_belongs_together(corpus: Corpus, tiny_bundle: 
         captured = torch.equal(batch["motion"][row][kept], corpus.motion[at])
         assert captured or torch.equal(batch["motion"][row][kept], shown[at])
         assert len({int(corpus.recording[b]) for b in at}) == 1
-        lasting = batch["log_duration"][row][kept].exp()
-        torch.testing.assert_close(lasting, torch.as_tensor(corpus.durations[at]).float())
         decoded += not captured
     assert 20 <= decoded <= 44
     assert audio.shape[1:] == (frames, corpus.low.shape[-1] + corpus.high.shape[-1] - 1)
@@ -84,9 +81,9 @@ def test_reward_windows_hold_what_belongs_together(corpus: Corpus, tiny_bundle: 
 
 def test_rivals_are_wrong_at_the_end_and_right_before(corpus: Corpus, tiny_bundle: Path) -> None:
     bundle = bundles.load(tiny_bundle)
-    lexemes = bundle.block_models.lexicon.shown()
+    lexemes = bundle.block_lexicon.shown()
     labels = token_labels(bundle.lexicon, corpus)
-    config = RewardConfig(shortest=2, window=4, longest=6, rivals=3)
+    config = RewardConfig(window=4, longest=6, rivals=3)
     windows = RewardWindows(corpus, block_audio(corpus), decoded_blocks(bundle.lexicon, labels, corpus),
                             corpus.recordings("train"), config, labels, lexemes, bundle.transitions)
     batch = windows.sample(np.random.default_rng(1), 48, 1.0)
@@ -112,22 +109,12 @@ def test_a_reward_table_asks_about_the_corpus(corpus: Corpus, tiny_bundle: Path)
     got = table.sequence(torch.as_tensor(take.lexemes), torch.as_tensor(take.blocks))
     # The last step by hand: the last window of decoded blocks and of audio, through the model itself.
     last, model = torch.as_tensor(take.blocks[-bundle.config.reward.window:]), bundle.reward
-    motion = bundle.block_models.lexicon.shown()[torch.as_tensor(labels)[last]][None]
-    logs = torch.as_tensor(np.log(corpus.durations))[last].float()[None]
+    motion = bundle.block_lexicon.shown()[torch.as_tensor(labels)[last]][None]
     with torch.no_grad():
         pairs = [own.embed({"motion": motion, "audio": block_audio(corpus)[last].float()[None],
-                             "log_duration": logs, "valid": torch.ones(1, len(last))}) for own in model.models]
+                             "valid": torch.ones(1, len(last))}) for own in model.models]
     by_hand = sum(float((one * two).sum()) for one, two in pairs) / len(pairs)
     assert float(got[-1]) == pytest.approx(by_hand, abs=1e-5)
-
-
-def test_the_offline_episodes_of_a_run(tiny_bundle: Path, corpus: Corpus) -> None:
-    work = tiny_bundle.with_name(tiny_bundle.name + ".work")
-    episodes = Episodes.load(next(iter(work.glob("episodes-*.npz"))))
-    assert {corpus.splits[episode.recording] for episode in episodes.episodes} == {"train"}
-    batch = q_batch(corpus, episodes.windows(np.random.default_rng(0), 8, 6))
-    assert torch.equal(batch["audio"], corpus.high[batch["block"]].float())
-    assert batch["speaker"].shape == (8, len(corpus.statistics.speakers)) and (batch["speaker"].sum(1) == 1).all()
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pipecat_gesticulator.realtime import RATE, RealtimeGestures
+from pipecat_gesticulator.realtime import RATE
 from websockets.asyncio.server import ServerConnection, serve
 
 from data_module.speech.audio import load_speech, resample
@@ -161,59 +161,6 @@ def test_an_agents_answer_gets_gestures_and_an_interruption_is_told_to_both(
         places = [at for at in np.flatnonzero(sound[:begin] == first[1000]) - 1000
                   if at >= 0 and np.array_equal(sound[at:at + len(first)], first)]
         assert len(places) == 1
-
-
-class Told:
-    """A stream that writes down what it is asked for."""
-
-    def __init__(self) -> None:
-        self.said: list[tuple[Any, ...]] = []
-
-    def __getattr__(self, name: str) -> Any:
-        async def note(*values: Any) -> None:
-            self.said.append((name, *(len(one) if isinstance(one, bytes) else round(one, 6) for one in values)))
-
-        return note
-
-
-def test_times_are_those_of_a_clock_that_the_test_moves() -> None:
-    """Silence, 2 s of sound at once, an interruption after 0.5 s of it, the user's sound, a thought, another answer."""
-    now = [100.0]
-    told = Told()
-    bridge = RealtimeGestures(told, clock=lambda: now[0])  # type: ignore[arg-type]
-
-    def sound(response: str, seconds: float, kind: str = "response.output_audio.delta") -> dict[str, Any]:
-        return {"type": kind, "response_id": response, "item_id": f"of {response}", "content_index": 1,
-                "delta": base64.b64encode(bytes(round(2 * RATE * seconds))).decode()}
-
-    async def play() -> list[dict[str, Any]]:
-        now[0] += 1.0
-        await bridge.take({"type": "response.created", "response": {"id": "a"}})
-        for _ in range(4):
-            await bridge.take(sound("a", 0.5, "response.audio.delta"))
-        await bridge.tick()
-        now[0] += 0.5
-        assert bridge.time == pytest.approx(1.5)
-        answers = await bridge.take({"type": "input_audio_buffer.speech_started"})
-        await bridge.take(sound("a", 0.5))
-        await bridge.take({"type": "response.output_audio.done", "response_id": "a"})
-        now[0] += 0.4
-        await bridge.user_sound(bytes(round(2 * RATE * 0.4)))
-        await bridge.take({"type": "input_audio_buffer.speech_stopped"})
-        now[0] += 0.3
-        await bridge.tick()
-        await bridge.take({"type": "response.created", "response": {"id": "b"}})
-        await bridge.take(sound("b", 0.5))
-        assert bridge.time == pytest.approx(1.5 + 0.4 + 0.3)
-        assert await bridge.take({"type": "input_audio_buffer.speech_started"})
-        return answers
-
-    assert asyncio.run(play()) == [{"type": "conversation.item.truncate", "item_id": "of a", "content_index": 1,
-                                    "audio_end_ms": 500}]
-    half = round(2 * RATE * 0.5)
-    assert told.said == [("idle", 1.0), *[("send", half)] * 4, ("interrupt", 1.5), ("listen",),
-                         ("send", round(2 * RATE * 0.4)), ("speak",), ("think", 0.3), ("send", half),
-                         ("interrupt", 2.2), ("listen",)]
 
 
 @contextmanager

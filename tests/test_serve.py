@@ -19,7 +19,6 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from live_double import LOOK_AHEAD, TURN, TellingStream, figure, opener
@@ -29,16 +28,11 @@ from websockets.asyncio.client import connect as open_socket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from data_module.motion import rotation
-from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
-from data_module.speech.audio import load_speech
-from data_module.types import Motion
-from gesticulator.live import server as server_module
 from gesticulator.live.limits import ServerLimits
-from gesticulator.live.protocol import CloseCode, StreamRequest, published, read_hello
+from gesticulator.live.protocol import CloseCode, StreamRequest, published
 from gesticulator.live.server import LiveServer, ServerAddress
-from gesticulator.live.vmc import VmcFrames
 
 RATE = 16000
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
@@ -172,38 +166,6 @@ async def test_smplx_poses_are_those_of_an_smplx_file() -> None:
         np.testing.assert_allclose(np.concatenate([one.root_positions for one in poses]), truth["trans"], atol=1e-6)
 
 
-@pytest.mark.parametrize("output", ["joints", "smplx"])
-def test_a_stream_may_stand_on_legs(output: str) -> None:
-    """Its frames are those of a stream with legs, and VMC sends them, too."""
-    from gesticulator.gesticulator import Gesticulator
-    from gesticulator.live.session import session_opener
-
-    torch.set_num_threads(1)
-    system = Gesticulator.from_pretrained()
-    hello = Hello(RATE, output=output, options={"legs": True, "latency": "low"})
-    session = session_opener(system, LIMITS)("a", read_hello(hello.text()))
-    sound = load_speech(EXAMPLE).samples[:4 * RATE]
-    answers = [*session.feed(sound), *session.obey({"type": "finish"})]
-    poses = [Poses.unpack(one) for answer in answers for one in answer.messages if isinstance(one, bytes)]
-    stream = system.stream(RATE, legs=True, latency="low")
-    parts = [part for part in (stream.feed(sound), stream.finish()) if len(part)]
-    motion = Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
-                    np.concatenate([part.root_positions for part in parts]), 60.0)
-    got = np.concatenate([one.rotations for one in poses])
-    if output == "smplx":
-        truth = smplx_arrays(motion)["poses"].reshape(len(got), 55, 3)
-        assert np.abs(truth[:, 1:9]).max() > 0.01, "knees and ankles bend"
-    else:
-        truth = motion.rotations
-        told = [joint["name"] for joint in session.welcome()["joints"]]
-        assert told == list(motion.skeleton.names) and "LeftFoot" in told
-        feet = positions_of(motion)[:, [told.index("LeftFoot"), told.index("RightFoot")]]
-        assert np.abs(feet - feet[0]).max() < 0.005, "they stay where they are"
-        bones = b"".join(VmcFrames(motion).bundles(100, 0.0))
-        assert b"LeftUpperLeg" in bones and b"RightFoot" in bones
-    np.testing.assert_allclose(got, truth, atol=2e-6)
-
-
 @in_loop
 async def test_every_message_fits_the_published_schema() -> None:
     """An independent validator reads the schema and what a server really sends."""
@@ -315,13 +277,6 @@ async def test_media_time_goes_on_from_where_the_voice_was_heard(heard: float) -
 
 
 @in_loop
-async def test_words_without_the_option_are_refused() -> None:
-    async with running() as at:
-        words = json.dumps({"type": "words", "words": [{"text": "a", "start": 0, "end": 1}]})
-        assert (await closed_with(at.url, Hello(RATE).text(), words))[0] == CloseCode.BAD_MESSAGE
-
-
-@in_loop
 async def test_idle_without_end_goes_with_the_clock_until_there_is_sound() -> None:
     async with running() as at, connect(at.url, Hello(RATE)) as stream:
         begin = asyncio.get_running_loop().time()
@@ -368,6 +323,7 @@ async def test_an_interruption_drops_the_sound_that_waits() -> None:
     (('{"type": "finish"}',), CloseCode.BAD_MESSAGE),
     ((Hello(RATE).text(), b"\0\0\0"), CloseCode.BAD_MESSAGE),
     ((Hello(RATE).text(), Hello(RATE).text()), CloseCode.BAD_MESSAGE),
+    ((Hello(RATE).text(), '{"type": "words", "words": [{"text": "a", "start": 0, "end": 1}]}'), CloseCode.BAD_MESSAGE),
     ((Hello(RATE, "float32").text(), np.array([0, np.nan], "<f4").tobytes()), CloseCode.BAD_MESSAGE),
     ((Hello(RATE, "float32").text(), np.array([3e38], "<f4").tobytes()), CloseCode.BAD_MESSAGE),
     ((Hello(RATE).text(), b"\0" * (2**16 + 2)), CloseCode.TOO_BIG),
@@ -437,16 +393,6 @@ async def test_a_server_that_is_too_slow_passes_over_what_is_late() -> None:
             jsonschema.validate(event, {"oneOf": published()["server"]["oneOf"], "$defs": published()["$defs"]})
 
 
-@pytest.mark.parametrize(("share", "options"), [
-    (3.0, {}), (0.2, {"latency": "low"}), (3.0, {"latency": "low", "keep_up": False})])
-@in_loop
-async def test_nothing_is_passed_over_unasked_or_where_there_is_time(share: float, options: dict[str, Any]) -> None:
-    async with running(share=share) as at:
-        poses, events = await speak(at.url, 0.8, options)
-        assert_whole(poses, 0.8)
-        assert not [event for event in events if event["type"] == "pace" and event["effort"] == "none"]
-
-
 @in_loop
 async def test_too_much_sound_has_a_clear_code() -> None:
     async with running(work=0.2) as at:
@@ -491,25 +437,6 @@ async def test_a_minute_of_idle_time_comes_a_block_at_a_time_and_ends_where_it_i
             spoken = [one for one in messages if isinstance(one, dict) and one.get("state") == "speaking"]
             # The sound follows whatever was idled before it came.
             assert 60 <= length < 60 * 51 and spoken[0]["time"] * 60 == pytest.approx(length - 60, abs=0.1)
-
-
-@in_loop
-async def test_connections_that_say_nothing_take_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forty WebSockets without a hello beside a server of two streams: the oldest are cut off."""
-    monkeypatch.setattr(server_module, "MOST_GUESTS", 16)
-    async with running(replace(LIMITS, streams=2, hello_seconds=20.0)) as at:
-        silent = []
-        for _ in range(40):
-            reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
-            silent.append((reader, writer))
-            await _raw_handshake(writer, reader)
-        assert not at.server.connections
-        assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
-        for reader, _ in silent[:24]:
-            with suppress(ConnectionError):
-                assert not await reader.read(), "cut off"
-        for _, writer in silent:
-            writer.transport.abort()
 
 
 @in_loop
@@ -604,35 +531,6 @@ def _frame(opcode: int, payload: bytes, mask: bytes = b"\0\0\0\0") -> bytes:
 
 
 # ---------------------------------------------------------------- faults
-
-
-@in_loop
-async def test_rude_clients_end_nothing_but_themselves(caplog: pytest.LogCaptureFixture) -> None:
-    """Disconnects in the middle of a message and of a handshake, garbage, many connects: one line in the log each."""
-    caplog.set_level(logging.INFO, "gesticulator")
-    async with running(replace(LIMITS, streams=64)) as at, connect(at.url, Hello(RATE)) as other:
-        async def rude(number: int) -> None:
-            reader, writer = await asyncio.open_connection("127.0.0.1", at.port)
-            if number % 4 == 0:
-                writer.write(b"\x16\x03\x01 no HTTP at all \r\n\r\n")
-            elif number % 4 == 1:
-                writer.write(b"GET /stream HTTP/1.1\r\nHost: loc")
-            else:
-                await _raw_handshake(writer, reader)
-                writer.write(_frame(1, Hello(RATE).text().encode()))
-                half = _frame(2, pcm(1.0))
-                writer.write(half[:len(half) // 2] if number % 4 == 2 else b"\xff\xff\xff\xff\xff")
-            await writer.drain()
-            writer.transport.abort()
-
-        await asyncio.gather(*(rude(number) for number in range(100)))
-        await other.send(pcm(1.0))
-        await other.finish()
-        assert_whole([one async for one in other if isinstance(one, Poses)], 1.0)
-        assert await at.get("/healthz") == (200, "ok\n")
-    lines = [record.getMessage() for record in caplog.records]
-    assert all(record.exc_info is None and "\n" not in record.getMessage() for record in caplog.records)
-    assert len([line for line in lines if line.startswith("stream ")]) <= 51
 
 
 @in_loop

@@ -11,11 +11,8 @@ import soundfile
 
 from data_module.types import Array, Speech
 from gesticulator import Gesticulator
-from gesticulator.bundle.config import with_settings
-from gesticulator.directing import shaping
 from gesticulator.directing.strokes import LARGE, StrokeMemory
 from gesticulator.performance import Performance
-from gesticulator.systems import movement
 
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SEED = 2
@@ -54,20 +51,6 @@ def test_no_hand_of_a_performer_is_faster_at_half_the_intensity(system: Gesticul
                                                                 ) -> None:
     first = system(speech, seed=SEED, speaker=speaker)
     assert (peaks(halved(system, first)) <= NO_FASTER * peaks(first)).all()
-
-
-def test_with_a_lift_that_changes_within_a_stroke_one_is_half_as_fast_again(
-        system: Gesticulator, speech: Speech, monkeypatch: pytest.MonkeyPatch) -> None:
-    # A take in which it shows: in one of fourteen it is so much. Settings of sampling decide what the takes are.
-    monkeypatch.setattr(movement, "HOLD", 0.8)
-    monkeypatch.setattr(movement, "GOES_ON_PAUSING", 2.0)
-    settings = ["selection.noise=0.9", "selection.reach=0"]
-    bundle = replace(system.bundle, config=with_settings(system.bundle.config, settings))
-    sampled = Gesticulator(bundle)
-    sampled.keeps_generations = True
-    first = sampled(speech, seed=6, speaker="lesson")
-    monkeypatch.setattr(shaping, "CALM", 1e-6)
-    assert (peaks(halved(sampled, first)) / peaks(first)).max() > 1.4
 
 
 def test_the_mean_of_a_value_is_that_of_the_span_before_for_any_pieces() -> None:

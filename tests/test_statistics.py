@@ -108,7 +108,7 @@ def test_absent_joints_of_the_shipped_bundle_are_exactly_still_before_the_clamp(
     made = torch.cat(blocks)
     assert len(blocks) > 10 and (made[..., absent] == 0).all()
     assert (made.abs().amax(dim=(0, 1)) > 0).sum() == made.shape[-1] - len(absent), "all others move"
-    assert (bundle.block_models.lexicon.shown()[..., absent].abs() < 1e-6).all()
+    assert (bundle.block_lexicon.shown()[..., absent].abs() < 1e-6).all()
 
 
 def test_control_rows_are_standardised_and_say_what_is_asked() -> None:

@@ -9,27 +9,18 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 import soundfile
 from browser import OpenedPage, chromium
 
-from data_module.errors import InputError
-from data_module.types import Speech
-from gesticulator import Gesticulator
 from gesticulator.arguments import run_settings_of
 from gesticulator.export import html
-from gesticulator.export.writers import check_output
 from gesticulator.page.command import COMMAND, _job, _prepare
-from gesticulator.page.palette import moving_figures
-from gesticulator.page.saved_edits import SavedEdits
 from gesticulator.page.server import PageServer
-from gesticulator.page.session import EditSession, directions_of, levels_of
-from gesticulator.performance import Performance
+from gesticulator.page.session import EditSession
 from gesticulator.plan.plan_file import parse_plan, read_plan
 
 PICTURES = Path(os.environ["PICTURES"]) if "PICTURES" in os.environ else None
@@ -38,35 +29,6 @@ PATIENCE = 180_000
 """Milliseconds that a step may take: without a GPU, on a machine that others use, a picture takes seconds, and a click
 waits for several."""
 SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
-
-
-@pytest.fixture(scope="module")
-def first() -> tuple[Gesticulator, Performance]:
-    samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
-    system = Gesticulator.from_pretrained()
-    system.keeps_generations = True
-    return system, system(Speech(samples, rate), seed=1).labelled("talk.wav")
-
-
-@pytest.fixture
-def served(first: tuple[Gesticulator, Performance], tmp_path: Path) -> Iterator[tuple[PageServer, EditSession, Path]]:
-    system, performance = first
-    server, plans = PageServer(), EditSession(system, performance)
-    scene = performance.scene()
-    number = plans.opened(performance)
-    live = {"token": server.token, "renderings": [number], "levels": levels_of(system.bundle),
-            "directions": directions_of(system)}
-    server.page = html.page({"lstm": scene}, "talk", more={"live": live}).encode()
-    saved = SavedEdits(tmp_path / "talk.edits.plan.json", after=0.1)
-    plans.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(plan)
-    server.answers["render"] = plans.answer
-    server.figures = cache(lambda: json.dumps(moving_figures(system.bundle, 0)).encode())
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    yield server, plans, tmp_path
-    server.shutdown()
-    server.server_close()
-    thread.join(10)
 
 
 def _rotations(page: Any) -> np.ndarray:
@@ -98,7 +60,7 @@ def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, EditSession
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
         try:
-            yield server, server.answers["render"].__self__  # type: ignore[attr-defined]
+            yield server, server.render.__self__  # type: ignore[union-attr]
         finally:
             server.shutdown()
             thread.join(10)
@@ -152,27 +114,7 @@ def _pin(page: Any) -> None:
     page.mouse.up()
 
 
-def _exported(page: Any, plans: EditSession, plan: dict[str, Any], folder: Path) -> None:
-    """The menu hands out the file of the command line: FBX where Blender is there to make it, else GLB."""
-    try:
-        check_output(folder / "talk.fbx")
-        suffix = ".fbx"
-    except InputError:
-        suffix = ".glb"
-    page.click("#file-menu summary")
-    page.select_option("#export-format", suffix)
-    with page.expect_download(timeout=2 * PATIENCE) as got:
-        page.click("#export-go")
-    made = Path(got.value.path()).read_bytes()
-    assert got.value.suggested_filename == f"talk{suffix}"
-    if suffix == ".glb":
-        assert made == plans.exported(plan).save(folder / "wanted.glb").read_bytes()
-    else:
-        assert made.startswith(b"Kaydara FBX Binary")
-    page.keyboard.press("Escape")
-
-
-def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_again_tomorrow(tmp_path: Path) -> None:
+def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_and_there_again_tomorrow(tmp_path: Path) -> None:
     samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
     sound, said = tmp_path / "talk.wav", tmp_path / "talk.srt"
     soundfile.write(sound, samples, rate, subtype="FLOAT")
@@ -250,7 +192,6 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_
             assert pin["joint"] == "LeftHand" and abs(pin["time"] - 2.0) < 1e-3
             page.keyboard.press("g")
             _is(page, plans, opened.plan())
-            _exported(page, plans, opened.plan(), tmp_path)
             # The page is loaded again, and goes on.
             edited, there = opened.plan(), _rotations(page)
             page.wait_for_timeout(600)

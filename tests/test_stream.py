@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import gc
-import json
 import tracemalloc
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
 import torch
@@ -25,17 +22,11 @@ from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from generator.flow import Guidance, SamplingHead
-from gesticulator import stream as stream_module
-from gesticulator.body.rest import Rest
 from gesticulator.bundle.features import representation_of
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.live.limits import ServerLimits
-from gesticulator.live.pace import Effort
-from gesticulator.live.protocol import StreamRequest, published
-from gesticulator.live.session import session_opener
-from gesticulator.sampling.candidates import CandidateChooser
 from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
+from gesticulator.systems import movement
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 FPS = 60.0
@@ -111,14 +102,6 @@ def test_any_pieces_give_the_same_bytes(sizes: list[int]) -> None:
     assert np.array_equal(joined(parts), from_file(SHORT).rotations)
 
 
-def test_pieces_of_one_sample_and_of_none_give_the_same_bytes() -> None:
-    sound = example()[:round(SHORT * SAMPLE_RATE)]
-    stream = system().stream()
-    parts = [*fed(stream, sound[:9000], (1,)), stream.feed(sound[:0]), *fed(stream, sound[9000:], (777,)),
-             stream.finish()]
-    assert np.array_equal(joined(parts), from_file(SHORT).rotations)
-
-
 def test_a_call_in_steps_gives_the_same_bytes_a_block_at_a_time() -> None:
     """A conversation as a scheduler takes it, beside one that makes each call at once."""
     sound = example()[:round(2 * SHORT * SAMPLE_RATE)]
@@ -152,15 +135,6 @@ def test_idling_that_is_closed_ends_at_its_last_frame_and_speech_goes_on_from_th
     hands = positions_of(Motion(stream.skeleton, rotations, np.zeros((len(rotations), 3)), FPS))
     wrists = hands[:, [stream.skeleton.index(f"{side}Hand") for side in ("Left", "Right")]]
     assert np.linalg.norm(np.diff(wrists, axis=0), axis=-1).max() * FPS < FASTEST
-
-
-@pytest.mark.parametrize("shape", [(2, 320), (8, 9), (1, 16000)])
-def test_channels_first_are_refused(shape: tuple[int, int]) -> None:
-    stream = system().stream()
-    with pytest.raises(InputError, match="channels"):
-        stream.feed(np.zeros(shape, np.float32))
-    assert stream.time == 0.0
-    assert len(stream.feed(np.zeros((320, 2), np.float32))) == 0 and stream.time == 0.02
 
 
 @pytest.mark.parametrize("asked", [{"legs": True, "fps": 25.0}, {"variation": 2, "hand_height": "low"},
@@ -300,46 +274,6 @@ def test_a_change_of_the_look_ahead_leaves_no_jump_and_no_gap() -> None:
 
 
 @pytest.mark.parametrize("latency", ["full", "low"])
-def test_a_look_ahead_that_is_set_before_any_sound_is_that_of_the_stream(latency: str) -> None:
-    """Also after it was set to the other one, and again by a second utterance."""
-    sound, made = example()[:round(SHORT * SAMPLE_RATE)], []
-    for opened in ("full", "low"):
-        stream = system().stream(latency=opened)
-        stream.latency = "low" if latency == "full" else "full"
-        stream.latency = latency
-        made.append(joined([*fed(stream, sound, (800,)), stream.idle(1.0), *fed(stream, sound, (800,)),
-                            stream.finish()]))
-    assert np.array_equal(*made)
-    with pytest.raises(InputError, match="latency 'none': is unknown"):
-        stream.latency = "none"
-
-
-def test_a_session_that_is_downgraded_and_restored_sends_every_frame_and_says_so() -> None:
-    """As the server asks for it, step by step: low look-ahead, hurried blocks, idle motion, and back."""
-    sound, limits = example(), ServerLimits()
-    session = session_opener(system(), limits)("one", StreamRequest(SAMPLE_RATE, options={"keep_up": True}))
-    order = [*Effort, *reversed(list(Effort)[:-1])]
-    messages: list[bytes | str] = []
-    for number, effort in enumerate(order):
-        for at in range(number * SAMPLE_RATE, (number + 1) * SAMPLE_RATE, 1600):
-            for answer in session.feed(sound[at:at + 1600], effort=effort):
-                messages += answer.messages
-    for answer in session.obey({"type": "finish"}):
-        messages += answer.messages
-    events = [json.loads(one) for one in messages if isinstance(one, str)]
-    shown = [event["effort"] for event in events if event["type"] == "pace"]
-    assert [shown[0], *(now for before, now in pairwise(shown) if now != before)] == [str(one) for one in order[1:]]
-    for event in events:
-        jsonschema.validate(event, {"$ref": f"#/$defs/{event['type']}", "$defs": published()["$defs"]})
-    numbers: list[int] = []
-    for packet in messages:
-        if isinstance(packet, bytes):
-            header = json.loads(packet[4:4 + int.from_bytes(packet[:4], "little")])
-            numbers += range(header["first"], header["first"] + header["count"])
-    assert numbers == list(range(round(len(order) * FPS)))
-
-
-@pytest.mark.parametrize("latency", ["full", "low"])
 def test_what_is_passed_over_leaves_no_jump_and_no_gap(latency: str) -> None:
     """Sound that came too late, in the middle of strokes, for a moment and for long; hurried blocks between."""
     sound, stream, parts, seams = example(), system().stream(latency=latency), [], []
@@ -391,48 +325,8 @@ def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
             blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
         edges.append([block.end for block in blocks])
         calls.append(sum(rows) / len(blocks))
-    chosen = system().bundle.config.selection
     assert edges[0] == edges[1]
-    assert calls[0] >= (chosen.flow_steps + 1) * chosen.candidates and calls[1] == 3
-
-
-def test_who_hurries_draws_again_what_throws_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    sound, counts = example()[:round(SHORT * SAMPLE_RATE)], []
-    chosen = system().bundle.config.selection
-    for thrown in (False, True):
-        monkeypatch.setattr(CandidateChooser, "too_fast", lambda *_, thrown=thrown: thrown)
-        stream = system().stream()
-        stream.hurried = True
-        with asked_of_the_head() as rows:
-            blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
-        counts.append(sum(rows) / len(blocks))
-    # As many as when there is time, but without guidance; and where all of them throw it, as many calmer ones.
-    assert counts == [3, 3 * (1 + 2 * chosen.candidates)]
-
-
-def test_what_nobody_sees_is_not_drawn_and_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Speech, a long pause, speech: the flow head is not asked in the pause, and every frame is as if it had been."""
-    sound = np.concatenate([example()[SAMPLE_RATE:round(2.5 * SAMPLE_RATE)], np.zeros(2 * SAMPLE_RATE, np.float32),
-                            example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]])
-    made, drawn, blocks = [], [], 0
-    for patch in (False, True):
-        if patch:
-            monkeypatch.setattr(Rest, "rests_wholly", False)
-        stream = system().stream()
-        with asked_of_the_head() as asked:
-            parts = [*fed(stream, sound, (4000,)), stream.finish()]
-        made.append(joined(parts))
-        blocks = sum(len(part.blocks) for part in parts)
-        drawn.append(len(asked) / (system().bundle.config.selection.flow_steps + 1))
-    assert np.array_equal(*made)
-    assert drawn[1] == blocks and 3 <= blocks - drawn[0] <= 6, "two seconds are three blocks and more"
-
-
-def test_sound_faster_than_real_time_bears_media_times_and_loses_nothing() -> None:
-    stream, sound = system().stream(), example()[:6 * SAMPLE_RATE]
-    parts = [stream.feed(sound), stream.idle(0.0)]
-    assert np.array_equal(np.concatenate([part.times for part in parts]), np.arange(6 * FPS) / FPS)
-    assert stream.time == 6.0
+    assert calls[0] >= (movement.FLOW_STEPS + 1) * movement.CANDIDATES and calls[1] == 3
 
 
 def test_who_listens_nods_in_the_pauses_of_the_other() -> None:
@@ -495,35 +389,13 @@ def test_what_was_played_stays_and_speech_goes_on_after_an_interruption() -> Non
     assert found[1].max() < HURRIED_HARDEST, "strokes that are drawn later are as hard as drawn strokes may be"
 
 
-def test_what_is_remembered_longer_can_be_taken_back_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream_module, "HISTORY", 2.0)
-    forgets, remembers = (system().stream(legs=True) for _ in range(2))
-    remembers.history = 8.0
-    for stream in (forgets, remembers):
-        stream.feed(example()[:9 * SAMPLE_RATE])
-    with pytest.raises(InputError, match="interrupt"):
-        forgets.interrupt(2.5)
-    assert remembers.interrupt(2.5).first == round(2.5 * FPS)
-    for seconds in (0.0, -1.0, 601.0, float("nan")):
-        with pytest.raises(InputError, match="history"):
-            forgets.history = seconds
-
-
-def test_only_what_was_made_can_be_interrupted() -> None:
-    stream = system().stream()
-    stream.feed(example()[:2 * SAMPLE_RATE])
-    for at in (-1.0, 9.0, float("nan")):
-        with pytest.raises(InputError, match="interrupt"):
-            stream.interrupt(at)
-
-
 # ---------------------------------------------------------------------------------------------------- for ever
 
-@pytest.mark.parametrize("what", ["speech", "silence", "idling", "interruptions", "face"])
-def test_memory_does_not_grow(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream_module, "HISTORY", 2.0)
-    sound = np.zeros(SAMPLE_RATE, np.float32) if what == "silence" else example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]
-    stream, sizes = system().stream(face="full" if what == "face" else "off"), []
+@pytest.mark.parametrize("what", ["speech", "idling", "interruptions", "face"])
+def test_memory_does_not_grow(what: str) -> None:
+    sound = example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]
+    stream, sizes = system().stream(face="full" if what == "face" else "off"), list[int]()
+    stream.history = 2.0
     tracemalloc.start()
     try:
         for second in range(16):
@@ -545,8 +417,8 @@ def test_memory_does_not_grow(what: str, monkeypatch: pytest.MonkeyPatch) -> Non
 # ---------------------------------------------------------------------------------------------------- bad input
 
 @pytest.mark.parametrize("bad", [np.array([0.0, np.nan]), np.array([np.inf, 0.0]), np.full(100, 1e4),
-                                 np.zeros((2, 3, 4)), np.array(["a"]), np.zeros(3, complex)],
-                         ids=["nan", "infinite", "loud", "shape", "text", "complex"])
+                                 np.zeros((2, 3, 4)), np.zeros((2, 320)), np.array(["a"]), np.zeros(3, complex)],
+                         ids=["nan", "infinite", "loud", "shape", "channels first", "text", "complex"])
 def test_what_is_no_sound_is_refused_and_nothing_is_lost(bad: NDArray) -> None:
     sound, stream = example()[:round(SHORT * SAMPLE_RATE)], system().stream()
     parts = fed(stream, sound[:20000], (5000,))
@@ -573,6 +445,8 @@ def test_other_mistakes_are_told_in_a_line() -> None:
     for seconds in (-1.0, float("nan"), 1e6):
         with pytest.raises(InputError, match="seconds"):
             stream.idle(seconds)
+        with pytest.raises(InputError, match="interrupt"):
+            stream.interrupt(seconds)
     stream.idle(0.5)
     stream.finish()
     for ask in (stream.finish, stream.interrupt, lambda: stream.idle(1.0), lambda: stream.pass_over(1.0),

@@ -1,29 +1,22 @@
 """Sound files: the length promised by the header, and decoding to samples at the original rate, piece by piece.
 
-Decoders silently accept truncated files, so format and expected length are read from the header first. WAV, FLAC, OGG
-and similar formats are decoded by libsndfile in this process; MP3 by libsndfile in a subprocess (see `mp3_child`); M4A,
-MP4, WebM and other containers, including videos, by FFmpeg through PyAV.
+Decoders silently accept truncated files, so format and expected length are read from the header first. WAV, FLAC, OGG,
+MP3 and similar formats are decoded by libsndfile; M4A, MP4, WebM and other containers, including videos, by FFmpeg
+through PyAV. A truncated OGG goes unnoticed: it has no length in its header.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
-import os
-import shutil
-import subprocess
-import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, BinaryIO, Literal
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.files import parse_json
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer
@@ -33,12 +26,12 @@ PIECE = 1 << 18
 PYAV = "pip install 'gesticulator[video]'"
 """Command that installs the decoder of containers."""
 
+# Late start of a video's sound, seconds, above which it is shifted: half a frame of film.
 _OFFSET = 0.02
-"""Late start of a video's sound, seconds, above which it is shifted: half a frame of film."""
+# Late start, seconds, above which it is implausible and ignored.
 _MOST_OFFSET = 60.0
-"""Late start, seconds, above which it is implausible and ignored."""
+# Seconds that may be missing at the end of a container, because of encoder padding and rounding.
 _CUT = 0.25
-"""Seconds that may be missing at the end of a container, because of encoder padding and rounding."""
 
 
 @dataclass(frozen=True)
@@ -65,14 +58,14 @@ class BrokenSoundError(Exception):
 
 # Least placeholder of the length by a recorder that writes to a pipe and cannot fill it in later.
 _STREAMED = 0x7FFF0000
+# Most chunks of a WAV before its sound; a dozen are usual.
 _MOST_CHUNKS = 1000
-"""Most chunks of a WAV before its sound; a dozen are usual."""
+# (offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG.
 _CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
     (4, b"ftyp", "mov,mp4,m4a,3gp,3g2,mj2"), (4, b"moov", "mov,mp4,m4a,3gp,3g2,mj2"),
     (4, b"mdat", "mov,mp4,m4a,3gp,3g2,mj2"), (0, b"\x1aE\xdf\xa3", "matroska,webm"), (8, b"AVI ", "avi"),
     (0, b"0&\xb2u\x8ef\xcf\x11", "asf"), (0, b"#!AMR", "amr"), (0, b"\0\0\x01\xba", "mpeg"),
 )
-"""(offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +140,7 @@ def promised(raw: BinaryIO, size: int, name: object) -> Promise:
         count = int.from_bytes(block[21:26], "big") & ((1 << 36) - 1)
         return Promise(count > 0, count)
     if head[:4] == b"OggS":
-        return Promise(_ogg_is_closed(raw, size))
+        return Promise(True)  # the decoder counts up to the last page that is there
     if is_mpeg(head):
         return _promised_by_mpeg(raw, head)
     return Promise(False)
@@ -183,19 +176,6 @@ def _promised_by_riff(raw: BinaryIO, size: int, name: object, order: Literal["li
         # Chunks begin at even positions: an odd length is followed by a byte of padding.
         position += 8 + length + (length & 1)
     raise InputError(name, "holds no sound: its header breaks off", "copy it again from its source")
-
-
-def _ogg_is_closed(raw: BinaryIO, size: int) -> bool:
-    """Whether the last page is complete and marked as the last."""
-    tail = min(size, 1 << 17)  # a page is 65,307 bytes at most
-    raw.seek(size - tail)
-    data = raw.read(tail)
-    start = data.rfind(b"OggS")
-    if start < 0 or start + 27 > len(data):
-        return False
-    segments = data[start + 26]
-    table = data[start + 27:start + 27 + segments]
-    return len(table) == segments and start + 27 + segments + sum(table) <= len(data) and bool(data[start + 5] & 4)
 
 
 def _promised_by_mpeg(raw: BinaryIO, head: bytes) -> Promise:
@@ -246,58 +226,6 @@ def _of_sndfile(file: Any) -> Iterator[NDArray[np.float32]]:
         if len(piece) == 0:
             return
         yield piece
-
-
-# ---------------------------------------------------------------------------------------------------- MP3
-
-@contextlib.contextmanager
-def mpeg(raw: BinaryIO) -> Iterator[Sound]:
-    """Decode MP3 by libsndfile in a subprocess; in this process if Python is frozen into a program."""
-    if not sys.executable or getattr(sys, "frozen", False):
-        with sndfile(raw) as sound:
-            yield sound
-        return
-    code = Path(__file__).with_name("mp3_child.py").read_text(encoding="utf-8") + "\nmain()\n"
-    # The same packages as here, but not those of the current folder (-P).
-    paths = os.pathsep.join(path for path in sys.path if path)
-    raw.seek(0)
-    with _as_file(raw) as given, subprocess.Popen(
-            [sys.executable, "-P", "-c", code, str(PIECE // 2)], stdin=given, stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": paths}) as child:
-        assert child.stdout is not None
-        try:
-            head = parse_json(child.stdout.readline(1 << 16) or b"{}", "MP3", "convert it to WAV")
-            if "rate" not in head:
-                raise NoSoundError(head.get("error", "its decoder did not start"))
-            yield Sound(head["rate"], head["frames"], _of_child(child.stdout, head["channels"]))
-        finally:
-            child.kill()
-
-
-@contextlib.contextmanager
-def _as_file(raw: BinaryIO) -> Iterator[IO[bytes]]:
-    if isinstance(getattr(raw, "raw", raw), io.FileIO):
-        # The process reads from the position of the file descriptor, not of Python's buffer.
-        os.lseek(raw.fileno(), 0, os.SEEK_SET)
-        yield raw
-        return
-    with tempfile.TemporaryFile() as file:
-        shutil.copyfileobj(raw, file)
-        file.seek(0)
-        yield file
-
-
-def _of_child(stream: IO[bytes], channels: int) -> Iterator[NDArray[np.float32]]:
-    while True:
-        count = int.from_bytes(stream.read(4), "little", signed=True)
-        if count < 0:
-            raise BrokenSoundError(stream.readline().decode("utf-8", "replace").strip(". \n"))
-        if count == 0:
-            return
-        data = stream.read(4 * count * channels)
-        if len(data) < 4 * count * channels:
-            raise BrokenSoundError("the decoder stopped")
-        yield np.frombuffer(data, dtype="<f4").reshape(count, channels)
 
 
 # ---------------------------------------------------------------------------------------------------- containers

@@ -26,6 +26,8 @@ MILLISECOND, TICK = 1e-3, 1e-7
 """Seconds."""
 LONGEST_WORD = 20.0
 """Seconds per word above which whole numbers are milliseconds: a word of 20 ms would be as short."""
+# Seconds per word of the last phrase of a recording, which may have no end: the mean of spoken English.
+_OPEN_WORD = 0.3
 _TIME = re.compile(r"\d{1,9}(?:\.\d{1,9})?s")
 
 
@@ -45,29 +47,29 @@ class _Segment(NamedTuple):
     words: list[Entry]
 
 
-@dataclass(frozen=True)
-class _Keys:
-    """The keys of a word or a segment, for each the first that is there. unit: seconds in a unit of time; lasts: the
-    second time is a duration; from_zero: a start that is left out is 0."""
+class _Clock(NamedTuple):
+    """The keys of the times of a word or a segment. unit: seconds in a unit of time; lasts: the second time is a
+    duration; from_zero: a start that is left out is 0."""
 
-    text: tuple[str, ...] = ("word", "text")
-    start: tuple[str, ...] = ("start",)
-    end: tuple[str, ...] = ("end",)
+    start: str
+    end: str
     unit: float = 1.0
     lasts: bool = False
     from_zero: bool = False
 
 
-_PLAIN = _Keys()
-_DEEPGRAM = _Keys(("punctuated_word", "word"))
-_UTTERANCE = _Keys(("transcript",))
-_ASSEMBLY = _Keys(unit=MILLISECOND)
-_GOOGLE = _Keys(("word",), ("startTime", "startOffset", "start_time", "start_offset"),
-                ("endTime", "endOffset", "end_time", "end_offset"), from_zero=True)
-_AZURE = _Keys(("word", "text", "Word", "display", "Display", "DisplayText"), ("offsetInTicks", "Offset"),
-               ("durationInTicks", "Duration"), TICK, lasts=True)
-_AZURE_FAST = _Keys(("text",), ("offsetMilliseconds", "offset"), ("durationMilliseconds", "duration"), MILLISECOND,
-                    lasts=True)
+# No recogniser uses the keys of another one in another sense, so the keys of an item tell how to read it.
+_TEXTS = ("punctuated_word", "word", "text", "Word", "display", "Display", "DisplayText", "transcript")
+_CLOCKS = (
+    _Clock("start", "end"),
+    # Google's protocol buffers leave out what is zero.
+    _Clock("startTime", "endTime", from_zero=True), _Clock("startOffset", "endOffset", from_zero=True),
+    _Clock("start_time", "end_time", from_zero=True), _Clock("start_offset", "end_offset", from_zero=True),
+    # Azure writes ticks beside an "offset" that is a text, so they come first.
+    _Clock("offsetInTicks", "durationInTicks", TICK, lasts=True), _Clock("Offset", "Duration", TICK, lasts=True),
+    _Clock("offsetMilliseconds", "durationMilliseconds", MILLISECOND, lasts=True),
+    _Clock("offset", "duration", MILLISECOND, lasts=True),
+)
 
 
 def words_json(source: str, text: str, speaker: str | None = None) -> Content:
@@ -98,24 +100,34 @@ def _has_list(content: object, *keys: str) -> bool:
     return any(isinstance(_of(content, key), list) for key in keys)
 
 
-def _entry(source: str, item: object, where: str, keys: _Keys = _PLAIN) -> Entry:
-    """A JSON object as a word or a segment; both times may be missing (for a word that was not aligned)."""
+def _numbered(items: Iterable[Any], name: str) -> Iterator[tuple[str, Any]]:
+    """Each item with its place in the JSON, for messages."""
+    return ((f"{name}[{n}]", item) for n, item in enumerate(items))
+
+
+def _entry(source: str, item: object, where: str, unit: float = 1.0) -> Entry:
+    """A JSON object as a word or a segment; both times may be missing (for a word that was not aligned). unit: of the
+    keys "start" and "end", seconds."""
     if not isinstance(item, Mapping):
         raise InputError(source, f"{where}: is not an object with a word and its times", "write it again")
-    text = _of(item, *keys.text)
+    text = _of(item, *_TEXTS)
     if not isinstance(text, str):
         raise InputError(source, f"{where}: has no word", "give it a 'word' or a 'text'")
-    start, end = _of(item, *keys.start), _of(item, *keys.end)
+    # gentle's "startOffset" is a number of letters; Google's is a text.
+    clock = next((clock for clock in _CLOCKS if (time := _of(item, clock.start, clock.end)) is not None
+                  and not (clock.from_zero and isinstance(time, (int, float)))), _CLOCKS[0])
+    start, end = item.get(clock.start), item.get(clock.end)
     text = " ".join(text.split())
-    if end is None and (start is None or keys.from_zero):
+    if end is None and (start is None or clock.from_zero):
         return Entry(text, None, None, where)
-    first = 0.0 if start is None and keys.from_zero else _seconds(source, start, f"{where}.{keys.start[0]}", keys.unit)
-    last = _seconds(source, end, f"{where}.{keys.end[0]}", keys.unit)
-    return Entry(text, first, first + last if keys.lasts else last, where)
+    unit = unit if clock is _CLOCKS[0] else clock.unit
+    first = 0.0 if start is None and clock.from_zero else _seconds(source, start, f"{where}.{clock.start}", unit)
+    last = _seconds(source, end, f"{where}.{clock.end}", unit)
+    return Entry(text, first, first + last if clock.lasts else last, where)
 
 
-def _entries(source: str, items: Iterable[object], where: str, keys: _Keys = _PLAIN) -> list[Entry]:
-    return [_entry(source, item, f"{where}[{n}]", keys) for n, item in enumerate(items)]
+def _entries(source: str, items: Iterable[object], where: str, unit: float = 1.0) -> list[Entry]:
+    return [_entry(source, item, place, unit) for place, item in _numbered(items, where)]
 
 
 def _seconds(source: str, value: object, where: str, unit: float = 1.0) -> float:
@@ -123,9 +135,10 @@ def _seconds(source: str, value: object, where: str, unit: float = 1.0) -> float
     if isinstance(value, str) and _TIME.fullmatch(value):
         return float(value[:-1])
     if isinstance(value, Mapping) and value.keys() <= {"seconds", "nanos"}:
-        parts = [_whole(value.get(name, 0)) for name in ("seconds", "nanos")]
-        if parts[0] is not None and parts[1] is not None:
-            return parts[0] + parts[1] * 1e-9
+        # Protocol buffers write large whole numbers as texts.
+        parts = [str(value.get(name, 0)) for name in ("seconds", "nanos")]
+        if all(re.fullmatch("[0-9]{1,11}", part) for part in parts):
+            return int(parts[0]) + int(parts[1]) * 1e-9
     try:
         if isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(float(value)):
             return float(value) * unit if unit != 1.0 else float(value)
@@ -134,16 +147,16 @@ def _seconds(source: str, value: object, where: str, unit: float = 1.0) -> float
     raise InputError(source, f"{where}: {shown(value, 30)!r} is not a time", "give seconds")
 
 
-def _whole(value: object) -> int | None:
-    """A whole number from 0, or its text, as protocol buffers write large ones."""
-    if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 12:
-        return int(value)
-    return value if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**12 else None
-
-
 def _count(text: str) -> int:
     """Number of words of a text without its gesture marks."""
     return len(written_words(marked_text(text)[0]))
+
+
+def _timed(source: str, cue: Entry) -> Entry:
+    """A cue, which must have times."""
+    if cue.start is None or cue.end is None:
+        raise InputError(source, f"{cue.where}: has no times", "give it 'start' and 'end' in seconds")
+    return cue
 
 
 # -------------------------------------------------------------------------------------------------- segments
@@ -158,21 +171,23 @@ def _content(segments: Sequence[_Segment]) -> Content:
     return Content(words=tuple(words))
 
 
-def _segments(source: str, items: Sequence[Any], name: str, keys: _Keys = _PLAIN, words: _Keys = _PLAIN) -> Content:
-    """Segments with a text, their times and perhaps their words."""
+def _segments(source: str, items: Iterable[tuple[str, Any]], unit: float = 1.0) -> Content:
+    """Segments, each with its place, with a text, their times and perhaps their words."""
     segments = []
-    for n, item in enumerate(items):
-        where = f"{name}[{n}]"
-        inner = _entries(source, _list(item, "words"), f"{where}.words", words)
-        segments.append(_Segment(Entry("", None, None, where) if inner else _cue(source, item, where, keys), inner))
+    for where, item in items:
+        words = _entries(source, _list(item, "words", "Words"), f"{where}.words", unit)
+        # A segment with words needs no times.
+        cue = Entry("", None, None, where) if words else _timed(source, _entry(source, item, where, unit))
+        segments.append(_Segment(cue, words))
     return _content(segments)
 
 
-def _cue(source: str, item: object, where: str, keys: _Keys) -> Entry:
-    cue = _entry(source, item, where, keys)
-    if cue.start is None or cue.end is None:
-        raise InputError(source, f"{where}: has no times", "give it 'start' and 'end' in seconds")
-    return cue
+def _words_or_cues(source: str, entries: Sequence[Entry]) -> Content:
+    """Entries as words, or as cues where one has several words."""
+    # "well-known" is one word, "well known" is two, and a sentence of a script without spaces has several.
+    if not any(_count(entry.text.replace("-", "")) > 1 for entry in entries):
+        return Content(words=tuple(entries))
+    return Content(cues=tuple(_timed(source, entry) for entry in entries))
 
 
 def _seconds_or_milliseconds(content: Content) -> Content:
@@ -193,22 +208,16 @@ def _seconds_or_milliseconds(content: Content) -> Content:
 def _whisper_cpp(source: str, content: Any, speaker: str | None) -> Content:
     """whisper.cpp: segments with offsets in milliseconds, with `-ojf` their tokens, too; with `-ml 1` a token each."""
     segments = []
-    for n, item in enumerate(content["transcription"]):
-        where = f"transcription[{n}]"
-        cue = _whisper_cpp_part(source, item, where)
-        tokens = [_whisper_cpp_part(source, token, f"{where}.tokens[{k}]")
-                  for k, token in enumerate(_list(item, "tokens")) if not _is_special(token)]
-        segments.append(_Segment(cue, _joined_tokens(tokens)))
+    for where, item in _numbered(content["transcription"], "transcription"):
+        tokens = [_whisper_cpp_part(source, token, place) for place, token in
+                  _numbered(_list(item, "tokens"), f"{where}.tokens")
+                  # Marks of whisper's, such as [_BEG_] or <|endoftext|>, are no words.
+                  if not str(_of(token, "text")).strip().startswith(("[_", "<|"))]
+        segments.append(_Segment(_whisper_cpp_part(source, item, where), _joined_tokens(tokens)))
     if segments and not any(segment.words for segment in segments) \
             and all(_count(segment.cue.text) <= 1 for segment in segments):
         return Content(words=tuple(_joined_tokens([segment.cue for segment in segments])))
     return _content([_Segment(_stripped(segment.cue), segment.words) for segment in segments])
-
-
-def _is_special(token: object) -> bool:
-    """Whether a token is a mark of whisper's, such as [_BEG_] or <|endoftext|>."""
-    text = _of(token, "text")
-    return isinstance(text, str) and text.strip().startswith(("[_", "<|"))
 
 
 def _whisper_cpp_part(source: str, item: object, where: str) -> Entry:
@@ -244,17 +253,17 @@ def _deepgram(source: str, content: Any, speaker: str | None) -> Content:
     """Deepgram: channels with alternatives, of which the first has the words."""
     results = content["results"]
     spoken = []
-    for n, channel in enumerate(results["channels"]):
-        where = f"results.channels[{n}].alternatives[0]"
+    for where, channel in _numbered(results["channels"], "results.channels"):
         best = (_list(channel, "alternatives") or [None])[0]
-        words, text = _entries(source, _list(best, "words"), f"{where}.words", _DEEPGRAM), _of(best, "transcript")
+        words = _entries(source, _list(best, "words"), f"{where}.alternatives[0].words")
+        text = _of(best, "transcript")
         if words or text:
             spoken.append((words, text))
     if len(spoken) > 1:
         raise InputError(source, f"holds the words of {len(spoken)} channels", "leave one channel in it")
     words, text = spoken[0] if spoken else ([], "")
     if not words and _list(results, "utterances"):
-        return _segments(source, _list(results, "utterances"), "results.utterances", _UTTERANCE, _DEEPGRAM)
+        return _segments(source, _numbered(results["utterances"], "results.utterances"))
     return Content(words=tuple(words), text="" if words else str(text or ""))
 
 
@@ -264,7 +273,7 @@ def _google(source: str, content: Any, speaker: str | None) -> Content:
     texts, end = [], 0.0
     for where, result in _google_results(content):
         best = (_list(result, "alternatives") or [None])[0]
-        words = _entries(source, _list(best, "words"), f"{where}.alternatives[0].words", _GOOGLE)
+        words = _entries(source, _list(best, "words"), f"{where}.alternatives[0].words")
         until = _of(result, "resultEndTime", "resultEndOffset", "result_end_time", "result_end_offset")
         until = end if until is None else _seconds(source, until, f"{where}.resultEndTime")
         text = _of(best, "transcript")
@@ -274,7 +283,7 @@ def _google(source: str, content: Any, speaker: str | None) -> Content:
     spoken = [segment for segment in segments if segment.words or segment.cue.text]
     if not any(segment.words for segment in spoken) and end == 0:
         return Content(text=" ".join(texts))
-    # With speakers told apart the last result repeats the words of all others.
+    # With several speakers the last result repeats the words of all others.
     before = [word.start for segment in spoken[:-1] for word in segment.words]
     return _content(spoken[-1:] if before and [word.start for word in spoken[-1].words] == before else spoken)
 
@@ -282,16 +291,15 @@ def _google(source: str, content: Any, speaker: str | None) -> Content:
 def _google_results(content: Any) -> Iterator[tuple[str, Any]]:
     """The results of an answer, of a long operation, of a batch (by file), or of a bare list."""
     if isinstance(content, list):
-        yield from ((f"[{n}]", result) for n, result in enumerate(content))
-        return
+        return _numbered(content, "")
     for outer in (content, _of(content, "response")):
         results = _of(outer, "results")
         if isinstance(results, Mapping):
             results = [result for file in results.values() for inner in (file, _of(file, "inlineResult"))
                        for result in _list(_of(inner, "transcript"), "results")]
         if isinstance(results, list):
-            yield from ((f"results[{n}]", result) for n, result in enumerate(results))
-            return
+            return _numbered(results, "results")
+    return iter(())
 
 
 def _is_google(content: Any) -> bool:
@@ -304,22 +312,17 @@ def _is_google(content: Any) -> bool:
 def _azure(source: str, content: Any, speaker: str | None) -> Content:
     """Azure: phrases of a batch or of the SDK's detailed results, in ticks of 100 ns; or of the fast transcription, in
     milliseconds."""
-    if _has_list(content, "phrases"):
-        return _segments(source, content["phrases"], "phrases", _AZURE_FAST, _AZURE_FAST)
-    name, phrases = ("recognizedPhrases", content["recognizedPhrases"]) if _has_list(content, "recognizedPhrases") \
-        else ("", content if isinstance(content, list) else [content])
-    segments = []
-    for n, phrase in enumerate(phrases):
-        where = f"{name}[{n}]"
+    name = next((key for key in ("phrases", "recognizedPhrases") if _has_list(content, key)), "")
+    phrases = content[name] if name else content if isinstance(content, list) else [content]
+    spoken = []
+    for where, phrase in _numbered(phrases, name):
         best = (_list(phrase, "nBest", "NBest") or [None])[0]
-        if best is None and _of(phrase, "DisplayText") is None:
-            continue  # nothing was recognised
-        words = _entries(source, _list(best, "words", "Words"), f"{where}.words", _AZURE)
-        # The time of a phrase stands beside its alternatives.
-        cue = {**phrase, **{key: best[key] for key in ("display", "Display") if _of(best, key)}} \
-            if isinstance(best, Mapping) else phrase
-        segments.append(_Segment(Entry("", None, None, where) if words else _cue(source, cue, where, _AZURE), words))
-    return _content(segments)
+        if isinstance(best, Mapping):
+            # The time of a phrase stands beside its alternatives.
+            spoken.append((where, {**phrase, **best}))
+        elif name == "phrases" or _of(phrase, "DisplayText") is not None:
+            spoken.append((where, phrase))
+    return _segments(source, spoken)
 
 
 def _is_azure(content: Any) -> bool:
@@ -332,16 +335,14 @@ def _is_azure(content: Any) -> bool:
 
 def _vosk(source: str, content: Any, speaker: str | None) -> Content:
     """vosk: a result, or a list of them; of several alternatives the first counts; or the monologues of its program."""
-    if _has_list(content, "monologues"):
-        terms = [[term for term in _list(monologue, "terms") if _of(term, "type") in (None, "WORD")]
-                 for monologue in content["monologues"]]
-        return Content(words=tuple(entry for n, inner in enumerate(terms)
-                                   for entry in _entries(source, inner, f"monologues[{n}].terms")))
     words: list[Entry] = []
+    for where, monologue in _numbered(_list(content, "monologues"), "monologues"):
+        terms = [term for term in _list(monologue, "terms") if _of(term, "type") in (None, "WORD")]
+        words += _entries(source, terms, f"{where}.terms")
     texts = []
-    for n, result in enumerate(content if isinstance(content, list) else [content]):
+    for where, result in _numbered(content if isinstance(content, list) else [content], ""):
         best = (_list(result, "alternatives") or [result])[0]
-        words += _entries(source, _list(best, "result"), f"[{n}].result")
+        words += _entries(source, _list(best, "result"), f"{where}.result")
         texts.append(str(_of(best, "text") or ""))
     return Content(words=tuple(words), text="" if words else " ".join(texts))
 
@@ -356,62 +357,41 @@ def _is_vosk(content: Any) -> bool:
 def _transformers(source: str, content: Any, speaker: str | None) -> Content:
     """The speech recognition pipeline of transformers: chunks, which are words or phrases; the last may have no end."""
     entries = []
-    for n, item in enumerate(content["chunks"]):
-        where = f"chunks[{n}]"
-        times = _of(item, "timestamp", "timestamps")
+    for where, item in _numbered(content["chunks"], "chunks"):
+        times, text = _of(item, "timestamp", "timestamps"), _of(item, "text")
         if not isinstance(times, list) or len(times) != 2:
             raise InputError(source, f"{where}: has no timestamp of two times", "write it again with return_timestamps")
         start, end = times
         if end is None and start is not None:
             start = _seconds(source, start, f"{where}.timestamp[0]")
-            end = start + 0.3 * max(1, _count(str(_of(item, "text") or "")))
-        entries.append(_entry(source, {"text": _of(item, "text"), "start": start, "end": end}, where))
+            end = start + _OPEN_WORD * max(1, _count(str(text or "")))
+        entries.append(_entry(source, {"text": text, "start": start, "end": end}, where))
     return _words_or_cues(source, entries)
 
 
-def _words_or_cues(source: str, entries: Sequence[Entry]) -> Content:
-    """Entries as words, or as cues where one has several words."""
-    # "well-known" is one word, "well known" is two, and a sentence of a script without spaces has several.
-    if not any(_count(entry.text.replace("-", "")) > 1 for entry in entries):
-        return Content(words=tuple(entries))
-    for entry in entries:
-        if entry.start is None or entry.end is None:
-            raise InputError(source, f"{entry.where}: has no times", "give it 'start' and 'end' in seconds")
-    return Content(cues=tuple(entries))
-
-
-def _gentle(source: str, content: Any, speaker: str | None) -> Content:
-    """gentle: words with a case; those that it did not find have no times."""
-    spoken = [word for word in content["words"] if _of(word, "word") is not None or _of(word, "case") is None]
-    return Content(words=tuple(_entries(source, spoken, "words")))
-
-
 def _whisper(source: str, content: Any, speaker: str | None) -> Content:
-    """OpenAI's whisper and its interface, faster-whisper, whisperX: segments, perhaps with words."""
-    if _list(content, "words"):
-        return _plain_words(source, content, speaker)
-    return _seconds_or_milliseconds(_segments(source, content["segments"], "segments"))
-
-
-def _plain_words(source: str, content: Any, speaker: str | None) -> Content:
-    return _seconds_or_milliseconds(Content(words=tuple(_entries(source, content["words"], "words"))))
+    """OpenAI's whisper and its interface, faster-whisper, whisperX: segments, perhaps with words. gentle, and whatever
+    else writes words with "start" and "end"."""
+    if words := _list(content, "words"):
+        # gentle marks each word with a case, and sounds that the text lacks have no word.
+        spoken = [word for word in words if _of(word, "word") is not None or _of(word, "case") is None]
+        return _seconds_or_milliseconds(Content(words=tuple(_entries(source, spoken, "words"))))
+    return _seconds_or_milliseconds(_segments(source, _numbered(_list(content, "segments"), "segments")))
 
 
 def _assembly(source: str, content: Any, speaker: str | None) -> Content:
     """AssemblyAI: words in milliseconds."""
     if content.get("words") is None and _list(content, "utterances"):
-        return _segments(source, content["utterances"], "utterances", _ASSEMBLY, _ASSEMBLY)
-    words = _entries(source, _list(content, "words"), "words", _ASSEMBLY)
+        return _segments(source, _numbered(content["utterances"], "utterances"), MILLISECOND)
+    words = _entries(source, _list(content, "words"), "words", MILLISECOND)
     return Content(words=tuple(words), text="" if words else str(content.get("text") or ""))
 
 
 def _plain_list(source: str, content: Any, speaker: str | None) -> Content:
     """A bare list of words or of segments."""
-    if any(_has_list(item, "words") for item in content):
-        return _seconds_or_milliseconds(_segments(source, content, ""))
-    timed = all(isinstance(item, Mapping) and _of(item, *_GOOGLE.end) is not None for item in content)
-    return _seconds_or_milliseconds(_words_or_cues(source, _entries(source, content, "",
-                                                                   _GOOGLE if timed and content else _PLAIN)))
+    read = _segments(source, _numbered(content, "")) if any(_has_list(item, "words") for item in content) \
+        else _words_or_cues(source, _entries(source, content, ""))
+    return _seconds_or_milliseconds(read)
 
 
 def _tiers(source: str, content: Any, speaker: str | None) -> Content:
@@ -425,9 +405,9 @@ def _tiers(source: str, content: Any, speaker: str | None) -> Content:
     return Content(words=spoken_tier(source, tiers, speaker))
 
 
+# Keys of AssemblyAI's answers.
 _OF_ASSEMBLY = frozenset({"audio_duration", "audio_url", "acoustic_model", "language_model", "speech_model",
                           "utterances", "webhook_status_code", "speaker_labels"})
-"""Keys of AssemblyAI's answers."""
 
 RECOGNISERS = (
     Recogniser("whisper.cpp", lambda content: _has_list(content, "transcription"), _whisper_cpp),
@@ -438,10 +418,7 @@ RECOGNISERS = (
     Recogniser("transformers", lambda content: _has_list(content, "chunks"), _transformers),
     Recogniser("AssemblyAI", lambda content: _has_list(content, "words", "utterances")
                and bool(_OF_ASSEMBLY & content.keys()) and not _has_list(content, "segments"), _assembly),
-    Recogniser("gentle", lambda content: any(_of(word, "case") is not None for word in _list(content, "words")),
-               _gentle),
-    Recogniser("whisper", lambda content: _has_list(content, "segments"), _whisper),
-    Recogniser("words", lambda content: _has_list(content, "words"), _plain_words),
+    Recogniser("whisper", lambda content: _has_list(content, "segments", "words"), _whisper),
     Recogniser("MFA", lambda content: isinstance(_of(content, "tiers"), Mapping), _tiers),
     Recogniser("list", lambda content: isinstance(content, list), _plain_list),
     Recogniser("text", lambda content: isinstance(_of(content, "text"), str),

@@ -115,7 +115,7 @@ def labels_of(lexicon: BlockLexicon, latents: Tensor) -> NDArray[np.int64]:
 
 def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:
     """A motion in given blocks as the bundle's lexicon reads it: its latents and nearest lexemes."""
-    lexicon = bundle.block_models.lexicon
+    lexicon = bundle.block_lexicon
     normalised, past = normalised_blocks(bundle.config, bundle.statistics, motion, blocks, speaker)
     latents = latents_of(lexicon, normalised, past)
     return EncodedMotion(blocks, normalised, latents, labels_of(lexicon, latents))
@@ -133,7 +133,6 @@ def judged_reward(bundle: Bundle, encoded: EncodedMotion, speech: SpeechBlocks) 
     # Windows that begin before the clip are padded and marked as not valid.
     at = torch.arange(len(encoded.poses))[:, None] + torch.arange(1 - model.config.window, 1)
     valid, at = (at >= 0).float(), at.clamp_min(0)
-    times = torch.as_tensor(np.log(speech.blocks.durations)).float()
-    cosines = model.window_rewards(encoded.poses[at], times[at], speech.audio[at], valid)
+    cosines = model.window_rewards(encoded.poses[at], speech.audio[at], valid)
     audible = ((valid > 0) & ~torch.as_tensor(speech.blocks.silent)[at]).any(dim=1)
     return float(cosines[audible].double().mean()) if audible.any() else float("nan")

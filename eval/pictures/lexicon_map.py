@@ -87,7 +87,7 @@ def decoded(bundle: Bundle) -> list[Motion]:
 
     A movement begins where the training block nearest to it began: its first frame is the pose before that block.
     """
-    lexicon = bundle.block_models.lexicon
+    lexicon = bundle.block_lexicon
     # In normalised time, as the lexicon was trained.
     blocks = lexicon.shown()
     if isinstance(lexicon, MovementLexicon):

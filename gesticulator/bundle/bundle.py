@@ -37,7 +37,7 @@ from gesticulator.bundle.files import (
     replace_folder,
     write_index,
 )
-from gesticulator.bundle.models import JUDGES, ChangedParts, StoredParts, part_table
+from gesticulator.bundle.models import JUDGES, changed_parts, part_table, stored_parts
 from gesticulator.systems import System, system_of
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
@@ -68,7 +68,6 @@ P = TypeVar("P")
 SHIPPED = NAMED["default"]
 """The shipped bundle that is used unless another is given; `gesticulator.bundle.files.bundle_folder` finds the others
 by name."""
-_NO_BLOCKS = "holds RACER's own codec, without lexicon, generator and style"
 _STATISTICS = "statistics"
 
 
@@ -91,19 +90,10 @@ class TextSource:
 
         words = WordEncoder.open(self.encoder)
         if words.width + 1 != self.width:
+            # Vectors of another version would fit in shape and mean nothing to the models.
             raise InputError(self.encoder, "is not the word encoder that the bundle was trained with",
                              "install the same version")
         return words
-
-
-@dataclass(frozen=True)
-class BlockModels:
-    """The models that a bundle of beat-aligned blocks requires."""
-
-    lexicon: BlockLexicon
-    generator: Generator | FlowGenerator
-    interpreter: LstmInterpreter
-    style: StyleInterpreter | UnitStyleInterpreter | None
 
 
 class _Part(Generic[P]):
@@ -145,10 +135,13 @@ class Bundle:
         """The gesture vocabulary: a lexicon of blocks, or RACER's codec."""
         return cast("Tokens", self.parts["lexicon"])
 
+    @property
+    def interpreter(self) -> LstmInterpreter:
+        """The audio-only lexeme interpreter; KeyError in a bundle of RACER's codec."""
+        return cast("LstmInterpreter", self.parts["interpreter"])
+
     generator: ClassVar[_Part[Generator | FlowGenerator]] = _Part()
     """Generates blocks at the beat; None in a bundle of RACER's codec."""
-    interpreter: ClassVar[_Part[LstmInterpreter]] = _Part()
-    """The audio-only lexeme interpreter."""
     interpreter_text: ClassVar[_Part[LstmInterpreter]] = _Part()
     """The lexeme interpreter that also reads the words."""
     style: ClassVar[_Part[StyleInterpreter | UnitStyleInterpreter]] = _Part()
@@ -172,14 +165,15 @@ class Bundle:
 
     def with_parts(self, **changes: nn.Module | None) -> Bundle:
         """A copy with other parts; None removes one. Parts that are not loaded yet stay so."""
-        return replace(self, parts=ChangedParts(self.parts, changes))
+        return replace(self, parts=changed_parts(self.parts, changes))
 
     @property
-    def block_models(self) -> BlockModels:
-        """Lexicon, generator and interpreters of Rhythmic Gesticulator; InputError for a bundle of RACER's codec."""
-        if not self.system.BLOCKS or not (self.generator and self.interpreter):
-            raise InputError("the bundle", _NO_BLOCKS, "use one of blocks at the beat (--preset default)")
-        return BlockModels(cast("BlockLexicon", self.lexicon), self.generator, self.interpreter, self.style)
+    def block_lexicon(self) -> BlockLexicon:
+        """The lexicon of blocks at the beat; InputError for a bundle of RACER's codec."""
+        if not self.system.BLOCKS:
+            raise InputError("the bundle", "holds RACER's own codec, without lexicon, generator and style",
+                             "use one of blocks at the beat (--preset default)")
+        return cast("BlockLexicon", self.lexicon)
 
     @cached_property
     def system(self) -> System:
@@ -191,11 +185,6 @@ class Bundle:
         """Whether rest is decided phrase by phrase, with idle motion; such a bundle can rest without speech, so that a
         stream can go on for ever."""
         return self.config.rests_by_phrase
-
-    @property
-    def code_width(self) -> int:
-        """d_z; 0 if the generator takes no style codes."""
-        return self.config.generator.style_width if self.config.generator.styled else 0
 
     @property
     def frames(self) -> int:
@@ -213,6 +202,7 @@ class Bundle:
         if name not in self.interpreters:
             raise InputError(f"interpreter {name}", "is not in the bundle",
                              f"choose among {', '.join(self.interpreters)}")
+        # With words, the variant that reads them; without one, the audio-only model serves.
         entry = entries()[name]
         part = entry.text_part if text and entry.text_part in self.parts else entry.part
         system = opened(INTERPRETERS.load(name), InterpreterParts(
@@ -234,7 +224,7 @@ class Bundle:
         """The speech-independent interpreter over the same lexicon."""
         from interpreters.statistical import StatisticalInterpreter
 
-        return StatisticalInterpreter(self.frequencies, self.transitions, self.config.statistical)
+        return StatisticalInterpreter(self.frequencies, self.transitions)
 
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose, normalised."""
@@ -243,6 +233,7 @@ class Bundle:
     def rest_lexeme(self, speaker: int) -> int:
         """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); any lexeme if none is silent, as
         in RACER's codec."""
+        # At rest in silence a lexeme of stillness is taken, though a moving one may lie nearer.
         allowed = self.silent if len(self.silent) else np.arange(len(self.vectors))
         return int(allowed[int(self.rest_distances[speaker][allowed].argmin())])
 
@@ -265,6 +256,7 @@ def rest_distances(tokens: Tokens, statistics: Statistics) -> NDArray[np.float32
 def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
     """The contents of `statistics.safetensors`."""
     s = bundle.statistics
+    # Single precision: in half precision poses would shift by hundredths of a degree.
     arrays = {"mean_pose": s.mean_pose, "rest_pose": s.rest_pose, "deviation": s.deviation, "bounds": s.bounds,
               "frequencies": bundle.frequencies, "transitions": bundle.transitions,
               "rest_distances": bundle.rest_distances}
@@ -289,6 +281,7 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
         for name, module in bundle.parts.items():
             if name in JUDGES:
                 continue
+            # A tied part names its codebook, because lexeme 7 of another one is another gesture.
             part = part_table()[name]
             tied = {TIED: lexicon_hash(bundle.vectors)} if part.tied else None
             save_file(_half(module), folder / f"{part.file}{ENDING}", tied)
@@ -319,9 +312,9 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     folder, device = Path(path), _usable(device)
     index = read_index(folder)
     config = from_dict(Config, index["config"])
-    system = system_of(config)
     weights = Weights(folder, index["files"])
     table = part_table()
+    # Which parts are optional depends on the settings; the others must be there.
     lacking = [name for name in required(config) if table[name].file not in weights]
     if lacking:
         raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
@@ -331,25 +324,37 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
                   index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
                   silent=tuple(silent.tolist()))
-    vectors = weights.tensor(table["lexicon"].file, system.CODEBOOK, system.codebook_shape(config))
+    vectors = _codebook(folder, weights, config)
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
                          "copy the bundle again")
     return Bundle(config, statistics, silent, tensors["frequencies"], tensors["transitions"], vectors.to(device),
                   tensors["rest_distances"].astype(np.float32),
-                  StoredParts(weights, replace(sizes, vectors=vectors), device), index["provenance"], index["figures"],
+                  stored_parts(weights, replace(sizes, vectors=vectors), device), index["provenance"], index["figures"],
                   text)
 
 
 def _usable(device: str | torch.device) -> torch.device:
     """The torch device; `InputError` if torch does not know it or cannot use it here."""
     try:
+        # A tensor is made, because torch accepts names of devices that are not there.
         usable = torch.device(device)
         torch.empty(1, device=usable)
     except (RuntimeError, AssertionError) as error:
         raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
                          'choose "cpu", or "cuda" where torch finds a GPU') from None
     return usable
+
+
+def _codebook(folder: Path, weights: Weights, config: Config) -> Tensor:
+    """[S, D_s] the vectors of the lexemes, from the file of the lexicon."""
+    system, name = system_of(config), part_table()["lexicon"].file
+    vectors = weights.read(name, None).get(system.CODEBOOK)
+    if vectors is None or tuple(vectors.shape) != system.codebook_shape(config):
+        raise InputError(folder / f"{name}{ENDING}", f"does not fit the settings ({system.CODEBOOK}: "
+                         f"{None if vectors is None else tuple(vectors.shape)} instead of "
+                         f"{system.codebook_shape(config)})", "train it again")
+    return vectors
 
 
 def _text_source(folder: Path, entry: dict[str, Any] | None) -> TextSource | None:
@@ -373,6 +378,7 @@ def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[
     for name, shape in wanted.items():
         if name not in tensors or tensors[name].shape != shape:
             raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit the settings ({name})", "train it again")
+    # Normalisers are stored flat, as low_mean, low_spread and so on.
     groups = {name: {key.partition("_")[2]: value for key, value in tensors.items() if key.startswith(f"{name}_")}
               for name in ("low", "high", "levels")}
     try:

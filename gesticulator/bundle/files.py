@@ -24,7 +24,7 @@ from safetensors.torch import load as load_tensors
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.files import is_free, parse_json, read_object
+from data_module.files import is_free, read_object
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Skeleton
 from gesticulator.version import __version__
@@ -76,6 +76,7 @@ def lexicon_hash(vectors: Tensor) -> str:
 
 def write_index(folder: Path, index: dict[str, Any]) -> None:
     """Write `bundle.json` with the hashes of all files in the folder."""
+    # Stored to be compared when the bundle is read: joints in another order would move the wrong limbs.
     skeleton = _skeleton_of(index["config"])
     index = {"format": FORMAT,
              "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
@@ -92,6 +93,7 @@ def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
     if not (target / INDEX).is_file() and not is_free(target):
         raise InputError(target, "exists and is not a bundle", "choose another path")
     target.parent.mkdir(parents=True, exist_ok=True)
+    # In the same folder: a rename between file systems is not atomic.
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
     try:
         write(temporary)
@@ -101,6 +103,7 @@ def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
             _sync(file)
         _sync(temporary)
         if target.exists():
+            # A folder cannot be replaced in one step; the old one is moved away for an instant.
             old = temporary.with_name(temporary.name + ".old")
             target.rename(old)
             temporary.rename(target)
@@ -123,11 +126,6 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file; InputError for anything else."""
-    return read_object(path, "copy the bundle again", _LARGEST_INDEX)
-
-
 _KINDS: dict[str, Any] = {"config": dict, "skeleton": dict, "speakers": list, "silent_lexemes": list, "files": dict,
                           "provenance": dict, "figures": dict, "audio_levels": int, "text": (dict, type(None))}
 """Required entries of `bundle.json` and their types."""
@@ -142,7 +140,8 @@ def read_index(path: str | Path) -> dict[str, Any]:
         raise InputError(folder, "does not exist", "give the folder of a bundle, default or paper")
     if not file.is_file():
         raise InputError(folder, f"is not a bundle (no {INDEX})", "give a folder that gesticulator train made")
-    index = read_json(file)
+    index = read_object(file, "copy the bundle again", _LARGEST_INDEX)
+    # Checked first: with another format all other messages would mislead.
     version = index.get("format")
     if version != FORMAT or isinstance(version, bool):
         raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}",
@@ -185,41 +184,13 @@ class Weights:
         for name in listed:
             if Path(name).name != name or not (folder / name).is_file():
                 raise InputError(folder / name[:200], "is missing from the bundle", "copy the bundle again")
+        # A stray file of weights is most likely left over from a broken copy.
         for file in sorted(folder.glob(f"*{ENDING}")):
             if file.name not in listed:
                 raise InputError(file, f"is not in the list of {INDEX}", "delete it, or copy the bundle again")
 
     def __contains__(self, name: str) -> bool:
         return f"{name}{ENDING}" in self.listed
-
-    def tensor(self, name: str, key: str, shape: tuple[int, ...]) -> Tensor:
-        """One tensor of a file in single precision; its shape must match."""
-        file = self._listed(name)
-        digest = hashlib.sha256()
-        with file.open("rb") as stream:
-            while part := stream.read(_HEADER):
-                digest.update(part)
-        self._check_hash(file, digest.hexdigest())
-        try:
-            with safe_open(file, framework="pt") as opened:
-                found = tuple(opened.get_slice(key).get_shape()) if key in opened.keys() else ()  # noqa: SIM118
-                if found != shape:
-                    raise InputError(file, f"does not fit the settings ({_difference({key: found}, {key: shape})})",
-                                     "train it again")
-                return _finite(file, {key: opened.get_tensor(key)})[key]
-        except _BROKEN as error:
-            raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
-
-    def _listed(self, name: str) -> Path:
-        file = self.folder / f"{name}{ENDING}"
-        if file.name not in self.listed:
-            raise InputError(file, "is missing from the bundle", "copy the bundle again")
-        return file
-
-    def _check_hash(self, file: Path, found: str) -> None:
-        if found != self.listed[file.name]:
-            raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
-                             "copy the bundle again")
 
     def read(self, name: str, shapes: Mapping[str, tuple[int, ...]] | None, tied: str | None = None
              ) -> dict[str, Tensor]:
@@ -228,23 +199,30 @@ class Weights:
         shapes: the expected shapes; None if the caller checks them. tied: hash of the codebook that the file must have
         been trained with.
         """
-        file = self._listed(name)
+        file = self.folder / f"{name}{ENDING}"
+        if file.name not in self.listed:
+            raise InputError(file, "is missing from the bundle", "copy the bundle again")
+        # The size bounds the memory, whatever a header claims.
         largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * math.prod(s) for s in shapes.values())
         if file.stat().st_size > largest:
             raise InputError(file, "is larger than the settings say", "train it again")
         data = file.read_bytes()
-        self._check_hash(file, hashlib.sha256(data).hexdigest())
-        header = _header(file, data)
-        if shapes is not None and _shapes_of(header) != dict(shapes):
-            raise InputError(file, f"does not fit the settings ({_difference(_shapes_of(header), shapes)})",
-                             "train it again")
-        if tied is not None and header.get("__metadata__", {}).get(TIED) != tied:
-            raise InputError(file, "was trained over another lexicon than the bundle's",
-                             f"train it again (gesticulator train --redo {name})")
+        if hashlib.sha256(data).hexdigest() != self.listed[file.name]:
+            raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
+                             "copy the bundle again")
         try:
-            return _finite(file, load_tensors(data))
+            with safe_open(file, framework="pt") as opened:
+                made_with = opened.metadata() or {}
+            tensors = load_tensors(data)
         except _BROKEN as error:
             raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
+        found = {key: tuple(value.shape) for key, value in tensors.items()}
+        if shapes is not None and found != dict(shapes):
+            raise InputError(file, f"does not fit the settings ({_difference(found, shapes)})", "train it again")
+        if tied is not None and made_with.get(TIED) != tied:
+            raise InputError(file, "was trained over another lexicon than the bundle's",
+                             f"train it again (gesticulator train --redo {name})")
+        return _finite(file, tensors)
 
 
 _BROKEN = (SafetensorError, ValueError, KeyError, RuntimeError, OverflowError)
@@ -253,23 +231,11 @@ _BROKEN = (SafetensorError, ValueError, KeyError, RuntimeError, OverflowError)
 
 def _finite(file: Path, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     """Tensors in single precision; InputError for NaN or infinity."""
+    # NaN in weights gives NaN poses, which show only at the end, in the file that is written.
     broken = next((key for key, value in tensors.items() if not bool(torch.isfinite(value).all())), None)
     if broken is not None:
         raise InputError(file, f"holds values that are no numbers ({broken})", "train it again")
     return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
-
-
-def _header(file: Path, data: bytes) -> dict[str, Any]:
-    text = data[8:8 + min(int.from_bytes(data[:8], "little"), _HEADER)]
-    header = parse_json(text, file, "copy the bundle again")
-    if isinstance(header, dict) and isinstance(header.get("__metadata__", {}), dict):
-        return header
-    raise InputError(file, "is broken (no header of tensors)", "copy the bundle again")
-
-
-def _shapes_of(header: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
-    return {key: tuple(value["shape"]) if isinstance(value, dict) and isinstance(value.get("shape"), list) else ()
-            for key, value in header.items() if key != "__metadata__"}
 
 
 def _difference(found: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> str:

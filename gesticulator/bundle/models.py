@@ -2,7 +2,7 @@
 
 Lexicon, generator and style interpreter are those of the system (`gesticulator.systems`). Model shapes that depend on
 the data and not on the settings are passed as `Sizes`. Each model's module is imported by the function that builds it,
-so that loading one part imports only that part. The parts of a bundle on disk are loaded on first use (`StoredParts`).
+so that loading one part imports only that part. The parts of a bundle on disk are loaded on first use (`LazyParts`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -36,7 +36,7 @@ def encoder(sizes: Sizes) -> SpeechEncoder:
     """The speech encoder (RG 4.1.3)."""
     from data_module.speech.speech_encoder import SpeechEncoder
 
-    return SpeechEncoder(sizes.config.encoder)
+    return SpeechEncoder(sizes.config.encoder.width)
 
 
 def gate(sizes: Sizes) -> ActivityGate:
@@ -98,6 +98,7 @@ def part_table() -> dict[str, BundlePart]:
 
 def _interpreter(entry: InterpreterEntry, part: str, sizes: Sizes) -> nn.Module:
     """The model of a lexeme interpreter, with or without text."""
+    # The audio-only twin has the same settings, but no layer for words.
     settings = section(sizes.config, entry.settings)
     if entry.text_part and part != entry.text_part:
         settings = settings.without_text()
@@ -113,6 +114,7 @@ def build(part: str, sizes: Sizes) -> Any:
 
 def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
     """The shape of every tensor of a part, computed without allocating memory; InputError for inconsistent settings."""
+    # Tensors on the meta device have shapes and no memory, so any size in a broken file is safe.
     on_meta = replace(sizes, present=sizes.present.to("meta"),
                       vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
     try:
@@ -128,56 +130,48 @@ JUDGES = ("reward", "reward_judge")
 evaluation adds them to an opened bundle (`with_parts`). Saving a bundle omits them."""
 
 
-class ChangedParts(Mapping[str, nn.Module]):
-    """Parts with some replaced or removed; the others are loaded only when used."""
+class LazyParts(Mapping[str, nn.Module]):
+    """Models by name, each loaded when it is first used."""
 
-    def __init__(self, parts: Mapping[str, nn.Module], changes: Mapping[str, nn.Module | None]) -> None:
-        unknown = sorted(set(changes) - {*part_table(), *JUDGES})
-        if unknown:
-            raise ValueError(f"no parts of a bundle: {', '.join(unknown)}")
-        self._parts, self._changes = parts, dict(changes)
+    def __init__(self, loaders: Mapping[str, Callable[[], nn.Module]]) -> None:
+        self._loaders = {name: cache(loader) for name, loader in loaders.items()}
 
     def __getitem__(self, name: str) -> nn.Module:
-        if name not in self._changes:
-            return self._parts[name]
-        changed = self._changes[name]
-        if changed is None:
-            raise KeyError(name)
-        return changed
-
-    def __iter__(self) -> Iterator[str]:
-        names = [*self._parts, *(name for name in self._changes if name not in self._parts)]
-        return (name for name in names if self._changes.get(name, self) is not None)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-
-class StoredParts(Mapping[str, nn.Module]):
-    """The models of a bundle on disk, each loaded when it is first used."""
-
-    def __init__(self, weights: Weights, sizes: Sizes, device: torch.device) -> None:
-        self._weights, self._sizes, self._device = weights, sizes, device
-        self._opened: dict[str, nn.Module] = {}
-
-    def __getitem__(self, name: str) -> nn.Module:
-        if name not in self._opened:
-            part = part_table().get(name)
-            if part is None or part.file not in self._weights:
-                raise KeyError(name)
-            tied = lexicon_hash(self._sizes.lexemes) if part.tied else None
-            tensors = self._weights.read(part.file, shapes(name, self._sizes), tied)
-            model = part.build(self._sizes)
-            model.load_state_dict(tensors)
-            self._opened[name] = freeze(model.to(self._device))
-        return self._opened[name]
+        return self._loaders[name]()
 
     def __contains__(self, name: object) -> bool:
-        part = part_table().get(str(name))
-        return part is not None and part.file in self._weights
+        return name in self._loaders  # `Mapping` would load it
 
     def __iter__(self) -> Iterator[str]:
-        return (name for name in part_table() if name in self)
+        return iter(self._loaders)
 
     def __len__(self) -> int:
-        return sum(1 for _ in self)
+        return len(self._loaders)
+
+
+def stored_parts(weights: Weights, sizes: Sizes, device: torch.device) -> LazyParts:
+    """The models of a bundle on disk."""
+    return LazyParts({name: partial(_opened, part, name, weights, sizes, device)
+                      for name, part in part_table().items() if part.file in weights})
+
+
+def _opened(part: BundlePart, name: str, weights: Weights, sizes: Sizes, device: torch.device) -> nn.Module:
+    tied = lexicon_hash(sizes.lexemes) if part.tied else None
+    tensors = weights.read(part.file, shapes(name, sizes), tied)
+    model = part.build(sizes)
+    model.load_state_dict(tensors)
+    return freeze(model.to(device))
+
+
+def changed_parts(parts: Mapping[str, nn.Module], changes: Mapping[str, nn.Module | None]) -> LazyParts:
+    """Parts with some replaced, or removed where the change is None; the others are still loaded when used."""
+    unknown = sorted(set(changes) - {*part_table(), *JUDGES})
+    if unknown:
+        raise ValueError(f"no parts of a bundle: {', '.join(unknown)}")
+    # The old mapping goes on loading, so a part is never in memory twice.
+    loaders = {name: partial(parts.__getitem__, name) for name in parts if name not in changes}
+    return LazyParts({**loaders, **{name: partial(_same, module) for name, module in changes.items() if module}})
+
+
+def _same(module: nn.Module) -> nn.Module:
+    return module

@@ -38,9 +38,6 @@ FINISH_SECONDS = 10.0
 """Least time for finishing received audio when the server stops, seconds."""
 RETRY_SECONDS = 5.0
 """Time after which a client that was refused for lack of a place may try again."""
-MOST_GUESTS = 64
-"""Connections that have not sent a valid hello. The oldest is cut off for another one: a client that means it needs
-milliseconds, and one that says nothing is the oldest before long."""
 SOCKET_BYTES = 2**17
 """The system's buffer of a connection in each direction (Linux doubles it). By default it grows to megabytes, which
 would not count as unread; this size carries 1.3 MB/s to a client 0.1 s away, 25 times what the poses need."""
@@ -147,8 +144,6 @@ class LiveServer:
         self.compute = ComputeThread()
         self.connections: set[Connection] = set()
         self.draining = False
-        self._guests: dict[ServerConnection, None] = {}
-        """Connections without a valid hello, the oldest first."""
         self._numbers = itertools.count(1)
         self._stop = asyncio.Event()
 
@@ -190,8 +185,6 @@ class LiveServer:
         """Give a connection a place; see `Workplace`."""
         if not self.address.accepts(request.token):
             raise RefusedError(CloseCode.BAD_TOKEN, "the token is missing or wrong")
-        # A valid hello ends the time as a guest, even if the stream is refused afterwards.
-        self._guests.pop(connection.socket, None)
         if self.draining:
             raise RefusedError(CloseCode.GOING_AWAY, "the server is shutting down", retry_after=1.0)
         if self.full:
@@ -210,7 +203,6 @@ class LiveServer:
         try:
             await connection.run()
         finally:
-            self._guests.pop(ws, None)
             if connection in self.connections:
                 self.connections.discard(connection)
                 self.metrics.streams.dec()
@@ -245,7 +237,9 @@ class LiveServer:
         """None to open a WebSocket, else the HTTP response."""
         path = request.path.partition("?")[0]
         if path == published()["path"]:
-            return self._opening(ws, request)
+            origin = request.headers.get("Origin")
+            return None if origin is None or self.address.admits(origin) else _response(
+                HTTPStatus.FORBIDDEN, b"pages of this origin may not connect; see --origin\n")
         if path == "/healthz":
             return _response(HTTPStatus.SERVICE_UNAVAILABLE, b"stopping\n") if self.draining \
                 else _response(HTTPStatus.OK, b"ok\n")
@@ -257,19 +251,6 @@ class LiveServer:
             return _response(HTTPStatus.OK, self.pages[path].body, self.pages[path].kind)
         return _response(HTTPStatus.NOT_FOUND,
                          f"there are {published()['path']}, /healthz, /readyz and /metrics\n".encode())
-
-    def _opening(self, ws: ServerConnection, request: Request) -> Response | None:
-        """None for a WebSocket that may be opened."""
-        origin = request.headers.get("Origin")
-        if origin is not None and not self.address.admits(origin):
-            return _response(HTTPStatus.FORBIDDEN, b"pages of this origin may not connect; see --origin\n")
-        # Cut off the oldest instead of refusing the new one: idle connections must not lock others out.
-        if len(self._guests) >= MOST_GUESTS:
-            oldest = next(iter(self._guests))
-            del self._guests[oldest]
-            oldest.transport.abort()
-        self._guests[ws] = None
-        return None
 
     def _metrics(self, request: Request) -> Response:
         """The metrics, to anybody if the server has no token."""

@@ -13,10 +13,10 @@ from data_module.text.language import LANGUAGES
 from gesticulator.directing.meaning_cues import meaning_cues
 from gesticulator_performer.cues import Asked, Cues
 
+# Least score of a call: the texts are our own, and talk of meanings on purpose.
 _LEAST = 0.55
-"""Least score of a call: the texts are our own, and talk of meanings on purpose."""
+# What the score of a call adds to the weight of its word: detected phrases are played in about four of five cases.
 _SURER = 0.3
-"""What the score of a call adds to the weight of its word: detected phrases are played in about four of five cases."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class CalledCues:
     seconds between two gestures with a meaning; again: seconds in which a label does not come again."""
 
     labels: frozenset[str]
-    others: Cues | None = None
+    others: Cues
     apart: float = 3.0
     again: float = 20.0
 
@@ -35,12 +35,11 @@ class CalledCues:
             return {}
         detector = meaning_cues(language)
         out: dict[int, Asked] = {}
-        if self.others is not None:
-            for word, asked in self.others.asked(words, language).items():
-                new = {label: chance for label, chance in asked.labels.items()
-                       if label in self.labels and label not in detector.gestures}
-                if new:
-                    out[word] = Asked(new, asked.weight)
+        for word, asked in self.others.asked(words, language).items():
+            new = {label: chance for label, chance in asked.labels.items()
+                   if label in self.labels and label not in detector.gestures}
+            if new:
+                out[word] = Asked(new, asked.weight)
         for call in detector.called(words, pauses):
             if call.score >= _LEAST and call.label in self.labels:
                 out[call.word] = Asked({call.label: 1.0}, 1.0 + _SURER * call.score)

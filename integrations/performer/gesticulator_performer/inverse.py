@@ -27,38 +27,38 @@ from gesticulator_performer.types import Spoken
 
 SLOWEST, FASTEST = 0.80, 1.25
 """Bounds of the playing rate of a phrase, relative to the voice's own rate."""
+# Delay of the vowel after the motion beat, seconds: mean, standard deviation, and the largest deviation.
 _LEAD, _LOOSENESS, _LOOSEST = 0.038, 0.055, 0.13
-"""Delay of the vowel after the motion beat, seconds: mean, standard deviation, and the largest deviation."""
+# Costs: of log rate squared per second, of a second between the edges of phrase and window, of a strong beat without a
+# vowel, and of a prominent vowel without a beat.
 _RATE_COST, _EDGE_COST, _SKIPPED_BEAT, _SKIPPED_STRESS = 6.0, 1.0, 1.3, 0.12
-"""Costs: of log rate squared per second, of a second between the edges of phrase and window, of a strong beat without
-a vowel, and of a prominent vowel without a beat."""
 _STRESS_REWARD, _MEANING_REWARD = 0.4, 0.7
+# Seconds by which a phrase may begin before and after the window's start, and end before and after its end.
 _START_SLACK, _END_SLACK = (0.2, 0.35), (0.55, 0.15)
-"""Seconds by which a phrase may begin before and after the window's start, and end before and after its end."""
+# Vowels of less prominence are not put on a beat.
 _UNSTRESSED = -1.2
-"""Vowels of less prominence are not put on a beat."""
 _RATES = np.exp(np.linspace(np.log(SLOWEST), np.log(FASTEST), 7))
+# Phrases of suitable length that are tried on each window.
 _CANDIDATES = 200
-"""Phrases of suitable length that are tried on each window."""
+# Length of motion phrases, seconds: mean, standard deviation, least and greatest.
 _PHRASE, _PHRASE_SPREAD, _SHORTEST, _LONGEST = 2.6, 1.0, 0.9, 6.0
-"""Length of motion phrases, seconds: mean, standard deviation, least and greatest."""
+# Least seconds between two beats that carry vowels.
 _BEATS_APART = 0.12
-"""Least seconds between two beats that carry vowels."""
 _MINIMA_APART, _SPEED_WEIGHT, _LENGTH_WEIGHT = 0.2, 1.5, 0.35
+# A pause extends from its cut while speed stays under this share of the median; greatest and least seconds to either
+# side.
 _REST_SHARE, _LONGEST_REST, _LEAST_REST = 0.45, 1.2, 0.08
-"""A pause extends from its cut while speed stays under this share of the median; greatest and least seconds to either
-side."""
 _LEAST_WINDOW = 0.6
+# Share of the pauses that are moved off their rest, because real speakers pause while moving too, and the seconds by
+# which they are moved.
 _MOVED_SHARE, _MOVED = 0.4, (0.35, 0.9)
-"""Share of the pauses that are moved off their rest, because real speakers pause while moving too, and the seconds by
-which they are moved."""
+# Effort = .3 tanh(.55 (local + global energy)) + .6 noise; energy is the z-score of the phrase's mean log speed. Size
+# goes with effort mildly: two of three real speakers show no correlation of loudness with hand speed.
 _EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.3, 0.6
-"""Effort = .3 links tanh(.55 (local + global energy)) + .6 noise; energy is the z-score of the phrase's mean log speed.
-Size goes with effort mildly: two of three real speakers show no correlation of loudness with hand speed."""
+# Effort that hands carried a standard deviation and more above the talk's mean add, at full strength of that link.
 _EFFORT_OF_CARRIAGE = 0.5
-"""Effort that hands carried a standard deviation and more above the talk's mean add, at full strength of that link."""
+# DB of loudness per unit of local log speed.
 _BESIDE = 0.25
-"""dB of loudness per unit of local log speed, at full strength of the links."""
 
 
 @dataclass(frozen=True)
@@ -114,13 +114,10 @@ class FittedSpeech:
 
 @dataclass(frozen=True)
 class Energy:
-    """Mean and standard deviation of mean log speed over the takes, for the global part of effort; links: how strongly
-    energy is heard in the voice (0 not at all, 1 fully); carriage: the same of the height and reach of the hands."""
+    """Mean and standard deviation of mean log speed over the takes, for the global part of effort."""
 
     mean: float
     spread: float
-    links: float = 1.0
-    carriage: float = 0.0
 
 
 def log_speed(speed: Array) -> Array:
@@ -138,7 +135,7 @@ def speech_for(name: str, places: Array, pool: Pool, energy: Energy, movements: 
     beats = beats_of_speed(speed, FPS)
     strength = _strengths(speed, beats)
     targets = beats + np.clip(rng.normal(_LEAD, _LOOSENESS, len(beats)), _LEAD - _LOOSEST, _LEAD + _LOOSEST)
-    efforts = _efforts(log_speed(speed), windows, energy, rng, _carried(places) if energy.carriage > 0.0 else None)
+    efforts = _efforts(log_speed(speed), windows, energy, _carried(places), rng)
     features = movements[np.minimum((beats * FPS).astype(int) + 6, len(movements) - 1)]
     free = np.ones(len(pool), dtype=bool)
     laid: list[tuple[Match, Sounded, float]] = []
@@ -155,7 +152,7 @@ def speech_for(name: str, places: Array, pool: Pool, energy: Energy, movements: 
         match, sounded = _spoken_again(pool, best, effort, wanted, rng)
         laid.append((match, sounded, effort))
         matched += match.beats
-    spoken = _laid_out(name, pool, laid, (log_speed(speed), energy.links), rng)
+    spoken = _laid_out(name, pool, laid, log_speed(speed), rng)
     rates = np.concatenate([_rates(match) for match, _, _ in laid]) if laid else np.zeros((0, 2))
     return FittedSpeech(spoken, matched, len(beats), empty, rates)
 
@@ -229,18 +226,17 @@ def _means(track: Array, windows: Sequence[Window]) -> Array:
                      for w in windows])
 
 
-def _efforts(level: Array, windows: Sequence[Window], energy: Energy, rng: np.random.Generator,
-             carried: Array | None = None) -> list[float]:
+def _efforts(level: Array, windows: Sequence[Window], energy: Energy, carried: Array,
+             rng: np.random.Generator) -> list[float]:
     """The effort of each window, -1 to 1, from the energy of its motion, and from how its hands are `carried` [T]."""
     if not windows:
         return []
     means = _means(level, windows)
     local = (means - means.mean()) / (means.std() + 1e-6)
     whole = (means - energy.mean) / energy.spread
-    effort = energy.links * _EFFORT_OF_ENERGY * np.tanh(0.55 * (local + whole))
+    effort = _EFFORT_OF_ENERGY * np.tanh(0.55 * (local + whole))
     effort = effort + rng.normal(0.0, _EFFORT_NOISE, len(means))
-    if carried is not None:
-        effort = effort + energy.carriage * _EFFORT_OF_CARRIAGE * np.tanh(_means(carried, windows))
+    effort = effort + _EFFORT_OF_CARRIAGE * np.tanh(_means(carried, windows))
     return np.clip(effort, -1.0, 1.0).tolist()
 
 
@@ -380,11 +376,10 @@ def _rates(match: Match) -> Array:
     return np.stack([steps[:, 0] / steps[:, 1], steps[:, 1]], axis=1)
 
 
-def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]], heard: tuple[Array, float],
+def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]], level: Array,
               rng: np.random.Generator) -> Spoken:
-    """Place the phrases in time at the loudness of their effort, record them and measure the syllables. heard: log
-    speed [T] of the motion, and how strongly it is heard beside the effort."""
-    level, links = heard
+    """Place the phrases in time at the loudness of their effort, record them and measure the syllables. level: log
+    speed [T] of the motion, which is heard beside the effort."""
     count = round(len(level) / FPS * RATE)
     dry, active = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=bool)
     near = (level - level.mean()) / (level.std() + 1e-6)
@@ -400,7 +395,7 @@ def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]
         if not len(samples):
             continue
         times = (first + np.arange(len(samples))) / RATE
-        local = links * _BESIDE * np.tanh(np.interp(times, np.arange(len(near)) / FPS, near))
+        local = _BESIDE * np.tanh(np.interp(times, np.arange(len(near)) / FPS, near))
         gain = 0.1 / pool.level * decibels(voices.LOUDER * effort) * 10.0 ** (local / 20.0)
         dry[first:first + len(samples)] += samples * gain.astype(np.float32)
         active[first:first + len(samples)] = True

@@ -31,18 +31,18 @@ from gesticulator_performer.strokes import (
 )
 
 FOLDER = "meaning"
+# Whose clips of free motion are made into strokes.
 _PEOPLE = ("rocketbox_f", "rocketbox_m")
-"""Whose clips of free motion are made into strokes."""
+# Seconds from the start of such a stroke to its beat, to the end of its hold and to its end, at most: some clap for a
+# quarter of a minute.
 _LONGEST_PREPARATION, _LONGEST_HOLD, _RETRACTION = 1.2, 0.9, 0.7
-"""Seconds from the start of such a stroke to its beat, to the end of its hold and to its end, at most: some clap for a
-quarter of a minute."""
+# Labels that are lent with the head's motion.
 _HEAD = frozenset({"nod", "head_shake"})
-"""Labels that are lent with the head's motion."""
+# Labels in which a hand touches the head or the other hand.
 _FAITHFUL = frozenset({"chin_think", "head_scratch", "clap"})
-"""Labels in which a hand touches the head or the other hand."""
+# Clips of people who listen for long and whose hands move for another reason; wild clips; a hand on the hip.
 _UNFIT = frozenset({"m_gestic_listen_accept_05", "f_gestic_listen_deny_05", "m_gestic_listen_deny_06", "f_wave_02",
                     "f_cheer_02", "brad_Idle01_Think01"})
-"""Clips of people who listen for long and whose hands move for another reason; wild clips; a hand on the hip."""
 
 
 def with_meanings(strokes: StrokeSet, source: Path) -> StrokeSet:
@@ -63,12 +63,9 @@ def with_meanings(strokes: StrokeSet, source: Path) -> StrokeSet:
     return replace(strokes, strokes=_playable(out), cues=cues)
 
 
-def with_repertoire(strokes: StrokeSet, takes: Repertoire, source: Path | None) -> StrokeSet:
+def with_repertoire(strokes: StrokeSet, takes: Repertoire, source: Path) -> StrokeSet:
     """The strokes with takes of named gestures, which come at the words that the detector finds. source: with the
-    folder `meaning`, whose table tells which labels suit a standing speaker; None without it."""
-    captured = {stroke.meaning for stroke in strokes.strokes} - {""}
-    if source is None:
-        return replace(strokes, repertoire=takes, cues=CalledCues(takes.labels | captured))
+    folder `meaning`, whose table tells which labels suit a standing speaker."""
     allowed = read_cues(source / FOLDER, takes.labels)
     return replace(strokes, repertoire=takes, cues=CalledCues(allowed.wanted, allowed))
 

@@ -8,9 +8,8 @@ An elbow whose plane is turned by a constant angle a about the upper arm has the
 
     q' = t q t^-1,    t = exp(a x / 2),    x along the bone,
 
-which leaves the bend, the upper arm, and the roll of the hand about the forearm as they are. `fitted` finds the angle
-by subject and side, where anatomy says most (arms that hang at rest) and where it is seen (arms that gesture). Upper
-arms hang as the others' do, within 2 degrees: they are not swung.
+which leaves the bend, the upper arm, and the roll of the hand about the forearm as they are. `SUBJECTS` has the angle
+by subject and side. Upper arms hang as the others' do, within 2 degrees: they are not swung.
 
 `narrowed` is for the takes of all sources: a soft limit of arms that open wider than those of a standing speaker.
 `freed` turns a hand out of the trunk. Joints are those of the character; the right arm is treated as the left one's
@@ -19,7 +18,7 @@ mirror image.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,47 +30,31 @@ from data_module.types import Array
 from gesticulator_performer.torso import FPS, TORSO_RADIUS, capsule_depth, facing_positions
 
 SIDES = ("Left", "Right")
+# Sign of x away from the body.
 _OUT = {"Left": 1.0, "Right": -1.0}
-"""Sign of x away from the body."""
 
-
-@dataclass(frozen=True)
-class Posture:
-    """Frames that are compared between sources. bend: range of the elbow's bend, and steep: most of the upper arm from
-    vertical, degrees; slow: most of the wrist's speed, m/s. usual: degrees by which the forearm is turned outward about
-    the upper arm, the median of the two bodies of Rocketbox and the four of SmartBody, both sides. prior: seconds at
-    which a subject's own median weighs as much as that of all subjects."""
-
-    bend: tuple[float, float]
-    steep: float
-    slow: float
-    usual: float
-    prior: float
-
-
-POSTURES = (Posture((8.0, 38.0), 35.0, 0.12, -10.0, 4.0), Posture((40.0, 120.0), 40.0, np.inf, -17.5, 60.0))
-"""Arms that hang at rest, and arms that gesture: what a gesture shows depends more on what is done."""
 
 SUBJECTS: dict[str, dict[str, float]] = {
     "cmu_13": {"Left": 28.0, "Right": 26.0}, "cmu_14": {"Left": 28.0, "Right": 27.0},
     "cmu_18": {"Left": 28.0, "Right": 24.0}, "cmu_19": {"Left": 28.0, "Right": 28.0},
     "cmu_80": {"Left": 26.0, "Right": 31.0}, "cmu_138": {"Left": 26.0, "Right": 23.0},
 }
-"""Subject of CMU -> side -> degrees by which the plane of the elbow is turned inward: what `fitted` finds in all takes
-of the subject, rounded."""
+"""Subject of CMU -> side -> degrees by which the plane of the elbow is turned inward: by how much its median forearm
+points farther outward than those of Rocketbox and SmartBody, over arms that hang at rest and arms that gesture.
+Subjects who seldom rest are drawn towards the mean of all. Fitted on all takes (28 November 2026, commit 75833046)."""
+# Degrees up to which the upper arm may be lifted sideways, and the forearm be turned outward about it, as they were
+# recorded; and degrees that they never reach.
 _LIFT, _OUTWARD = (9.0, 35.0), (-2.0, 27.0)
-"""Degrees up to which the upper arm may be lifted sideways, and the forearm be turned outward about it, as they were
-recorded; and degrees that they never reach."""
+# Where the limit of the outward turn begins to count, or ends: degrees of the elbow's bend, of the upper arm sideways,
+# and outward.
 _BENT, _LIFTED, _BACK = (15.0, 40.0), (30.0, 60.0), (110.0, 160.0)
-"""Where the limit of the outward turn begins to count, or ends: degrees of the elbow's bend, of the upper arm sideways,
-and outward."""
+# Standard deviation of the low pass of the limits' turns, seconds.
 _SMOOTH = 0.06
-"""Standard deviation of the low pass of the limits' turns, seconds."""
+# Degrees that the bend of an elbow is clipped to where the lever of the hand about the upper arm is taken.
 _LEVER = (38.0, 142.0)
-"""Degrees that the bend of an elbow is clipped to where the lever of the hand about the upper arm is taken."""
+# Most rounds in which hands are turned out of the trunk, the factor on the turn, and seconds by which it begins before
+# and ends after the touch.
 _TRIES, _AMPLE, _WIDE = 6, 1.3, 0.2
-"""Most rounds in which hands are turned out of the trunk, the factor on the turn, and seconds by which it begins
-before and ends after the touch."""
 FOREARM, THICK = 0.25, 0.08
 """Metres, of the character."""
 
@@ -230,39 +213,3 @@ def _arm(rotations: Array, side: str) -> _Arm:
                               axis=-1))
     places = kinematics.joint_positions(CHARACTER, body)
     return _Arm(bones[0], bones[1], places[:, CHARACTER.index(side + "Hand")])
-
-
-# --- The constants
-
-
-def seen(takes: Iterable[Array], side: str, posture: Posture) -> Array:
-    """[N] degrees outward of the forearms of a side in the frames of a posture, in takes [T, J, 4] at 60 fps."""
-    found = [np.zeros(0)]
-    for rotations in takes:
-        arm = _arm(rotations, side)
-        speed = np.linalg.norm(np.gradient(arm.wrist, 1.0 / FPS, axis=0), axis=1)
-        counts = (arm.upper[:, 1] < -np.cos(np.radians(posture.steep))) & (speed < posture.slow) \
-            & (arm.bend > posture.bend[0]) & (arm.bend < posture.bend[1])
-        found.append(arm.outward[counts])
-    return np.concatenate(found)
-
-
-def fitted(subjects: Mapping[str, Sequence[Array]], postures: Sequence[Posture] = POSTURES
-           ) -> dict[str, dict[str, float]]:
-    """Subject -> side -> degrees for `turned`, from the takes [T, J, 4] (60 fps) of subjects that one conversion made:
-    by how much the median forearm is turned farther outward than is usual, the mean of the postures. A subject who is
-    seldom seen in a posture is drawn towards the mean of all subjects and sides, each weighted by what is believed of
-    it; ValueError where one of them has no frames."""
-    turns = [_against(subjects, posture) for posture in postures]
-    return {name: {side: float(np.mean([turn[name, side] for turn in turns])) for side in SIDES} for name in subjects}
-
-
-def _against(subjects: Mapping[str, Sequence[Array]], posture: Posture) -> dict[tuple[str, str], float]:
-    """Subject and side -> degrees outward of what is usual in a posture."""
-    angles = {(name, side): seen(takes, side, posture) for name, takes in subjects.items() for side in SIDES}
-    shares = {key: len(found) / (len(found) + posture.prior * FPS) for key, found in angles.items()}
-    medians = {key: float(np.median(found)) for key, found in angles.items() if len(found)}
-    if not medians:
-        raise ValueError("no arm is seen in a posture")
-    common = float(np.average(list(medians.values()), weights=[shares[key] for key in medians]))
-    return {key: common + shares[key] * (medians.get(key, common) - common) - posture.usual for key in angles}

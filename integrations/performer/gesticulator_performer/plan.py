@@ -24,34 +24,34 @@ REST_PAUSE = 1.6
 """Pause in speech, seconds, after which the arms go to rest."""
 BRAKE = 0.789
 """Share of the length of a minimum-jerk movement at which it decelerates hardest."""
+# Least seconds between the beats of two strokes.
 _MIN_GAP = 0.5
-"""Least seconds between the beats of two strokes."""
+# Least seconds from the start of a stroke to its beat; with less room the stroke is not played.
 _MIN_PREPARATION = 0.42
-"""Least seconds from the start of a stroke to its beat; with less room the stroke is not played."""
+# Seconds after a beat in which its arm takes no new stroke, because it is still decelerating.
 _AFTER_BEAT = 0.12
-"""Seconds after a beat in which its arm takes no new stroke, because it is still decelerating."""
+# Gap between the end of a hold and the next stroke, seconds, below which the hold is extended instead of retracted.
 _JOIN = 1.2
-"""Gap between the end of a hold and the next stroke, seconds, below which the hold is extended instead of retracted."""
+# Largest factor on the length of an extended hold.
 _STRETCH = 1.6
-"""Largest factor on the length of an extended hold."""
+# Longest hold after stretching, seconds.
 _LONGEST_HOLD = 1.0
-"""Longest hold after stretching, seconds."""
+# Number of recent clips that are unlikely to be repeated.
 _RECENT = 3
-"""Number of recent clips that are unlikely to be repeated."""
+# Factor on the probability of a recent clip.
 _RECENT_WEIGHT = 0.1
-"""Factor on the probability of a recent clip."""
+# Slopes: log gain by vigour, log gain by amplitude, log speed by tempo, eagerness by tempo.
 _SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.25, 0.9
-"""Slopes: log gain by vigour, log gain by amplitude, log speed by tempo, eagerness by tempo."""
+# Largest gain: beyond it elbows fold and hands come near the face.
 _LARGEST = 1.75
-"""Largest gain: beyond it elbows fold and hands come near the face."""
+# Log of the wished size of a take from a script, by vigour and amplitude, and the standard deviation about it.
 _SIZE_OF_TAKES, _SPREAD_OF_TAKES = np.array([0.35, 0.3]), 0.3
-"""Log of the wished size of a take from a script, by vigour and amplitude, and the standard deviation about it."""
+# Earliest and latest apex of a gesture under a budget, seconds from the stressed vowel.
 _APEX = (-0.16, 0.02)
-"""Earliest and latest apex of a gesture under a budget, seconds from the stressed vowel."""
+# Least share of its preparation and stroke that a take from a script is given.
 _HURRIED = 0.6
-"""Least share of its preparation and stroke that a take from a script is given."""
+# Seconds before such a gesture in which no beat is placed, so that its preparation has room.
 _READIED = 0.75
-"""Seconds before such a gesture in which no beat is placed, so that its preparation has room."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,8 @@ class Habits:
 
     meaning: probability that a meaningful word takes its stroke; eagerness: offset on the prominence at which a
     syllable takes a beat; hands: weights of left, right, both; looseness: standard deviation of the beat about the
-    syllable, seconds; speed and gain: relative to the recorded clips; sway: yaw of the torso, degrees; nod: size of a
-    nod, degrees; hanging: probability that one arm hangs through a phrase; links: strength of what ties the motion to
-    the sound beyond the times of the strokes (0 none, 1 full): size to effort, chest to
-    pitch; damping: seconds of the low pass of the arms, longer for a performer whose clips tremble.
+    syllable, seconds; speed and gain: relative to the recorded clips; nod: size of a nod, degrees; damping: seconds of
+    the low pass of the arms, longer for a performer whose clips tremble.
     """
 
     meaning: float = 0.65
@@ -72,18 +70,15 @@ class Habits:
     looseness: float = 0.05
     speed: float = 1.2
     gain: float = 1.0
-    sway: float = 7.0
     nod: float = 3.0
-    hanging: float = 0.25
-    links: float = 1.0
     damping: float = 0.02
 
 
 HABITS: dict[str, Habits] = {
-    "brad": Habits(0.60, 0.8, (1.1, 0.7, 1.2), 0.050, 1.02, 1.25, 7.5, 2.6, 0.20, damping=0.03),
-    "brad2": Habits(0.70, 0.6, (1.2, 0.6, 1.4), 0.047, 1.05, 1.12, 8.5, 3.2, 0.12, damping=0.05),
-    "connor": Habits(0.65, 0.3, (0.6, 1.2, 1.2), 0.053, 1.02, 1.02, 7.0, 2.2, 0.20, damping=0.045),
-    "garza": Habits(0.75, 0.5, (0.7, 1.1, 1.5), 0.049, 1.06, 1.12, 9.0, 3.8, 0.15, damping=0.07),
+    "brad": Habits(0.60, 0.8, (1.1, 0.7, 1.2), 0.050, 1.02, 1.25, 2.6, damping=0.03),
+    "brad2": Habits(0.70, 0.6, (1.2, 0.6, 1.4), 0.047, 1.05, 1.12, 3.2, damping=0.05),
+    "connor": Habits(0.65, 0.3, (0.6, 1.2, 1.2), 0.053, 1.02, 1.02, 2.2, damping=0.045),
+    "garza": Habits(0.75, 0.5, (0.7, 1.1, 1.5), 0.049, 1.06, 1.12, 3.8, damping=0.07),
 }
 
 
@@ -140,9 +135,9 @@ def rests_of(phrases: Sequence[Phrase], duration: float) -> tuple[Mark, ...]:
     return tuple(Mark(REST, end, start) for end, start in zip(ends, starts, strict=True) if start - end >= REST_PAUSE)
 
 
-def drives(spoken: Spoken, links: float = 1.0) -> Array:
-    """The vigour of each syllable, [syllables], -1 to 1, times `links` (`Habits`): half the effort of its phrase, half
-    its loudness (averaged with the phrase's; 6 dB give about 0.75), so that it can be predicted from the sound."""
+def drives(spoken: Spoken) -> Array:
+    """The vigour of each syllable, [syllables], -1 to 1: half the effort of its phrase, half its loudness (averaged
+    with the phrase's; 6 dB give about 0.75), so that it can be predicted from the sound."""
     loud = np.array([s.loudness for s in spoken.syllables])
     starts = np.array([s.vowel for s in spoken.syllables])
     out = np.zeros(len(loud))
@@ -151,55 +146,47 @@ def drives(spoken: Spoken, links: float = 1.0) -> Array:
         if inside.any():
             level = 0.5 * loud[inside] + 0.5 * loud[inside].mean()
             out[inside] = 0.5 * np.clip(phrase.effort, -1.0, 1.0) + 0.5 * np.tanh(level / 6.0)
-    return links * np.clip(out, -1.0, 1.0)
+    return np.clip(out, -1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Casting:
-    """The manner of a talk, the hands that play each of its phrases, its style, the strength of its links to the sound
-    (`Habits.links`), and that of `carriage.carriage`."""
+    """The manner of a talk, the hands that play each of its phrases, and its style."""
 
     manner: Manner
     hands: tuple[PhraseHands, ...]
     style: StyleTrack = NEUTRAL
-    links: float = 1.0
-    carriage: float = 0.0
 
     def habits_of(self, performer: str) -> Habits:
         habits = habits_of(performer)
-        return replace(habits, eagerness=habits.eagerness + self.manner.eagerness, links=self.links,
-                       meaning=habits.meaning * self.links)
+        return replace(habits, eagerness=habits.eagerness + self.manner.eagerness)
 
 
-def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng: np.random.Generator,
-         links: float = 1.0) -> Casting:
+def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng: np.random.Generator) -> Casting:
     habits = habits_of(performer)
     preferred = RIGHT if habits.hands[RIGHT] >= habits.hands[LEFT] else LEFT
     hands = hands_of_phrases(spoken.phrases, manner, preferred, rng)
-    return Casting(manner, hands, StyleTrack(style.times, links * style.values), links)
+    return Casting(manner, hands, style)
 
 
-def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator, split: str = "train",
-         casting: Casting | None = None) -> tuple[Planned, ...]:
+def plan(spoken: Spoken, performer: str, strokes: StrokeSet, casting: Casting, rng: np.random.Generator,
+         split: str = "train") -> tuple[Planned, ...]:
     """The strokes that `performer` plays on `spoken`, in order of their beats, without overlap on one arm. Held-out
     strokes are used in the split "test" only. InputError for an unknown performer."""
     usable = strokes.of(performer, split)
-    habits = casting.habits_of(performer) if casting else habits_of(performer)
-    style = casting.style if casting else NEUTRAL
+    habits = casting.habits_of(performer)
     known = {stroke.lexeme for stroke in usable}
     cues = strokes.cues
     asked = cues.asked(_texts(spoken), spoken.language, _pauses(spoken)) if cues else {}
     apart, again = (cues.apart, cues.again) if cues else (0.0, 0.0)
     labels = _labels(spoken, habits, asked, ({stroke.meaning for stroke in usable}, apart, again), rng)
-    wishes = _wishes(spoken, habits, known, (style, labels, set(asked), apart > 0.0), rng)
+    wishes = _wishes(spoken, habits, known, (casting.style, labels, set(asked), apart > 0.0), rng)
     chosen: list[Planned] = []
     recent: list[str] = []
-    last_hand = ""
     busy = {LEFT: 0.0, RIGHT: 0.0}
     for wish in wishes:
-        if casting is not None:
-            habits, last_hand = replace(habits, hands=weights_at(casting.hands, wish.at.vowel)), ""
-        stroke = _choose(wish, usable, habits, recent, last_hand, rng)
+        habits = replace(habits, hands=weights_at(casting.hands, wish.at.vowel))
+        stroke = _choose(wish, usable, habits, recent, rng)
         stroke = strokes.played(stroke, performer) if stroke else None
         placed = _place(stroke, wish, habits, busy, casting, rng) if stroke else None
         if stroke is None or placed is None:
@@ -207,12 +194,9 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Gene
         chosen.append(replace(placed, meaning=stroke.meaning if stroke.meaning == wish.label else "",
                               word=wish.at.word, gain=1.0 if stroke.faithful else placed.gain))
         recent = [*recent, stroke.base][-_RECENT:]
-        last_hand = stroke.hand
         for side in stroke.sides:
             busy[side] = placed.hold_end if stroke.scripted else placed.beat + _AFTER_BEAT
     joined = _join(chosen, runs_of(spoken.phrases))
-    if casting is None:
-        return joined
     lags, gains = unevenness(rng, len(joined))
     alike = [len(p.stroke.sides) < 2 or p.stroke.scripted for p in joined]
     uneven = [p if same else replace(p, lag=tuple(lag), uneven=tuple(gain))
@@ -228,7 +212,7 @@ def _wishes(spoken: Spoken, habits: Habits, known: set[str],
     syllables = spoken.syllables
     if not syllables:
         return []
-    strength = drives(spoken, habits.links)
+    strength = drives(spoken)
     loose = np.clip(rng.normal(-0.010, habits.looseness, len(syllables)), -0.13, 0.11)
     taken: dict[int, tuple[str, ...]] = dict.fromkeys(labels, ())
     if spoken.language == "en":
@@ -319,10 +303,10 @@ def _meaningful(spoken: Spoken, habits: Habits, known: set[str], settled: tuple[
     return out
 
 
-def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Sequence[str], last_hand: str,
+def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Sequence[str],
             rng: np.random.Generator) -> Stroke | None:
-    """Draw a stroke of the wanted lexemes; earlier names, preferred and alternating hands, and clips not recently used
-    weigh more. A stroke of the wanted meaning comes before all others."""
+    """Draw a stroke of the wanted lexemes; earlier names, the acting hands, and clips not recently used weigh more. A
+    stroke of the wanted meaning comes before all others."""
     order = {name: 0.5 ** place for place, name in enumerate(wish.lexemes)}
     candidates = [s for s in usable if wish.label and s.meaning == wish.label and s.base not in recent[-1:]]
     if not candidates:
@@ -332,7 +316,7 @@ def _choose(wish: _Wish, usable: Sequence[Stroke], habits: Habits, recent: Seque
     if not candidates:
         return None
     hands = dict(zip(("left", "right", "both"), habits.hands, strict=True)) | {"none": 1.0}
-    weights = np.array([order.get(s.lexeme, 1.0) * hands[s.hand] * (0.6 if s.hand == last_hand else 1.0)
+    weights = np.array([order.get(s.lexeme, 1.0) * hands[s.hand]
                         * (_RECENT_WEIGHT if s.base in recent else 1.0) for s in candidates])
     scripted = np.array([s.scripted for s in candidates])
     if scripted.any():
@@ -348,16 +332,13 @@ def _fit(size: float, wished: float) -> float:
     return float(np.exp(-0.5 * ((np.log(size) - wished) / _SPREAD_OF_TAKES) ** 2))
 
 
-def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], casting: Casting | None,
+def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], casting: Casting,
            rng: np.random.Generator) -> Planned | None:
     """Times and size of a stroke on its syllable; None if its arms are not free in time."""
-    size, pace = 1.1 * 0.2 * wish.drive, 0.8 * 0.2 * wish.drive
-    loose, largest, holding, vary = 1.0, 1.22, 1.0, 0.04
-    if casting is not None:
-        amplitude, tempo = casting.style.at(wish.beat).tolist()
-        size, pace = _SIZE_OF_DRIVE * wish.drive + _SIZE_OF_STYLE * amplitude, pace + _PACE_OF_STYLE * tempo
-        loose, largest, holding, vary = casting.manner.gain, _LARGEST, casting.manner.hold, 0.06
-    gain = habits.gain * float(np.clip(loose * np.exp(size + vary * rng.normal()), 0.6, largest))
+    amplitude, tempo = casting.style.at(wish.beat).tolist()
+    size = _SIZE_OF_DRIVE * wish.drive + _SIZE_OF_STYLE * amplitude
+    pace = 0.8 * 0.2 * wish.drive + _PACE_OF_STYLE * tempo
+    gain = habits.gain * float(np.clip(casting.manner.gain * np.exp(size + 0.06 * rng.normal()), 0.6, _LARGEST))
     speed = float(np.clip(habits.speed * np.exp(pace + 0.05 * rng.normal()), 0.7, 1.15))
     if stroke.steady:
         speed = min(speed, 1.0)
@@ -367,7 +348,7 @@ def _place(stroke: Stroke, wish: _Wish, habits: Habits, busy: dict[int, float], 
     if stroke.scripted:
         return _placed_as_drawn(stroke, wish, free)
     preparation = max(_MIN_PREPARATION, (stroke.beat - stroke.start) / speed)
-    hold = holding * float(np.clip((stroke.hold_end - stroke.beat) / speed, 0.12, _LONGEST_HOLD / _STRETCH))
+    hold = casting.manner.hold * float(np.clip((stroke.hold_end - stroke.beat) / speed, 0.12, _LONGEST_HOLD / _STRETCH))
     back = float(np.clip((stroke.end - stroke.hold_end) / speed, 0.5, 1.0))
     start = max(free, wish.beat - preparation)
     return Planned(stroke, start, wish.beat, wish.beat + hold, wish.beat + hold + back, wish.at.vowel, gain)

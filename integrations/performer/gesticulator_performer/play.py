@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from data_module.motion import rotation
 from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
-from data_module.truth import Phrase, PlayedStroke
+from data_module.truth import PlayedStroke
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
 from gesticulator_performer.carriage import carriage
@@ -46,84 +46,78 @@ FPS = 60.0
 """Frames per second of the finished motion: twice that of the clips, so that a beat can be moved by half a frame."""
 
 # Fitting the motion to its plan.
+# Most renderings of both arms that bring the measured beats to the planned ones.
 _PASSES = 6
-"""Most renderings of both arms that bring the measured beats to the planned ones."""
+# Most rounds in which strokes that cannot be put in time are left out and the others fitted again.
 _ROUNDS = 4
-"""Most rounds in which strokes that cannot be put in time are left out and the others fitted again."""
+# Most times that the arms are led around the body, each followed by a new fit.
 _DETOURS = 2
-"""Most times that the arms are led around the body, each followed by a new fit."""
+# Share of the way to the home pose below which an arm is not led.
 _CLEAR = 0.1
-"""Share of the way to the home pose below which an arm is not led."""
+# Joints of an arm, from the shoulder to the hand, that place the hand; the fingers do not.
 _REACHING = 4
-"""Joints of an arm, from the shoulder to the hand, that place the hand; the fingers do not."""
+# Window around a planned beat, seconds, in which the measured beat is searched: less than the least gap of strokes.
 _MISS = 0.35
-"""Window around a planned beat, seconds, in which the measured beat is searched: less than the least gap of strokes."""
+# Deceleration, in half standard deviations (see `_brakes`), below which a beat is faint and gets a larger accent.
 _CLEARLY = 1.2
-"""Deceleration, in half standard deviations (see `_brakes`), below which a beat is faint and gets a larger accent."""
+# Timing error, seconds (half a frame), below which a beat is not moved.
 _ACCURATE = 0.008
-"""Timing error, seconds (half a frame), below which a beat is not moved."""
+# Timing error, seconds (about one frame), above which a stroke is left out in the end.
 _TOLERANCE = 0.018
-"""Timing error, seconds (about one frame), above which a stroke is left out in the end."""
+# The same of a stroke with a meaning, whose shape tells more than its beat.
 _MEANT_TOLERANCE = 0.1
-"""The same of a stroke with a meaning, whose shape tells more than its beat."""
+# First share by which the excursion is raised before a beat.
 _ACCENT = 0.08
-"""First share by which the excursion is raised before a beat."""
+# Largest such share after the steps of `_tuned`: more of it makes hands tremble.
 _MOST_ACCENT = 0.3
-"""Largest such share after the steps of `_tuned`: more of it makes hands tremble."""
+# Seconds by which the clip's beat may be moved to meet the planned one, so that its preparation keeps its shape.
 _FARTHEST = 0.15
-"""Seconds by which the clip's beat may be moved to meet the planned one, so that its preparation keeps its shape."""
+# Share of the preparation in which the offset of the old motion fades, so that the last third is the clip's own.
 _FADE_SHARE = 0.65
-"""Share of the preparation in which the offset of the old motion fades, so that the last third is the clip's own."""
 
 # Raising and dropping the arms.
+# Seconds in which an arm is raised before the first word of a run of phrases.
 _RAISE = 0.7
-"""Seconds in which an arm is raised before the first word of a run of phrases."""
-_DROP = 1.0
-"""Seconds in which an arm is dropped after the last word, slower than it is raised."""
+# Share of the home pose at which an idle arm hangs, so that its elbow is not quite straight.
 _HANGING_LEVEL = 0.1
-"""Share of the home pose at which an idle arm hangs, so that its elbow is not quite straight."""
-_SYMPATHY = 0.4
-"""Share of the other arm's motion that a hanging arm follows."""
 
 # Small beats between strokes.
+# Share by which the excursion of an arm is raised for a small beat on an ordinary syllable.
 _MICRO = 0.42
-"""Share by which the excursion of an arm is raised for a small beat on an ordinary syllable."""
+# Seconds in which a raised arm falls; its beat is at the share `BRAKE` of them.
 _FALL = 0.32
-"""Seconds in which a raised arm falls; its beat is at the share `BRAKE` of them."""
+# Seconds in which it rises before.
 _BEFORE_SMALL = 0.3
-"""Seconds in which it rises before."""
+# Least seconds between small beats: about a rise and a fall.
 _SMALL_GAP = 0.62
-"""Least seconds between small beats: about a rise and a fall."""
-_LEAST_SMALL = -0.3
-"""Least prominence of a syllable that gets a small beat, without a `Manner`."""
+# Log of the size of small movements, by amplitude and tempo.
 _SMALL_OF_STYLE = np.array([0.5, 0.3])
-"""Log of the size of small movements, by amplitude and tempo."""
+# Bends of spine and head with a stroke of gain 1: forward, turned and tilted to the side of the hand, radians.
 _WITH_STROKE = np.radians([[1.6, 1.2, 0.8], [2.2, 2.6, 1.0]])
-"""Bends of spine and head with a stroke of gain 1: forward, turned and tilted to the side of the hand, radians."""
+# Factor on the drift of raised arms in pauses.
 _QUIETER = 0.35
-"""Factor on the drift of raised arms in pauses."""
+# Factor on the wrists' bends of the clips, which are larger than those of people who talk.
 _WRISTS = 0.58
-"""Factor on the wrists' bends of the clips, which are larger than those of people who talk."""
+# Factor on drift and small beats of an arm in a take from a script, whose shape tells what it means; seconds in which
+# that ends after the hold.
 _SCRIPTED_DRIFT, _CALMED = 0.25, 0.3
-"""Factor on drift and small beats of an arm in a take from a script, whose shape tells what it means; seconds in which
-that ends after the hold."""
+# Seconds of a take's clip that pass while its last pose is held for longer.
 _FROZEN = 0.02
-"""Seconds of a take's clip that pass while its last pose is held for longer."""
+# Factor on the nods over a real person's trunk, whose own head motion is not tied to this speech.
 _NOD_GAIN = 1.3
-"""Factor on the nods over a real person's trunk, whose own head motion is not tied to this speech."""
 
 # Limits of the arms.
+# Share of a clip's turn of the hips that is played, because the feet stand still here.
 _HIPS_SHARE = 0.4
-"""Share of a clip's turn of the hips that is played, because the feet stand still here."""
 
 HEAD_RADIUS = 0.105
 """Radius of the sphere for the head with hair, metres."""
+# Metres that an elbow may be behind its shoulder.
 _BEHIND = 0.08
-"""Metres that an elbow may be behind its shoulder."""
+# Metres above the shoulder beyond which a hand is too high, and the share of the excess that counts as depth.
 _HIGH, _HIGH_SHARE = 0.10, 0.3
-"""Metres above the shoulder beyond which a hand is too high, and the share of the excess that counts as depth."""
+# Depth inside the body, metres, at which an arm is led to the home pose altogether.
 _FULL_TRESPASS = 0.06
-"""Depth inside the body, metres, at which an arm is led to the home pose altogether."""
 
 
 @dataclass(frozen=True)
@@ -186,32 +180,24 @@ class _Score:
 
 @dataclass(frozen=True)
 class Staging:
-    """The manner of a talk, the trunks of real people to perform it with, its style, the strength of its links to
-    the sound (`plan.Habits.links`), and that of `carriage.carriage`."""
+    """The manner of a talk, the trunks of real people to perform it with, and its style."""
 
     manner: Manner
     segments: tuple[Segment, ...]
     style: StyleTrack = NEUTRAL
-    links: float = 1.0
-    carriage: float = 0.0
 
 
-def perform(spoken: Spoken, performer: str, strokes: StrokeSet, rng: np.random.Generator,
-            split: str = "train", staging: Staging | None = None) -> Played:
+def perform(spoken: Spoken, performer: str, strokes: StrokeSet, staging: Staging, rng: np.random.Generator,
+            split: str = "train") -> Played:
     """Perform `spoken` with the body and the strokes of `performer`: 60 fps on the performer's skeleton, with truth.
 
-    With `staging` the hands act independently and the trunk is a real person's; without it both hands play every phrase
-    and the trunk sways by formula. The result depends on the arguments and the state of `rng` alone. Held-out strokes
-    are played in the split "test" only. InputError for an unknown performer.
+    The hands act independently, and the trunk is a real person's. The result depends on the arguments and the state of
+    `rng` alone. Held-out strokes are played in the split "test" only. InputError for an unknown performer.
     """
-    casting = None
-    if staging:
-        casting = planning.cast(spoken, performer, staging.manner, staging.style, rng, staging.links)
-        casting = replace(casting, carriage=staging.links * staging.carriage)
-    habits = casting.habits_of(performer) if casting else planning.habits_of(performer)
-    planned = planning.plan(spoken, performer, strokes, rng, split, casting)
-    segments = staging.segments if staging else ()
-    score = _score(strokes.figures[performer], planned, spoken, habits, (casting, segments), rng)
+    casting = planning.cast(spoken, performer, staging.manner, staging.style, rng)
+    planned = planning.plan(spoken, performer, strokes, casting, rng, split)
+    score = _score(strokes.figures[performer], planned, spoken, casting.habits_of(performer),
+                   (casting, staging.segments), rng)
     tuning = _first_tuning(planned)
     for _ in range(_DETOURS):
         score, tuning, arms = _rehearse(score, tuning)
@@ -313,43 +299,33 @@ def _truth(p: Planned) -> PlayedStroke:
 
 
 def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits,
-           staged: tuple[Casting | None, tuple[Segment, ...]], rng: np.random.Generator) -> _Score:
+           staged: tuple[Casting, tuple[Segment, ...]], rng: np.random.Generator) -> _Score:
     casting, segments = staged
-    manner = casting.manner if casting else None
+    manner = casting.manner
     frames = max(2, round(spoken.speech.duration * FPS))
     runs = planning.runs_of(spoken.phrases)
-    levels = _independent_levels(spoken, runs, casting, rng) if casting else _levels(spoken, runs, habits, rng)
-    drop = manner.drop if manner else _DROP
-    events = _both_events(planned, runs, levels, drop)
+    levels = waiting_levels(casting.hands, _mean_drives(spoken, casting.hands), [start for start, _ in runs], _RAISE,
+                            manner, rng)
+    events = _both_events(planned, runs, levels, manner.drop)
     lively = np.stack([_active(arm, frames, lambda event: event.stroke >= 0 or event.level > 0, 0.25)
                        for arm in events])
     speaking = lively.max(axis=0)
-    wander = manner.drift if manner else 1.0
     moving = lively * _in_speech(spoken, frames)
-    drift = np.stack([_drift(figure, moving[side], wander, frames, rng) for side in (LEFT, RIGHT)])
-    if manner and segments:
-        joints = min(drift.shape[-1], 12)
-        fidgets = idle_arms(segments, frames, rng)
-        drift[..., :joints] += (1.0 - lively)[..., None] * fidgets[..., :joints]
-    size = _style_of(casting, frames)
+    drift = np.stack([_drift(figure, moving[side], manner.drift, frames, rng) for side in (LEFT, RIGHT)])
+    joints = min(drift.shape[-1], 12)
+    drift[..., :joints] += (1.0 - lively)[..., None] * idle_arms(segments, frames, rng)[..., :joints]
+    size = np.exp(casting.style.at(np.arange(frames) / FPS) @ _SMALL_OF_STYLE)
     calm = _calm(planned, frames)
     drift *= size[:, None]
-    if casting is not None and casting.carriage > 0.0:
-        carried = carriage(figure, spoken.phrases, spoken.syllables, frames, FPS)
-        drift += (casting.carriage * lively)[..., None] * carried.reshape(drift.shape)
+    carried = carriage(figure, spoken.phrases, spoken.syllables, frames, FPS)
+    drift += lively[..., None] * carried.reshape(drift.shape)
     drift *= calm[..., None]
-    least = manner.small_beats if manner else _LEAST_SMALL
-    vigour = planning.drives(spoken, habits.links)
-    micro = size * calm * np.stack([_micro(side, spoken, planned, (least, vigour), frames, rng)
-                                    for side in (LEFT, RIGHT)])
-    if manner and segments:
-        trunk = _living_trunk(figure, planned, spoken, segments, (speaking, manner.trunk, habits), rng)
-    else:
-        trunk = _trunk(figure, planned, spoken, habits, speaking, frames, rng)
-    sympathy = manner.sympathy if manner else _SYMPATHY
-    hanging = sympathy * np.stack([_active(arm, frames, _is_hanging, 0.2) for arm in events])
+    wanted = manner.small_beats, planning.drives(spoken)
+    micro = size * calm * np.stack([_micro(side, spoken, planned, wanted, frames, rng) for side in (LEFT, RIGHT)])
+    trunk = _living_trunk(figure, planned, spoken, segments, (speaking, manner.trunk, habits), rng)
+    hanging = manner.sympathy * np.stack([_active(arm, frames, _is_hanging, 0.2) for arm in events])
     return _Score(figure, planned, events, micro, drift, trunk, hanging, np.zeros((2, frames)),
-                  _carried(figure, trunk), runs, levels, drop, habits.damping, frames)
+                  _carried(figure, trunk), runs, levels, manner.drop, habits.damping, frames)
 
 
 def _calm(planned: tuple[Planned, ...], frames: int) -> Array:
@@ -374,43 +350,12 @@ def _in_speech(spoken: Spoken, frames: int) -> Array:
     return gaussian_filter1d(out, 0.15 * FPS, mode="nearest")
 
 
-def _style_of(casting: Casting | None, frames: int) -> Array:
-    """[T] factor of the style on the drift and the small beats of the arms."""
-    if casting is None:
-        return np.ones(frames)
-    return np.exp(casting.style.at(np.arange(frames) / FPS) @ _SMALL_OF_STYLE)
-
-
-def _mean_drives(spoken: Spoken, phrases: Sequence[Phrase | PhraseHands], links: float) -> list[float]:
-    vigour = planning.drives(spoken, links)
+def _mean_drives(spoken: Spoken, phrases: Sequence[PhraseHands]) -> list[float]:
+    """The mean vigour of the syllables of each phrase, 0 for a phrase without any."""
+    vigour = planning.drives(spoken)
     starts = np.array([s.vowel for s in spoken.syllables])
     inside = [(starts >= phrase.start) & (starts < phrase.end) for phrase in phrases]
     return [float(vigour[rows].mean()) if rows.any() else 0.0 for rows in inside]
-
-
-def _independent_levels(spoken: Spoken, runs: list[tuple[float, float]], casting: Casting,
-                        rng: np.random.Generator) -> Levels:
-    drives = _mean_drives(spoken, casting.hands, casting.links)
-    return waiting_levels(casting.hands, drives, [start for start, _ in runs], _RAISE, casting.manner, rng)
-
-
-def _levels(spoken: Spoken, runs: list[tuple[float, float]], habits: Habits,
-            rng: np.random.Generator) -> Levels:
-    """Per arm [(time, share of home)]: its height in each phrase; now and then one arm hangs."""
-    out: Levels = ([], [])
-    weak = LEFT if habits.hands[RIGHT] > habits.hands[LEFT] else RIGHT
-    for start, end in runs:
-        phrases = [p for p in spoken.phrases if start <= p.start < end]
-        for k, (phrase, drive) in enumerate(zip(phrases, _mean_drives(spoken, phrases, habits.links), strict=True)):
-            hanging = rng.random() < habits.hanging
-            side_hanging = weak if rng.random() < 0.7 else 1 - weak
-            draws = rng.uniform(0.8, 1.1, 2) * np.exp(0.15 * drive)
-            if k and rng.random() < 0.4:
-                continue
-            for side in (LEFT, RIGHT):
-                level = _HANGING_LEVEL if hanging and side == side_hanging else float(draws[side])
-                out[side].append((start - _RAISE if k == 0 else phrase.start - 0.3, level))
-    return out
 
 
 def _both_events(planned: tuple[Planned, ...], runs: list[tuple[float, float]],
@@ -519,36 +464,13 @@ def _micro(side: int, spoken: Spoken, planned: tuple[Planned, ...], wanted: tupl
 # --- The trunk
 
 
-def _trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, habits: Habits, speaking: Array,
-           frames: int, rng: np.random.Generator) -> Array:
-    """[T, B, 3] log rotations of hips, spine, neck and head: sway, breath, nods, and the small motion of the clips."""
-    slow = gaussian_filter1d(speaking, 0.4 * FPS, mode="nearest")
-    scale = (0.06 + 0.94 * slow)[:, None]
-    yaw = _wander(frames, 1, 5.5, rng)[:, 0] * scale[:, 0] * np.radians(habits.sway)
-    out = np.zeros((frames, len(figure.trunk), 3))
-    spines, skull = _spine_and_skull(figure)
-    out[:, 0, 1] = 0.2 * yaw
-    out[:, 0, [0, 2]] = _wander(frames, 2, 4.5, rng) * scale * np.radians(0.6)
-    bend = _wander(frames, 3 * len(spines), 3.5, rng).reshape(frames, -1, 3) * scale[..., None]
-    out[:, spines] = bend * np.radians([1.5, 1.0, 1.2])
-    out[:, spines, 1] += 0.8 / len(spines) * yaw[:, None]
-    out[:, spines[-1], 0] += _breath(frames)
-    turns = _wander(frames, 3 * len(skull), 2.4, rng).reshape(frames, -1, 3) * scale[..., None]
-    out[:, skull] = turns * np.radians([1.8, 2.6, 1.5])
-    # The eyes stay on the listener: the head turns back by half of the torso's yaw.
-    out[:, skull, 1] -= 0.5 / len(skull) * yaw[:, None]
-    out[:, skull, 0] += (_nods(spoken, habits, frames, rng) / len(skull))[:, None]
-    _add_clips(out, planned)
-    return out
-
-
 def _living_trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, segments: tuple[Segment, ...],
                   life: tuple[Array, float, Habits], rng: np.random.Generator) -> Array:
     """[T, B, 3] log rotations of hips, spine, neck and head: a real person's, with postures, nods and breath."""
     speaking, gain, habits = life
     frames = len(speaking)
     spines, skull = _spine_and_skull(figure)
-    track = trunk_track(segments, spoken, speaking, (gain, habits.links), rng)
+    track = trunk_track(segments, spoken, speaking, gain, rng)
     track = with_activity(track, _activity(planned, frames))
     hips, spine, head = spread(track, (1, len(spines), len(skull)))
     posture = postures(frames, rng)
@@ -559,7 +481,7 @@ def _living_trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: S
     out[:, skull, 0] += (_NOD_GAIN * _nods(spoken, habits, frames, rng) / len(skull))[:, None]
     out[:, spines[-1], 0] += _breath(frames)
     out[:, spines] += (sway(frames, rng) * (1.0 - 0.7 * speaking)[:, None] / len(spines))[:, None]
-    out[:, spines] += (pitch_accents(spoken.syllables, frames, habits.links, rng) / len(spines))[:, None]
+    out[:, spines] += (pitch_accents(spoken.syllables, frames, rng) / len(spines))[:, None]
     _add_bends_with_strokes(out, planned, (spines, skull), rng)
     _add_clips(out, planned)
     out[..., 1] *= yaw_scale(out[..., 1].sum(axis=1))

@@ -9,7 +9,7 @@ Nothing leaks between splits: the test split has separate topics, sentence templ
 readings; the validation split has separate takes and sentences. Recording `i` depends on (seed, i) alone, so it is the
 same in any order and with any number of workers.
 
-The synthetic talks are in English and all readings are used, unless --languages names the languages of both.
+The synthetic talks are in English; the readings are in English, German and Spanish.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ ADDED: dict[Split, dict[str, int]] = {"val": {"motion": 6, "talk": 8, "style": 3
 ADDED_HOURS = 4.0
 ADDED_LENGTH = (38.0, 48.0)
 """Their length, seconds."""
+# The index of the first recording of each part.
 _FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
-"""The index of the first recording of each part."""
+# Files of `gesticulator.directing` on which the words that call for named gestures depend.
 _DETECTOR = ("meaning_cues.py", "meaning_cues.json")
-"""Files of `gesticulator.directing` on which the words that call for named gestures depend."""
+# Five and six times this is added to that index for the recordings of `ADDED`.
 _ADDED = 10_000
-"""Five and six times this is added to that index for the recordings of `ADDED`."""
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
 _TEXT, _VOICE, _PLAY, _STYLE, _POOL = 0, 1, 2, 3, 4
 CREDITS = {
@@ -113,15 +113,10 @@ class Reading:
 @dataclass(frozen=True)
 class PerformerOptions(Options):
     """The options of a synthetic corpus. data: the folder of the source where --source is not given. hours: of
-    synthetic speech; languages: of talks and readings, empty for English talks and all readings. links: strength of
-    the links between speech and motion that are planted by rule, 0 to 1; carriage: of a further one, from effort and
-    pitch range to the height and reach of the hands. repertoire: folder of takes of named gestures, or None."""
+    synthetic speech. repertoire: folder of takes of named gestures, or None."""
 
     data: Path | None = None
     hours: float = 4.2
-    languages: tuple[str, ...] = ()
-    links: float = 1.0
-    carriage: float = 0.0
     repertoire: Path | None = None
 
 
@@ -133,34 +128,20 @@ class Performer:
         """The options of the corpus; --source may be left out where GESTICULATOR_DATA is set."""
         parser.add_argument("--seed", type=int, default=1, help="random seed of the corpus (default 1)")
         parser.add_argument("--hours", type=float, default=4.2, help="hours of synthetic speech (default 4.2)")
-        parser.add_argument("--links", type=float, default=1.0, metavar="SHARE",
-                            help="strength of the links between speech and motion that are planted by rule (stroke "
-                            "size and trunk by vocal effort, chest by pitch, gestures by meaning, styles), from 0 to 1 "
-                            "(default 1)")
-        parser.add_argument("--carriage", type=float, default=0.0, metavar="SHARE",
-                            help="strength of a further link, by which the hands are carried higher and farther out "
-                            "with vocal effort and pitch range, from 0 to 1, times --links (default 0)")
         parser.add_argument("--repertoire", type=Path, metavar="DIR",
                             help="takes of named gestures, which are played at words that call for them; they are "
                             "drawn if DIR does not exist (see gesticulator gesture-takes)")
-        parser.add_argument("--languages", default="", metavar="de,es",
-                            help="only talks and readings in these languages: cmn, de, en, es (default: English talks "
-                            "and all readings)")
 
     @staticmethod
     def options(arguments: argparse.Namespace) -> PerformerOptions:
         """The options in parsed arguments; `InputError` for one out of range."""
         if not 0 < arguments.hours < float("inf"):
             raise InputError("--hours", f"is {arguments.hours:g}", "give a number above 0")
-        for name in ("links", "carriage"):
-            if not 0 <= getattr(arguments, name) <= 1:
-                raise InputError(f"--{name}", f"is {getattr(arguments, name):g}", "give a number from 0 to 1")
         if arguments.seed < 0:
             raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
         data = os.environ.get("GESTICULATOR_DATA")
         return PerformerOptions(
             arguments.fps, arguments.unit, arguments.seed, Path(data) if data else None, arguments.hours,
-            tuple(filter(None, arguments.languages.split(","))), arguments.links, arguments.carriage,
             arguments.repertoire)
 
     def __init__(self, source: Path | None, options: Options) -> None:
@@ -173,18 +154,11 @@ class Performer:
         if source is None:
             raise InputError("--source", "is missing", "name the folder that holds strokes/ and speech/, or "
                              "set GESTICULATOR_DATA")
-        for needed in ("strokes/manifest.csv", "speech"):
+        for needed in ("strokes/manifest.csv", "free_motion/manifest.csv", "meaning", "speech"):
             if not (source / needed).exists():
                 raise InputError(source / needed, "does not exist",
-                                 "--source is the folder that holds strokes/ and speech/")
+                                 "--source is the folder that holds strokes/, free_motion/, meaning/ and speech/")
         self._source = source
-        unknown = sorted(set(options.languages) - set(voices.VOICES_OF))
-        if unknown:
-            raise InputError(f"--languages {','.join(options.languages)}", f"no voice speaks {', '.join(unknown)}",
-                             f"choose among {', '.join(voices.VOICES_OF)}")
-        used = {"speech": True, "readings": bool(self._stems), "strokes": True,
-                "free_motion": self._moved or (self._meant and (source / "free_motion" / "manifest.csv").is_file()),
-                "austen": any(stem.startswith("en_austen") for stem in self._stems)}
         if options.repertoire is not None:
             from gesticulator_performer.repertoire import read_repertoire
 
@@ -195,7 +169,7 @@ class Performer:
                 print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
             self._repertoire = read_repertoire(options.repertoire)
         licences = [f"named gestures: {licence}" for licence in self._repertoire.licences] if self._repertoire else []
-        self.licence = "; ".join([*(line for name, line in CREDITS.items() if used[name]), *licences])
+        self.licence = "; ".join([*CREDITS.values(), *licences])
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
             raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",
                              "pip install 'gesticulator[align]'")
@@ -207,21 +181,15 @@ class Performer:
                    for file in sorted((self._source / folder).rglob("*"))]
         settings: dict[str, Any] = {"code": code, "hours": self._options.hours,
                                     "source": _hash_of(sources, self._source)}
-        if self._options.links != 1.0:
-            settings["links"] = self._options.links
-        if self._options.carriage:
-            settings["carriage"] = self._options.carriage
         if self._options.repertoire is not None:
             detector = [Path(meaning_cues.__file__).with_name(name) for name in _DETECTOR]
             settings["repertoire"] = _hash_of(sorted(self._options.repertoire.iterdir()), self._options.repertoire)
             settings["detector"] = _hash_of(detector, detector[0].parent)
-        if self._options.languages:
-            settings["languages"] = sorted(set(self._options.languages))
         return settings
 
     def items(self) -> Sequence[Item]:
         # Sentences that are used already, by grammar; those of part A come first.
-        used = {source: set(self._phrases[1][source]) if self._moved else set() for source in text.SPLITS}
+        used = {source: set(self._phrases[1][source]) for source in text.SPLITS}
         return [*self._motion_talks(), *self._talks("talk", used), *self._talks("style", used), *self._readings()]
 
     def read(self, item: Item) -> Recording:
@@ -243,10 +211,9 @@ class Performer:
         else:
             spoken = self._reading(item)
         manner = STEADY if item.info.part == "style" else draw_manner(rng)
-        staging = play.Staging(manner, self._segments(item.info.split), style, self._options.links,
-                               self._options.carriage)
-        played = play.perform(spoken, item.info.speaker, self._strokes, self._rng(item.index, _PLAY), item.info.split,
-                              staging)
+        staging = play.Staging(manner, self._segments(item.info.split), style)
+        played = play.perform(spoken, item.info.speaker, self._strokes, staging, self._rng(item.index, _PLAY),
+                              item.info.split)
         knots = zip(style.times.tolist(), style.values.tolist(), strict=True) if style is not styles.NEUTRAL else ()
         truth = Truth(played.strokes, spoken.syllables, spoken.phrases,
                       rests_of(spoken.phrases, spoken.speech.duration),
@@ -261,8 +228,7 @@ class Performer:
         script: MotionScript = item.content
         takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
         pool = self._pool(item.info.voice, item.info.split)
-        request = TalkRequest(item.info.name, script.group, script.seconds, self._options.links,
-                              self._options.carriage)
+        request = TalkRequest(item.info.name, script.group, script.seconds)
         talk = talk_for_motion(request, self._library, takes, pool, self._rng(item.index, _PLAY))
         spoken = talk.fitted.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
@@ -281,25 +247,11 @@ class Performer:
             takes = self._repertoire.outlines
             lines.append(f"named gestures: {len(takes)} takes of {len(self._repertoire.labels)} gestures from scripts, "
                          "including mirror images")
-        if self._moved:
-            minutes = dict.fromkeys(POOL, 0.0)
-            for take in self._library.talks():
-                minutes[self._take_splits[take.name]] += len(take) / 3600.0
-            lines.append("continuous real motion: " + ", ".join(f"{split} {m:.1f} min" for split, m in minutes.items()))
-        else:
-            lines.append("no free_motion/manifest.csv: no part A, and the trunk sways by formula")
+        minutes = dict.fromkeys(POOL, 0.0)
+        for take in self._library.talks():
+            minutes[self._take_splits[take.name]] += len(take) / 3600.0
+        lines.append("continuous real motion: " + ", ".join(f"{split} {m:.1f} min" for split, m in minutes.items()))
         return lines
-
-    @property
-    def _moved(self) -> bool:
-        """Whether part A exists: there is real motion, and English is among the languages."""
-        there = (self._source / "free_motion" / "manifest.csv").is_file()
-        return there and (not self._options.languages or "en" in self._options.languages)
-
-    @property
-    def _meant(self) -> bool:
-        """Whether there are tables of gestures with a meaning."""
-        return (self._source / "meaning").is_dir()
 
     def _rng(self, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self._options.seed, index, purpose])
@@ -307,18 +259,13 @@ class Performer:
     @functools.cached_property
     def _strokes(self) -> Any:
         from gesticulator_performer.borrowed import load_borrowed, with_borrowed
-        from gesticulator_performer.meant_strokes import with_meanings
+        from gesticulator_performer.meant_strokes import with_meanings, with_repertoire
         from gesticulator_performer.strokes import load_strokes
 
         strokes = load_strokes(self._source / "strokes")
-        if self._moved:
-            strokes = with_borrowed(strokes, *load_borrowed(self._source / "free_motion"))
-        strokes = with_meanings(strokes, self._source) if self._meant else strokes
-        if self._repertoire is None:
-            return strokes
-        from gesticulator_performer.meant_strokes import with_repertoire
-
-        return with_repertoire(strokes, self._repertoire, self._source if self._meant else None)
+        strokes = with_borrowed(strokes, *load_borrowed(self._source / "free_motion"))
+        strokes = with_meanings(strokes, self._source)
+        return strokes if self._repertoire is None else with_repertoire(strokes, self._repertoire, self._source)
 
     @functools.cached_property
     def _library(self) -> Any:
@@ -339,8 +286,6 @@ class Performer:
         return [take for take, _ in list_takes(self._source / "free_motion")]
 
     def _segments(self, split: Split) -> tuple[Any, ...]:
-        if not self._moved:
-            return ()
         if split not in self._trunks:
             from gesticulator_performer.trunk import trunk_segments
 
@@ -383,14 +328,10 @@ class Performer:
 
     @functools.cached_property
     def _stems(self) -> tuple[str, ...]:
-        stems = sorted(file.stem for file in (self._source / "speech").glob("*.flac"))
-        wanted = self._options.languages
-        return tuple(stem for stem in stems if not wanted or stem.split("_")[0] in wanted)
+        return tuple(sorted(file.stem for file in (self._source / "speech").glob("*.flac")))
 
     def _motion_talks(self) -> list[Item]:
         """Part A: in each split the groups with takes there, in turns."""
-        if not self._moved:
-            return []
         mean = (SHORTEST_MOTION + LONGEST_MOTION) / 2
         items = []
         turns = dict.fromkeys(POOL, 0)
@@ -420,34 +361,26 @@ class Performer:
     def _talks(self, part: str, used: dict[str, set[str]]) -> list[Item]:
         """Parts B and C with their texts; no sentence of `used` (by grammar, updated) is repeated."""
         mean = (SHORTEST + LONGEST) / 2
-        wanted = self._options.hours * (SHARES[part] if self._moved else SHARES[part] / (1.0 - SHARES["motion"]))
-        count = max(1, round(wanted * 3600 / mean))
+        count = max(1, round(self._options.hours * SHARES[part] * 3600 / mean))
         turns = dict.fromkeys(("train", "val", "test"), 0)
         items = []
         for place, split, lengths in self._places(part, count, (SHORTEST, LONGEST)):
             turn = turns[split]
             turns[split] += 1
             performer = self._performers[turn % len(self._performers)]
-            choice = self._voices(split)
+            choice = voices.TEST_VOICES if split == "test" else voices.TRAIN_VOICES
             # Each round of the performers begins with another voice, so that every pair occurs.
             voice = choice[(turn + turn // len(self._performers)) % len(choice)]
             index = _FIRST[part] + place
             rng = self._rng(index, _TEXT)
             seconds = float(rng.uniform(*lengths))
             source = "test" if split == "test" else "train"
-            language = voices.VOICES[voice].language
-            written = text.compose(rng, seconds, source, used[source], language, self._repertoire is not None)
+            written = text.compose(rng, seconds, source, used[source], repertoire=self._repertoire is not None)
             script = Script(tuple(written), part == "style")
             name = f"{part}_{place:04d}_{performer}"
-            info = RecordingInfo(name, split, performer, voice, language, group=name, part=part)
+            info = RecordingInfo(name, split, performer, voice, "en", group=name, part=part)
             items.append(Item(info, index, script, seconds))
         return items
-
-    def _voices(self, split: Split) -> tuple[str, ...]:
-        side = 1 if split == "test" else 0
-        names = [voices.VOICES_OF[language][side] for language in sorted(set(self._options.languages)) or ("en",)]
-        # Languages take turns, so that each gets its share however many voices it has.
-        return tuple(of[rank % len(of)] for rank in range(max(map(len, names))) for of in names)
 
     def _readings(self) -> list[Item]:
         """Every reading for training by three performers, in turns; readings for test by one performer each."""
@@ -483,7 +416,7 @@ class Performer:
             speech = replace(speech, samples=np.ascontiguousarray(samples))
         if item.info.language == "en":
             transcript = read_text(self._source / "speech" / f"{reading.stem}.txt", "save it as text in UTF-8")
-            speech = replace(speech, words=transcripts.align(speech, transcript))
+            speech = replace(speech, words=transcripts.alignment(speech, transcript).words)
         return find_syllables(item.info.name, speech, item.info.voice, item.info.language)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -33,28 +33,27 @@ from gesticulator_performer.takes import (
 from gesticulator_performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
 from gesticulator_performer.types import Spoken
 
+# Ranges drawn per talk: the highest position of the hands (metres over the hips), the gain of the trunk, and the factor
+# by which the motion is slowed down.
 _HEIGHTS, _TRUNKS, _SLOWER = (0.40, 0.66), (0.9, 1.3), (1.0, 1.3)
-"""Ranges drawn per talk: the highest position of the hands (metres over the hips), the gain of the trunk, and the
-factor by which the motion is slowed down."""
+# Share of the stretches whose hands do the same that are played with one hand; the correlation of the hands' heights
+# from which they do; and the share of its motion that remains in the arm that rests.
 _ONE_HANDED, _ALIKE, _RESTING = 0.2, 0.6, 0.4
-"""Share of the stretches whose hands do the same that are played with one hand; the correlation of the hands' heights
-from which they do; and the share of its motion that remains in the arm that rests."""
+# A group whose motion is slow enough already.
 _SLOW_GROUP = "lesson"
-"""A group whose motion is slow enough already."""
+# Stretches that a talk draws on; those of its group first.
 _STRETCHES = 14
-"""Stretches that a talk draws on; those of its group first."""
+# Most chains that are tried, and the ratio of the acceleration at the seams to that elsewhere that is good enough.
 _CHAINS, _ROUGHEST = 8, 1.15
-"""Most chains that are tried, and the ratio of the acceleration at the seams to that elsewhere that is good enough."""
+# Share of the stressed vowels on which the head dips, and the range of the dip in degrees.
 _DIP_SHARE, _DIPS = 0.6, (2.0, 5.0)
-"""Share of the stressed vowels on which the head dips, and the range of the dip in degrees."""
+# Seconds from the start to the deepest point of a dip, from there to its end, and from the vowel to the deepest point.
 _DIP_RISE, _DIP_FALL, _DIP_LATE = 0.24, 0.4, 0.03
-"""Seconds from the start to the deepest point of a dip, from there to its end, and from the vowel to the deepest point.
-"""
+# Share of the moments in which a raised hand is slow that become holds; seconds that a hold takes with its edges; and
+# the seconds of motion that are shown in them.
 _HOLD_SHARE, _HOLD_SECONDS, _HOLD_OF = 0.3, (0.5, 0.9), 0.24
-"""Share of the moments in which a raised hand is slow that become holds; seconds that a hold takes with its edges; and
-the seconds of motion that are shown in them."""
+# Seconds between such moments at least; the speed below which a hand may be held, m/s; metres over the hips.
 _HOLDS_APART, _HELD_FROM, _RAISED = 0.9, 0.45, 0.06
-"""Seconds between such moments at least; the speed below which a hand may be held, m/s; metres over the hips."""
 ENERGY = inverse.Energy(0.41, 0.66)
 """Mean and spread of the mean log speed (`inverse.log_speed`) of the stretches of all takes, as measured; 0.2 is added
 to the spread so that the variation within a talk counts more."""
@@ -72,34 +71,27 @@ class MadeTalk:
 
 @dataclass(frozen=True)
 class TalkRequest:
-    """What a talk should be. group: its manner, a key of `takes.GROUPS`; seconds: its length; links: strength of what
-    ties the sound to the motion beyond the times of beats and phrases (0 none, 1 full); carriage: how strongly effort
-    tells the height and the reach of the hands, besides."""
+    """What a talk should be. group: its manner, a key of `takes.GROUPS`; seconds: its length."""
 
     name: str
     group: str
     seconds: float
-    links: float = 1.0
-    carriage: float = 0.0
 
 
 def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[RealTake], pool: Pool,
                     rng: np.random.Generator) -> MadeTalk:
     """A talk from the given takes alone, with speech for it from `pool`."""
-    group, seconds, links = request.group, request.seconds, request.links
     limits = MotionRange(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
-    slower = 1.0 if group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
-    named = _named_stretches(library, takes, group, limits, rng)
+    slower = 1.0 if request.group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
+    named = _named_stretches(library, takes, request.group, limits, rng)
     mixed, flip = rng.random() < 1.0 / 3.0, rng.random() < 0.5
     pieces = []
     for _, logs in named:
         turned = bool(rng.random() < 0.5) if mixed else flip
         pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
-    joined, places = _smoothest(library, pieces, seconds, rng)
-    synthesis = inverse.speech_for(request.name, places, pool,
-                                   replace(ENERGY, links=links, carriage=links * request.carriage),
-                                   movements.features_of(places), rng)
-    logs = with_life(joined.logs, synthesis.spoken, rng, links)
+    joined, places = _smoothest(library, pieces, request.seconds, rng)
+    synthesis = inverse.speech_for(request.name, places, pool, ENERGY, movements.features_of(places), rng)
+    logs = with_life(joined.logs, synthesis.spoken, rng)
     rotations = library.rotations(logs)
     root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
     used = tuple(sorted({named[k][0] for k in joined.used}))
@@ -191,7 +183,7 @@ def _slowed(logs: Array, times: float) -> Array:
     return rotation.unroll(rotation.to_exponential_map(rotation.interpolate(rotation.from_exponential_map(logs), at)))
 
 
-def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator, links: float = 1.0) -> Array:
+def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
     """Add life to logs [T, J, 3]: the head dips on stresses, the trunk calms in pauses, and postures change. The
     recorded head motion is not tied to the new speech, real heads are. The yaw of the head stays within 20 degrees in
     95 % of the frames. The body sways, so that held poses do not freeze."""
@@ -202,7 +194,7 @@ def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator, links: floa
     out[:, list(SKULL)] = calm(out[:, list(SKULL)], speaking)
     out[:, list(SKULL), 0] += (_dips(spoken, frames, rng) / len(SKULL))[:, None]
     posture = postures(frames, rng)
-    weight = sway(frames, rng) + pitch_accents(spoken.syllables, frames, links, rng)
+    weight = sway(frames, rng) + pitch_accents(spoken.syllables, frames, rng)
     for joints, bends in ((SPINE, posture[:, 0] + weight), (SKULL, posture[:, 1])):
         out[:, list(joints)] += (bends / len(joints))[:, None]
     trunk = [*HIPS, *SPINE, *SKULL]

@@ -22,37 +22,37 @@ from gesticulator_performer.types import Spoken
 
 _PARTS = (HIPS, SPINE, SKULL)
 _LIMITS = np.radians([8.0, 16.0, 38.0])
+# Gains of lean, yaw and roll of each part.
 _AXES = np.array([[1.0, 0.75, 0.75], [1.0, 0.75, 0.75], [1.0, 1.0, 0.8]])
-"""Gains of lean, yaw and roll of each part."""
+# Gains of the three parts, on another person's body and speech.
 _GAINS = np.array([0.5, 0.8, 0.72])
-"""Gains of the three parts, on another person's body and speech."""
+# Gain of the head's yaw, and the share of the spine's yaw that it undoes to keep the eyes on the listener.
 _HEAD_YAW, _EYES = 0.65, 0.35
-"""Gain of the head's yaw, and the share of the spine's yaw that it undoes to keep the eyes on the listener."""
 _LEAST_WINDOW = 0.85
 _TRIES = 24
 _RECENT = 8
+# Least prominence of a stressed syllable, on which the head should move.
 _STRESSED = 0.4
-"""Least prominence of a stressed syllable, on which the head should move."""
 _FADE = 0.7
+# Share of the trunk's fast motion that remains in a pause, and the low pass that separates it, seconds.
 _CALM, _CALMER_SPAN = 0.7, 1.5
-"""Share of the trunk's fast motion that remains in a pause, and the low pass that separates it, seconds."""
+# Factors on the fast part of the trunk's motion while the hands are still and while they move.
 _WITHOUT_HANDS, _WITH_HANDS = 0.45, 1.35
-"""Factors on the fast part of the trunk's motion while the hands are still and while they move."""
 _POSTURE = (9.0, 16.0)
+# Seconds that a posture lasts, and seconds of the transition to the next one.
 _SHIFT = 1.6
-"""Seconds that a posture lasts, and seconds of the transition to the next one."""
+# Soft limit of the fidgets of a hanging arm's joints, radians, and seconds of the transition between takes.
 _FIDGET, _IDLE_FADE = np.radians(12.0), 1.0
-"""Soft limit of the fidgets of a hanging arm's joints, radians, and seconds of the transition between takes."""
+# Lean of a standing body as its weight circles, radians, and the period of the circle, seconds.
 _SWAY, _SWAY_SECONDS = np.radians(1.7), 3.2
-"""Lean of a standing body as its weight circles, radians, and the period of the circle, seconds."""
+# Turn of the chest per semitone of an accent's pitch above the voice's middle, radians, and the semitones that count
+# most.
 _ACCENT, _ACCENT_MOST = np.radians(0.5), 6.0
-"""Turn of the chest per semitone of an accent's pitch above the voice's middle, radians, and the semitones that count
-most."""
+# Seconds before the middle of an accented vowel in which the chest turns, and after it in which it comes back: its
+# speed follows the pitch at once.
 _ACCENT_RISE, _ACCENT_FALL = 0.22, 0.5
-"""Seconds before the middle of an accented vowel in which the chest turns, and after it in which it comes back: its
-speed follows the pitch at once."""
+# Yaw of the head in the room (the sum of its joints' yaws), radians, that 95 % of the frames stay within.
 _MOST_YAW = np.radians(20.0)
-"""Yaw of the head in the room (the sum of its joints' yaws), radians, that 95 % of the frames stay within."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,10 @@ def trunk_segments(library: Library, splits: Mapping[str, str], split: str) -> t
     return tuple(out)
 
 
-def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array,
-                strength: tuple[float, float], rng: np.random.Generator) -> Array:
-    """Bends [T, 3, 3] for a talk. speaking: [T] 0 in pauses, 1 in speech, with soft edges; strength: a factor on the
-    motion, and how strongly it follows the effort of the phrases (0 to 1)."""
-    gain, links = strength
+def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array, gain: float,
+                rng: np.random.Generator) -> Array:
+    """Bends [T, 3, 3] for a talk. speaking: [T] 0 in pauses, 1 in speech, with soft edges; gain: a factor on the
+    motion."""
     frames = len(speaking)
     stressed = np.array([s.vowel * FPS for s in spoken.syllables if s.prominence > _STRESSED])
     out = np.zeros((frames, 3, 3))
@@ -101,7 +100,7 @@ def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array,
     effort = np.zeros(frames)
     for phrase in spoken.phrases:
         effort[round(phrase.start * FPS):round(phrase.end * FPS)] = phrase.effort
-    vigour = np.exp(0.35 * links * gaussian_filter1d(effort, 0.4 * FPS))
+    vigour = np.exp(0.35 * gaussian_filter1d(effort, 0.4 * FPS))
     return gain * _GAINS[:, None] * calm(out, speaking, vigour)
 
 
@@ -128,21 +127,21 @@ def sway(frames: int, rng: np.random.Generator) -> Array:
     return _SWAY * np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=-1)
 
 
-def pitch_accents(syllables: Sequence[Syllable], frames: int, strength: float, rng: np.random.Generator) -> Array:
+def pitch_accents(syllables: Sequence[Syllable], frames: int, rng: np.random.Generator) -> Array:
     """[T, 3] log rotations of the spine that go with the pitch: the higher an accented syllable, the farther the chest
-    leans or turns with it. strength: 0 for none, 1 for `_ACCENT`."""
+    leans or turns with it."""
     out, times = np.zeros((frames, 3)), np.arange(frames) / FPS
     turns = rng.normal(0.0, 1.0, (len(syllables), 3)) * [1.0, 1.2, 0.6]
     for syllable, turn in zip(syllables, turns, strict=True):
         height = min(syllable.pitch, _ACCENT_MOST)
-        if strength <= 0.0 or height <= 0.0 or syllable.prominence <= 0.0:
+        if height <= 0.0 or syllable.prominence <= 0.0:
             continue
         top = 0.5 * (syllable.vowel + syllable.end)
         first, last = (int(np.clip(np.ceil(at * FPS), 0, frames)) for at in (top - _ACCENT_RISE, top + _ACCENT_FALL))
         near = times[first:last] - top
         rises = minimum_jerk(np.clip(near / _ACCENT_RISE + 1.0, 0.0, 1.0))
         falls = minimum_jerk(np.clip(near / _ACCENT_FALL, 0.0, 1.0))
-        out[first:last] += (strength * _ACCENT * height * (rises - falls))[:, None] * turn
+        out[first:last] += (_ACCENT * height * (rises - falls))[:, None] * turn
     return out
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.truth import Phrase, Syllable
+from data_module.truth import Phrase
 from data_module.types import Array, Samples, Speech, Word
 from gesticulator_performer import espeak, flite
 from gesticulator_performer.sound import RATE, Phone, Sounded, decibels, read_at, recorded, with_tilt, word_spans
@@ -42,18 +42,6 @@ class Voice:
 VOICES = {name: Voice(name, **settings) for name, settings in table("voices.toml")["voices"].items()}
 TRAIN_VOICES = ("slt", "rms", "kal", "us_f3", "slt_deep", "rms_light", "gb_m3", "slt_high", "rms_deep", "scot_f2")
 TEST_VOICES = ("awb", "rp_m7", "awb_high")
-# Mandarin has "latn-pinyin" because the plain voice of espeak-ng 1.51 spells "lao3" as the English "lao three".
-VOICES_OF: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "cmn": (("cmn_f2", "cmn_m3", "cmn_f4", "cmn_m7"), ("cmn_m5", "cmn_f1")),
-    "de": (("de_f2", "de_m1", "de_f4", "de_m7"), ("de_m5", "de_f1")),
-    "en": (TRAIN_VOICES, TEST_VOICES),
-    "es": (("es_m3", "es_f2", "es_m1", "es_f4"), ("es_m5", "es_f1")),
-}
-"""Language -> voices for training and validation, voices for test."""
-TONAL = frozenset({"cmn"})
-"""Languages in which pitch distinguishes words, so that a high syllable need not be stressed."""
-
-
 @dataclass(frozen=True)
 class Synthesis:
     """Synthesised speech: words in `speech`, phones and phrases in seconds."""
@@ -86,20 +74,7 @@ def with_syllables(name: str, synthesis: Synthesis, voice: str) -> Spoken:
     """Synthesised speech of a voice of `VOICES` with its measured syllables."""
     language = VOICES[voice].language
     syllables = listen(synthesis.speech, synthesis.phrases, nuclei_of(synthesis.phones), language)
-    if language in TONAL:
-        syllables = without_tone(syllables)
     return Spoken(name, synthesis.speech, syllables, synthesis.phrases, voice, language)
-
-
-def without_tone(syllables: Sequence[Syllable]) -> tuple[Syllable, ...]:
-    """The same syllables with prominence from loudness and duration alone, for tonal languages."""
-    if not syllables:
-        return ()
-    pitch = np.array([syllable.pitch for syllable in syllables])
-    # The contribution of pitch in `listen`: .5 of its z-score over the recording.
-    share = 0.5 * np.clip((pitch - pitch.mean()) / (pitch.std() + 1e-6), -3, 3)
-    return tuple(replace(one, prominence=one.prominence - high)
-                 for one, high in zip(syllables, share.tolist(), strict=True))
 
 
 def nuclei_of(phones: Sequence[Phone]) -> list[Nucleus]:

@@ -1,10 +1,13 @@
-"""Strokes by formula on the 16-joint character: minimum-jerk reaches that need no recording."""
+"""Strokes by formula on the 16-joint character, and what else a performance needs without any recording."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from gesticulator_performer import plan
+from gesticulator_performer.hands import STEADY, Manner
+from gesticulator_performer.play import Staging, perform
 from gesticulator_performer.strokes import (
     LEFT,
     RIGHT,
@@ -18,6 +21,10 @@ from gesticulator_performer.strokes import (
     mirror,
     trunk_joints,
 )
+from gesticulator_performer.styles import NEUTRAL, StyleTrack
+from gesticulator_performer.trunk import Segment
+from gesticulator_performer.types import Played, Spoken
+from test_takes import moving
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.kinematics import minimum_jerk
@@ -117,3 +124,27 @@ def procedural_strokes() -> StrokeSet:
             strokes += [stroke, mirror(stroke)]
     figure = replace(figure, home=home_pose(strokes))
     return StrokeSet(tuple(strokes), {PERFORMER: figure})
+
+
+def segments() -> tuple[Segment, ...]:
+    """The trunks and arms of two busy people and one who waits."""
+    out = []
+    for seed, quiet in ((1, False), (2, False), (3, True)):
+        logs = moving(30.0, seed) * (0.3 if quiet else 1.5)
+        bends = np.stack([logs[:, 0], 3.0 * logs[:, 1], 3.0 * logs[:, 5]], axis=1)
+        arms = 0.02 * np.stack([logs[:, 12:16].reshape(len(logs), -1)] * 2)
+        out.append(Segment(f"person_{seed}", bends, arms, quiet))
+    return tuple(out)
+
+
+def played(spoken: Spoken, strokes: StrokeSet, seed: int, manner: Manner = STEADY, style: StyleTrack = NEUTRAL,
+           performer: str = PERFORMER) -> Played:
+    """A performance of `spoken`."""
+    return perform(spoken, performer, strokes, Staging(manner, segments(), style), np.random.default_rng(seed))
+
+
+def planned(spoken: Spoken, strokes: StrokeSet, seed: int, split: str = "train") -> tuple[plan.Planned, ...]:
+    """The strokes of a performance of `spoken`."""
+    rng = np.random.default_rng(seed)
+    casting = plan.cast(spoken, PERFORMER, STEADY, NEUTRAL, rng)
+    return plan.plan(spoken, PERFORMER, strokes, casting, rng, split)

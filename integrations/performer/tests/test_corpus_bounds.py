@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,19 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gesticulator_performer.acceptance import bounds as corpus_bounds
-from gesticulator_performer.acceptance import by_source, style_from_sound
+from gesticulator_performer.acceptance import by_source
 from gesticulator_performer.acceptance import command as corpus
 from gesticulator_performer.acceptance.bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTalk, TalkClaim
-from gesticulator_performer.acceptance.style_from_sound import StyledWindows
 from gesticulator_performer.plan import rests_of
 from gesticulator_performer.talks import with_life
 from gesticulator_performer.types import Spoken
 
-from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
-from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
-from data_module.truth import JOIN, REST, Mark, Phrase, PlayedStroke, StyleKnot, Truth
+from data_module.store import Recording, RecordingInfo, Split, StoreWriter
+from data_module.truth import JOIN, REST, Mark, Phrase, StyleKnot, Truth
 from data_module.types import Array, Motion, Speech
 from eval.acceptance.bounds import Verdict
 from eval.baselines import controls as baselines
@@ -119,24 +116,6 @@ def test_a_source_is_refused_though_all_together_are_not(figure: str, value: flo
     assert _refused([replace(talk, part="style") for talk in talks]) == set(), "styles are not judged"
 
 
-def test_forearms_that_were_turned_outward_are_refused_as_a_source() -> None:
-    talks = [replace(_measured(motion), source=name, part="talk")
-             for name, make in (("right", list), ("turned", lambda clips: baselines.splayed(clips, degrees=60.0)))
-             for motion in make([_ahead(seed) for seed in range(2)])]
-    refused = _refused(talks)
-    assert ("eye_splay", "turned") in refused and ("eye_splay", "right") not in refused
-
-
-def _ahead(seed: int) -> Motion:
-    """Arms that hang, forearms that swing about straight ahead."""
-    time = np.arange(1200) / 60
-    maps = np.zeros((1200, len(CHARACTER), 3))
-    for side, sign in (("Left", -1.0), ("Right", 1.0)):
-        maps[:, CHARACTER.index(side + "Arm"), 2] = 1.3 * sign
-        maps[:, CHARACTER.index(side + "ForeArm"), 1] = sign * (1.4 + 0.1 * np.sin((2 + seed) * time))
-    return Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((1200, 3)), 60.0)
-
-
 # --- From motion
 
 
@@ -174,15 +153,6 @@ def test_mirrored_hands_miss_the_correlation_of_heights() -> None:
     assert _verdicts(mirrored)["eye_one_handed"].holds is False
 
 
-def test_a_frozen_corpus_misses_freeze_head_chest_and_strokes() -> None:
-    verdicts = _verdicts([_measured(baselines.mean_pose([_motion(seed=seed)])[0]) for seed in range(2)])
-    assert verdicts[FREEZE].value.mean == pytest.approx(30.0)
-    for figure in (FREEZE, "eye_head", "eye_chest"):
-        assert verdicts[figure].holds is False
-    assert verdicts["eye_stroke_amplitude"].holds is None
-    assert _verdicts([_measured(_motion())])[FREEZE].holds
-
-
 def test_stillness_counts_only_where_no_rest_is_marked() -> None:
     motion = _motion(20.0)
     frozen = motion.rotations.copy()
@@ -217,17 +187,6 @@ def test_joins_that_jump_are_seams_and_smooth_ones_are_none() -> None:
     assert math.isnan(_measured(_motion(40.0), Truth(marks=truth.marks[:2])).figures[SEAM])
 
 
-def test_of_strokes_the_begin_and_the_end_of_the_hold_are_seams() -> None:
-    starts = np.arange(4.0, 36.0, 3.1)
-    strokes = tuple(PlayedStroke("Beat", "c", "right", s, s + 0.5, s + 0.9, s + 1.4, s + 0.5, 1.0, False)
-                    for s in starts.tolist())
-    for at in (0.0, 0.9):
-        assert _measured(_jumping(starts + at), Truth(strokes)).figures[SEAM] > 2.0
-    # A jump on the beat is the strokes' own, one between strokes is nobody's.
-    assert _measured(_jumping(starts + 0.5), Truth(strokes)).figures[SEAM] < 1.0
-    assert _measured(_jumping(starts + 2.2), Truth(strokes)).figures[SEAM] < 1.35
-
-
 def test_a_held_pose_of_a_real_take_does_not_freeze() -> None:
     held = np.zeros((1200, len(CHARACTER), 3))
     silence = Spoken("s", Speech(np.zeros(320000, dtype=np.float32), 16000), (), (), "nobody", "en")
@@ -246,95 +205,7 @@ def test_pauses_that_are_long_enough_are_marked_as_rest() -> None:
     assert rests_of([], 10.0) == (Mark(REST, 0.0, 10.0),)
 
 
-def test_marks_and_styles_are_kept_in_a_store(tmp_path: Path) -> None:
-    truth = Truth((), (), (Phrase(0.1, 0.9, -0.25),), (Mark(REST, 0.5, 1.0), Mark(JOIN, 1.5, 1.5)),
-                  (StyleKnot(0.0, 0.5, -1.0), StyleKnot(8.0, -0.5, 1.0)))
-    writer = StoreWriter(tmp_path / "s", "test", {}, 0, "none")
-    writer.add(_recording(_motion(2.0), truth, "style"))
-    store = writer.finish(["a"])
-    assert store.load("a").truth == truth
-    told = json.loads(json.dumps(truth.to_json()))
-    assert Truth.from_json(told) == truth
-    with pytest.raises(KeyError):
-        Truth.from_json({name: rows for name, rows in told.items() if name != "phrases"})
-
-
-# --- Styles
-
-
-def _windows(rng: np.random.Generator, law: Array, noise: float, count: int = 8) -> list[StyledWindows]:
-    """Recordings whose targets are a linear law of five features plus noise."""
-    out = []
-    for k in range(count):
-        features = rng.normal(size=(20, 5)) + rng.normal(size=5)
-        out.append(StyledWindows(features, features @ law + noise * rng.normal(size=(20, 3)), f"v{k % 2}", f"p{k % 3}"))
-    return out
-
-
-def test_a_lawful_style_is_told_and_noise_is_not() -> None:
-    rng = np.random.default_rng(0)
-    law = rng.normal(size=(5, 3))
-    for known in style_from_sound.told(_windows(rng, law, 0.1)).values():
-        assert all(score.mean > 0.9 for score in known.values())
-    alone = style_from_sound.told(_windows(rng, 0.0 * law, 1.0))["sound alone"]
-    assert all(score.mean < 0.1 for score in alone.values())
-    assert style_from_sound.told(_windows(rng, law, 0.1, 3)) == {}
-
-
-def test_a_style_that_only_its_recording_knows_is_not_told() -> None:
-    """Windows of one recording are alike: what is learnt from the same recording must not count."""
-    rng = np.random.default_rng(1)
-    own = [(rng.normal(size=30), rng.normal(size=3)) for _ in range(8)]
-    recordings = [StyledWindows(mark + 0.01 * rng.normal(size=(20, 30)), np.tile(target, (20, 1)), "v", "p")
-                  for mark, target in own]
-    assert all(score.mean < 0.3 for score in style_from_sound.told(recordings)["sound alone"].values())
-
-
-def _bursts(amplitude: float, rate: float, rng: np.random.Generator) -> Array:
-    """12 s of noise in syllables, so loud and so many a second."""
-    time = np.arange(12 * 16000) / 16000
-    shape = np.clip(np.sin(2 * np.pi * rate * time), 0.0, 1.0) + 0.003
-    return np.asarray(0.03 * np.exp(amplitude) * shape * rng.normal(size=len(time)))
-
-
-def test_loudness_and_the_rate_of_syllables_are_heard() -> None:
-    rng = np.random.default_rng(2)
-    recordings = []
-    for _ in range(8):
-        amplitude, tempo = rng.normal(size=2).tolist()
-        speech = Speech(_bursts(0.5 * amplitude, 4.0 * math.exp(0.2 * tempo), rng).astype(np.float32), 16000)
-        features = style_from_sound.heard(speech, np.array([4.0, 8.0]))
-        recordings.append(StyledWindows(features, np.tile([amplitude, tempo, 0.0], (2, 1)), "v", "p"))
-    rows = np.array([row.features.mean(axis=0) for row in recordings])
-    targets = np.array([row.targets[0] for row in recordings])
-    rate = 3 * style_from_sound._BANDS + 3
-    assert np.corrcoef(rows[:, rate], targets[:, 1])[0, 1] > 0.95
-    assert np.corrcoef(rows[:, rate - 3], targets[:, 0])[0, 1] > 0.95
-
-
-def test_the_targets_of_a_window_are_its_own(tmp_path: Path) -> None:
-    motion = _motion(24.0)
-    truth = Truth(style=(StyleKnot(0.0, -1.0, 0.0), StyleKnot(20.0, 1.0, 0.5)))
-    windows = style_from_sound.windows_of(_recording(motion, truth, "style"), common_body(motion))
-    assert windows is not None and windows.targets.shape == (4, 3)
-    assert windows.targets[:, 0] == pytest.approx([-0.6, -0.2, 0.2, 0.6])
-    assert windows.targets[:, 1] == pytest.approx([0.1, 0.2, 0.3, 0.4])
-    speed = common_body(motion).hand_speed.mean(axis=1)
-    assert windows.targets[1, 2] == pytest.approx(math.log(speed[240:720].mean() + 0.02))
-    assert style_from_sound.windows_of(_recording(motion, Truth(), "talk"), common_body(motion)) is None
-
-
 # --- The command
-
-
-def test_talks_are_chosen_evenly_and_styles_whole() -> None:
-    class _Listed:
-        recordings = tuple(RecordingInfo(f"{part}{k}", "train", "a", "b", "en", part=part)
-                           for part, count in (("motion", 9), ("talk", 2), ("style", 5)) for k in range(count))
-
-    names = [info.name for info in corpus.chosen(_Listed(), 3)]  # type: ignore[arg-type]
-    assert names == ["motion0", "motion4", "motion8", "talk0", "talk1", *(f"style{k}" for k in range(5))]
-    assert len(corpus.chosen(_Listed(), None)) == 16  # type: ignore[arg-type]
 
 
 def test_the_command_names_what_is_no_store(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -358,27 +229,8 @@ def test_a_store_is_measured_and_judged(tmp_path: Path) -> None:
     writer.finish(names)
     out = tmp_path / "corpus.json"
     assert PROBE.main("gesticulator probe", ["corpus", "--data", str(tmp_path / "s"), "--out", str(out)]) == 0
-    bounds, sources, styles = load(out)
+    bounds, sources = load(out)
     assert list(sources.columns) == ["bound", "ann"] and len(sources.facts["clauses"]) == len(by_source.EVERY)
     assert bounds.rows["L/R hand height correlation"]["holds"] == "NO"
     assert "L/R hand height correlation" in bounds.notes[1] and "acceleration at seams" in bounds.notes[1]
-    # Every sound is the same here, so it can say nothing of how fast the hands of others go.
-    assert styles.rows["log hand speed"]["holds"] == "NO"
-    assert [own["low"] for own in styles.facts["bounds"]] == [0.6, 0.3, 0.4]
     assert out.with_suffix(".md").read_text().count("| L/R hand height correlation | 0.25 to 0.55 |") == 1
-
-
-def test_a_performed_store_hits_its_plan(tiny_store: Path, tmp_path: Path) -> None:
-    out = tmp_path / "corpus.json"
-    assert PROBE.main("gesticulator probe", ["corpus", "--data", str(tiny_store), "--talks", "5", "--out",
-                                             str(out)]) == 0
-    bounds, _, plan = load(out)
-    assert plan.rows["motion beats within 20 ms of plan"]["value"].mean >= 0.95  # type: ignore[union-attr]
-    assert plan.rows["the same by chance"]["value"].mean < 0.2  # type: ignore[union-attr]
-    # The toy corpus is no living one: its head hardly moves.
-    assert bounds.rows["head on chest, spread, deg"]["holds"] == "NO"
-
-
-def test_a_missing_store_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="does not exist"):
-        Store.open(tmp_path / "nowhere")

@@ -9,25 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import carriage, grammar, plan, repertoire, text
+from gesticulator_performer import grammar, text
 from gesticulator_performer.called_cues import CalledCues
-from gesticulator_performer.cues import plain
-from gesticulator_performer.hands import STEADY
-from gesticulator_performer.play import Staging, perform
+from gesticulator_performer.cues import Cues, plain
 from gesticulator_performer.repertoire import Repertoire, read_repertoire
-from gesticulator_performer.sources.gesture_takes import SIZES, TAKES, write_takes
-from gesticulator_performer.strokes import SIDES, StrokeSet, standing_body
-from gesticulator_performer.styles import NEUTRAL
-from gesticulator_performer.types import Played, Spoken
-from procedural import procedural_strokes
+from gesticulator_performer.sources.gesture_takes import TAKES, write_takes
+from gesticulator_performer.strokes import StrokeSet, standing_body
+from gesticulator_performer.types import Spoken
+from procedural import planned, played, procedural_strokes
 
 from data_module.build import main
 from data_module.errors import InputError
 from data_module.files import read_table
-from data_module.motion import kinematics, rotation
+from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
 from data_module.truth import SCRIPTED, Phrase, Syllable
-from data_module.types import Array, Motion, Speech, Word
+from data_module.types import Speech, Word
 from gesticulator.directing.meaning_cues import meaning_cues
 from gesticulator.plan.gestures import REPERTOIRE
 
@@ -51,7 +48,7 @@ def takes(folder: Path) -> Repertoire:
 
 @pytest.fixture(scope="module")
 def strokes(takes: Repertoire) -> StrokeSet:
-    return replace(procedural_strokes(), repertoire=takes, cues=CalledCues(takes.labels))
+    return replace(procedural_strokes(), repertoire=takes, cues=CalledCues(takes.labels, Cues({}, {})))
 
 
 def _said(said: str, repeat: int = 1) -> Spoken:
@@ -87,26 +84,6 @@ def test_the_same_seed_draws_the_same_bytes_and_no_two_takes_are_alike(folder: P
     assert len(set(drawn.values())) == len(files) == 24
 
 
-def _hands(motion: Motion) -> Array:
-    """[T, 2, 3] metres of the hands from the hips."""
-    places = kinematics.positions_of(motion) - motion.root_positions[:, None]
-    return places[:, [motion.skeleton.index(side + "Hand") for side in SIDES]]
-
-
-def test_phases_are_where_their_marks_say(folder: Path) -> None:
-    """The hand hangs before the start and after the end, stops at the apex, and was fast in between."""
-    for _, row in read_table(folder / TAKES, ""):
-        if row["label"] not in ("thumbs_up", "point_ahead"):
-            continue
-        hand = _hands(read_bvh(folder / str(row["file"]), unit=1.0))[:, 1]
-        speed = np.linalg.norm(np.gradient(hand, axis=0), axis=-1) * 30.0
-        start, stroke, apex, hold_end, end = (round(30.0 * float(row[name] or 0)) for name in (
-            "start", "stroke", "apex", "hold_end", "end"))
-        assert max(speed[:start].max(), speed[end + 2:].max()) < 0.02
-        assert speed[start:stroke].max() > 0.5 and speed[hold_end:end].max() > 0.5
-        assert speed[apex + 1:hold_end].max() < 0.2 * speed[start:apex].max()
-
-
 def test_a_take_on_the_body_it_was_drawn_for_is_what_was_drawn(folder: Path, takes: Repertoire) -> None:
     outline = next(one for one in takes.outlines if one.base == SCRIPTED + "point_ahead_large_1")
     motion = read_bvh(folder / "point_ahead_large_1.bvh", unit=1.0)
@@ -123,28 +100,13 @@ def test_a_take_on_the_body_it_was_drawn_for_is_what_was_drawn(folder: Path, tak
         stroke.start, stroke.beat, stroke.hold_end, stroke.end)
 
 
-def test_sides_change_places_and_a_bow_moves_no_hand(takes: Repertoire) -> None:
-    labels = {(one.meaning, one.hand) for one in takes.outlines}
-    assert {("point_left", "left"), ("point_right", "right"), ("bow", "none")} <= labels
-    assert {one.size for one in takes.outlines} == set(SIZES.values())
-    free = {one.meaning for one in takes.outlines if not one.held_out}
-    assert free == takes.labels and any(one.held_out for one in takes.outlines)
-
-
-def _planned(strokes: StrokeSet, spoken: Spoken, seed: int, links: float = 1.0) -> tuple[plan.Planned, ...]:
-    rng = np.random.default_rng(seed)
-    casting = plan.cast(spoken, PUPPET, STEADY, NEUTRAL, rng, links)
-    return plan.plan(spoken, PUPPET, strokes, rng, "train", casting)
-
-
 def test_gestures_come_at_their_words_within_the_budget(strokes: StrokeSet) -> None:
     spoken = _said(TALK, 4)
     words = [word.text for word in spoken.speech.words or ()]
     at = defaultdict(set)
     count = 0
     for seed in range(12):
-        planned = _planned(strokes, spoken, seed)
-        meant = [p for p in planned if p.meaning]
+        meant = [p for p in planned(spoken, strokes, seed) if p.meaning]
         count += len(meant)
         for p in meant:
             assert p.stroke.scripted and p.gain == 1.0
@@ -161,32 +123,9 @@ def test_gestures_come_at_their_words_within_the_budget(strokes: StrokeSet) -> N
     assert count > 60
 
 
-def test_without_links_no_word_calls_for_a_gesture(strokes: StrokeSet) -> None:
-    spoken = _said(TALK, 4)
-    assert not any(p.meaning for seed in range(5) for p in _planned(strokes, spoken, seed, links=0.0))
-    half, full = (sum(bool(p.meaning) for seed in range(20) for p in _planned(strokes, spoken, seed, links))
-                  for links in (0.5, 1.0))
-    assert 0.4 * full < half < 0.8 * full
-
-
-def test_larger_takes_come_with_more_effort(strokes: StrokeSet) -> None:
-    quiet, loud = [], []
-    for seed in range(40):
-        for p in _planned(strokes, replace(_said(TALK), phrases=tuple(
-                replace(phrase, effort=1.0 if seed % 2 else -1.0) for phrase in _said(TALK).phrases)), seed):
-            if p.stroke.scripted:
-                (loud if seed % 2 else quiet).append(p.stroke.size)
-    assert min(len(quiet), len(loud)) > 30 and np.mean(loud) > np.mean(quiet) + 0.1
-
-
-def _performed(strokes: StrokeSet, links: float, strength: float) -> Played:
-    staging = Staging(STEADY, (), NEUTRAL, links, strength)
-    return perform(_said(TALK), PUPPET, strokes, np.random.default_rng(2), "train", staging)
-
-
 def test_a_played_take_shows_its_pose_at_the_apex(strokes: StrokeSet) -> None:
-    played = _performed(strokes, 1.0, 0.0)
-    meant = [stroke for stroke in played.strokes if stroke.clip.startswith(SCRIPTED) and stroke.hand != "none"]
+    performance = played(_said(TALK), strokes, 2)
+    meant = [stroke for stroke in performance.strokes if stroke.clip.startswith(SCRIPTED) and stroke.hand != "none"]
     assert len(meant) >= 2 and all(stroke.meaning in ("thumbs_up", "now_press", "point_ahead", "point_left")
                                    for stroke in meant)
     body = strokes.figures[PUPPET]
@@ -198,50 +137,10 @@ def test_a_played_take_shows_its_pose_at_the_apex(strokes: StrokeSet) -> None:
             joints = list(body.arms[side][1:3])
             wanted = rotation.multiply(body.rest[joints], rotation.from_exponential_map(
                 drawn.arm_at(side, np.array([drawn.beat])).reshape(-1, 3)[1:3]))
-            apart = [np.degrees(rotation.angle_between(played.motion.rotations[round(60 * time)][joints], wanted)).max()
-                     for time in (stroke.beat + 0.1, stroke.start)]
+            frames = [round(60 * time) for time in (stroke.beat + 0.1, stroke.start)]
+            shown = (performance.motion.rotations[frame][joints] for frame in frames)
+            apart = [np.degrees(rotation.angle_between(pose, wanted)).max() for pose in shown]
             assert apart[0] < 15.0 < apart[1]
-
-
-def test_carriage_raises_the_hands_with_effort_and_not_without_links(strokes: StrokeSet) -> None:
-    without, with_it = (_performed(strokes, 1.0, strength) for strength in (0.0, 1.0))
-    unlinked = [_performed(strokes, 0.0, strength).motion.rotations for strength in (0.0, 1.0)]
-    assert np.array_equal(*unlinked)
-    change = {1: [], -1: []}  # type: ignore[var-annotated]
-    rise = (_hands(with_it.motion) - _hands(without.motion))[..., 1].mean(axis=1)
-    for phrase in _said(TALK).phrases:
-        change[int(np.sign(phrase.effort))].append(rise[round(60 * phrase.start):round(60 * phrase.end)].mean())
-    assert np.mean(change[1]) > np.mean(change[-1]) + 0.02
-
-
-def test_phrases_with_effort_or_a_wide_pitch_are_driven_up() -> None:
-    phrases = tuple(Phrase(2.0 * k, 2.0 * k + 1.8, effort) for k, effort in enumerate((0.0, 1.0, 0.0, -1.0, 0.0)))
-    wide = (0.5, 0.5, 3.0, 0.5, 0.5)
-    syllables = [Syllable(t, t, t + 0.2, 0, 0.0, 5.0 + spread * (-1) ** k, 0.0)
-                 for phrase, spread in zip(phrases, wide, strict=True)
-                 for k, t in enumerate(np.linspace(phrase.start, phrase.end - 0.3, 6))]
-    drives = carriage.phrase_drives(phrases, syllables)
-    assert np.allclose(drives[[0, 4]], 0.0) and np.allclose(drives[1], [0.55, 0.8])
-    assert np.allclose(drives[2], [0.45, 0.2]) and np.allclose(drives[3], -drives[1])
-    assert not carriage.phrase_drives((), ()).size
-
-
-def test_the_hand_goes_straight_up_and_straight_out() -> None:
-    body = procedural_strokes().figures[PUPPET]
-    for side in (0, 1):
-        ways = carriage._ways(body, side)
-        places = []
-        for add in (np.zeros((2, 3)), 0.02 * ways[0], 0.02 * ways[1]):
-            logs = body.home[side].copy()
-            logs[1:3] += add
-            rotations = body.rest.copy()
-            joints = list(body.arms[side])
-            rotations[joints] = rotation.multiply(rotations[joints], rotation.from_exponential_map(logs))
-            hand = body.skeleton.index(SIDES[side] + "Hand")
-            places.append(kinematics.joint_positions(body.skeleton, rotations)[hand])
-        up, out = places[1] - places[0], places[2] - places[0]
-        assert up == pytest.approx([0.0, 0.02, 0.0], abs=0.002)
-        assert np.linalg.norm(out) == pytest.approx(0.02, abs=0.002) and abs(out[1]) < 0.002
 
 
 def _edited(folder: Path, change: Callable[[str], str]) -> Path:
@@ -266,30 +165,14 @@ def test_a_bad_folder_is_named_with_its_line(tmp_path: Path, change: Callable[[s
         read_repertoire(_edited(tmp_path / "takes", change))
 
 
-def test_a_broken_clip_is_named_when_it_is_played(tmp_path: Path) -> None:
-    write_takes(tmp_path / "takes", 1, ("thumbs up",))
-    (tmp_path / "takes" / "thumbs_up_small_1.bvh").write_text("HIERARCHY")
-    takes = read_repertoire(tmp_path / "takes")
-    with pytest.raises(InputError, match="thumbs_up_small_1"):
-        takes.played(takes.outlines[0], procedural_strokes().figures[PUPPET])
-
-
 def test_the_build_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for more, message in ((["--carriage", "1.5"], "--carriage: is 1.5"),
-                          (["--hours", "0"], "--hours: is 0"), (["--seed", "-1"], "--seed: is -1")):
+    for more, message in ((["--hours", "0"], "--hours: is 0"), (["--seed", "-1"], "--seed: is -1")):
         with pytest.raises(SystemExit) as stopped:
             main(["performer", "--out", str(tmp_path / "store"), *more])
         assert stopped.value.code == 2 and message in capsys.readouterr().err
     with pytest.raises(InputError, match=r"holds no takes\.csv"):
         read_repertoire(tmp_path / "nothing")
     assert not (tmp_path / "store").exists()
-
-
-def test_captured_strokes_come_first(takes: Repertoire) -> None:
-    one = next(iter(procedural_strokes().strokes))
-    captured = [replace(one, meaning="thumbs_up", base=f"clip{k}") for k in range(repertoire.ENOUGH)]
-    assert "thumbs_up" in {s.meaning for s in takes.usable(captured[1:], "train")}
-    assert "thumbs_up" not in {s.meaning for s in takes.usable(captured, "train")}
 
 
 def test_every_gesture_has_sentences_whose_words_call_for_it() -> None:

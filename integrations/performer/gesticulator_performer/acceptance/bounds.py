@@ -1,8 +1,9 @@
-"""What a corpus of gestures must be like, as bounds: of its talks, its seams and stillness, and its styles.
+"""The bounds that a corpus of gestures must keep: of its talks, its seams and its stillness.
 
 Theory: a figure for the eye (`eval.metrics.eye`) is one value of a talk. Pooled over the talks of parts A and B it is
 their mean, each talk counted by its seconds, or for a rule that holds "everywhere" (seams, freezes) the worst talk.
-A bound holds where the pooled value lies in it; a value is never rounded first. Style is judged on part C alone.
+A bound holds where the pooled value lies in it; a value is never rounded first. Part C and
+the readings are shown, not judged.
 
 - seams: acceleration of the hands within 2 frames of a place where the motion was put together, over that elsewhere. Of
   part A that is where two stretches of real motion were joined; of the others where a stroke begins and where its hold
@@ -37,8 +38,8 @@ POOLED = ("motion", "talk")
 MEAN, WORST = "mean", "worst"
 SEAM, FREEZE = "seam", "freeze"
 _FEWEST_SEAMS = 3
+# Second differences that touch the two frames on either side of a seam.
 _BESIDE = range(-2, 2)
-"""Second differences that touch the two frames on either side of a seam."""
 
 
 _TITLES = {SEAM: "acceleration at seams over elsewhere, worst talk",
@@ -69,10 +70,6 @@ CLAIMS: tuple[TalkClaim, ...] = (
     TalkClaim(SEAM, at_most(1.35), WORST),
     TalkClaim("eye_hand_in_torso", at_most(1.0)), TalkClaim("eye_elbow_in_torso", at_most(1.0)),
     TalkClaim("eye_head_yaw", at_most(25.0)), TalkClaim(FREEZE, at_most(1.0), WORST))
-STYLE_CLAIMS: dict[str, Claim] = {
-    target: Claim(f"R2 of {target} from 8 s of sound", at_least(least))
-    for target, least in (("amplitude", 0.6), ("tempo", 0.3), ("log hand speed", 0.4))}
-"""From sound alone (`gesticulator_performer.acceptance.style_from_sound`)."""
 
 
 @dataclass(frozen=True)
