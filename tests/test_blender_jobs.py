@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from data_module.errors import InputError
 from gesticulator.characters.blender import VARIABLE, check_blender, job_in_blender, run_in_blender
 from gesticulator.characters.fbx_rig import kept_scene, read_fbx_character
+from gesticulator.export.fbx import SCRIPT as WRITE
 from gesticulator.export.fbx_child import needed, played, reduce_keys, turned_by
-from gesticulator.export.own_fbx import SCRIPT as WRITE
 from tests.rigs import as_glb, draw
 
 SCRIPT = """import json, os, sys

@@ -134,13 +134,6 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path: Path, suffix
     assert list(tmp_path.iterdir()) == [target]
 
 
-@pytest.mark.parametrize("suffix", sorted(WRITERS))
-def test_a_missing_folder_is_the_systems_error(tmp_path: Path, suffix: str) -> None:
-    skip_without_its_tool(suffix)
-    with pytest.raises(OSError, match="No such file"):
-        write(tmp_path / "nowhere" / f"x{suffix}", perform())
-
-
 def test_compressed_sound_is_in_time_and_decodes_whole() -> None:
     rng = np.random.default_rng(5)
     clicks = np.zeros(3 * RATE, np.float32)

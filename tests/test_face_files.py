@@ -220,15 +220,6 @@ def test_live_links_table_is_read_back(tmp_path: Path) -> None:
     assert rows[0][0] == "00:00:00:00.000" and timecode(3661.5, 60.0) == "01:01:01:30.000"
 
 
-def test_parquet_has_the_same_numbers(tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    made = with_face(perform(1.0))
-    table = parquet.read_table(made.save(tmp_path / "talk.face.parquet")).to_pydict()
-    assert made.face is not None
-    np.testing.assert_allclose(table["EyeBlinkLeft"], arkit(made.face)["eyeBlinkLeft"], atol=1e-6)
-    np.testing.assert_allclose(table["time"], made.face.times)
-
-
 def test_smplx_has_the_jaw_and_the_eyes(tmp_path: Path) -> None:
     plain, shown = (np.load(one.save(tmp_path / f"{name}.npz"))["poses"].reshape(-1, 55, 3)
                     for name, one in (("plain", perform(1.0)), ("face", with_face(perform(1.0)))))

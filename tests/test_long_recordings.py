@@ -12,15 +12,12 @@ from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.motion.bvh import Unwrap
-from data_module.motion.skeletons import CHARACTER
 from data_module.speech import sound_files
 from data_module.speech.audio import LevelMeter, load_speech, speech_pieces
 from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, frame_levels, loudness
-from data_module.types import Motion, Samples
+from data_module.types import Samples
 from gesticulator import infer
-from gesticulator.export.clip import EVERY_FRAME
-from gesticulator.export.glb import skeleton_glb
-from gesticulator.export.nodes import of_motion
+from gesticulator.export.gltf import GltfDocument
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 
@@ -69,17 +66,10 @@ def test_sound_is_read_in_pieces_and_is_the_whole(monkeypatch: pytest.MonkeyPatc
     assert np.array_equal(np.concatenate(parts), whole)
 
 
-def frames(count: int, seed: int = 0) -> Motion:
-    """A motion of 16 joints whose quaternions have either sign."""
-    rng = np.random.default_rng(seed)
-    turns = rng.normal(size=(count, len(CHARACTER), 4))
-    return Motion(CHARACTER, turns / np.linalg.norm(turns, axis=-1, keepdims=True), np.zeros((count, 3)), 60.0)
-
-
 def test_a_motion_at_once_that_a_glb_cannot_hold_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gesticulator.export.gltf.LARGEST", 30_000)
     with pytest.raises(InputError, match="a GLB file holds"):
-        skeleton_glb(of_motion(frames(20)), EVERY_FRAME)
+        GltfDocument({}, bytes(40_000)).to_bytes()
 
 
 def test_what_breaks_off_leaves_nothing_behind(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

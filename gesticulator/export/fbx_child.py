@@ -6,7 +6,7 @@
 
 IN.fbx may be IN.blend, the scene into which Blender imported it. KEYS is the bound on the error of reduced keys in
 degrees, 0 for every frame; NAME that of the take. MOTION.npz holds bone poses, and values of shape keys, as from
-`gesticulator.export.own_fbx`. The script imports nothing from this package: Blender has its own Python.
+`gesticulator.export.fbx`. The script imports nothing from this package: Blender has its own Python.
 """
 
 from __future__ import annotations
